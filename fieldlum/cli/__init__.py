@@ -1,0 +1,58 @@
+"""The command line: one small file per command; stdout is the answer, stderr is talk and progress."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import click
+
+from fieldlum import __version__
+from fieldlum.errors import FieldlumError
+
+# In the order of the job, not of the alphabet. Each name is a module of this folder with a click command `command`.
+COMMANDS = (
+    "demo", "plan", "doctor", "capture", "log", "import", "status", "calibrate", "merge", "pair",
+    "train", "predict", "glare", "bench", "report", "simulate", "info",
+)  # fmt: skip
+
+
+class _Job(click.Group):
+    """Loads a command's module only when it is asked for, and shows the tool's own errors as one line."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [name for name in COMMANDS if (Path(__file__).parent / f"{name}_.py").is_file()]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        return importlib.import_module(f"fieldlum.cli.{cmd_name}_").command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        from difflib import get_close_matches
+
+        near = get_close_matches(args[0], COMMANDS, n=1)
+        if args[0] not in COMMANDS and near and not args[0].startswith("-"):
+            ctx.fail(f"No such command '{args[0]}'. Did you mean '{near[0]}'?")
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> object:
+        try:
+            return super().invoke(ctx)
+        except FieldlumError as error:
+            click.echo(f"fieldlum {ctx.invoked_subcommand}: {error}", err=True)
+            sys.exit(error.exit_code)
+
+
+@click.group(cls=_Job, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, package_name="fieldlum")
+def main() -> None:
+    """From a camera, a pyranometer and a laptop on site to a year of luminance maps of a room.
+
+    \b
+    See the whole job on simulated captures:   fieldlum demo
+    Start your own:                            fieldlum plan SITE.toml --set 9-day --out my-session
+    """

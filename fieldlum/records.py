@@ -1,0 +1,217 @@
+"""Frozen values that cross the borders between stages. Units are in the names; times are aware UTC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import IntFlag
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.floating]
+Progress = Callable[[int, int, str], None]
+"""Called as progress(done, total, text) by anything that takes over two seconds."""
+
+
+def quiet(done: int, total: int, text: str) -> None:
+    """The progress that shows nothing."""
+
+
+# ---------------------------------------------------------------------------------------------- time
+
+
+def utc_text(t_utc: datetime) -> str:
+    """``2027-03-20T15:30:00Z``. Raises ValueError for a naive time."""
+    if t_utc.tzinfo is None:
+        raise ValueError(f"naive time {t_utc}: give it a time zone")
+    t = t_utc.astimezone(UTC)
+    return t.strftime("%Y-%m-%dT%H:%M:%S") + (f".{t.microsecond // 1000:03d}" if t.microsecond else "") + "Z"
+
+
+def parse_utc(text: str) -> datetime:
+    """Inverse of `utc_text`; any ISO time with an offset is accepted, a naive one is a ValueError."""
+    t = datetime.fromisoformat(text)
+    if t.tzinfo is None:
+        raise ValueError(f"time {text!r} has no time zone: write it as UTC, like 2027-03-20T15:30:00Z")
+    return t.astimezone(UTC)
+
+
+def slot_id(t_utc: datetime) -> str:
+    """A slot is named by its UTC start: ``20270320T153000Z``."""
+    return t_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+
+
+# ---------------------------------------------------------------------------------------------- flags
+
+
+class Flag(IntFlag):
+    """Why a pixel's value must be read with care. A value is never invented without one."""
+
+    CLIPPED_HIGH = 1  # every frame saturated: the value is a lower bound
+    BELOW_NOISE = 2  # no frame rises above its noise
+    BLOOM = 4  # a neighbour saturated
+    MOTION = 8  # frames disagree beyond their noise
+    ND = 16  # the value comes from frames through a neutral-density filter
+    FILLED = 32  # interpolated from neighbours
+    OUTSIDE_LENS = 64  # no lens saw it
+
+
+# ---------------------------------------------------------------------------------------------- site and room
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    name: str
+    latitude_deg: float
+    longitude_deg: float  # east positive
+    timezone: str = "UTC"  # IANA
+    altitude_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSetup:
+    profile: str = ""  # name in calibration/ or a path; empty: the default simulated camera
+    heading_deg: float = 180.0  # azimuth of the panorama's centre column, clockwise from true north
+    headings: tuple[float, ...] = ()  # of a single fisheye on a turned head; empty for one fixed camera
+    height_m: float = 1.6
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A glazed rectangle in a wall, seen from inside; ``left_m`` runs from the wall's left end as seen from inside."""
+
+    wall: Literal["south", "west", "north", "east"]
+    left_m: float
+    width_m: float
+    sill_m: float
+    height_m: float
+    transmittance: float = 0.88
+    panes: int = 1  # equal panes side by side, parted by vertical frame bars
+    frame_m: float = 0.05  # width of the frame and of the bars
+    transom_m: float = 0.0  # height above the floor of a horizontal bar; 0: none
+
+
+@dataclass(frozen=True, slots=True)
+class Obstruction:
+    """A box, in room coordinates (x to the right, y away from the south wall, z up), inside or outside."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    width_m: float
+    depth_m: float
+    height_m: float
+    reflectance: float = 0.35
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """`kind` box: a shoebox; its "south" wall is y = 0 and faces ``wall_azimuth_deg``. `kind` radiance: a file."""
+
+    kind: Literal["box", "radiance"] = "box"
+    width_m: float = 6.0  # along x; x grows towards the right-hand end of the south wall seen from OUTSIDE, i.e. east
+    depth_m: float = 14.0  # along y, away from the south wall
+    height_m: float = 4.5
+    camera_x_m: float = 3.0
+    camera_y_m: float = 3.0
+    camera_z_m: float = 1.6
+    wall_azimuth_deg: float = 180.0  # where the outward normal of the "south" wall points, clockwise from true north
+    wall_thickness_m: float = 0.25
+    reflectance_walls: float = 0.5
+    reflectance_ceiling: float = 0.8
+    reflectance_floor: float = 0.2
+    reflectance_ground: float = 0.2
+    reflectance_frame: float = 0.4
+    window: tuple[Window, ...] = ()
+    obstruction: tuple[Obstruction, ...] = ()
+    file: str = ""  # kind radiance: .rad or .oct
+    viewpoint_m: tuple[float, ...] = ()  # kind radiance: x east, y north, z up
+
+
+@dataclass(frozen=True, slots=True)
+class PyranometerSetup:
+    kind: str = ""
+    profile: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SiteFile:
+    """The whole of SITE.toml."""
+
+    site: Site
+    camera: CameraSetup = field(default_factory=CameraSetup)
+    room: Room | None = None
+    pyranometer: PyranometerSetup = field(default_factory=PyranometerSetup)
+
+
+# ---------------------------------------------------------------------------------------------- capture
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    shutter_s: float
+    f_number: float
+    iso: float = 100.0
+    nd: str = ""  # name of a neutral-density filter of the profile; empty: none
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One planned bracket."""
+
+    t_utc: datetime
+    sun_altitude_deg: float  # true, no refraction
+    sun_azimuth_deg: float  # clockwise from north
+    exposures: tuple[Exposure, ...]
+    tags: tuple[str, ...] = ()
+
+    @property
+    def id(self) -> str:
+        return slot_id(self.t_utc)
+
+
+@dataclass(frozen=True, slots=True)
+class IrradianceSample:
+    """One reading of a pyranometer; what the instrument does not give is None. [W/m²]"""
+
+    t_utc: datetime
+    ghi_wm2: float | None
+    dhi_wm2: float | None = None
+    dni_wm2: float | None = None
+    temperature_c: float | None = None
+    status: str = ""  # empty: all well
+    raw: str = ""  # the line or register words as received
+
+
+# ---------------------------------------------------------------------------------------------- luminance
+
+
+@dataclass(frozen=True, slots=True)
+class SunSource:
+    """The sun as the lens sees it, kept beside the map. Illuminance is on a plane normal to it, at the lens."""
+
+    altitude_deg: float
+    azimuth_deg: float  # clockwise from north
+    normal_illuminance_lx: float  # of the visible part
+    visible_fraction: float = 1.0
+    origin: str = ""  # nd-frames, meter, dni, rendering
+
+
+@dataclass(frozen=True, slots=True)
+class Panorama:
+    """A luminance map of all directions, without the sun's disc.
+
+    luminance_cdm2, u_cdm2 (standard uncertainty), flags : [H, W = 2H], row 0 at the zenith, centre column at heading.
+    """
+
+    luminance_cdm2: Float
+    heading_deg: float
+    u_cdm2: Float | None = None
+    flags: NDArray[np.integer] | None = None
+    t_utc: datetime | None = None
+    sun: SunSource | None = None
+    rgb: Float | None = None  # [H, W, 3], such that 179 * (.265 .670 .065) gives the luminance
+    attributes: dict[str, str] = field(default_factory=dict)

@@ -1,0 +1,61 @@
+"""Contract: a module imports from ranks above it, or acyclically within its own; stages never import each other."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "fieldlum"
+RANKS = (
+    {"errors", "records"},
+    {"photometry", "projection", "sun", "sky", "light"},
+    {"images", "raw", "profiles", "session", "scene", "weather"},
+    {"devices"},
+    {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
+    {"models", "train", "predict", "bench"},
+    {"report", "demo", "cli"},
+)  # fmt: skip
+RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}
+STAGES = 4
+
+
+def _module(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def _imported(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "fieldlum":
+            parts = (node.module or "").split(".")
+            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {a.name.split(".")[1] for a in node.names if a.name.startswith("fieldlum.")}
+    return {name for name in found if not name.startswith("__")}
+
+
+FILES = sorted(p for p in PACKAGE.rglob("*.py") if _module(p) != "__init__")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_point_one_way(path: Path) -> None:
+    me = _module(path)
+    assert me in RANK, f"{me} has no rank: add it to the table, and to the design"
+    for name in _imported(path) - {me}:
+        assert RANK[name] <= RANK[me], f"{me} imports {name}, which stands below it"
+        if RANK[me] == STAGES:
+            assert RANK[name] < STAGES, f"stage {me} imports stage {name}: let them meet in records or on disk"
+
+
+def test_no_cycle_within_a_rank() -> None:
+    edges = {m: set[str]() for m in RANK}
+    for path in FILES:
+        edges[_module(path)] |= {n for n in _imported(path) if RANK[n] == RANK[_module(path)]} - {_module(path)}
+
+    def visit(module: str, trail: tuple[str, ...]) -> None:
+        assert module not in trail, " -> ".join((*trail, module))
+        for name in edges[module]:
+            visit(name, (*trail, module))
+
+    for module in RANK:
+        visit(module, ())
