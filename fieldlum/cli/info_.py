@@ -1,0 +1,175 @@
+"""`fieldlum info`: what any file of the tool is, in a few lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fieldlum.cli.terminal import emit_json
+from fieldlum.errors import InputError
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a file on stdout.")
+def command(files: tuple[Path, ...], as_json: bool) -> None:
+    """Tell what a raw, picture, plan, profile or model is.
+
+    \b
+    Example:
+      fieldlum info raw/20270320T193000Z/f00.dng panoramas/20270320T193000Z.exr plan.csv
+    """
+    for path in files:
+        facts = {"file": str(path), **describe(path)}
+        if as_json:
+            emit_json(facts)
+        else:
+            click.echo(str(path))
+            for name, value in facts.items():
+                if name != "file":
+                    click.echo(f"  {name:24} {value}")
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """Facts by the kind of file. Raises InputError for what is no file of the tool."""
+    if path.is_dir():
+        return _folder(path)
+    if not path.is_file():
+        raise InputError(path, "no such file or folder")
+    suffix = path.suffix.lower()
+    readers: dict[str, Callable[[Path], dict[str, Any]]] = {
+        ".exr": _panorama, ".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg,
+    }  # fmt: skip
+    return readers.get(suffix, _raw)(path)
+
+
+def _panorama(path: Path) -> dict[str, Any]:
+    import numpy as np
+
+    from fieldlum.images import read_panorama
+    from fieldlum.records import utc_text
+
+    panorama = read_panorama(path)
+    values = panorama.luminance_cdm2[np.isfinite(panorama.luminance_cdm2)]
+    flagged = 0.0 if panorama.flags is None else 100.0 * float((panorama.flags > 0).mean())
+    return {
+        "kind": "panorama",
+        "size": f"{panorama.luminance_cdm2.shape[1]} x {panorama.luminance_cdm2.shape[0]}",
+        "heading_deg": panorama.heading_deg,
+        "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else "",
+        "median_cdm2": round(float(np.median(values)), 3),
+        "largest_cdm2": round(float(values.max()), 1),
+        "flagged_percent": round(flagged, 2),
+        "sun": str(panorama.sun) if panorama.sun else "none",
+        **panorama.attributes,
+    }
+
+
+def _radiance(path: Path) -> dict[str, Any]:
+    import numpy as np
+
+    from fieldlum.images import read_radiance_hdr
+
+    image = read_radiance_hdr(path)
+    height, width = image.rgb.shape[:2]
+    kind = "panorama" if image.heading_deg is not None else "Radiance picture"
+    return {
+        "kind": kind,
+        "size": f"{width} x {height}",
+        "view": image.view or ("equirect" if kind == "panorama" else "missing"),
+        "median_cdm2": round(float(np.median(image.luminance_cdm2)), 3),
+        "largest_cdm2": round(float(image.luminance_cdm2.max()), 1),
+    }
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    from fieldlum.profiles import CameraProfile as Profile
+    from fieldlum.profiles import build, read_toml, site_from_table
+
+    table = read_toml(path)
+    if "site" in table:
+        setup = site_from_table(table, str(path))
+        room = f"{setup.room.kind}, {len(setup.room.window)} windows" if setup.room else "none"
+        site = setup.site
+        return {
+            "kind": "site",
+            "name": site.name,
+            "place": f"{site.latitude_deg:g}, {site.longitude_deg:g}",
+            "room": room,
+        }
+    if "camera" in table:
+        profile = build(Profile, table, str(path))
+        return {
+            "kind": "camera profile",
+            "name": profile.camera.name,
+            "lenses": len(profile.lens),
+            "frames": len(profile.bracket.shutter_s),
+            "k": profile.scale.k,
+            "u_k_percent": 100 * profile.scale.u_rel,
+            "source": profile.provenance.source,
+        }
+    if "setup" in table and "plan" in table:
+        return {"kind": "session", "name": table["setup"].get("site", {}).get("name", ""), **table["plan"]}
+    raise InputError(path, f"tables {', '.join(table) or 'none'}", "a site, a camera profile or a session")
+
+
+def _csv(path: Path) -> dict[str, Any]:
+    from fieldlum.session import PLAN_COLUMNS, read_plan
+
+    with path.open(encoding="utf-8", errors="replace") as file:
+        head = file.readline().strip().split(",")
+        rows = sum(1 for _ in file)
+    if tuple(head) != PLAN_COLUMNS:
+        return {"kind": "table", "rows": rows, "columns": " ".join(head)}
+    slots = read_plan(path)
+    days = sorted({slot.t_utc.date() for slot in slots})
+    span = f"{days[0]} to {days[-1]}" if days else "empty"
+    return {
+        "kind": "plan",
+        "slots": len(slots),
+        "days_utc": span,
+        "frames_per_slot": len(slots[0].exposures) if slots else 0,
+    }
+
+
+def _jpeg(path: Path) -> dict[str, Any]:
+    from fieldlum.raw import read_jpeg
+    from fieldlum.session import exposure_text
+
+    frame = read_jpeg(path)
+    height, width = frame.codes.shape[:2]
+    return {"kind": "JPEG frame", "size": f"{width} x {height}", "exposure": exposure_text(frame.exposure)}
+
+
+def _raw(path: Path) -> dict[str, Any]:
+    from fieldlum.raw import read_mosaic
+    from fieldlum.session import exposure_text
+
+    mosaic = read_mosaic(path)
+    height, width = mosaic.counts.shape
+    return {
+        "kind": "raw frame",
+        "camera": f"{mosaic.make} {mosaic.model}".strip(),
+        "size": f"{width} x {height}",
+        "cfa": mosaic.cfa,
+        "exposure": exposure_text(mosaic.exposure),
+        "black_dn": tuple(mosaic.black_dn),
+        "white_dn": mosaic.white_dn,
+        "largest_dn": int(mosaic.counts.max()),
+    }
+
+
+def _folder(path: Path) -> dict[str, Any]:
+    import json
+
+    if (path / "session.toml").is_file():
+        return _toml(path / "session.toml")
+    if (path / "config.json").is_file():
+        try:
+            return {"kind": "model", **json.loads((path / "config.json").read_text(encoding="utf-8"))}
+        except ValueError as error:
+            raise InputError(path / "config.json", str(error), "JSON", "train the model again") from None
+    raise InputError(path, "neither a session nor a model", "a folder with session.toml or config.json")

@@ -1,0 +1,271 @@
+"""The report's pictures: pure functions from arrays to SVG text or PNG bytes. No pyplot, no global state."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.colors import LogNorm, TwoSlopeNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fieldlum.records import Float
+
+LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)
+CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7
+INK, PALE, CAPTURED, PREDICTED = "#1d2733", "#b9c3cd", "#c4441c", "#1f5fa8"
+CLASS_COLOURS = {"high": "#1a7f5a", "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
+_STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 10,
+    "axes.edgecolor": PALE,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "fieldlum",  # the same data give the same bytes
+    "legend.frameon": False,
+}
+
+
+def _svg(figure: Figure) -> str:
+    """Inline SVG without the XML prologue."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _png(figure: Figure, dpi: int = 110) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight")
+    return buffer.getvalue()
+
+
+# ---------------------------------------------------------------------------------------------- luminance pictures
+
+
+def false_colour(luminance_cdm2: Float) -> NDArray[np.uint8]:
+    """Log scale from 1 to 10 000 cd/m2, [..., H, W] to RGB [..., H, W, 3]; beyond the range the ends' colours."""
+    low, high = np.log10(LUMINANCE_RANGE_CDM2)
+    position = (np.log10(np.clip(luminance_cdm2, *LUMINANCE_RANGE_CDM2)) - low) / (high - low)
+    return (colormaps["inferno"](position)[..., :3] * 255).astype(np.uint8)
+
+
+def picture_png(rgb: NDArray[np.uint8]) -> bytes:
+    """[H, W, 3] as PNG bytes."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def luminance_scale_svg() -> str:
+    """The colour bar of all false-colour pictures."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(5.0, 0.28))
+        axes = figure.add_axes((0, 0, 1, 1))
+        ramp = np.geomspace(*LUMINANCE_RANGE_CDM2, 128)[None, :]
+        axes.pcolormesh(
+            np.geomspace(*LUMINANCE_RANGE_CDM2, 129), [0, 1], ramp, norm=LogNorm(*LUMINANCE_RANGE_CDM2), cmap="inferno",
+            rasterized=True,
+        )  # fmt: skip
+        axes.set(xscale="log", yticks=[], xlabel="luminance, cd/m²")
+        axes.set_xticks([1, 10, 100, 1000, 10000], ["1", "10", "100", "1 000", "10 000"])
+        return _svg(figure)
+
+
+def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> bytes:
+    """Rows of measured, predicted and their log10 difference, as the paper's Figures 9 and 23. Inputs [n, H, W]."""
+    n = len(measured)
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(12.0, 2.15 * n + 0.5), layout="constrained")
+        grid = figure.subplots(n, 3, squeeze=False)
+        norm, spread = LogNorm(*LUMINANCE_RANGE_CDM2), TwoSlopeNorm(0.0, -0.3, 0.3)
+        shown = error = None
+        for i, row in enumerate(grid):
+            difference = np.log10(np.maximum(predicted[i], 1.0)) - np.log10(np.maximum(measured[i], 1.0))
+            shown = row[0].imshow(np.clip(measured[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno")
+            row[1].imshow(np.clip(predicted[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno")
+            error = row[2].imshow(difference, norm=spread, cmap="RdBu_r")
+            row[0].set_ylabel(labels[i], fontsize=8)
+            for axes in row:
+                axes.set(xticks=[], yticks=[])
+        for axes, title in zip(grid[0], ("measured", "predicted", "predicted over measured"), strict=True):
+            axes.set_title(title, fontsize=10)
+        if shown is not None and error is not None:
+            figure.colorbar(shown, ax=grid[:, :2], location="bottom", shrink=0.5, label="cd/m²")
+            bar = figure.colorbar(error, ax=grid[:, 2], location="bottom", shrink=0.8)
+            bar.set_ticks([np.log10(f) for f in (0.5, 0.8, 1.0, 1.25, 2.0)], labels=["÷2", "÷1.25", "1", "×1.25", "×2"])
+        return _png(figure)
+
+
+def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
+    """Labelled fisheye views around one hour, as the paper's Figure 10. views: [d, N, N], NaN outside the circle."""
+    n = len(views)
+    columns = min(n, 5)
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(2.3 * columns, 2.55 * -(-n // columns)), layout="constrained")
+        cells = figure.subplots(-(-n // columns), columns, squeeze=False).ravel()
+        colours = colormaps["inferno"].with_extremes(bad="white")
+        for axes in cells:
+            axes.axis("off")
+        for axes, view, azimuth, value in zip(cells, views, azimuths_deg, dgp, strict=False):
+            axes.imshow(np.clip(view, *LUMINANCE_RANGE_CDM2), norm=LogNorm(*LUMINANCE_RANGE_CDM2), cmap=colours)
+            axes.set_title(f"{compass(azimuth)} {azimuth:.0f}°  DGP {value:.2f}", fontsize=9)
+        return _png(figure)
+
+
+def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
+    """A day as a column-wise strip of panoramas. maps: [n, H, W]."""
+    n = len(maps)
+    columns = min(4, n)
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(3.1 * columns, 1.8 * -(-n // columns)), layout="constrained")
+        cells = figure.subplots(-(-n // columns), columns, squeeze=False).ravel()
+        for axes in cells:
+            axes.axis("off")
+        for axes, image, label in zip(cells, maps, labels, strict=False):
+            axes.imshow(false_colour(image))
+            axes.set_title(label, fontsize=9)
+        return _png(figure, 90)
+
+
+# ---------------------------------------------------------------------------------------------- the light domain
+
+
+def sun_path_svg(
+    year_azimuth_deg: Float, year_altitude_deg: Float, captured_azimuth_deg: Float, captured_altitude_deg: Float
+) -> str:
+    """All hours of the year with the sun up, and the captured ones (the paper's Figures 3 and 21)."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(5.2, 3.4))
+        axes = figure.add_subplot()
+        axes.scatter(year_azimuth_deg, year_altitude_deg, s=3, c=PALE, lw=0, label="hours of the year", rasterized=True)
+        axes.scatter(captured_azimuth_deg, captured_altitude_deg, s=12, c=CAPTURED, lw=0, label="captured")
+        axes.set(xlabel="sun azimuth, ° from north", ylabel="sun altitude, °", ylim=(0, None))
+        axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
+        return _svg(figure)
+
+
+def sky_domain_svg(year_dni: Float, year_dhi: Float, captured_dni: Float, captured_dhi: Float) -> str:
+    """Diffuse against direct irradiance: the weather file's hours and the captured ones."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(5.2, 3.4))
+        axes = figure.add_subplot()
+        if len(year_dni):
+            axes.scatter(year_dni, year_dhi, s=3, c=PALE, lw=0, label="weather file", rasterized=True)
+        axes.scatter(captured_dni, captured_dhi, s=12, c=CAPTURED, lw=0, label="captured")
+        axes.set(xlabel="direct normal irradiance, W/m²", ylabel="diffuse horizontal irradiance, W/m²")
+        axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
+        return _svg(figure)
+
+
+# ---------------------------------------------------------------------------------------------- glare
+
+
+def compass(azimuth_deg: float) -> str:
+    names = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
+    return names[round(azimuth_deg / 22.5) % 16]
+
+
+def polar_svg(azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high: Float | None) -> str:
+    """DGP exceeded in 5 % of the occupied hours, per view direction, north up, over the three class limits.
+
+    Directions are drawn clockwise from north; low and high bound the 95 % interval.
+    """
+    order = np.argsort(azimuths_deg)
+    around = np.append(order, order[0])
+    angle = np.radians(np.append(azimuths_deg[order], azimuths_deg[order[0]] + 360.0))
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(4.6, 4.6))
+        axes = figure.add_subplot(projection="polar")
+        axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
+        axes.set_theta_direction(-1)  # type: ignore[attr-defined]
+        ring = np.linspace(0, 2 * np.pi, 361)
+        floor, top = 0.15, max(0.6, float(np.nanmax(dgp_exceeded)) + 0.05)
+        edges = (floor, *(limit for limit, _ in CLASS_LIMITS), top)
+        for (inner, outer), name in zip(pairwise(edges), ("high", "medium", "minimum", "none"), strict=True):
+            axes.fill_between(ring, inner, outer, color=CLASS_COLOURS[name], alpha=0.16, lw=0)
+        if low is not None and high is not None:
+            axes.fill_between(angle, low[around], high[around], color=INK, alpha=0.18, lw=0)
+        axes.plot(angle, dgp_exceeded[around], color=INK, lw=1.8, marker="o", ms=4)
+        axes.set_ylim(floor, top)
+        axes.set_yticks([0.35, 0.40, 0.45], ["0.35", "0.40", "0.45"], fontsize=8)
+        axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])
+        axes.grid(color=PALE, lw=0.5)
+        axes.spines["polar"].set_visible(False)
+        return _svg(figure)
+
+
+def exceedance_svg(dgp: Float, azimuths_deg: Float) -> str:
+    """Share of occupied hours above a DGP, one line per direction, [n, d]; best and worst are named."""
+    n = len(dgp)
+    share = 100.0 * np.arange(1, n + 1) / max(n, 1)
+    ranked = np.sort(dgp, axis=0)[::-1]
+    at_5 = ranked[min(int(0.05 * n), n - 1)]
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(5.6, 3.4))
+        axes = figure.add_subplot()
+        for limit, name in CLASS_LIMITS:
+            axes.axhline(limit, color=CLASS_COLOURS[name], lw=1, ls="--")
+            axes.text(30.2, limit, name, va="center", fontsize=8, color=CLASS_COLOURS[name])
+        for i in range(dgp.shape[1]):
+            axes.plot(share, ranked[:, i], color=PALE, lw=1)
+        for i, colour, text in ((int(at_5.argmax()), CAPTURED, "worst"), (int(at_5.argmin()), PREDICTED, "best")):
+            label = f"{text}: {compass(azimuths_deg[i])} {azimuths_deg[i]:.0f}°"
+            axes.plot(share, ranked[:, i], color=colour, lw=2, label=label)
+        axes.axvline(5, color=INK, lw=0.8)
+        axes.set(xlabel="share of occupied hours, %", ylabel="DGP exceeded", xlim=(0, 30), ylim=(0.15, None))
+        axes.legend(loc="upper right")
+        return _svg(figure)
+
+
+def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
+    """Predicted against measured, with the 1:1 line and r2 (the paper's Figures 11, 14 and 22)."""
+    x, y = np.ravel(measured), np.ravel(predicted)
+    r2 = float(np.corrcoef(x, y)[0, 1] ** 2) if len(x) > 2 and x.std() > 0 and y.std() > 0 else float("nan")
+    span = [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(3.6, 3.6))
+        axes = figure.add_subplot()
+        axes.plot(span, span, color=PALE, lw=1)
+        axes.scatter(x, y, s=8, c=PREDICTED, alpha=0.5, lw=0)
+        axes.set(xlabel=f"{quantity}, measured", ylabel=f"{quantity}, predicted", aspect="equal")
+        axes.set_title(f"r² = {r2:.3f}, n = {len(x)}", fontsize=9, loc="left")
+        return _svg(figure)
+
+
+def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
+    """Where in the sky the error sits (the paper's Figure 12)."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(7.4, 3.0), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        left.scatter(altitude_deg, error, s=8, c=PREDICTED, alpha=0.6, lw=0)
+        right.scatter(azimuth_deg, error, s=8, c=PREDICTED, alpha=0.6, lw=0)
+        for axes in (left, right):
+            axes.axhline(0, color=PALE, lw=1)
+        left.set(xlabel="sun altitude, °", ylabel=f"{quantity}, predicted - measured")
+        right.set(xlabel="sun azimuth, ° from north")
+        return _svg(figure)
+
+
+def contrast_levels_svg(measured: Float, predicted: Float) -> str:
+    """Mean local contrast per pyramid level, [n, levels] (the paper's Figure 13)."""
+    levels = np.arange(measured.shape[1])
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(3.8, 3.0))
+        axes = figure.add_subplot()
+        axes.plot(levels, measured.mean(axis=0), color=CAPTURED, marker="o", label="measured")
+        axes.plot(levels, predicted.mean(axis=0), color=PREDICTED, marker="s", ls="--", label="predicted")
+        axes.set(xlabel="pyramid level", ylabel="local contrast, cd/m²", xticks=levels)
+        axes.legend()
+        return _svg(figure)

@@ -1,0 +1,59 @@
+"""Contract: every command has help with an example, is documented, and `--help` is light."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from fieldlum.cli import COMMANDS, main
+
+DOCS = Path(__file__).parents[1] / "docs"
+CONTEXT = click.Context(main)
+PRESENT = main.list_commands(CONTEXT)
+
+
+def test_the_commands_come_in_the_order_of_the_job() -> None:
+    assert [name for name in COMMANDS if name in PRESENT] == PRESENT
+
+
+@pytest.mark.parametrize("name", PRESENT)
+def test_help_has_a_short_first_line_and_an_example(name: str) -> None:
+    result = CliRunner().invoke(main, [name, "--help"])
+    assert result.exit_code == 0
+    command = main.get_command(CONTEXT, name)
+    assert command is not None and command.help
+    assert len(command.help.strip().splitlines()[0]) <= 70
+    assert f"fieldlum {name}" in command.help or isinstance(command, click.Group)
+
+
+@pytest.mark.parametrize("name", PRESENT)
+def test_the_docs_list_every_command(name: str) -> None:
+    assert re.search(rf"^## {name}$", (DOCS / "cli.md").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_help_is_light() -> None:
+    heavy = ("torch", "pvlib", "cv2", "skimage", "pandas", "matplotlib", "scipy", "rawpy", "OpenEXR")
+    code = (
+        "import sys, click; from fieldlum.cli import main\n"
+        "c = click.Context(main); [main.get_command(c, n) for n in main.list_commands(c)]\n"
+        f"print([m for m in {heavy!r} if m in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, check=True)
+    assert shown.stdout.strip() == "[]"
+
+
+def test_an_unknown_command_is_a_usage_error_that_names_its_neighbour() -> None:
+    result = CliRunner().invoke(main, ["inf"])
+    assert result.exit_code == 2
+    assert "Did you mean 'info'?" in result.output
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda p: str(p.relative_to(DOCS)))
+def test_links_in_the_docs_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
+        if not target.startswith(("http://", "https://", "mailto:")):
+            assert (page.parent / target).exists(), f"{page.name} points to {target}"
