@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
+import math
 import os
+import threading
 import tomllib
 import zlib
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any
 from zoneinfo import ZoneInfo
@@ -23,9 +26,10 @@ from zoneinfo import ZoneInfo
 from fieldlum import __version__
 from fieldlum.errors import InputError
 from fieldlum.profiles import site_from_table, site_table
-from fieldlum.records import Exposure, SiteFile, Slot, parse_utc, slot_id, utc_text
+from fieldlum.records import Exposure, IrradianceSample, SiteFile, Slot, parse_utc, slot_id, utc_text
 
 PLAN_COLUMNS = ("slot", "t_utc", "t_local", "sun_altitude_deg", "sun_azimuth_deg", "exposures", "tags")
+_TAIL_BYTES = 1 << 20  # how far back a torn tail is looked for
 
 
 # ---------------------------------------------------------------------------------------------- writing safely
@@ -101,6 +105,182 @@ def append_durably(handle: int, data: bytes) -> None:
     while data:
         data = data[os.write(handle, data) :]
     os.fdatasync(handle) if hasattr(os, "fdatasync") else os.fsync(handle)
+
+
+def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
+    """Cut `path` back to its last sound line; returns how many bytes went (to ``NAME.torn`` beside it, never away).
+
+    A kill or a power cut in the middle of a write leaves half a line, or a page of zeros. Unsound lines further up
+    are left where they are: readers skip and count them. Raises InputError when no line at all is sound.
+    """
+    if not path.is_file():
+        return 0
+    with path.open("rb+") as file:
+        size = file.seek(0, os.SEEK_END)
+        start = max(0, size - _TAIL_BYTES)
+        file.seek(start)
+        tail = file.read()
+        keep = len(tail)
+        while keep:
+            begin = tail.rfind(b"\n", 0, keep - 1) + 1
+            if sound(tail[begin:keep]):
+                break
+            keep = begin
+        if keep == 0 and tail.count(b"\n") > 2:
+            raise InputError(path, "no line of it is sound", "what fieldlum wrote", "was it edited? restore or move it")
+        cut = len(tail) - keep
+        if cut:
+            with path.with_name(f"{path.name}.torn").open("ab") as torn:
+                torn.write(tail[keep:])
+            file.truncate(start + keep)
+            os.fsync(file.fileno())
+    return cut
+
+
+@contextmanager
+def sole_user(session: Session, purpose: str) -> Iterator[None]:
+    """Only one `purpose` (capture, log) at a time works on a session; the lock goes with the process, however it ends.
+
+    Raises InputError when another one runs.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such locks on Windows
+        yield
+        return
+    with (session.root / f".{purpose}.lock").open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise InputError(session.root, f"another fieldlum {purpose} runs here", "one", "stop it first") from None
+        yield
+
+
+# ---------------------------------------------------------------------------------------------- journal
+
+
+class Journal:
+    """The session's events: appended with a CRC and flushed to disk one by one, by any thread; never rewritten."""
+
+    def __init__(self, session: Session) -> None:
+        self._path = session.journal
+        self._lock = threading.Lock()
+        self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
+        self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+
+    def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
+        """Durable when this returns. Raises OSError on a full disk; half a line is then taken back."""
+        data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
+        with self._lock:
+            append_whole(self._handle, data)
+
+    def close(self) -> None:
+        os.close(self._handle)
+
+
+def append_whole(handle: int, data: bytes) -> None:
+    """`append_durably`, and back to the length before when the disk has no room for all of it."""
+    before = os.fstat(handle).st_size
+    try:
+        append_durably(handle, data)
+    except OSError:
+        with suppress(OSError):
+            os.ftruncate(handle, before)
+        raise
+
+
+def read_journal(session: Session) -> list[dict[str, Any]]:
+    """All sound events, in the order written; no journal yet is no event."""
+    if not session.journal.is_file():
+        return []
+    with session.journal.open("rb") as file:
+        return [row for line in file if (row := decode_line(line)) is not None]
+
+
+# ---------------------------------------------------------------------------------------------- irradiance day files
+
+
+DAY_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c", "status", "raw", "crc")
+_DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
+
+
+def encode_sample(sample: IrradianceSample) -> bytes:
+    """One row of a day file; its last column is the CRC-32 of what stands before that column's comma."""
+    figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
+    row = io.StringIO()
+    texts = [text.encode("ascii", "backslashreplace").decode() for text in (sample.status, sample.raw)]
+    printable = ["".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts]
+    shown = ["" if value is None or not math.isfinite(value) else f"{value:.7g}" for value in figures]
+    csv.writer(row, lineterminator="").writerow([utc_text(sample.t_utc), *shown, *printable])
+    body = row.getvalue().encode()
+    return body + b",%08x\n" % zlib.crc32(body)
+
+
+def decode_sample(line: bytes) -> IrradianceSample | None:
+    """The sample of a whole and unharmed row, else None."""
+    body, _, crc = line.rstrip(b"\n").rpartition(b",")
+    try:
+        if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
+            return None
+        t_utc, *figures, status, raw = next(csv.reader([body.decode()]))
+        ghi, dhi, dni, temperature = (float(text) if text else None for text in figures)
+        return IrradianceSample(parse_utc(t_utc), ghi, dhi, dni, temperature, status, raw)
+    except (ValueError, StopIteration):
+        return None
+
+
+class DayFiles:
+    """Appends samples to UTC day files, each row durable when `append` returns."""
+
+    def __init__(self, session: Session) -> None:
+        self._folder = session.irradiance
+        self._day, self._handle = "", -1
+        self.cut_bytes = 0
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def append(self, sample: IrradianceSample) -> None:
+        """Raises OSError on a full disk; half a row is then taken back."""
+        day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
+        if day != self._day:
+            self._open(day)
+        append_whole(self._handle, encode_sample(sample))
+
+    def _open(self, day: str) -> None:
+        self.close()
+        path = self._folder / f"{day}.csv"
+        self.cut_bytes += cut_torn_tail(path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None)
+        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            if os.fstat(handle).st_size == 0:
+                append_whole(handle, _DAY_HEADER)
+                sync_folder(self._folder)
+        except OSError:
+            os.close(handle)
+            raise
+        self._day, self._handle = day, handle
+
+    def close(self) -> None:
+        if self._handle >= 0:
+            os.close(self._handle)
+        self._day, self._handle = "", -1
+
+
+def day_files(session: Session) -> list[Path]:
+    return sorted(session.irradiance.glob("[0-9][0-9][0-9][0-9]-[0-9][0-9]-[0-9][0-9].csv"))
+
+
+def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
+    """Samples of one day file and the number of unsound lines that were skipped."""
+    samples: list[IrradianceSample] = []
+    broken = 0
+    with path.open("rb") as file:
+        for line in file:
+            sample = decode_sample(line)
+            if sample is not None:
+                samples.append(sample)
+            elif line != _DAY_HEADER:
+                broken += 1
+    return samples, broken
 
 
 # ---------------------------------------------------------------------------------------------- the folder

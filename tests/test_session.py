@@ -1,0 +1,163 @@
+"""Session folder: plan round trip, append-only files that survive being cut anywhere."""
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.errors import InputError
+from fieldlum.records import Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.session import (
+    DayFiles,
+    Journal,
+    Session,
+    create_session,
+    cut_torn_tail,
+    day_files,
+    decode_line,
+    decode_sample,
+    encode_line,
+    encode_sample,
+    exposure_text,
+    open_session,
+    parse_exposure,
+    read_day,
+    read_journal,
+    sole_user,
+)
+
+NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
+SETUP = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    slots = [Slot(NOON, 10.0, 120.0, (Exposure(1 / 250, 5.6), Exposure(2.0, 5.6, 100, "nd3")), ("sun",))]
+    return create_session(tmp_path / "s", SETUP, slots, {"set": "test"})
+
+
+def test_plan_and_site_round_trip(session: Session) -> None:
+    again = open_session(session.root)
+    assert again.site_file() == SETUP
+    assert again.slots()[0].exposures == (Exposure(1 / 250, 5.6), Exposure(2.0, 5.6, 100, "nd3"))
+    with pytest.raises(InputError, match="already a session"):
+        create_session(session.root, SETUP, [], {})
+
+
+@given(st.floats(1e-5, 600), st.floats(1, 32), st.sampled_from([50, 100, 6400]), st.sampled_from(["", "nd3"]))
+@settings(deadline=None)
+def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd: str) -> None:  # property
+    back = parse_exposure(exposure_text(Exposure(shutter, f_number, iso, nd)))
+    assert back.shutter_s == pytest.approx(shutter, rel=2e-5)
+    assert back.f_number == pytest.approx(f_number, rel=1e-5)
+    assert (back.iso, back.nd) == (iso, nd)
+
+
+@given(st.text(), st.text(), st.one_of(st.none(), st.floats(-10, 1500)))
+@settings(deadline=None)
+def test_day_row_holds_any_text_on_one_line(status: str, raw: str, ghi: float | None) -> None:  # property
+    line = encode_sample(IrradianceSample(NOON, ghi, None, 3.5, None, status, raw))
+    assert line.count(b"\n") == 1 and line.endswith(b"\n")
+    back = decode_sample(line)
+    assert back is not None and back.t_utc == NOON and back.dni_wm2 == 3.5
+    assert back.ghi_wm2 == (None if ghi is None else pytest.approx(ghi, rel=1e-6, abs=1e-30))
+
+
+@given(st.integers(0, 200), st.integers(0, 255))
+@settings(deadline=None)
+def test_a_changed_byte_is_never_read(at: int, byte: int) -> None:  # property
+    for line, decode in (
+        (encode_sample(IrradianceSample(NOON, 812.4, 104.9, raw="S 812.4, 104.9,1")), decode_sample),
+        (encode_line({"event": "frame", "t_utc": "2027-03-20T15:30:00Z", "slot": "20270320T153000Z"}), decode_line),
+    ):
+        at %= len(line) - 1
+        changed = line[:at] + bytes([byte]) + line[at + 1 :]
+        # Hex digits of the CRC may change case: the same figure.
+        assert decode(changed) is None or changed.lower() == line.lower()
+
+
+def _journal_lines(session: Session, count: int) -> list[bytes]:
+    journal = Journal(session)
+    for i in range(count):
+        journal.append("frame", NOON + timedelta(seconds=i), slot="s", index=i)
+    journal.close()
+    return session.journal.read_bytes().splitlines(keepends=True)
+
+
+def test_journal_cut_at_every_byte_keeps_whole_lines(session: Session) -> None:
+    lines = _journal_lines(session, 5)
+    whole = b"".join(lines)
+    head = b"".join(lines[:3])
+    for cut in range(len(head), len(whole) + 1):
+        session.journal.write_bytes(whole[:cut])
+        Journal(session).close()
+        kept = sum(1 for n in range(len(lines) + 1) if len(b"".join(lines[:n])) <= cut) - 1
+        assert session.journal.read_bytes() == b"".join(lines[:kept])
+        assert len(read_journal(session)) == kept
+
+
+def test_zeroed_pages_are_cut_and_kept_aside(session: Session) -> None:
+    whole = b"".join(_journal_lines(session, 3))
+    session.journal.write_bytes(whole + b"\0" * 4096)
+    Journal(session).close()
+    assert session.journal.read_bytes() == whole
+    assert session.journal.with_name("journal.jsonl.torn").stat().st_size == 4096
+
+
+def test_harm_in_the_middle_is_skipped_not_cut(session: Session) -> None:
+    lines = _journal_lines(session, 4)
+    lines[1] = lines[1].replace(b"frame", b"fr4me")
+    session.journal.write_bytes(b"".join(lines))
+    Journal(session).close()
+    assert [event["index"] for event in read_journal(session)] == [0, 2, 3]
+
+
+def test_an_edited_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    path.write_text("a\nb\nc\nd\n")
+    with pytest.raises(InputError, match="no line of it is sound"):
+        cut_torn_tail(path, lambda line: False)
+    assert path.read_text() == "a\nb\nc\nd\n"
+
+
+def test_day_files_split_at_utc_midnight_and_recover(session: Session) -> None:
+    log = DayFiles(session)
+    late = datetime(2027, 3, 20, 23, 59, 58, tzinfo=UTC)
+    for i in range(4):
+        log.append(IrradianceSample(late + timedelta(seconds=i), float(i)))
+    log.close()
+    assert [p.name for p in day_files(session)] == ["2027-03-20.csv", "2027-03-21.csv"]
+    second = day_files(session)[1]
+    second.write_bytes(second.read_bytes()[:-3])
+    log = DayFiles(session)
+    log.append(IrradianceSample(late + timedelta(seconds=9), 9.0))
+    log.close()
+    samples, broken = read_day(second)
+    assert ([s.ghi_wm2 for s in samples], broken) == ([2.0, 9.0], 0)
+
+
+def test_full_disk_takes_half_a_line_back(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    import os
+
+    journal = Journal(session)
+    journal.append("started", NOON)
+    before = session.journal.read_bytes()
+    real_write = os.write
+
+    def full(handle: int, data: bytes) -> int:
+        if len(data) < 20:
+            raise OSError(28, "No space left on device")
+        return real_write(handle, data[:20])
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match="No space"):
+        journal.append("done", NOON, slot="x" * 40)
+    monkeypatch.undo()
+    assert session.journal.read_bytes() == before
+
+
+def test_only_one_capture_at_a_time(session: Session) -> None:
+    with sole_user(session, "capture"), pytest.raises(InputError, match="another"), sole_user(session, "capture"):
+        pass
