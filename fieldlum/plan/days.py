@@ -1,0 +1,102 @@
+"""Which days and hours a capture set asks for. Slots stand at hh:30 of local standard time while the sun is up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.records import Site
+
+EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
+"""Set: (seasons, days on either side of the event)."""
+MONTH_DAYS = 31
+SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-solstice")
+
+
+@dataclass(frozen=True, slots=True)
+class Hours:
+    """Daylight hours of some days: the candidates of every set. Angles are true ones, [n] deg."""
+
+    t_utc: tuple[datetime, ...]
+    altitude_deg: NDArray[np.float64]
+    azimuth_deg: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.t_utc)
+
+    def __getitem__(self, chosen: Iterable[int]) -> Hours:
+        index = [int(i) for i in chosen]
+        return Hours(tuple(self.t_utc[i] for i in index), self.altitude_deg[index], self.azimuth_deg[index])
+
+
+def daylight_hours(days: Iterable[date], site: Site) -> Hours:
+    """The hh:30 moments of local standard time on `days` with the centre of the sun above the horizon."""
+    midnights = [sun.standard_midnight(day, site.timezone) for day in sorted(set(days))]
+    times = [midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)]
+    at = sun.position(times, site)
+    return Hours(tuple(times), at.altitude_deg, at.azimuth_deg)[np.flatnonzero(at.altitude_deg > 0)]
+
+
+def span(first: date, count: int) -> list[date]:
+    return [first + timedelta(days=i) for i in range(count)]
+
+
+def season_date(year: int, which: int, site: Site) -> date:
+    """Local standard date of an equinox or a solstice."""
+    return sun.standard_date(sun.season(year, which), site.timezone)
+
+
+def _event_dates(seasons: Sequence[int], margin: int, earliest: date, year: int | None, site: Site) -> list[date]:
+    """Each season's date: in `year`, or the first whose margin days before it are not past."""
+    found = []
+    for which in seasons:
+        if year is not None:
+            found.append(season_date(year, which, site))
+            continue
+        candidates = (season_date(y, which, site) for y in (earliest.year, earliest.year + 1, earliest.year + 2))
+        found.append(next(d for d in candidates if d - timedelta(days=margin) >= earliest))
+    return sorted(found)
+
+
+def set_days(name: str, site: Site, today: date, start: date | None, year: int | None, days: int | None) -> list[date]:
+    """The local standard dates of a set.
+
+    Event sets: those of `year`, else the next ones from `start` (or `today`). A month: from `start`, else centred on
+    the March equinox of `year`, else on the next equinox whose whole window is still ahead. Others: a year.
+    """
+    if name in EVENT_SETS:
+        seasons, margin = EVENT_SETS[name]
+        events = _event_dates(seasons, margin, start or today, year, site)
+        return [event + timedelta(days=offset) for event in events for offset in range(-margin, margin + 1)]
+    if name == "month":
+        count = days or MONTH_DAYS
+        if start is not None:
+            return span(start, count)
+        half = count // 2
+        equinoxes = (0,) if year is not None else (0, 2)
+        return span(_event_dates(equinoxes, half, today, year, site)[0] - timedelta(days=half), count)
+    first = start or (date(year, 1, 1) if year is not None else today)
+    return span(first, days or 365)
+
+
+def season_tag(day: date, site: Site, within_days: int = 1) -> str:
+    """``march-equinox`` and so on for days next to an event, else nothing."""
+    for which, tag in enumerate(SEASON_TAGS):
+        if abs((day - season_date(day.year, which, site)).days) <= within_days:
+            return tag
+    return ""
+
+
+def dark_days(days: Iterable[date], hours: Hours, site: Site) -> list[date]:
+    """Days without a single slot: polar night."""
+    lit = {sun.standard_date(t, site.timezone) for t in hours.t_utc}
+    return [day for day in sorted(set(days)) if day not in lit]
+
+
+def today_at(site: Site, now_utc: datetime) -> date:
+    return sun.standard_date(now_utc.astimezone(UTC), site.timezone)
