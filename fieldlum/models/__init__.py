@@ -1,0 +1,122 @@
+"""Models of a room: a registry, and what a fitted model must be able to do.
+
+A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) -> Fitted``, and one that
+loads, ``from_state(config, arrays) -> Fitted``. Model folders hold `config.json` and `weights.npz`: plain arrays, no
+pickle, so that a stranger's model cannot run code.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import __version__
+from fieldlum.errors import InputError
+from fieldlum.session import replacing
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+    from fieldlum.models.data import Dataset
+
+Patch = Literal["absolute", "gain", "none"]
+"""How the sun patches are to be read: in cd/m2, up to an unknown factor, or not at all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Maps without the sun's disc, and how far to believe them.
+
+    luminance_cdm2 [n, H, W] float32; log10_sd [n, H, W] standard deviation of log10 L where the model gives one;
+    expected_mse [n] the model's own guess of each map's weighted log10 MSE (NaN: it cannot say); trusted [n].
+    """
+
+    luminance_cdm2: NDArray[np.float32]
+    log10_sd: NDArray[np.float32] | None
+    expected_mse: NDArray[np.float64]
+    trusted: NDArray[np.bool_]
+
+
+class Fitted(Protocol):
+    """A trained model."""
+
+    name: str
+    parameters: int  # numbers the model holds: smaller is tried first
+    held_out_mse: NDArray[np.float64] | None  # [n] weighted log10 MSE of each training map, its day left out; or None
+
+    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+        """Maps of the hours of `light`; memory grows with the number of hours asked for, so ask in chunks."""
+        ...
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """What config.json and weights.npz must hold for `from_state`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Where a model lives. size orders the models from small to large for the one-standard-error rule."""
+
+    module: str
+    size: int
+    fit: str = "fit"
+
+    def fitter(self) -> Callable[..., Fitted]:
+        return getattr(importlib.import_module(self.module), self.fit)
+
+
+MODELS: dict[str, Kind] = {
+    "mean": Kind("fieldlum.models.baselines", 0, "fit_mean"),
+    "nearest": Kind("fieldlum.models.baselines", 1, "fit_nearest"),
+    "transport": Kind("fieldlum.models.transport", 2),
+    "dense": Kind("fieldlum.models.dense", 3),
+}
+
+
+def fit(name: str, data: Dataset, **options: Any) -> Fitted:
+    """Fit the model called `name`. Raises KeyError for an unknown one."""
+    return MODELS[name].fitter()(data, **options)
+
+
+def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
+    """Write config.json and weights.npz, each whole or not at all; `more` goes into config.json."""
+    config, arrays = fitted.state()
+    with replacing(folder / "weights.npz") as file:
+        np.savez(file, **arrays)
+    everything = {"model": fitted.name, "software": {"fieldlum": __version__}, **data.about(), **more, **config}
+    with replacing(folder / "config.json", "w", encoding="utf-8") as file:
+        json.dump(everything, file, indent=1, ensure_ascii=False, default=lambda value: value.tolist())
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """Raises InputError when `folder` is no model folder."""
+    path = folder / "config.json"
+    try:
+        config = json.loads(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise InputError(folder, "no config.json in it", "a model folder", "make one with: fieldlum train") from None
+    except ValueError as error:
+        raise InputError(path, str(error), "JSON", "train the model again") from None
+    if not isinstance(config, dict) or config.get("model") not in MODELS:
+        raise InputError(path, "an unknown model", f"one of {', '.join(MODELS)}", "train the model again")
+    return config
+
+
+def load(folder: Path) -> Fitted:
+    """The model of a folder. Raises InputError for a broken one; never unpickles."""
+    config = read_config(folder)
+    path = folder / "weights.npz"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        return importlib.import_module(MODELS[config["model"]].module).from_state(config, arrays)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        found = f"weights that cannot be used ({error})".replace("\n", " ")
+        raise InputError(path, found, "the arrays of config.json", "train the model again") from None

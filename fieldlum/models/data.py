@@ -1,0 +1,356 @@
+"""Training data: pairs.csv and its pictures, read strictly, with the sun's disc taken out of the maps."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.images import read_panorama
+from fieldlum.profiles import load_site, site_table
+from fieldlum.projection import equirect_pixel, equirect_solid_angles
+from fieldlum.records import Flag, Panorama, Progress, SiteFile, parse_utc, quiet, slot_id
+from fieldlum.session import Session, open_session
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+
+NEEDED = ("t_utc", "panorama", "dni_wm2", "dhi_wm2")
+MOST_IRRADIANCE_WM2 = 1600.0  # above the solar constant with cloud enhancement
+LEAST_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
+LUMENS_PER_WATT = 93.0  # rough, and only used to tell a disc from a sunlit wall
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """Captured hours with their light. Maps hold no sun disc; its energy is in disc_lx.
+
+    luminance_cdm2 [n, H, W]; patch_cdm2 [n, H, W] direct sun only, or None; disc_lx [n] illuminance at the lens, normal
+    to the sun, of the visible disc; days [n] local standard dates; slots [n] ids; seen [H, W] pixels that the camera
+    saw; steadiness [n] relative change of the light during the bracket (0 where unknown); notes for the person.
+    """
+
+    light: Light
+    luminance_cdm2: NDArray[np.float32]
+    patch_cdm2: NDArray[np.float32] | None
+    disc_lx: NDArray[np.float64]
+    heading_deg: float
+    days: NDArray[np.datetime64]
+    slots: tuple[str, ...]
+    setup: SiteFile
+    seen: NDArray[np.bool_]
+    steadiness: NDArray[np.float64]
+    source: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.slots)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the maps."""
+        return self.luminance_cdm2.shape[1], self.luminance_cdm2.shape[2]
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Solid angle of the seen pixels, of mean 1 over them; 0 where nothing was seen, [H, W]."""
+        weights = np.where(self.seen, equirect_solid_angles(*self.shape), 0.0)
+        return weights / weights[self.seen].mean()
+
+    def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
+        """The rows of an index or boolean array."""
+        rows = np.asarray(index)
+        rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
+        return replace(
+            self,
+            light=self.light[rows],
+            luminance_cdm2=self.luminance_cdm2[rows],
+            patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[rows],
+            disc_lx=self.disc_lx[rows],
+            days=self.days[rows],
+            slots=tuple(self.slots[i] for i in rows),
+            steadiness=self.steadiness[rows],
+        )
+
+    def about(self) -> dict[str, Any]:
+        """What a model's config.json says about its training data."""
+        return {
+            "setup": site_table(self.setup),
+            "heading_deg": self.heading_deg,
+            "height": self.shape[0],
+            "width": self.shape[1],
+            "training": {"source": self.source, "slots": list(self.slots), "days": sorted({str(d) for d in self.days})},
+        }
+
+
+# ---------------------------------------------------------------------------------------------- the sun's disc
+
+
+def add_disc(
+    luminance_cdm2: NDArray[np.float32], light: Light, disc_lx: NDArray[np.float64], heading_deg: float
+) -> NDArray[np.float32]:
+    """Maps with the disc's energy put back on the pixel that holds the sun, [n, H, W]."""
+    height, width = luminance_cdm2.shape[1:]
+    row, column = equirect_pixel(light.sun_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg)
+    i = np.clip(row.astype(int), 0, height - 1)
+    j = column.astype(int) % width
+    whole = luminance_cdm2.copy()
+    whole[np.arange(len(whole)), i, j] += (disc_lx / equirect_solid_angles(height, width)[i, j]).astype(np.float32)
+    return whole
+
+
+def split_disc(
+    luminance_cdm2: NDArray[np.float32], altitude_deg: float, azimuth_deg: float, dni_wm2: float, heading_deg: float
+) -> tuple[NDArray[np.float32], float]:
+    """Take the disc out of one map [H, W]: the map without it, and its illuminance [lx] on a plane normal to the sun.
+
+    Disc pixels stand within two pixels of the sun and are brighter than any matt surface or sky could be: over ten
+    times a white wall in that sun. They are given the median of the pixels around.
+    """
+    height, width = luminance_cdm2.shape
+    row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, heading_deg)
+    rows = np.clip(np.arange(-2, 3) + int(row), 0, height - 1)[:, None]
+    columns = (np.arange(-2, 3) + int(column))[None, :] % width
+    near = luminance_cdm2[rows, columns]
+    disc = near > max(10.0 * LUMENS_PER_WATT * dni_wm2 / math.pi, 100.0)
+    if not disc.any() or disc.sum() > 9:
+        return luminance_cdm2, 0.0
+    background = float(np.median(near[~disc]))
+    omega = equirect_solid_angles(height, width)[rows, columns + 0 * rows]
+    illuminance = float(((near - background) * omega)[disc].sum())
+    out = luminance_cdm2.copy()
+    out[rows, columns] = np.where(disc, background, near)
+    return out, illuminance
+
+
+# ---------------------------------------------------------------------------------------------- pairs.csv
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    line: int
+    t_utc: datetime
+    panorama: Path
+    sunpatch: Path | None
+    dni_wm2: float
+    dhi_wm2: float
+    altitude_deg: float  # NaN: not given
+    azimuth_deg: float
+    steadiness: float
+    sun_in_map: bool
+
+
+def _number(path: Path, line: int, name: str, text: str, *, default: float = math.nan) -> float:
+    if not text.strip():
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(path, f"line {line}: {name} is '{text}'", "a number", "mend that row") from None
+    if not math.isfinite(value):
+        raise InputError(path, f"line {line}: {name} is {text}", "a finite number", "mend that row or set ok = 0")
+    return value
+
+
+def _irradiance(path: Path, line: int, name: str, text: str) -> float:
+    value = _number(path, line, name, text)
+    if not LEAST_IRRADIANCE_WM2 <= value <= MOST_IRRADIANCE_WM2:
+        found = f"line {line}: {name} is '{text}'"
+        raise InputError(path, found, f"{LEAST_IRRADIANCE_WM2:g} to {MOST_IRRADIANCE_WM2:g} W/m2", "set ok = 0")
+    return max(value, 0.0)
+
+
+def _read_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
+    try:
+        t_utc = parse_utc(cells["t_utc"])
+    except ValueError as error:
+        raise InputError(path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z") from None
+    pictures = [path.parent / cells[name] if cells.get(name) else None for name in ("panorama", "sunpatch")]
+    for picture in pictures:
+        if picture is not None and not picture.is_file():
+            raise InputError(path, f"line {line}: no file {picture}", "a picture there", "copy it, or set ok = 0")
+    if pictures[0] is None:
+        raise InputError(path, f"line {line}: panorama is empty", "a picture's path", "fill it, or set ok = 0")
+    return _Row(
+        line,
+        t_utc,
+        pictures[0],
+        pictures[1],
+        _irradiance(path, line, "dni_wm2", cells["dni_wm2"]),
+        _irradiance(path, line, "dhi_wm2", cells["dhi_wm2"]),
+        _number(path, line, "sun_altitude_deg", cells.get("sun_altitude_deg") or ""),
+        _number(path, line, "sun_azimuth_deg", cells.get("sun_azimuth_deg") or ""),
+        _number(path, line, "steadiness", cells.get("steadiness") or "", default=0.0),
+        _number(path, line, "sun_in_map", cells.get("sun_in_map") or "", default=0.0) != 0.0,
+    )
+
+
+def _read_rows(path: Path) -> tuple[list[_Row], int]:
+    """Usable rows and how many are marked not ok. Raises InputError naming the line."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, str(error), "a readable pairs.csv") from None
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    missing = [name for name in NEEDED if name not in (reader.fieldnames or ())]
+    if missing:
+        raise InputError(path, f"no column {', '.join(missing)}", f"a csv with {', '.join(NEEDED)}")
+    rows: list[_Row] = []
+    refused = 0
+    for cells in reader:
+        if None in cells or any(value is None for value in cells.values()):
+            raise InputError(path, f"line {reader.line_num}: another number of cells than the header", "one a column")
+        if _number(path, reader.line_num, "ok", cells.get("ok") or "", default=1.0) == 0.0:
+            refused += 1
+            continue
+        rows.append(_read_row(path, reader.line_num, cells))
+    return sorted(rows, key=lambda row: row.t_utc), refused
+
+
+def _find_setup(path: Path, site: Path | None) -> SiteFile:
+    """Place and heading: --site, else the session, else site.toml beside the csv."""
+    if site is not None:
+        return load_site(site)
+    if (path.parent / "session.toml").is_file():
+        return open_session(path.parent).site_file()
+    if (path.parent / "site.toml").is_file():
+        return load_site(path.parent / "site.toml")
+    raise InputError(path, "no site known for it", "site.toml beside it or --site SITE.toml", "write one with [site]")
+
+
+def load_pairs(where: Path | Session, site: Path | None = None, *, progress: Progress = quiet) -> Dataset:
+    """Read a pairs.csv (or a session's) with all its pictures, in the order of time.
+
+    Rows with ok = 0 are left out; a cell that cannot be read raises InputError naming its line. Sun columns are used as
+    they stand. Raises NotEnoughDataError when no row is left.
+    """
+    path = where.pairs if isinstance(where, Session) else Path(where)
+    if path.is_dir():
+        path = open_session(path).pairs
+    if not path.is_file():
+        raise InputError(path, "no such file", "a pairs.csv", "make one with: fieldlum pair SESSION")
+    setup = _find_setup(path, site)
+    rows, refused = _read_rows(path)
+    notes = [f"{refused} rows with ok = 0 left out"] if refused else []
+    dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
+    if dark:
+        notes.append(f"{len(dark)} rows without any irradiance left out")
+        rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
+    if not rows:
+        raise NotEnoughDataError(f"{path}: no usable row")
+    return _assemble(path, rows, setup, notes, progress)
+
+
+def _assemble(path: Path, rows: list[_Row], setup: SiteFile, notes: list[str], progress: Progress) -> Dataset:
+    from fieldlum.light import Light
+
+    altitude, azimuth = _sun_columns(rows, setup)
+    dni = np.array([row.dni_wm2 for row in rows])
+    maps, patches, disc, masks, heading = _read_pictures(path, rows, altitude, azimuth, setup, progress)
+    seen, filled = _fill_gaps(maps, masks)
+    if filled:
+        notes.append(f"{filled} single pixels without a value given their own median")
+    if not seen.all():
+        notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")
+    times = [row.t_utc for row in rows]
+    return Dataset(
+        light=Light(
+            t_utc=tuple(times), dni_wm2=dni, dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
+            sun_altitude_deg=altitude, sun_azimuth_deg=azimuth,
+        ),
+        luminance_cdm2=maps, patch_cdm2=patches, disc_lx=disc, heading_deg=heading,
+        days=np.array([sun.standard_date(t, setup.site.timezone) for t in times], "datetime64[D]"),
+        slots=tuple(slot_id(t) for t in times), setup=setup, seen=seen,
+        steadiness=np.array([row.steadiness for row in rows]), source=str(path), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _sun_columns(rows: list[_Row], setup: SiteFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Altitude and azimuth as the csv gives them; where it does not, by SPA. [deg]"""
+    altitude = np.array([row.altitude_deg for row in rows])
+    azimuth = np.array([row.azimuth_deg for row in rows])
+    blank = np.isnan(altitude) | np.isnan(azimuth)
+    if blank.any():
+        found = sun.position([row.t_utc for row, b in zip(rows, blank, strict=True) if b], setup.site)
+        altitude[blank], azimuth[blank] = found.altitude_deg, found.azimuth_deg
+    return altitude, azimuth
+
+
+def _read_pictures(
+    path: Path,
+    rows: list[_Row],
+    altitude: NDArray[np.float64],
+    azimuth: NDArray[np.float64],
+    setup: SiteFile,
+    progress: Progress,
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float64], NDArray[np.bool_], float]:
+    """Maps, patches, disc [lx], which pixels carry a value, heading [deg]."""
+    first = read_panorama(rows[0].panorama)
+    shape, heading = first.luminance_cdm2.shape, _heading(first, rows[0].panorama, setup)
+    with_patch = sum(row.sunpatch is not None for row in rows)
+    if 0 < with_patch < len(rows):
+        bare = next(row.line for row in rows if row.sunpatch is None)
+        raise InputError(path, f"line {bare}: no sunpatch, but other rows have one", "all rows or none with a sunpatch")
+    maps = np.empty((len(rows), *shape), np.float32)
+    patches = np.empty_like(maps) if with_patch else None
+    disc = np.zeros(len(rows))
+    masks = np.empty(maps.shape, bool)
+    for k, row in enumerate(rows):
+        progress(k, len(rows), row.panorama.name)
+        panorama = _checked(read_panorama(row.panorama), row.panorama, shape, heading, setup)
+        sun_at = (float(altitude[k]), float(azimuth[k]), row.dni_wm2, heading)
+        maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
+        disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
+        if row.sun_in_map:
+            maps[k], disc[k] = split_disc(maps[k], *sun_at)
+        if patches is not None and row.sunpatch is not None:
+            patch = _checked(read_panorama(row.sunpatch), row.sunpatch, shape, heading, setup)
+            patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
+            if row.sun_in_map:  # the patch holds the disc alone, without the sky around it: the better measure
+                patches[k], disc[k] = split_disc(patches[k], *sun_at)
+            elif patch.sun and not panorama.sun:
+                disc[k] = patch.sun.normal_illuminance_lx
+    progress(len(rows), len(rows), "")
+    return maps, patches, disc, masks, heading
+
+
+def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
+    """Of the picture where it says so (.exr), else of the site."""
+    return panorama.heading_deg if path.suffix.lower() == ".exr" else setup.camera.heading_deg
+
+
+def _checked(panorama: Panorama, path: Path, shape: tuple[int, ...], heading: float, setup: SiteFile) -> Panorama:
+    found = panorama.luminance_cdm2.shape
+    if found != shape:
+        said = f"{found[1]} x {found[0]} pixels", f"{shape[1]} x {shape[0]} as in the first row"
+        raise InputError(path, *said, "merge all brackets at one size")
+    if abs((_heading(panorama, path, setup) - heading + 180.0) % 360.0 - 180.0) > 0.01:
+        raise InputError(path, f"heading {panorama.heading_deg:g}", f"{heading:g} as in the first row")
+    return panorama
+
+
+def _has_value(panorama: Panorama) -> NDArray[np.bool_]:
+    good = np.isfinite(panorama.luminance_cdm2)
+    return good if panorama.flags is None else good & ((panorama.flags & Flag.OUTSIDE_LENS) == 0)
+
+
+def _fill_gaps(maps: NDArray[np.float32], has_value: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], int]:
+    """Fill single missing values (in place) with the pixel's median; missing in a fifth of the maps: not seen."""
+    seen = has_value.mean(axis=0) > 0.8
+    if not seen.any():
+        raise NotEnoughDataError("no pixel has a value in most of the panoramas")
+    gaps = ~has_value & seen
+    for i, j in np.argwhere(gaps.any(axis=0)):
+        maps[gaps[:, i, j], i, j] = np.median(maps[has_value[:, i, j], i, j])
+    maps[:, ~seen] = 0.0
+    np.maximum(maps, 0.0, out=maps)
+    return seen, int(gaps.sum())
