@@ -1,0 +1,152 @@
+"""The report as one self-contained HTML page: sections, tables and the heat map's data, filled into page.html.j2."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.records import Float
+
+NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A picture with the words that stand for it when it cannot be seen."""
+
+    alt: str
+    caption: str
+    svg: str = ""
+    png: str = ""  # base64
+
+
+def svg_figure(svg: str, alt: str, caption: str) -> Figure:
+    return Figure(alt, caption, svg=svg)
+
+
+def png_figure(data: bytes, alt: str, caption: str) -> Figure:
+    return Figure(alt, caption, png=base64.b64encode(data).decode())
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Figures side by side under a small title."""
+
+    figures: tuple[Figure, ...]
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    head: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    title: str = ""
+    folded: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class HeatMap:
+    """Day x hour grids of several quantities and directions, as JSON for the page's script."""
+
+    json: str
+    directions: tuple[str, ...]
+    quantities: tuple[dict[str, Any], ...]
+    alt: str
+    start: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    id: str
+    title: str
+    text: str = ""
+    rows: tuple[Row, ...] = ()
+    tables: tuple[Table, ...] = ()
+    heatmap: HeatMap | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    title: str
+    answer: str
+    why: str
+    facts: tuple[tuple[str, str], ...]
+    sections: tuple[Section, ...]
+    footer: str
+    polar: Figure | None = None
+    warnings: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One layer of the heat map. values: [days, 24, directions], NaN where there is nothing."""
+
+    name: str
+    unit: str
+    values: Float
+    step: float  # of the stored whole numbers
+    edges: tuple[float, ...]
+    colours: tuple[str, ...]  # one more than edges
+    dark: tuple[bool, ...]  # whether white text reads on it
+    digits: int = 0
+
+
+DGP_EDGES, DGP_COLOURS = (0.35, 0.40, 0.45), ("#cfe6dc", "#f2d16b", "#e58a2b", "#b03427")
+EV_EDGES = (100.0, 300.0, 500.0, 1000.0, 2000.0, 4000.0)
+EV_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", "#fbe3b0")
+
+
+def _cells(values: Float, step: float) -> str:
+    """[days, 24] as little-endian 16-bit whole numbers in base64."""
+    whole = np.clip(np.nan_to_num(values, nan=0.0) / step, 0, NOTHING - 1).round().astype("<u2")
+    whole[~np.isfinite(values)] = NOTHING
+    return base64.b64encode(whole.tobytes()).decode()
+
+
+def heat_map(quantities: Sequence[Quantity], directions: Sequence[str], year: int, alt: str, start: int) -> HeatMap:
+    shown = tuple(
+        {"name": q.name, "unit": q.unit, "step": q.step, "edges": q.edges, "colours": q.colours, "dark": q.dark,
+         "digits": q.digits}
+        for q in quantities
+    )  # fmt: skip
+    data = {
+        "year": year,
+        "days": int(quantities[0].values.shape[0]),
+        "quantities": [
+            {**meta, "grids": [_cells(q.values[:, :, d], q.step) for d in range(q.values.shape[2])]}
+            for meta, q in zip(shown, quantities, strict=True)
+        ],
+    }
+    return HeatMap(json.dumps(data).replace("</", "<\\/"), tuple(directions), shown, alt, start)
+
+
+def day_hour_grid(day_of_year: NDArray[np.integer], hour: NDArray[np.integer], values: Float, days: int) -> Float:
+    """Hourly rows [n, d] to [days, 24, d] of local standard time; NaN where there is no row. Days count from 1."""
+    grid = np.full((days, 24, values.shape[1]), np.nan)
+    grid[day_of_year - 1, hour] = values
+    return grid
+
+
+def render(page: Page) -> str:
+    """The page as HTML; all text is escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    facts = [{"name": name, "value": value} for name, value in page.facts]
+    return environment.get_template("page.html.j2").render(
+        title=page.title, answer=page.answer, why=page.why, facts=facts, sections=page.sections,
+        footer=page.footer, polar=page.polar, warnings=page.warnings,
+    )  # fmt: skip
