@@ -5,7 +5,9 @@ Heavy imports stay inside the functions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, date, datetime, time, timedelta, timezone
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -165,8 +167,15 @@ class DayOfSun(NamedTuple):
     set: datetime | None
 
 
+RISE_ALTITUDE_DEG = -0.8333  # true altitude of the centre at rise and set: 34' of refraction and 16' of radius
+
+
 def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
-    """By pvlib's SPA; a polar night or a midnight sun has no rise and no set."""
+    """By pvlib's SPA, rise and set refined on `position`; a polar night or a midnight sun has neither.
+
+    pvlib alone is off by up to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the
+    sun grazes the horizon.
+    """
     import pandas as pd
     from pvlib.solarposition import sun_rise_set_transit_spa
 
@@ -176,18 +185,42 @@ def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
     zone = timezone(standard_offset(site.timezone, days[0].year))
     index = pd.DatetimeIndex([pd.Timestamp(day) for day in days]).tz_localize(zone)
     table = sun_rise_set_transit_spa(index, site.latitude_deg, site.longitude_deg)
-    columns = (pd.to_datetime(table[name], utc=True).dt.floor("s") for name in ("sunrise", "transit", "sunset"))
-    return [DayOfSun(*(None if pd.isna(t) else t.to_pydatetime() for t in row)) for row in zip(*columns, strict=True)]
+    columns = [pd.to_datetime(table[name], utc=True).dt.floor("s") for name in ("sunrise", "transit", "sunset")]
+    rise, transit, down = ([None if pd.isna(t) else t.to_pydatetime() for t in column] for column in columns)
+    rows = zip(_refined(rise, site), transit, _refined(down, site), strict=True)
+    return [DayOfSun(*row) for row in rows]
+
+
+def _refined(moments: list[datetime | None], site: Site) -> list[datetime | None]:
+    """Three Newton steps towards the rise altitude, each of at most ten minutes."""
+    known = [t for t in moments if t is not None]
+    for _ in range(3):
+        before, after = (position([t + timedelta(seconds=s) for t in known], site).altitude_deg for s in (-60, 60))
+        rate = (after - before) / 120.0
+        wanted = (RISE_ALTITUDE_DEG - (before + after) / 2) / np.where(np.abs(rate) > 1e-6, rate, 1e-6)
+        steps = np.clip(wanted, -600, 600)
+        known = [t + timedelta(seconds=round(float(s))) for t, s in zip(known, steps, strict=True)]
+    left = iter(known)
+    return [None if t is None else next(left) for t in moments]
 
 
 # ---------------------------------------------------------------------------------------------- irradiance
+
+
+@contextmanager
+def _old_names() -> Iterator[None]:
+    """pvlib 0.16 asks pandas 3.1 for `dayofyear`, which answers, but warns of its new name."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="DatetimeIndex.dayofyear is deprecated")
+        yield
 
 
 def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
     """Irradiance on a plane normal to the sun above the air, [n] W/m2 (Spencer 1971 through pvlib)."""
     from pvlib.irradiance import get_extra_radiation
 
-    return np.asarray(get_extra_radiation(_index(times_utc, "extraterrestrial_wm2")), float)
+    with _old_names():
+        return np.asarray(get_extra_radiation(_index(times_utc, "extraterrestrial_wm2")), float)
 
 
 class Irradiance(NamedTuple):
@@ -203,7 +236,8 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     from pvlib.location import Location
 
     place = Location(site.latitude_deg, site.longitude_deg, "UTC", site.altitude_m)
-    found = place.get_clearsky(_index(times_utc, "clearsky"), model="ineichen")
+    with _old_names():
+        found = place.get_clearsky(_index(times_utc, "clearsky"), model="ineichen")
     return Irradiance(*(np.asarray(found[name], float) for name in ("ghi", "dni", "dhi")))
 
 
@@ -219,7 +253,7 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
 
     ghi = np.asarray(ghi_wm2, float)
     zenith = 90.0 - position(times_utc, site).altitude_deg
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"), _old_names():
         found = dirint(
             np.maximum(ghi, 0.0), zenith, _index(times_utc, "dirint_dni"), pressure=alt2pres(site.altitude_m)
         )
