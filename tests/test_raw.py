@@ -1,0 +1,117 @@
+"""raw: frames in, frames out, and every broken file told in one line."""
+
+import contextlib
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fieldlum.errors import InputError
+from fieldlum.raw import channel_positions, read_exif, read_jpeg, read_mosaic, write_dng, write_jpeg
+from fieldlum.records import Exposure
+
+WHEN = datetime(2027, 3, 20, 15, 30, 0, 250_000, tzinfo=UTC)
+EXPOSURE = Exposure(1 / 250, 5.6, 100.0, "nd3")
+
+
+def counts(height: int = 32, width: int = 50) -> np.ndarray:
+    return np.random.default_rng(1).integers(0, 16383, (height, width)).astype(np.uint16)
+
+
+def dng(path: Path, cfa: str = "RGGB") -> np.ndarray:
+    given_counts = counts()
+    black = (512.0, 513.0, 514.0, 515.0)
+    write_dng(path, given_counts, EXPOSURE, black_dn=black, white_dn=16383, cfa=cfa, t_camera=WHEN, model="Cam 1")
+    return given_counts
+
+
+@pytest.mark.parametrize("cfa", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_analytic_dng_returns_bit_for_bit(tmp_path: Path, cfa: str) -> None:
+    written = dng(tmp_path / "f.dng", cfa)
+    mosaic = read_mosaic(tmp_path / "f.dng")
+    assert np.array_equal(mosaic.counts, written)
+    assert (mosaic.cfa, mosaic.black_dn, mosaic.white_dn) == (cfa, (512, 513, 514, 515), 16383)
+    assert mosaic.exposure == EXPOSURE
+    assert mosaic.t_camera == WHEN and mosaic.make == "fieldlum" and mosaic.model == "Cam 1"
+    assert mosaic.colour_matrix is not None and mosaic.colour_matrix[0, 0] == pytest.approx(3.2404542, abs=1e-6)
+
+
+def test_analytic_libraw_reads_the_same_exposure(tmp_path: Path) -> None:
+    import rawpy
+
+    dng(tmp_path / "f.dng")
+    with rawpy.imread(str(tmp_path / "f.dng")) as raw:
+        assert raw.other.shutter_speed == pytest.approx(0.004)
+        assert (raw.other.aperture, raw.other.iso_speed) == (pytest.approx(5.6), 100)
+
+
+def test_analytic_jpeg_round_trip(tmp_path: Path) -> None:
+    grey = np.full((16, 24, 3), 120, np.uint8)
+    write_jpeg(tmp_path / "f.jpg", grey, EXPOSURE, t_camera=WHEN, model="Cam 1")
+    frame = read_jpeg(tmp_path / "f.jpg")
+    assert np.abs(frame.codes.astype(int) - 120).max() <= 1
+    assert frame.exposure == EXPOSURE and frame.t_camera == WHEN
+    assert read_exif(tmp_path / "f.jpg").exposure == EXPOSURE
+
+
+def test_green_one_stands_in_the_rows_of_red() -> None:
+    assert channel_positions("GBRG") == ((1, 0), (1, 1), (0, 0), (0, 1))
+
+
+def test_contract_a_cut_raw_is_refused(tmp_path: Path) -> None:
+    dng(tmp_path / "f.dng")
+    whole = (tmp_path / "f.dng").read_bytes()
+    for size in (0, 5, 60, 400, len(whole) // 2, len(whole) - 1):
+        (tmp_path / "cut.dng").write_bytes(whole[:size])
+        with pytest.raises(InputError) as caught:
+            read_mosaic(tmp_path / "cut.dng")
+        assert "cut.dng" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_contract_a_renamed_jpeg_is_named(tmp_path: Path) -> None:
+    write_jpeg(tmp_path / "f.jpg", np.zeros((16, 16, 3), np.uint8), EXPOSURE)
+    (tmp_path / "f.jpg").rename(tmp_path / "f.dng")
+    with pytest.raises(InputError, match="a JPEG by its content"):
+        read_mosaic(tmp_path / "f.dng")
+
+
+def test_contract_a_renamed_raw_is_no_jpeg(tmp_path: Path) -> None:
+    dng(tmp_path / "f.jpg")
+    with pytest.raises(InputError, match="no JPEG"):
+        read_jpeg(tmp_path / "f.jpg")
+
+
+def test_contract_missing_shutter_names_the_remedy(tmp_path: Path) -> None:
+    from PIL import Image
+
+    Image.new("RGB", (16, 16)).save(tmp_path / "f.jpg")
+    for read in (read_jpeg, read_exif):
+        with pytest.raises(InputError, match=r"no exposure time in its EXIF.*exiftool -ExposureTime"):
+            read(tmp_path / "f.jpg")
+
+
+def test_contract_a_missing_file(tmp_path: Path) -> None:
+    for read in (read_mosaic, read_jpeg, read_exif):
+        with pytest.raises(InputError, match="No such file"):
+            read(tmp_path / "none.dng")
+
+
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_property_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject) -> None:
+    suffix, read = data.draw(st.sampled_from([(".dng", read_mosaic), (".jpg", read_jpeg)]))
+    path = tmp_path / f"f{suffix}"
+    if suffix == ".dng":
+        dng(path)
+    else:
+        write_jpeg(path, np.full((24, 24, 3), 90, np.uint8), EXPOSURE)
+    body = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        body[data.draw(st.integers(0, min(len(body) - 1, 700)))] = data.draw(st.integers(0, 255))
+    path.write_bytes(bytes(body))
+    with contextlib.suppress(InputError):
+        frame = read(path)
+        assert frame.exposure.shutter_s > 0
