@@ -174,7 +174,7 @@ def _check_strips(path: Path) -> None:
         return
     try:
         with tifffile.TiffFile(path) as tiff:
-            tops = [tiff.pages[i] for i in range(min(len(tiff.pages), 16))]
+            tops: list[Any] = [tiff.pages[i] for i in range(min(len(tiff.pages), 16))]
             for page in tops + [sub for top in tops for sub in (getattr(top, "pages", None) or ())]:
                 offsets, counts = page.dataoffsets, page.databytecounts
                 bits = 0 if page.compression != 1 else page.imagelength * page.imagewidth * page.bitspersample

@@ -1,0 +1,87 @@
+"""Device URIs: ``scheme:place?option=value&option=value``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any, TypeVar
+from urllib.parse import parse_qsl, unquote
+
+from fieldlum.errors import DeviceError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceUri:
+    text: str
+    scheme: str
+    place: str = ""  # what stands between the colon and the question mark
+    options: dict[str, str] = field(default_factory=dict)
+
+    def read(self, **known: Callable[[str], Any]) -> dict[str, Any]:
+        """The options, each through its reader. Raises DeviceError naming an unknown option or a bad value."""
+        for name in self.options:
+            if name not in known:
+                near = get_close_matches(name, known, n=1)
+                hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(sorted(known)) or 'none'}"
+                raise DeviceError(f"{self.text}: unknown option '{name}', {hint}")
+        found = {}
+        for name, value in self.options.items():
+            try:
+                found[name] = known[name](value)
+            except ValueError as error:
+                raise DeviceError(f"{self.text}: option {name}={value}: {error}") from None
+        return found
+
+
+def parse_uri(text: str) -> DeviceUri:
+    """Raises DeviceError for what has no scheme, or an option without a value."""
+    scheme, colon, rest = text.partition(":")
+    if not colon or not re.fullmatch(r"[a-z][a-z0-9+]*", scheme):
+        raise DeviceError(f"{text}: no device URI, expected something like sim:office or serial:/dev/ttyUSB0?kind=spn1")
+    place, _, query = rest.partition("?")
+    try:
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
+    except ValueError:
+        raise DeviceError(f"{text}: options '{query}', expected name=value joined by &") from None
+    if len({name for name, _ in pairs}) != len(pairs):
+        raise DeviceError(f"{text}: an option is given twice")
+    return DeviceUri(text, scheme, unquote(place), dict(pairs))
+
+
+def one_of(*choices: str) -> Callable[[str], str]:
+    """A reader that takes one of `choices`."""
+
+    def reader(value: str) -> str:
+        if value not in choices:
+            raise ValueError(f"expected one of {', '.join(choices)}")
+        return value
+
+    return reader
+
+
+def number(low: float, high: float) -> Callable[[str], float]:
+    """A reader of a number within limits."""
+
+    def reader(value: str) -> float:
+        found = float(value)
+        if not low <= found <= high:
+            raise ValueError(f"expected a number from {low:g} to {high:g}")
+        return found
+
+    return reader
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """A reader of a whole number within limits."""
+
+    def reader(value: str) -> int:
+        found = int(value)
+        if not low <= found <= high:
+            raise ValueError(f"expected a whole number from {low} to {high}")
+        return found
+
+    return reader

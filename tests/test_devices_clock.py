@@ -1,0 +1,76 @@
+"""devices: URIs are strict, and the fast clock behaves like a computer's clocks."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from fieldlum.devices import open_camera
+from fieldlum.devices.clock import ClockFault, FastClock, RealClock
+from fieldlum.devices.uri import number, one_of, parse_uri, whole
+from fieldlum.errors import DeviceError
+
+START = datetime(2027, 3, 20, 15, 0, tzinfo=UTC)
+
+
+def test_fast_clock_sleeps_for_nothing() -> None:
+    clock = FastClock(START)
+    clock.sleep(3600.0)
+    assert clock.now() == START + timedelta(hours=1)
+    assert clock.monotonic() == clock.boottime() == 3600.0
+
+
+def test_step_moves_the_wall_only() -> None:
+    clock = FastClock(START, [ClockFault(START + timedelta(seconds=10), "step", -3600.0)])
+    clock.sleep(20.0)
+    assert clock.now() == START + timedelta(seconds=20 - 3600)
+    assert clock.true_utc == START + timedelta(seconds=20)
+    assert clock.monotonic() == clock.boottime() == 20.0
+
+
+def test_suspend_stops_monotonic_only() -> None:
+    clock = FastClock(START, [ClockFault(START + timedelta(seconds=10), "suspend", 1800.0)])
+    clock.sleep(20.0)
+    assert clock.boottime() == 1820.0 and clock.monotonic() == 20.0
+    assert clock.now() == START + timedelta(seconds=1820)
+
+
+def test_real_clock_is_aware_and_moves() -> None:
+    clock = RealClock()
+    before = clock.boottime()
+    clock.sleep(0.002)
+    assert clock.now().tzinfo is not None and clock.boottime() > before and clock.monotonic() > 0
+
+
+def test_naive_start_is_refused() -> None:
+    with pytest.raises(ValueError, match="time zone"):
+        FastClock(datetime(2027, 3, 20))  # noqa: DTZ001
+
+
+def test_uri_parts() -> None:
+    uri = parse_uri("serial:/dev/ttyUSB0?kind=spn1&baud=9600")
+    assert (uri.scheme, uri.place) == ("serial", "/dev/ttyUSB0")
+    assert uri.read(kind=one_of("spn1"), baud=whole(300, 115200)) == {"kind": "spn1", "baud": 9600}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("office", "no device URI"),
+        ("sim:office?seed", "name=value"),
+        ("sim:office?seed=1&seed=2", "given twice"),
+        ("fax:1", "no camera driver 'fax:'"),
+    ],
+)
+def test_contract_bad_uris_name_themselves(text: str, said: str) -> None:
+    with pytest.raises(DeviceError, match=said) as caught:
+        open_camera(text, clock=FastClock(START))
+    assert text in str(caught.value)
+
+
+def test_contract_unknown_option_is_named() -> None:
+    with pytest.raises(DeviceError, match=r"unknown option 'sede', did you mean 'seed'\?"):
+        parse_uri("sim:office?sede=1").read(seed=whole(0, 9))
+    with pytest.raises(DeviceError, match="option seed=12: expected a whole number from 0 to 9"):
+        parse_uri("sim:office?seed=12").read(seed=whole(0, 9))
+    with pytest.raises(DeviceError, match="expected a number from 0 to 1"):
+        parse_uri("sim:office?noise=nan").read(noise=number(0, 1))
