@@ -89,7 +89,7 @@ def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
     """Write config.json and weights.npz, each whole or not at all; `more` goes into config.json."""
     config, arrays = fitted.state()
     with replacing(folder / "weights.npz") as file:
-        np.savez(file, **arrays)
+        np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
     everything = {"model": fitted.name, "software": {"fieldlum": __version__}, **data.about(), **more, **config}
     with replacing(folder / "config.json", "w", encoding="utf-8") as file:
         json.dump(everything, file, indent=1, ensure_ascii=False, default=lambda value: value.tolist())

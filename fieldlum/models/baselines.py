@@ -1,0 +1,116 @@
+"""What any model must beat: the mean map, and the nearest captured hour scaled by the light outside."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.models import Fitted, Patch, Prediction
+from fieldlum.models.domain import Domain, captured
+from fieldlum.records import Progress, quiet
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+    from fieldlum.models.data import Dataset
+
+LEAST_CDM2 = 1e-3
+LEAST_SHARE = 0.02  # of a pixel's light that is left when its sun patch is taken out
+
+
+class MeanFitted:
+    """The same map for every hour: the mean of log10 L of each pixel."""
+
+    name = "mean"
+    held_out_mse: NDArray[np.float64] | None = None
+
+    def __init__(self, log10_mean: NDArray[np.float32], domain: Domain) -> None:
+        self.log10_mean, self.domain = log10_mean, domain
+        self.parameters = log10_mean.size
+
+    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+        n = len(light.dni_wm2)
+        maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
+        return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        return {"domain": self.domain.state()}, {"log10_mean": self.log10_mean}
+
+
+def fit_mean(
+    data: Dataset,
+    *,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    budget_s: float | None = None,
+    progress: Progress = quiet,
+) -> MeanFitted:
+    log10 = np.zeros(data.shape)
+    for luminance in data.luminance_cdm2:  # one by one: a whole logarithm would double the memory
+        log10 += np.log10(np.maximum(luminance, LEAST_CDM2)) / len(data)
+    return MeanFitted(log10.astype(np.float32), captured(data.light))
+
+
+class NearestFitted:
+    """The captured hour of the most alike sun and sky, scaled by horizontal illuminance; its sun patch swapped."""
+
+    name = "nearest"
+    held_out_mse: NDArray[np.float64] | None = None
+
+    def __init__(
+        self, rest_cdm2: NDArray[np.float32], features: NDArray[np.float64], scale: NDArray[np.float64],
+        with_patch: bool, domain: Domain,
+    ) -> None:  # fmt: skip
+        self.rest_cdm2, self.features, self.scale = rest_cdm2, features, scale
+        self.with_patch, self.domain = with_patch, domain
+        self.parameters = rest_cdm2.size
+
+    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+        wanted, scale = light_features(light), outside(light)
+        distance = ((wanted[:, None, :] - self.features[None]) ** 2).sum(axis=2)
+        near = distance.argmin(axis=1)
+        maps = self.rest_cdm2[near] * (scale / self.scale[near]).astype(np.float32)[:, None, None]
+        if self.with_patch:
+            if patch_cdm2 is None:
+                raise ValueError("this model was trained with sun patches: give it patch_cdm2")
+            maps += patch_cdm2
+        return Prediction(maps, None, np.full(len(maps), np.nan), self.domain.holds(light))
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        arrays = {"rest_cdm2": self.rest_cdm2, "features": self.features, "scale": self.scale}
+        return {"domain": self.domain.state(), "with_patch": self.with_patch}, arrays
+
+
+def light_features(light: Light) -> NDArray[np.float64]:
+    """[n, 5] sun direction (weighted by how much it shines), share of the sun, clearness of the sky."""
+    share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
+    return np.column_stack([light.sun_direction * (0.3 + share[:, None]), share, 0.3 * np.log10(light.dhi_wm2 + 10.0)])
+
+
+def outside(light: Light) -> NDArray[np.float64]:
+    """A measure of the light outside: global horizontal irradiance. [W/m2]"""
+    rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
+    return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
+
+
+def fit_nearest(
+    data: Dataset,
+    *,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    budget_s: float | None = None,
+    progress: Progress = quiet,
+) -> NearestFitted:
+    with_patch = patch == "absolute" and data.patch_cdm2 is not None
+    rest = data.luminance_cdm2
+    if with_patch and data.patch_cdm2 is not None:
+        rest = np.maximum(rest - data.patch_cdm2, np.float32(LEAST_SHARE) * rest)
+    return NearestFitted(rest, light_features(data.light), outside(data.light), with_patch, captured(data.light))
+
+
+def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Fitted:
+    domain = Domain.from_state(config["domain"])
+    if config["model"] == "mean":
+        return MeanFitted(arrays["log10_mean"], domain)
+    return NearestFitted(arrays["rest_cdm2"], arrays["features"], arrays["scale"], config["with_patch"], domain)

@@ -1,0 +1,398 @@
+"""How the dense network is trained: the paper's schedule when there is time for it, a short one when there is not.
+
+The loss of a batch is ``sum(w e^2) / b + 10 sqrt(sum(w e^2) / sum(w t^2))``: both parts depend on the network through
+S = sum(w e^2) alone, so micro-batches (and the ranks of torchrun) add up the gradient of S, and one factor at the end
+makes it the exact gradient of the whole batch's loss. Memory is that of one micro-batch.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch import distributed as dist
+
+from fieldlum.errors import InputError
+from fieldlum.models.dense import (
+    Canvas,
+    Hours,
+    Net,
+    Shape,
+    bfloat16_pays,
+    canvas,
+    encode,
+    hours,
+    pick_device,
+    scene_inputs,
+)
+from fieldlum.records import Progress, quiet
+from fieldlum.session import replacing
+
+if TYPE_CHECKING:
+    from fieldlum.models import Patch
+    from fieldlum.models.data import Dataset
+
+RER_SHARE = 10.0
+VALIDATION_SHARE = 0.1
+PATIENCE_EPOCHS = 2
+LEAST_RATE = 1e-10
+STAGES = (6, 3, 1)  # batch in images' worth of pixels
+STAGE_EPOCHS = 30
+SHORT_EPOCHS = 25  # how often the short schedule looks at the validation pixels
+SHORT_VALIDATION_PIXELS = 60_000
+FEWEST_STEPS = 1500  # fewer updates than this leave the network half-trained, whatever the batch
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, the rate falling to 0."""
+
+    schedule: Literal["paper", "short"] = "paper"
+    epochs: int = STAGE_EPOCHS * len(STAGES)
+    steps: int = 0
+    batch_pixels: int = 0
+    rate: float = 1e-3
+    micro_pixels: int = 8192
+
+
+# ---------------------------------------------------------------------------------------------- torchrun
+
+
+def rank() -> int:
+    return int(os.environ.get("RANK", "0"))
+
+
+def world() -> int:
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
+def _join_world(device: torch.device) -> None:
+    if world() > 1 and not dist.is_initialized():
+        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+
+
+def _sum_over_ranks(tensor: Tensor) -> Tensor:
+    if world() > 1:
+        dist.all_reduce(tensor)
+    return tensor
+
+
+# ---------------------------------------------------------------------------------------------- pixels
+
+
+@dataclass(frozen=True, slots=True)
+class Pixels:
+    """All (hour, seen pixel) pairs of some hours, on the device. A pair's number is hour * P + place in `seen`."""
+
+    canvas: Canvas
+    hours: Hours
+    target: Tensor  # [n, P]
+    patch: Tensor | None  # [n, P]
+    weight: Tensor  # [P]
+    seen: Tensor  # [P] pixel numbers
+
+    def __len__(self) -> int:
+        return self.target.numel()
+
+    def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """scene inputs, patch, target, weight of numbered pairs."""
+        hour = numbers // len(self.seen)
+        place = numbers - hour * len(self.seen)
+        scene = scene_inputs(self.canvas, self.hours, hour, self.seen[place])
+        direct = torch.zeros_like(scene[:, 0]) if self.patch is None else self.patch[hour, place]
+        return scene, direct.unsqueeze(1), self.target[hour, place], self.weight[place]
+
+
+def _pixels(data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: torch.device) -> Pixels:
+    seen = np.flatnonzero(data.seen)
+
+    def flat(maps: NDArray[np.float32]) -> Tensor:
+        rows = [torch.from_numpy(encode(m.reshape(-1)[seen], shape.curve)) for m in maps]
+        return torch.stack(rows).to(device)
+
+    use_patch = patch != "none" and data.patch_cdm2 is not None
+    weight = torch.from_numpy(data.weights.reshape(-1)[seen].astype(np.float32))
+    return Pixels(
+        base.to(device),
+        hours(data.light, shape).to(device),
+        flat(data.luminance_cdm2),
+        flat(data.patch_cdm2) if use_patch and data.patch_cdm2 is not None else None,
+        weight.to(device),
+        torch.from_numpy(seen).to(device),
+    )
+
+
+# ---------------------------------------------------------------------------------------------- one batch
+
+
+def _loss_parts(net: Net, pixels: Pixels, numbers: Tensor, micro: int, half: bool, learn: bool) -> Tensor:
+    """[S_error, S_target, count] summed over the batch and all ranks; with `learn`, gradients of S_error are added."""
+    parts = torch.zeros(3, dtype=torch.float64)
+    for mine in numbers[rank() :: world()].split(micro):
+        scene, direct, target, weight = pixels.batch(mine)
+        with torch.set_grad_enabled(learn):
+            with torch.autocast(scene.device.type, torch.bfloat16, enabled=half):
+                error = net(scene, direct) - target
+            squares = (weight * error.square()).sum()
+        if learn:
+            squares.backward()
+        parts += torch.tensor([squares.item(), (weight * target.square()).sum().item(), len(mine)], dtype=torch.float64)
+    return _sum_over_ranks(parts)
+
+
+def loss_value(parts: Tensor) -> float:
+    """MSE + 10 RER from [S_error, S_target, count]."""
+    error, target, count = parts.tolist()
+    return error / count + RER_SHARE * math.sqrt(error / max(target, 1e-12))
+
+
+def _step(net: Net, optimiser: torch.optim.Optimizer, pixels: Pixels, numbers: Tensor, micro: int, half: bool) -> float:
+    """One update with the exact gradient of the batch's loss. Returns the loss (NaN: the update was not made)."""
+    optimiser.zero_grad(set_to_none=False)
+    parts = _loss_parts(net, pixels, numbers, micro, half, learn=True)
+    error, target, count = parts.tolist()
+    if not math.isfinite(error):
+        return math.nan
+    factor = 1.0 / count + 0.5 * RER_SHARE / math.sqrt(max(error * target, 1e-24))
+    for parameter in net.parameters():
+        if parameter.grad is not None:
+            _sum_over_ranks(parameter.grad).mul_(factor)
+    optimiser.step()
+    return loss_value(parts)
+
+
+# ---------------------------------------------------------------------------------------------- the loop
+
+
+@dataclass(slots=True)
+class Run:
+    """Everything that a checkpoint must hold besides the tensors."""
+
+    epoch: int = 0
+    step: int = 0
+    stage: int = 0
+    stage_epoch: int = 0
+    stale: int = 0
+    rate: float = 1e-3
+    best: float = math.inf
+    elapsed_s: float = 0.0
+    skipped: int = 0
+
+
+def _epoch_batches(pixels: Pixels, plan: Plan, run: Run, shape: Shape, seed: int) -> Iterator[Tensor]:
+    """The epoch's batches of pair numbers; they follow from (seed, epoch) alone, so that resuming repeats nothing."""
+    generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
+    device, per_image = pixels.target.device, len(pixels.seen)
+    if plan.schedule == "short":
+        for _ in range(-(-plan.steps // SHORT_EPOCHS)):
+            yield torch.randint(len(pixels), (plan.batch_pixels,), generator=generator).to(device)
+        return
+    images = STAGES[run.stage]
+    if shape.form == "cnn":
+        for group in torch.randperm(pixels.target.shape[0], generator=generator).split(images):
+            yield (group[:, None] * per_image + torch.arange(per_image)).reshape(-1).to(device)
+        return
+    for numbers in torch.randperm(len(pixels), generator=generator).split(images * per_image):
+        yield numbers.to(device)
+
+
+def _short_rate(plan: Plan, run: Run, budget_s: float | None) -> float:
+    """A short warm-up, then a cosine to zero over the steps, or over the time when that runs out first."""
+    done = run.step / max(plan.steps, 1)
+    if budget_s:
+        done = max(done, run.elapsed_s / budget_s)
+    warm = min(1.0, (run.step + 1) / (0.03 * plan.steps + 1))
+    return plan.rate * warm * 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))
+
+
+def _paper_rate(run: Run, improved: bool) -> None:
+    """Halve the rate after two epochs without gain, the batch after 30 epochs or when the rate has vanished."""
+    run.stale = 0 if improved else run.stale + 1
+    run.stage_epoch += 1
+    if run.stale >= PATIENCE_EPOCHS:
+        run.rate, run.stale = run.rate / 2.0, 0
+    if run.stage_epoch >= STAGE_EPOCHS or run.rate < LEAST_RATE:
+        run.stage, run.stage_epoch, run.stale = run.stage + 1, 0, 0
+        run.rate = max(run.rate, LEAST_RATE)
+
+
+def train(
+    data: Dataset,
+    shape: Shape,
+    *,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    budget_s: float | None = None,
+    plan: Plan | None = None,
+    checkpoint: Path | None = None,
+    stop_after_epochs: int | None = None,
+    bfloat16: bool | None = None,
+    progress: Progress = quiet,
+) -> tuple[Net, NDArray[np.float64], dict[str, Any]]:
+    """Train, and return the network with its best validation weights, the average image and a record of the training.
+
+    plan None: the paper's schedule when it fits in the budget, else a short one measured to fit. checkpoint: written
+    after each epoch; when it is there already, training goes on from it. stop_after_epochs ends early as a kill would.
+    """
+    started = time.monotonic()
+    device = pick_device()
+    _join_world(device)
+    half = bfloat16_pays(device) if bfloat16 is None else bfloat16
+    if shape.form == "cnn":
+        shape = replace(shape, patch_width=200)
+    torch.manual_seed(seed)
+    net = Net(shape).to(device)
+    optimiser = torch.optim.Adam(net.parameters(), lr=1e-3)
+    teach, check = _validation_split(len(data), seed)
+    average = np.log10(np.maximum(data.luminance_cdm2[teach], 1.0)).mean(axis=0, dtype=np.float64)
+    base = canvas(average, data.heading_deg)
+    pixels, exam = (_pixels(data.take(rows), base, shape, patch, device) for rows in (teach, check))
+    if plan is None:
+        plan = _make_plan(net, pixels, budget_s, half)
+    best_weights = {name: value.clone() for name, value in net.state_dict().items()}
+    run = Run(rate=plan.rate)
+    if checkpoint is not None and checkpoint.is_file():
+        plan, best_weights = _restore(checkpoint, net, optimiser, run, shape)
+    numbers = _exam_numbers(len(exam), plan, seed).to(device)
+    first_epoch, before_s = run.epoch, run.elapsed_s
+    while not _finished(run, plan, budget_s):
+        loss = math.nan
+        for batch in _epoch_batches(pixels, plan, run, shape, seed):
+            rate = _short_rate(plan, run, budget_s) if plan.schedule == "short" else run.rate
+            optimiser.param_groups[0]["lr"] = rate
+            loss = _step(net, optimiser, pixels, batch, plan.micro_pixels, half)
+            run.step += 1
+            run.elapsed_s = before_s + time.monotonic() - started
+            progress(*_how_far(run, plan, budget_s), f"loss {loss:.4f}  best {run.best:.4f}")
+            if not math.isfinite(loss):
+                run.skipped += 1
+                net.load_state_dict(best_weights)
+                run.rate /= 2.0
+            if budget_s and run.elapsed_s > budget_s:
+                break
+        score = loss_value(_loss_parts(net, exam, numbers, 4 * plan.micro_pixels, half, learn=False))
+        improved = math.isfinite(score) and score < run.best
+        if improved:
+            run.best = score
+            best_weights = {name: value.clone() for name, value in net.state_dict().items()}
+        run.epoch += 1
+        if plan.schedule == "paper":
+            _paper_rate(run, improved)
+        if checkpoint is not None and rank() == 0:
+            _keep(checkpoint, net, optimiser, run, plan, shape, best_weights)
+        if stop_after_epochs is not None and run.epoch - first_epoch >= stop_after_epochs:
+            break
+    net.load_state_dict(best_weights)
+    about = {
+        "schedule": plan.schedule, "epochs": run.epoch, "steps": run.step, "seconds": round(run.elapsed_s, 1),
+        "pixels_seen_per_pixel": round(_passes(run, plan, pixels), 2), "best_validation_loss": run.best,
+        "skipped_updates": run.skipped, "seed": seed, "device": device.type, "bfloat16": half, "plan": asdict(plan),
+    }  # fmt: skip
+    return net, average, about
+
+
+def _passes(run: Run, plan: Plan, pixels: Pixels) -> float:
+    """How often each training pixel was seen on average: the epochs in the paper's sense."""
+    return run.step * plan.batch_pixels / len(pixels) if plan.schedule == "short" else float(run.epoch)
+
+
+def _validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """A tenth of the images validate, at least one; a lone image validates itself."""
+    order = np.random.default_rng(seed).permutation(n)
+    cut = max(1, round(VALIDATION_SHARE * n))
+    return (np.sort(order[cut:]), np.sort(order[:cut])) if n > 1 else (order, order)
+
+
+def _exam_numbers(total: int, plan: Plan, seed: int) -> Tensor:
+    """All validation pixels; a fixed random part of them in the short schedule."""
+    numbers = torch.arange(total)
+    if plan.schedule == "short" and total > SHORT_VALIDATION_PIXELS:
+        numbers = torch.randperm(total, generator=torch.Generator().manual_seed(seed))[:SHORT_VALIDATION_PIXELS]
+    return numbers
+
+
+def _finished(run: Run, plan: Plan, budget_s: float | None) -> bool:
+    if budget_s and run.elapsed_s >= budget_s:
+        return True
+    if plan.schedule == "short":
+        return run.step >= plan.steps
+    return run.epoch >= plan.epochs or run.stage >= len(STAGES)
+
+
+def _how_far(run: Run, plan: Plan, budget_s: float | None) -> tuple[int, int]:
+    """Thousandths of the training: by steps or epochs, or by time when that ends it."""
+    done = run.step / max(plan.steps, 1) if plan.schedule == "short" else run.epoch / max(plan.epochs, 1)
+    if budget_s:
+        done = max(done, run.elapsed_s / budget_s)
+    return min(1000, int(1000 * done)), 1000
+
+
+def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> Plan:
+    """The paper's schedule without a budget or when it fits in; else as many steps as the measured speed allows."""
+    micro = 8192 if pixels.target.device.type == "cpu" else 131_072
+    if budget_s is None:
+        return Plan(micro_pixels=micro)
+    speed = _pixels_per_second(net, pixels, micro, half)
+    affordable = speed * budget_s
+    if affordable >= Plan().epochs * len(pixels):
+        return Plan(micro_pixels=micro)
+    batch = int(np.clip(affordable / FEWEST_STEPS, 512, pixels.target.shape[1]))
+    steps = max(SHORT_EPOCHS, int(affordable / batch))
+    return Plan("short", steps=steps, batch_pixels=batch, micro_pixels=micro)
+
+
+def _pixels_per_second(net: Net, pixels: Pixels, micro: int, half: bool) -> float:
+    numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device).repeat(world())
+    _loss_parts(net, pixels, numbers, micro, half, learn=True)  # the first call also compiles and allocates
+    start = time.monotonic()
+    for _ in range(3):
+        _loss_parts(net, pixels, numbers, micro, half, learn=True)
+    return 3 * len(numbers) / max(time.monotonic() - start, 1e-6)
+
+
+# ---------------------------------------------------------------------------------------------- checkpoints
+
+
+def _keep(
+    path: Path,
+    net: Net,
+    optimiser: torch.optim.Optimizer,
+    run: Run,
+    plan: Plan,
+    shape: Shape,
+    best: dict[str, Tensor],
+) -> None:
+    state = {
+        "net": net.state_dict(), "best": best, "optimiser": optimiser.state_dict(),
+        "run": asdict(run), "plan": asdict(plan), "shape": asdict(shape),
+    }  # fmt: skip
+    with replacing(path) as file:
+        torch.save(state, file)
+
+
+def _restore(
+    path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape
+) -> tuple[Plan, dict[str, Tensor]]:
+    """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but tensors and numbers."""
+    try:
+        state = torch.load(path, map_location=pick_device(), weights_only=True)
+        if state["shape"] != asdict(shape):
+            raise KeyError("another network's checkpoint")
+        net.load_state_dict(state["net"])
+        optimiser.load_state_dict(state["optimiser"])
+        for name, value in state["run"].items():
+            setattr(run, name, value)
+        return Plan(**state["plan"]), state["best"]
+    except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError, AttributeError) as error:
+        found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
+        raise InputError(path, found, "one of this training", "remove it to start anew") from None

@@ -1,0 +1,64 @@
+"""Whether an hour lies within what was captured: for models that have no variance of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+
+SUNNY_WM2 = 60.0  # under it the sun lights a room less than the sky does
+SUN_GAP_DEG = 12.0  # about 50 minutes of the sun's way, or three weeks of its declination near an equinox
+RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance
+
+
+@dataclass(frozen=True, slots=True)
+class Domain:
+    """The captured light: sunny sun directions [k, 3], range of DHI [W/m2] and of DNI [W/m2]."""
+
+    sun_directions: NDArray[np.float64]
+    dhi_wm2: tuple[float, float]
+    dni_wm2: tuple[float, float]
+
+    def holds(self, light: Light) -> NDArray[np.bool_]:
+        """[n] the hour's sun stands near a captured one (or does not shine), and its sky is of a captured kind."""
+        low, high = self.dhi_wm2
+        slack = RANGE_SLACK * (high - low) + 10.0
+        sky_known = (light.dhi_wm2 >= low - slack) & (light.dhi_wm2 <= high + slack)
+        beam_known = light.dni_wm2 <= self.dni_wm2[1] + RANGE_SLACK * self.dni_wm2[1] + 10.0
+        return sky_known & (self._sun_known(light) & beam_known | (light.dni_wm2 < SUNNY_WM2) & self._has_dull(light))
+
+    def _sun_known(self, light: Light) -> NDArray[np.bool_]:
+        if len(self.sun_directions) == 0:
+            return np.zeros(len(light.dni_wm2), bool)
+        nearest = (light.sun_direction @ self.sun_directions.T).max(axis=1)
+        return nearest >= np.cos(np.radians(SUN_GAP_DEG))
+
+    def _has_dull(self, light: Light) -> NDArray[np.bool_]:
+        return np.full(len(light.dni_wm2), self.dni_wm2[0] < 2 * SUNNY_WM2)
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "sun_directions": np.round(self.sun_directions, 5).tolist(),
+            "dhi_wm2": list(self.dhi_wm2),
+            "dni_wm2": list(self.dni_wm2),
+        }
+
+    @staticmethod
+    def from_state(state: dict[str, Any]) -> Domain:
+        low, high = (tuple(map(float, state[name])) for name in ("dhi_wm2", "dni_wm2"))
+        return Domain(np.asarray(state["sun_directions"], float).reshape(-1, 3), low, high)  # pyright: ignore
+
+
+def captured(light: Light) -> Domain:
+    """The domain of a training set."""
+    sunny = light.dni_wm2 >= SUNNY_WM2
+    return Domain(
+        light.sun_direction[sunny],
+        (float(light.dhi_wm2.min()), float(light.dhi_wm2.max())),
+        (float(light.dni_wm2.min()), float(light.dni_wm2.max())),
+    )
