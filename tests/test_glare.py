@@ -1,0 +1,178 @@
+"""Glare on the panorama: analytic fields, a published position index, and evalglare itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.glare import (
+    dgp,
+    glare_directions,
+    panorama_to_fisheye,
+    position_index,
+    reference_glare,
+    reference_version,
+    view_azimuths_deg,
+)
+from fieldlum.glare.fisheye import fisheye_solid_angles
+from fieldlum.glare.sources import group_pixels, sources_of, widen
+from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.records import SunSource
+from fieldlum.sun import SUN_SOLID_ANGLE_SR
+
+H, W = 90, 180
+
+
+def _uniform(value: float) -> np.ndarray:
+    return np.full((1, H, W), value, np.float32)
+
+
+# ---------------------------------------------------------------------------------------------- analytic
+
+
+@pytest.mark.parametrize("heading", [180.0, 33.3])
+def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
+    got = glare_directions(_uniform(1000.0), heading, view_azimuths_deg(heading, 12))
+    assert got["ev_lx"] == pytest.approx(np.pi * 1000.0, rel=2e-4)
+    assert got["dgp"] == pytest.approx(5.87e-5 * np.pi * 1000.0 + 0.159, abs=1e-4)  # nothing is a source
+    assert np.isnan(got["ugr"]).all()
+
+
+def test_a_uniform_bright_sphere_is_one_source() -> None:
+    got = glare_directions(_uniform(5000.0), 180.0, [180.0])
+    # One source of 2 pi sr: its centre is the line of sight (P = 1).
+    expected = dgp(np.pi * 5000.0, 5000.0**2 * 2 * np.pi)
+    assert got["dgp"][0, 0] == pytest.approx(float(expected), abs=2e-3)
+
+
+@pytest.mark.parametrize(("altitude", "turn"), [(0.0, 0.0), (30.0, 20.0), (-20.0, 45.0), (60.0, -10.0), (5.0, 80.0)])
+def test_the_sun_alone_follows_the_formula(altitude: float, turn: float) -> None:
+    lux, view = 2000.0, 200.0
+    sun = direction(altitude, view + turn)
+    got = glare_directions(_uniform(50.0), 180.0, [view], sun[None], np.array([lux]))
+    cosine = float(sun @ direction(0.0, view))
+    ev = 50.0 * np.pi + lux * cosine
+    angle = np.arccos(cosine)
+    side = np.cos(np.radians(altitude)) * np.sin(np.radians(turn))
+    scale = angle / max(np.hypot(side, sun[2]), 1e-9)
+    index = position_index(side * scale, sun[2] * scale)
+    luminance = lux / SUN_SOLID_ANGLE_SR
+    assert got["ev_lx"][0, 0] == pytest.approx(ev, rel=1e-3)
+    contrast = luminance**2 * SUN_SOLID_ANGLE_SR / index**2
+    assert got["dgp"][0, 0] == pytest.approx(float(dgp(ev, contrast)), abs=1e-3)
+    assert got["ugr"][0, 0] == pytest.approx(float(8 * np.log10(0.25 / 50.0 * contrast)), abs=0.05)
+
+
+def test_a_sun_behind_the_head_adds_nothing() -> None:
+    lit = glare_directions(_uniform(50.0), 180.0, [0.0], direction(20.0, 180.0)[None], np.array([9e4]))
+    dark = glare_directions(_uniform(50.0), 180.0, [0.0])
+    assert lit["ev_lx"] == pytest.approx(dark["ev_lx"])
+    assert lit["dgp"] == pytest.approx(dark["dgp"])
+
+
+def test_illuminance_follows_the_cosine() -> None:
+    maps = np.zeros((1, H, W), np.float32)
+    maps[0, H // 2, W // 2] = 1e4  # straight ahead of heading 180, half a pixel below the horizon
+    turns = np.array([0.0, 30.0, 60.0, 85.0, 95.0])
+    got = glare_directions(maps, 180.0, 180.0 + turns)["ev_lx"][0]
+    ray = equirect_rays(H, W, 180.0)[H // 2, W // 2]
+    cosine = np.clip(direction(0.0, 180.0 + turns) @ ray, 0.0, None)
+    expected = 1e4 * equirect_solid_angles(H, W)[H // 2, W // 2] * cosine
+    assert got == pytest.approx(expected, rel=1e-3, abs=1e-6)
+
+
+def test_turning_head_and_picture_together_changes_nothing() -> None:
+    rng = np.random.default_rng(3)
+    maps = rng.lognormal(6.0, 1.5, (2, H, W)).astype(np.float32)
+    a = glare_directions(maps, 180.0, [180.0, 216.0])
+    b = glare_directions(maps, 70.0, [70.0, 106.0])
+    for name in a:
+        assert a[name] == pytest.approx(b[name], rel=1e-4, nan_ok=True)
+
+
+# ---------------------------------------------------------------------------------------------- authority
+
+
+@pytest.mark.parametrize(
+    ("right_deg", "up_deg", "expected"),
+    [
+        # Luckiesh and Guth 1949 as fitted in the IES Lighting Handbook, 8th edition, figure 9-24: P = 1 on the line of
+        # sight; about 2 at 20 degrees straight up; the values below are that fit's, worked by hand.
+        (0.0, 0.0, 1.0),
+        (0.0, 20.0, float(np.exp((35.2 - 1.22) / 1000 * 20 + 21 / 1e5 * 400))),
+        # 90 degrees aside (tau = 90): exp((35.2 - 28.7001) / 1000 * 40 + (21 + 24.0003 - 24.0003) / 1e5 * 1600)
+        (40.0, 1e-9, float(np.exp(6.4999 / 1000 * 40 + 21 / 1e5 * 1600))),
+        # Iwata and Osterhaus 2010 straight below: beta = atan(tan(30) sqrt(1.3225)) = 33.58 degrees
+        (0.0, -30.0, float(np.exp(6.49e-3 * 33.583 + 21e-5 * 33.583**2))),
+    ],
+)
+def test_published_position_index(right_deg: float, up_deg: float, expected: float) -> None:
+    assert position_index(np.radians(right_deg), np.radians(up_deg)) == pytest.approx(expected, rel=2e-3)
+
+
+def test_position_index_grows_and_is_capped() -> None:
+    angles = np.radians(np.linspace(0.0, 90.0, 91))
+    for right, up in ((angles, 0 * angles + 1e-9), (0 * angles, angles), (0 * angles, -angles)):
+        values = position_index(right, up)
+        assert (np.diff(values) >= -1e-12).all()
+        assert values.max() <= 16.0
+
+
+def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
+    # authority: evalglare of pyradiance, 800 px. Tolerances: half a per cent of Ev, 0.005 of DGP (issue 6).
+    maps = np.full((115, 230), 120.0, np.float32)
+    maps[40:58, 95:112] = 4000.0
+    maps[40:58, 114:130] = 9000.0
+    maps[80:90, 60:70] = 2500.0
+    sun = SunSource(28.0, 215.0, 3000.0)
+    got = glare_directions(maps[None], 180.0, [180.0], direction(28.0, 215.0)[None], np.array([3000.0]))
+    ref = reference_glare(panorama_to_fisheye(maps, 180.0, 180.0, sun=sun))
+    assert reference_version().startswith("evalglare 3.")
+    assert got["ev_lx"][0, 0] == pytest.approx(ref.ev_lx, rel=0.005)
+    assert got["dgp"][0, 0] == pytest.approx(ref.dgp, abs=0.005)
+    assert got["ugr"][0, 0] == pytest.approx(ref.ugr, abs=0.4)
+    assert got["dgi"][0, 0] == pytest.approx(ref.dgi, abs=0.4)
+
+
+# ---------------------------------------------------------------------------------------------- grouping
+
+
+def test_panes_nearer_than_the_reach_are_one_source_and_peaks_are_their_own() -> None:
+    image = np.zeros((H, W), np.float32)
+    image[40:50, 60:64] = image[40:50, 66:70] = 3000.0  # 4 degrees of frame between
+    image[40:50, 90:94] = 3000.0  # 40 degrees further
+    image[44, 62] = 80_000.0
+    groups = sources_of(image)
+    assert sorted(len(g) for g in groups) == [1, 40, 79]
+
+
+def test_a_source_across_the_seam_is_one() -> None:
+    mask = np.zeros((H, W), bool)
+    mask[40:44, :2] = mask[40:44, -2:] = True
+    assert len(np.unique(group_pixels(mask))) == 2
+
+
+@settings(deadline=None, max_examples=25)
+@given(row=st.integers(2, H - 3), column=st.integers(0, W - 1), radius_deg=st.floats(3.0, 12.0))
+def test_widen_is_a_small_circle_on_the_sphere(row: int, column: int, radius_deg: float) -> None:
+    # property: within half a pixel, a widened pixel is the set of pixels nearer than the radius, also across the seam.
+    mask = np.zeros((H, W), bool)
+    mask[row, column] = True
+    rays = equirect_rays(H, W, 180.0)
+    angle = np.degrees(np.arccos(np.clip(rays @ rays[row, column], -1, 1)))
+    got = widen(mask, np.radians(radius_deg))
+    assert got[angle < radius_deg - 2.1].all()
+    assert not got[angle > radius_deg + 2.1].any()
+
+
+# ---------------------------------------------------------------------------------------------- fisheyes
+
+
+def test_fisheye_keeps_flux_and_the_suns_energy() -> None:
+    size = 200
+    picture = panorama_to_fisheye(_uniform(700.0)[0], 180.0, 180.0, size=size, sun=SunSource(20.0, 190.0, 5e4))
+    omega = fisheye_solid_angles(size)
+    assert omega.sum() == pytest.approx(2 * np.pi, rel=1e-3)
+    assert (picture * omega).sum() == pytest.approx(700.0 * 2 * np.pi + 5e4, rel=2e-3)
