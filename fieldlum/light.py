@@ -1,0 +1,306 @@
+"""The light outside, its description for learning, and the kernel that says which hours teach about which others.
+
+A room answers linearly to the sky's patches and to the sun. What it makes of a sun direction varies smoothly with it,
+but for the sharp sun patch, which is known from geometry or left to its own model. The kernel below is the covariance
+that follows: linear in the sky vector, linear in the sun's share and smooth in its direction, nothing for a sun that
+stands behind all facades. `plan` uses it before there is a picture, `models.transport` to learn from pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.records import Progress, Room, Site, quiet
+from fieldlum.sky import PerezSky, perez_coefficients, perez_luminance, reinhart_patches
+
+Array = NDArray[np.float64]
+
+LEAST_LX = 1e-3  # normaliser of an hour without any light
+BEHIND = 0.1  # share of a sun behind the facade that still enters: by reflection from ground and sky-side surfaces
+FACING = 0.8  # typical cosine between facade and sun, so that the facade factor is about the beam's share
+WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}  # turned from the room's south wall
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light of n moments: irradiance and where the sun stands (true altitude; azimuth clockwise from north).
+
+    `perez` holds a sky known otherwise (a rendering's own coefficients); None: made from the irradiance.
+    """
+
+    t_utc: tuple[datetime, ...]
+    dni_wm2: Array
+    dhi_wm2: Array
+    sun_altitude_deg: Array
+    sun_azimuth_deg: Array
+    perez: PerezSky | None = None
+
+    def __len__(self) -> int:
+        return len(self.t_utc)
+
+    def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> Light:
+        """The moments of an index, a boolean array or a slice."""
+        index = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
+        return Light(
+            tuple(self.t_utc[i] for i in index),
+            self.dni_wm2[index],
+            self.dhi_wm2[index],
+            self.sun_altitude_deg[index],
+            self.sun_azimuth_deg[index],
+            None if self.perez is None else self.perez[index],
+        )
+
+    def scaled(self, factor: float) -> Light:
+        """The same sky and sun, `factor` times as bright."""
+        sky = self.sky
+        bright = {name: getattr(sky, name) * factor for name in ("norm_cdm2", "ground_cdm2", "direct_lx", "diffuse_lx")}
+        more = {"dni_wm2": self.dni_wm2 * factor, "dhi_wm2": self.dhi_wm2 * factor}
+        return replace(self, **more, perez=replace(sky, **bright))
+
+    @cached_property
+    def sky(self) -> PerezSky:
+        if self.perez is not None:
+            return self.perez
+        return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
+
+    @cached_property
+    def sun_direction(self) -> Array:
+        """Unit vectors towards the sun, [n, 3]: x east, y north, z up."""
+        return sun.direction(self.sun_altitude_deg, self.sun_azimuth_deg)
+
+    @cached_property
+    def sky_cdm2(self) -> NDArray[np.float32]:
+        """Luminance of the Reinhart patches, [n, 2305]."""
+        return self.sky_at(reinhart_patches().directions)
+
+    def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Luminance of the sky (below the horizon: of an open ground) in directions [m, 3], without the sun, [n, m]."""
+        return perez_luminance(self.sky, self.sun_direction, directions, dtype=np.float32)  # pyright: ignore
+
+    @property
+    def direct_lx(self) -> Array:
+        """The sun's illuminance on a plane normal to it, [n]."""
+        return self.sky.direct_lx
+
+    @cached_property
+    def diffuse_lx(self) -> Array:
+        """The sky's illuminance on the horizontal, summed over the patches, [n]."""
+        patches = reinhart_patches()
+        return np.asarray(self.sky_cdm2 @ (patches.solid_angles_sr * patches.directions[:, 2]), float)
+
+    @cached_property
+    def total_lx(self) -> Array:
+        """Sky on the horizontal plus sun on its normal: a normaliser without a blow-up at low sun, [n]."""
+        return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
+
+
+def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2: Array) -> Light:
+    """Light of some moments with the sun where SPA puts it. Raises ValueError for naive times."""
+    at = sun.position(times_utc, site)
+    dni, dhi = (np.broadcast_to(np.asarray(a, float), len(times_utc)).copy() for a in (dni_wm2, dhi_wm2))
+    return Light(tuple(times_utc), dni, dhi, at.altitude_deg, at.azimuth_deg)
+
+
+# ---------------------------------------------------------------------------------------------- facades
+
+
+@dataclass(frozen=True, slots=True)
+class Facades:
+    """Outward normals of the walls that let light in, as azimuths [f] deg, and how much each counts, [f]."""
+
+    azimuths_deg: Array
+    weights: Array
+
+    @property
+    def normals(self) -> Array:
+        return sun.direction(0.0, self.azimuths_deg)
+
+
+def one_facade(azimuth_deg: float) -> Facades:
+    return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
+
+
+def facades_unknown() -> Facades:
+    """Eight directions alike: nothing is known about the room."""
+    return Facades(np.arange(8) * 45.0, np.full(8, 1 / 4))
+
+
+def facades_of(room: Room | None) -> Facades:
+    """The walls with windows, the largest counting one, others by the root of their share of glass."""
+    if room is None or room.kind != "box" or not room.window:
+        return facades_unknown()
+    glass = dict.fromkeys((w.wall for w in room.window), 0.0)
+    for window in room.window:
+        glass[window.wall] += window.width_m * window.height_m * window.transmittance
+    azimuths = np.array([(room.wall_azimuth_deg + WALLS_DEG[wall]) % 360.0 for wall in glass])
+    area = np.array(list(glass.values()))
+    return Facades(azimuths, np.sqrt(area / area.max()))
+
+
+# ---------------------------------------------------------------------------------------------- features and kernel
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """What the kernel looks at, per unit of total light.
+
+    sky [n, P] root-solid-angle weighted luminances; beam [n] the sun's share; direction [n, 3] of the sun; flux [n] and
+    cells [n, c] the direct sun that falls into view, whole and by cells, where patches are known.
+    """
+
+    sky: NDArray[np.float32]
+    beam: Array
+    direction: Array
+    flux: Array | None = None
+    cells: NDArray[np.float32] | None = None
+
+    def __len__(self) -> int:
+        return len(self.beam)
+
+    def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> Features:
+        return Features(
+            self.sky[rows],
+            self.beam[rows],
+            self.direction[rows],
+            None if self.flux is None else self.flux[rows],
+            None if self.cells is None else self.cells[rows],
+        )
+
+
+def light_features(light: Light) -> Features:
+    """Sky and sun of each moment, divided by the total light."""
+    root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
+    sky = light.sky_cdm2 * root / light.total_lx.astype(np.float32)[:, None]
+    return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
+
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """Prior covariance between hours of the light that reaches a pixel per unit of total light outside.
+
+    The defaults come from a study of one room and are robust within a factor of three either way; widths are in units
+    of the chord of the sun's direction (0.5 is about 29 degrees).
+    """
+
+    facades: Facades
+    constant: float = 1.0  # a room that follows the total light; the sun as a whole; the sun on the ground
+    sky: float = 2.0
+    beam_width: float = 0.5
+    flux_width: float = 0.8
+    cells: float = 0.5
+    around: float = 0.0  # sun reflected by upright surfaces that may face any way
+
+    def __call__(self, a: Features, b: Features) -> Array:
+        """Covariance matrix [len(a), len(b)]."""
+        cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
+        beam = np.outer(a.beam, b.beam)
+        k = self.constant * (1.0 + beam + np.outer(_ground(a), _ground(b)))
+        k += self.sky * (a.sky @ b.sky.T)
+        k += _facade(a, self.facades) @ _facade(b, self.facades).T * np.exp((cosine - 1.0) / self.beam_width**2)
+        if self.around:
+            k += self.around * beam * _upright(a.direction, b.direction)
+        if a.flux is not None and b.flux is not None:
+            smooth = np.exp((cosine - 1.0) / self.flux_width**2) + self.constant
+            k += np.outer(a.flux, b.flux) * smooth
+        if a.cells is not None and b.cells is not None:
+            k += self.cells * (a.cells @ b.cells.T)
+        return k
+
+    def diagonal(self, a: Features) -> Array:
+        """Prior variance of each hour, [len(a)]."""
+        k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
+        k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
+        k += (_facade(a, self.facades) ** 2).sum(axis=1)
+        if self.around:
+            k += self.around * a.beam**2 * (a.direction[:, :2] ** 2).sum(axis=1)
+        if a.flux is not None:
+            k += a.flux**2 * (1.0 + self.constant)
+        if a.cells is not None:
+            k += self.cells * np.einsum("ij,ij->i", a.cells, a.cells)
+        return k
+
+
+def _ground(a: Features) -> Array:
+    return a.beam * np.maximum(a.direction[:, 2], 0.0)
+
+
+def _facade(a: Features, facades: Facades) -> Array:
+    """The beam's share on each facade, [n, f]."""
+    on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
+    return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
+
+
+def _upright(a: Array, b: Array) -> Array:
+    """Covariance of the light on matt upright surfaces of all azimuths alike, 1 for the same sun on the horizon.
+
+    The integral of max(0, a.n) max(0, b.n) over horizontal n: the arc-cosine kernel of order one (Cho and Saul 2009)
+    in the plane.
+    """
+    length = np.outer(np.hypot(a[:, 0], a[:, 1]), np.hypot(b[:, 0], b[:, 1]))
+    cosine = np.clip(a[:, :2] @ b[:, :2].T / np.maximum(length, 1e-12), -1.0, 1.0)
+    angle = np.arccos(cosine)
+    return length * (np.sin(angle) + (np.pi - angle) * cosine) / np.pi
+
+
+# ---------------------------------------------------------------------------------------------- choosing hours
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """index [k] into the pool in the order of choice; variance [k + 1]: mean predictive variance over the year before
+    any choice and after each, as a share of the prior variance."""
+
+    index: NDArray[np.intp]
+    variance: Array
+
+
+def greedy_hours(
+    kernel: Kernel,
+    year: Features,
+    pool: Features,
+    count: int,
+    *,
+    taken: Features | None = None,
+    noise: float = 3e-3,
+    weights: Array | None = None,
+    progress: Progress = quiet,
+) -> Chosen:
+    """Choose from `pool`, one after the other, the hour that most lowers the summed variance over `year`.
+
+    Needs weather only, no picture. `taken` are hours already captured; weights [len(year)] say how much each hour of
+    the year matters; noise is the variance of one capture in units of the kernel. Cost: O(len(year) len(pool) count).
+    """
+    w = np.ones(len(year)) if weights is None else np.asarray(weights, float)
+    cross, own = kernel(year, pool), kernel(pool, pool)
+    prior = kernel.diagonal(year)
+    if taken is not None and len(taken):
+        known = kernel(taken, taken) + noise * np.eye(len(taken))
+        towards = np.linalg.solve(known, np.concatenate((kernel(taken, pool), kernel(taken, year)), axis=1))
+        cross = cross - kernel(year, taken) @ towards[:, : len(pool)]
+        own = own - kernel(pool, taken) @ towards[:, : len(pool)]
+        left = prior - np.einsum("ij,ji->i", kernel(year, taken), towards[:, len(pool) :])
+    else:
+        left = prior.copy()
+    total = float(w @ prior)
+    index, variance = [], [float(w @ left) / total]
+    free = np.ones(len(pool), bool)
+    for step in range(min(count, len(pool))):
+        variances = np.maximum(np.diagonal(own), 0.0) + noise
+        gain = np.where(free, w @ cross**2 / variances, -1.0)
+        best = int(np.argmax(gain))
+        index.append(best)
+        free[best] = False
+        variance.append(max(variance[-1] - float(gain[best]) / total, 0.0))
+        row = own[best] / variances[best]
+        cross = cross - np.outer(cross[:, best], row)
+        own = own - np.outer(own[:, best], row)
+        progress(step + 1, count, "hours chosen")
+    return Chosen(np.array(index, np.intp), np.array(variance))

@@ -1,0 +1,141 @@
+"""Light features, their kernel and the greedy choice of hours."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.light import (
+    Facades,
+    Kernel,
+    Light,
+    facades_of,
+    facades_unknown,
+    greedy_hours,
+    light_at,
+    light_features,
+    one_facade,
+)
+from fieldlum.records import Room, Site, Window
+
+SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+
+
+def some_light(count: int = 40, seed: int = 1) -> Light:
+    rng = np.random.default_rng(seed)
+    start = datetime(2027, 3, 1, 15, 30, tzinfo=UTC)
+    times = [start + timedelta(days=int(d), hours=int(h)) for d, h in zip(rng.integers(0, 300, count), rng.integers(0, 9, count), strict=True)]  # fmt: skip  # noqa: E501
+    return light_at(times, SEATTLE, rng.uniform(0, 800, count), rng.uniform(20, 300, count))
+
+
+LIGHT = some_light()
+KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown(), around=0.5)]
+
+
+def test_analytic_light_divides_into_sky_and_sun() -> None:
+    assert LIGHT.sky_cdm2.shape == (40, 2305)
+    # The patch sum is the Perez diffuse illuminance but for the quadrature of 145 against 2305 points, and the blend
+    # of the lowest band into the ground.
+    assert np.allclose(LIGHT.diffuse_lx, LIGHT.sky.diffuse_lx, rtol=0.05)
+    assert np.allclose(LIGHT.total_lx, LIGHT.diffuse_lx + LIGHT.direct_lx)
+
+
+def test_property_features_do_not_change_with_brightness() -> None:
+    for once, twice in zip(*(_parts(light) for light in (LIGHT, LIGHT.scaled(2.0))), strict=True):
+        assert np.allclose(once, twice, rtol=1e-5)
+
+
+def _parts(light: Light) -> list[np.ndarray]:
+    f = light_features(light)
+    return [f.sky, f.beam, f.direction]
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_property_kernel_is_a_covariance(kernel: Kernel) -> None:
+    f = light_features(LIGHT)
+    k = kernel(f, f)
+    assert np.allclose(k, k.T, atol=1e-5)
+    assert np.linalg.eigvalsh(k).min() > -1e-4
+    assert np.allclose(np.diagonal(k), kernel.diagonal(f), rtol=1e-4)
+
+
+def test_property_kernel_with_patch_is_a_covariance() -> None:
+    from dataclasses import replace
+
+    rng = np.random.default_rng(3)
+    f = replace(light_features(LIGHT), flux=rng.uniform(0, 1, 40), cells=rng.uniform(0, 1, (40, 9)).astype(np.float32))
+    kernel = KERNELS[0]
+    k = kernel(f, f)
+    assert np.linalg.eigvalsh(k).min() > -1e-4
+    assert np.allclose(np.diagonal(k), kernel.diagonal(f), rtol=1e-4)
+    assert np.allclose(kernel(f[:5], f), k[:5], atol=1e-5)
+
+
+def test_analytic_facades_follow_the_room() -> None:
+    room = Room(wall_azimuth_deg=200, window=(Window("south", 1, 3, 1, 2), Window("west", 1, 3, 1, 1)))
+    facades = facades_of(room)
+    assert facades.azimuths_deg.tolist() == [200.0, 290.0]
+    assert np.allclose(facades.weights, [1.0, np.sqrt(0.5)])
+    assert len(facades_of(None).weights) == 8
+    assert np.allclose(Facades(np.array([90.0]), np.ones(1)).normals, [[1, 0, 0]], atol=1e-12)
+
+
+def test_analytic_sun_behind_the_facade_teaches_little() -> None:
+    f = light_features(
+        light_at([datetime(2027, 6, 21, 13, 0, tzinfo=UTC)], SEATTLE, np.array([500.0]), np.array([100.0]))
+    )
+    sun_only = {"constant": 0.0, "sky": 0.0}
+    behind = Kernel(one_facade(f_azimuth(f) + 180), **sun_only).diagonal(f)
+    front = Kernel(one_facade(f_azimuth(f)), **sun_only).diagonal(f)
+    assert behind[0] < 0.02 * front[0]
+
+
+def f_azimuth(f: object) -> float:
+    x, y, _ = f.direction[0]  # pyright: ignore
+    return float(np.degrees(np.arctan2(x, y)))
+
+
+def test_property_greedy_equals_brute_force() -> None:
+    f = light_features(LIGHT)
+    kernel, noise = KERNELS[0], 3e-3
+    chosen = greedy_hours(kernel, f, f[:15], 4, noise=noise)
+    prior = kernel.diagonal(f)
+
+    def left(index: list[int]) -> float:
+        known = kernel(f[index], f[index]) + noise * np.eye(len(index))
+        cross = kernel(f, f[index])
+        return float((prior - np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)).sum() / prior.sum())
+
+    taken: list[int] = []
+    for k in range(4):
+        scores = {i: left([*taken, i]) for i in range(15) if i not in taken}
+        best = min(scores, key=lambda i: scores[i])
+        assert scores[int(chosen.index[k])] == pytest.approx(scores[best], abs=1e-6)
+        assert chosen.variance[k + 1] == pytest.approx(scores[int(chosen.index[k])], abs=1e-5)
+        taken.append(int(chosen.index[k]))
+
+
+def test_property_greedy_goes_on_from_what_is_taken() -> None:
+    f = light_features(LIGHT)
+    once = greedy_hours(KERNELS[0], f, f, 8)
+    again = greedy_hours(KERNELS[0], f, f, 4, taken=f[once.index[:4]])
+    assert np.allclose(again.variance, once.variance[4:], atol=1e-4)
+    assert len(set(once.index.tolist())) == 8
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.integers(1, 40), st.integers(0, 1000))
+def test_property_greedy_never_repeats_and_never_worsens(count: int, seed: int) -> None:
+    f = light_features(LIGHT)
+    rng = np.random.default_rng(seed)
+    chosen = greedy_hours(KERNELS[1], f, f, count, weights=rng.uniform(0.1, 1, len(f)))
+    assert len(set(chosen.index.tolist())) == count
+    assert np.all(np.diff(chosen.variance) <= 1e-9)
+
+
+def test_contract_index_by_slice_mask_and_list_agree() -> None:
+    a, b, c = LIGHT[2:5], LIGHT[[2, 3, 4]], LIGHT[np.isin(np.arange(40), [2, 3, 4])]
+    assert a.t_utc == b.t_utc == c.t_utc
+    assert np.array_equal(a.sky_cdm2, b.sky_cdm2) and np.array_equal(b.dni_wm2, c.dni_wm2)
