@@ -10,12 +10,14 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.plan import choose
 from fieldlum.plan.days import Hours, dark_days, daylight_hours, season_tag, set_days
 from fieldlum.plan.days import today_at as today_at
+from fieldlum.plan.window import sun_enters, sun_in_view
 from fieldlum.profiles import Bracket, bracket_exposures, load_camera_profile
 from fieldlum.records import Exposure, Progress, Site, SiteFile, Slot, quiet
 from fieldlum.session import Session, create_session
@@ -84,14 +86,28 @@ def _chosen(setup: SiteFile, request: Request, hours: Hours, weather: object | N
 
 
 def make_slots(hours: Hours, setup: SiteFile, exposures: Sequence[Exposure]) -> tuple[Slot, ...]:
-    """Hours to slots, in time order, tagged with their season and a low sun."""
+    """Hours to slots, in time order, tagged: season, low-sun, sun-enters (a window), sun-in-view (of the camera)."""
     zone = setup.site.timezone
     tags = {day: season_tag(day, setup.site) for day in {sun.standard_date(t, zone) for t in hours.t_utc}}
+    enters, in_view = _at_the_window(hours, setup)
     slots = []
-    for t, altitude, azimuth in zip(hours.t_utc, hours.altitude_deg, hours.azimuth_deg, strict=True):
-        said = (tags[sun.standard_date(t, zone)], "low-sun" if altitude < sun.LOW_SUN_DEG else "")
+    for i, (t, altitude, azimuth) in enumerate(zip(hours.t_utc, hours.altitude_deg, hours.azimuth_deg, strict=True)):
+        said = (
+            tags[sun.standard_date(t, zone)],
+            "low-sun" if altitude < sun.LOW_SUN_DEG else "",
+            "sun-enters" if enters[i] else "",
+            "sun-in-view" if in_view[i] else "",
+        )
         slots.append(Slot(t, float(altitude), float(azimuth), tuple(exposures), tuple(tag for tag in said if tag)))
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
+
+
+def _at_the_window(hours: Hours, setup: SiteFile) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Without a box room nothing is known, and nothing is tagged."""
+    if setup.room is None or setup.room.kind != "box":
+        return np.zeros(len(hours), bool), np.zeros(len(hours), bool)
+    at = (setup.room, hours.altitude_deg, hours.azimuth_deg)
+    return sun_enters(*at), sun_in_view(*at)
 
 
 def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:

@@ -1,0 +1,184 @@
+"""How much of a year's light a plan sees: the sun's band on the sky, and the joint density of direct and diffuse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum import sun
+from fieldlum.plan.days import Hours
+from fieldlum.records import Site
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NEAR_DEG = 10.0  # a sun position is covered when a planned one is at most this far: hourly suns are 15 deg apart
+DNI_CELL_WM2, DHI_CELL_WM2 = 100.0, 50.0
+OBLIQUITY_DEG = 23.44
+INK, PLANNED, BAND, REACHED = "#1d2733", "#c4441c", "#f5e3bf", "#edb95c"
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Percentages of a year; None where it takes a weather file to know."""
+
+    sun_band_percent: float  # area of the band of sun positions within NEAR_DEG of a planned one
+    irradiance_percent: float | None = None  # weather hours whose DNI-DHI cell holds a planned hour
+    both_percent: float | None = None  # weather hours covered in both ways
+
+
+@dataclass(frozen=True, slots=True)
+class WeatherYear:
+    """A weather year by month, day and hour of local standard time, for hh:30 slots of any year."""
+
+    t_utc: tuple[datetime, ...]
+    dni_wm2: NDArray[np.float64]
+    dhi_wm2: NDArray[np.float64]
+    timezone: str
+
+    def at(self, times_utc: tuple[datetime, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """DNI and DHI [n] of the same hours of the weather year; 29 February reads 28 February. NaN: not there."""
+        rows = {_hour_of_year(t, self.timezone): i for i, t in enumerate(self.t_utc)}
+        found = [rows.get(_hour_of_year(t, self.timezone), -1) for t in times_utc]
+        dni, dhi = (np.append(values, np.nan)[found] for values in (self.dni_wm2, self.dhi_wm2))
+        return dni, dhi
+
+
+def _hour_of_year(t_utc: datetime, timezone: str) -> tuple[int, int, int]:
+    at = sun.standard_time(t_utc, timezone)
+    return at.month, 28 if (at.month, at.day) == (2, 29) else at.day, at.hour
+
+
+# ---------------------------------------------------------------------------------------------- sun band
+
+
+def band_directions(site: Site) -> NDArray[np.float64]:
+    """Directions [n, 3] spread evenly over the part of the sky where the sun can stand (declination +-23.44 deg)."""
+    sine = np.sin(np.radians(OBLIQUITY_DEG)) * (2 * (np.arange(41) + 0.5) / 41 - 1)
+    turn = 2 * np.pi * np.arange(360) / 360
+    declination, hour = (grid.ravel() for grid in np.meshgrid(np.arcsin(sine), turn, indexing="ij"))
+    latitude = np.radians(site.latitude_deg)
+    up = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour)
+    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(hour)
+    east = -np.cos(declination) * np.sin(hour)
+    return np.stack([east, north, up], axis=-1)[up > 0]
+
+
+def sun_band_percent(hours: Hours, site: Site) -> float:
+    band = band_directions(site)
+    if not len(hours) or not len(band):
+        return 0.0
+    return 100.0 * float(_near(band, sun.direction(hours.altitude_deg, hours.azimuth_deg)).mean())
+
+
+def _near(directions: NDArray[np.float64], planned: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return (directions @ planned.T).max(axis=1) >= np.cos(np.radians(NEAR_DEG))
+
+
+# ---------------------------------------------------------------------------------------------- irradiance
+
+
+def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
+    dni = np.floor(np.nan_to_num(np.asarray(dni_wm2, float)) / DNI_CELL_WM2).astype(np.int64)
+    dhi = np.floor(np.nan_to_num(np.asarray(dhi_wm2, float)) / DHI_CELL_WM2).astype(np.int64)
+    return dni * 1000 + dhi
+
+
+def coverage(hours: Hours, site: Site, weather: WeatherYear | None = None) -> Coverage:
+    """What of the year the hours cover; with a weather file, what of its hours."""
+    band = sun_band_percent(hours, site)
+    if weather is None or not len(hours):
+        return Coverage(band)
+    at = sun.position(weather.t_utc, site)
+    lit = (at.altitude_deg > 0) & (weather.dhi_wm2 > 0)
+    planned_dni, planned_dhi = weather.at(hours.t_utc)
+    known = np.isfinite(planned_dni)
+    seen = np.isin(_cells(weather.dni_wm2[lit], weather.dhi_wm2[lit]), _cells(planned_dni[known], planned_dhi[known]))
+    suns = sun.direction(at.altitude_deg[lit], at.azimuth_deg[lit])
+    near = _near(suns, sun.direction(hours.altitude_deg, hours.azimuth_deg))
+    return Coverage(band, 100.0 * float(seen.mean()), 100.0 * float((seen & near).mean()))
+
+
+# ---------------------------------------------------------------------------------------------- plots
+
+
+def sun_figure(hours: Hours, site: Site, year: int) -> Figure:
+    """The band of sun positions by azimuth and altitude with the planned suns (the paper's Figure 15)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    middle = 180.0 if site.latitude_deg >= 0 else 0.0  # where the sun culminates stands in the middle
+
+    def across(azimuth_deg: ArrayLike) -> NDArray[np.float64]:
+        return middle + (np.asarray(azimuth_deg) - middle + 180.0) % 360.0 - 180.0
+
+    band = band_directions(site)
+    altitude, azimuth = np.degrees(np.arcsin(band[:, 2])), across(np.degrees(np.arctan2(band[:, 0], band[:, 1])))
+    reached = _near(band, sun.direction(hours.altitude_deg, hours.azimuth_deg)) if len(hours) else altitude < 0
+    for part, colour, label in ((~reached, BAND, "not reached"), (reached, REACHED, "reached")):
+        axes.scatter(
+            azimuth[part], altitude[part], s=16, marker="s", c=colour, linewidths=0, label=label, rasterized=True
+        )
+    for which, label in ((1, "June solstice"), (0, "equinoxes"), (3, "December solstice")):
+        arc_azimuth, arc_altitude = day_arc(sun.standard_date(sun.season(year, which), site.timezone), site)
+        arc_azimuth = across(arc_azimuth)
+        order = np.argsort(arc_azimuth)
+        axes.plot(arc_azimuth[order], arc_altitude[order], color=INK, linewidth=0.6)
+        if len(arc_altitude):
+            top = int(np.argmax(arc_altitude))
+            axes.annotate(label, (arc_azimuth[top], arc_altitude[top]), ha="center", va="bottom", color=INK, fontsize=8)
+    axes.scatter(across(hours.azimuth_deg), hours.altitude_deg, s=9, color=PLANNED, linewidths=0, label="planned")
+    ticks = np.arange(middle - 180, middle + 181, 45)
+    axes.set(xlim=(ticks[0], ticks[-1]), ylim=(0, 95), xlabel="sun azimuth [deg, clockwise from north]")
+    axes.set_xticks(ticks, [f"{tick % 360:g}" for tick in ticks])
+    axes.set_yticks(range(0, 91, 15))
+    axes.set_ylabel("sun altitude [deg]")
+    title = (
+        f"{site.name}: {len(hours)} captures reach {100 * reached.mean():.0f} % "
+        f"of the year's sun band (within {NEAR_DEG:g} deg)"
+    )
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.legend(frameon=False, fontsize=8, loc="upper left")
+    return _quiet_axes(figure)
+
+
+def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Azimuth and altitude of the sun every ten minutes of a local standard day while it is up."""
+    start = sun.standard_midnight(day, site.timezone)
+    at = sun.position([start + timedelta(minutes=10 * k) for k in range(144)], site)
+    up = at.altitude_deg > 0
+    return at.azimuth_deg[up], at.altitude_deg[up]
+
+
+def irradiance_figure(hours: Hours, site: Site, weather: WeatherYear) -> Figure:
+    """Joint density of direct normal and diffuse of the weather year, with the planned hours (Figures 16, 17)."""
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.2, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
+    dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
+    bins = np.arange(0, 1150, DNI_CELL_WM2 / 2), np.arange(0, max(float(dhi.max()), 500) + 25, DHI_CELL_WM2 / 2)
+    *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
+    figure.colorbar(picture, ax=axes, label="hours a year in a cell")
+    planned = weather.at(hours.t_utc)
+    axes.scatter(*planned, s=9, color=INK, linewidths=0, label="planned, as the weather year has them")
+    axes.set(xlabel="direct normal [W/m2]", ylabel="diffuse horizontal [W/m2]")
+    found = coverage(hours, site, weather)
+    title = f"{site.name}: skies met by the plan make up {found.irradiance_percent:.0f} % of the year's daylight hours"
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.legend(frameon=False, fontsize=8, loc="upper right")
+    return _quiet_axes(figure)
+
+
+def _quiet_axes(figure: Figure) -> Figure:
+    for axes in figure.axes[:1]:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(colors=INK, labelsize=8)
+    return figure

@@ -1,0 +1,142 @@
+"""Printable sheets: a page a day with tick boxes, the sun's path and the shutter list."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
+from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum import sun
+from fieldlum.plan.calendar import by_day
+from fieldlum.plan.coverage import day_arc
+from fieldlum.records import SiteFile, Slot
+from fieldlum.session import exposure_text
+
+SIZE_PX, RADIUS_PX = 300.0, 122.0
+LATE_MINUTES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    seconds_per_slot: float
+    megabytes_per_slot: float
+
+
+def html(slots: Sequence[Slot], setup: SiteFile, cost: Cost) -> str:
+    """One self-contained page of HTML, with a sheet of paper for every day."""
+    from jinja2 import Environment, PackageLoader, select_autoescape
+
+    days = by_day(slots, setup.site)
+    environment = Environment(loader=PackageLoader("fieldlum.plan", ""), autoescape=select_autoescape(default=True))
+    sheets, before = [], 0
+    for number, (day, group) in enumerate(days, start=1):
+        before += len(group)
+        sheets.append(_sheet(number, day, group, setup, cost, before))
+    return environment.get_template("sheet.html.j2").render(
+        site=setup.site, camera=setup.camera, sheets=sheets, days=len(days), late=LATE_MINUTES, slots=len(slots)
+    )
+
+
+def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cost, so_far: int) -> dict[str, object]:
+    site, zone = setup.site, ZoneInfo(setup.site.timezone)
+    today = sun.rise_transit_set([day], site)[0]
+    changes = sun.clock_changes(day, day, site.timezone)
+    exposures = slots[0].exposures
+    return {
+        "number": number,
+        "date": f"{day:%A %d %B %Y}".replace(" 0", " "),
+        "rise": f"{today.rise.astimezone(zone):%H:%M}" if today.rise else "does not rise or set",
+        "set": f"{today.set.astimezone(zone):%H:%M}" if today.set else "",
+        "clock_change": [
+            f"{change.total_seconds() / 3600:+g} h at {t.astimezone(zone):%H:%M %Z}" for t, change in changes
+        ],
+        "rows": [
+            {
+                "local": f"{slot.t_utc.astimezone(zone):%H:%M}",
+                "zone": f"{slot.t_utc.astimezone(zone):%Z}",
+                "utc": f"{slot.t_utc:%H:%M}",
+                "altitude": f"{slot.sun_altitude_deg:.0f}",
+                "azimuth": f"{slot.sun_azimuth_deg:.0f}",
+                "tags": [tag.replace("-", " ") for tag in slot.tags],
+            }
+            for slot in slots
+        ],
+        "exposures": [exposure_text(exposure) for exposure in exposures],
+        "same_exposures": all(slot.exposures == exposures for slot in slots),
+        "minutes": f"{max(cost.seconds_per_slot / 60, 0.1):.1f}",
+        "gigabytes": f"{len(slots) * cost.megabytes_per_slot / 1000:.1f}",
+        "gigabytes_so_far": f"{so_far * cost.megabytes_per_slot / 1000:.1f}",
+        "sun_path": sun_path_svg(day, slots, setup),
+    }
+
+
+# ---------------------------------------------------------------------------------------------- sun path
+
+
+def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
+    """Sky chart as on a map: north up, east right, zenith in the middle; [n, 2] pixels."""
+    r = RADIUS_PX * (1.0 - np.asarray(altitude_deg, float) / 90.0)
+    azimuth = np.radians(azimuth_deg)
+    return SIZE_PX / 2 + np.stack([r * np.sin(azimuth), -r * np.cos(azimuth)], axis=-1)
+
+
+def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
+    points = _xy(altitude_deg, azimuth_deg)
+    if len(points) < 2:
+        return ""
+    jump = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1) > 30
+    words = (
+        f"{'M' if i == 0 or gap else 'L'}{x:.1f} {y:.1f}"
+        for i, ((x, y), gap) in enumerate(zip(points, jump, strict=True))
+    )
+    return f'<path d="{"".join(words)}" fill="none" {style}/>'
+
+
+def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
+    """Inline SVG: solstice and equinox arcs, today's arc, its slots, and where the camera looks."""
+    site, middle = setup.site, SIZE_PX / 2
+    parts = [f'<circle cx="{middle}" cy="{middle}" r="{RADIUS_PX:.1f}" fill="#fdf8ec" stroke="#b9c3cd"/>']
+    for altitude in (30, 60):
+        radius = RADIUS_PX * (1 - altitude / 90)
+        parts.append(f'<circle cx="{middle}" cy="{middle}" r="{radius:.1f}" fill="none" stroke="#dde3e8"/>')
+        parts.append(_text(middle + 3, middle - radius - 2, f"{altitude}", "#8a96a3", "start"))
+    parts.append(_looking(setup))
+    for which in (0, 1, 3):
+        arc = day_arc(sun.standard_date(sun.season(day.year, which), site.timezone), site)
+        parts.append(_path(arc[1], arc[0], 'stroke="#e0b45c" stroke-width="1"'))
+    azimuth, altitude_deg = day_arc(day, site)
+    parts.append(_path(altitude_deg, azimuth, 'stroke="#c4441c" stroke-width="2"'))
+    for slot in slots:
+        x, y = _xy(slot.sun_altitude_deg, slot.sun_azimuth_deg)
+        local = slot.t_utc.astimezone(ZoneInfo(site.timezone))
+        parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.4" fill="#c4441c"/>')
+        parts.append(_text(x, y - 6, f"{local:%H}", "#1d2733", "middle"))
+    for text, azimuth_deg in (("N", 0), ("E", 90), ("S", 180), ("W", 270)):
+        x, y = _xy(-9.0, azimuth_deg)
+        parts.append(_text(x, y + 4, text, "#1d2733", "middle", 12))
+    label = f"Sun path of {day} with {len(slots)} planned captures"
+    return (
+        f'<svg viewBox="0 0 {SIZE_PX:.0f} {SIZE_PX:.0f}" role="img" aria-label="{label}" '
+        f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
+    )
+
+
+def _looking(setup: SiteFile) -> str:
+    """Thin wedges where the camera's headings point."""
+    parts = []
+    for heading in setup.camera.headings or (setup.camera.heading_deg,):
+        tip, left, right = _xy([0, -5, -5], [heading, heading - 3, heading + 3])
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, left, right))
+        parts.append(f'<polygon points="{points}" fill="#1f5fa8"><title>camera looks here</title></polygon>')
+    return "".join(parts)
+
+
+def _text(x: float, y: float, text: str, colour: str, anchor: str, size: int = 9) -> str:
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" fill="{colour}" text-anchor="{anchor}" '
+        f'font-family="sans-serif">{text}</text>'
+    )
