@@ -50,7 +50,8 @@ STAGES = (6, 3, 1)  # batch in images' worth of pixels
 STAGE_EPOCHS = 30
 SHORT_EPOCHS = 25  # how often the short schedule looks at the validation pixels
 SHORT_VALIDATION_PIXELS = 60_000
-FEWEST_STEPS = 1500  # fewer updates than this leave the network half-trained, whatever the batch
+SHORT_STEPS = 3000  # what a short schedule tries to reach before it lets its batches grow
+SHORT_BATCH = (512, 8192)
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +253,7 @@ def train(
         shape = replace(shape, patch_width=200)
     torch.manual_seed(seed)
     net = Net(shape).to(device)
-    optimiser = torch.optim.Adam(net.parameters(), lr=1e-3)
+    optimiser = torch.optim.Adam(net.parameters(), lr=1e-3, fused=True)
     teach, check = _validation_split(len(data), seed)
     average = np.log10(np.maximum(data.luminance_cdm2[teach], 1.0)).mean(axis=0, dtype=np.float64)
     base = canvas(average, data.heading_deg)
@@ -346,7 +347,7 @@ def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> 
     affordable = speed * budget_s
     if affordable >= Plan().epochs * len(pixels):
         return Plan(micro_pixels=micro)
-    batch = int(np.clip(affordable / FEWEST_STEPS, 512, pixels.target.shape[1]))
+    batch = int(np.clip(affordable / SHORT_STEPS, *SHORT_BATCH))
     steps = max(SHORT_EPOCHS, int(affordable / batch))
     return Plan("short", steps=steps, batch_pixels=batch, micro_pixels=micro)
 
