@@ -1,0 +1,9 @@
+"""Weather years: EPW, TMY3 and CSV read strictly, every repair listed; a synthetic year for places without a file."""
+
+from __future__ import annotations
+
+from fieldlum.weather.files import read_weather as read_weather
+from fieldlum.weather.files import shipped_seattle as shipped_seattle
+from fieldlum.weather.year import TYPICAL_YEAR as TYPICAL_YEAR
+from fieldlum.weather.year import Weather as Weather
+from fieldlum.weather.year import synthetic_weather as synthetic_weather

@@ -1,0 +1,118 @@
+"""The record of a weather year, and a synthetic one for places without a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime, timedelta
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum import sun
+from fieldlum.records import Site
+
+TYPICAL_YEAR = 2027  # hours without a year of their own are dated in this one; it has no 29 February
+_HOUR = timedelta(hours=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Weather:
+    """Hours of irradiance in time order; t_utc stands at the middle of each. Arrays [n] in W/m2.
+
+    repairs: one sentence for everything that was changed, left out or is doubtful. typical: the hours make one year
+    of no particular date, so that any year's moment can be looked up in it.
+    """
+
+    name: str
+    site: Site
+    t_utc: tuple[datetime, ...]
+    dni_wm2: NDArray[np.float64]
+    dhi_wm2: NDArray[np.float64]
+    ghi_wm2: NDArray[np.float64]
+    repairs: tuple[str, ...] = ()
+    typical: bool = True
+    synthetic: bool = False
+
+    def __len__(self) -> int:
+        return len(self.t_utc)
+
+    def __getitem__(self, index: ArrayLike | slice) -> Weather:
+        rows = np.arange(len(self))[index]  # type: ignore[index]
+        return replace(
+            self,
+            t_utc=tuple(self.t_utc[i] for i in rows),
+            dni_wm2=self.dni_wm2[rows],
+            dhi_wm2=self.dhi_wm2[rows],
+            ghi_wm2=self.ghi_wm2[rows],
+        )
+
+    def daylight(self, least_altitude_deg: float = 0.0) -> Weather:
+        """The hours with the sun's centre above `least_altitude_deg` and any light at all."""
+        up = sun.position(self.t_utc, self.site).altitude_deg > least_altitude_deg
+        return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
+
+    def at(self, times_utc: Sequence[datetime], *, steady: bool = True) -> sun.Irradiance:
+        """Irradiance at any moment: of its hour (steady), or between hour centres. NaN where there is no weather.
+
+        A typical year answers for every year; 29 February is answered by the 28th.
+        """
+        moments = [self._dated(t) for t in times_utc] if self.typical else [t.astimezone(UTC) for t in times_utc]
+        seconds = np.array([t.timestamp() for t in moments])
+        known = np.array([t.timestamp() for t in self.t_utc])
+        after = np.clip(np.searchsorted(known, seconds), 1, len(known) - 1)
+        before = after - 1
+        nearest = np.where(seconds - known[before] < known[after] - seconds, before, after)
+        outside = np.abs(seconds - known[nearest]) > 1800.5
+        share = np.clip((seconds - known[before]) / (known[after] - known[before]), 0.0, 1.0)
+
+        def value(series: NDArray[np.float64]) -> NDArray[np.float64]:
+            between = series[before] * (1 - share) + series[after] * share
+            return np.where(outside, np.nan, series[nearest] if steady else between)
+
+        return sun.Irradiance(value(self.ghi_wm2), value(self.dni_wm2), value(self.dhi_wm2))
+
+    def _dated(self, t_utc: datetime) -> datetime:
+        """The same moment of local standard time in this weather's own year."""
+        offset = sun.standard_offset(self.site.timezone, t_utc.astimezone(UTC).year)
+        local = t_utc.astimezone(UTC) + offset
+        year = (self.t_utc[len(self) // 2] + offset).year
+        day = 28 if (local.month, local.day) == (2, 29) else local.day
+        return local.replace(year=year, day=day) - offset
+
+
+# ---------------------------------------------------------------------------------------------- synthetic
+
+
+def synthetic_weather(site: Site, seed: int = 1, year: int = TYPICAL_YEAR) -> Weather:
+    """A plausible year for a place without a weather file: never for judging that place.
+
+    pvlib's clear sky times a random cloudiness: an hourly AR(1) series (correlation 0.85) around a slower daily one,
+    mapped to a share of the beam and an increase of the diffuse (thin clouds double it, thick ones halve it).
+    """
+    offset = sun.standard_offset(site.timezone, year)
+    start = datetime.combine(date(year, 1, 1), datetime.min.time(), tzinfo=UTC) - offset
+    times = tuple(start + _HOUR * k + timedelta(minutes=30) for k in range(8760))
+    clear = sun.clearsky(times, site)
+    rng = np.random.default_rng(seed)
+    days = _ar1(rng, 366, 0.6).repeat(24)[:8760]
+    cloud = 1 / (1 + np.exp(-(2.2 * days + 1.2 * _ar1(rng, 8760, 0.85))))  # 0 clear, 1 overcast
+    beam = np.clip(1.0 - 1.35 * cloud, 0.0, 1.0) ** 1.5
+    diffuse = np.where(cloud < 0.5, 1 + 2.4 * cloud, 2.2 - 3.2 * (cloud - 0.5))
+    dni, dhi = clear.dni_wm2 * beam, clear.dhi_wm2 * diffuse
+    # An overcast sky passes a share of the beam that it took away as diffuse light.
+    height = np.maximum(np.sin(np.radians(sun.position(times, site).altitude_deg)), 0.0)
+    dhi = dhi + 0.22 * (clear.dni_wm2 - dni) * height
+    dni[dni < 1.0] = 0.0
+    dhi = np.minimum(dhi, np.maximum(1.1 * clear.ghi_wm2 - dni * height, 0.0))
+    note = "synthetic: pvlib clear sky times random clouds; plausible, but not this place's climate"
+    return Weather(f"synthetic, seed {seed}", site, times, dni, dhi, dhi + dni * height, (note,), synthetic=True)
+
+
+def _ar1(rng: np.random.Generator, n: int, correlation: float) -> NDArray[np.float64]:
+    from scipy.signal import lfilter
+
+    noise = rng.standard_normal(n) * math.sqrt(1 - correlation**2)
+    noise[0] /= math.sqrt(1 - correlation**2)
+    return np.asarray(lfilter([1.0], [1.0, -correlation], noise))

@@ -1,0 +1,179 @@
+"""Weather files: the three formats agree, bad input is named, repairs are said."""
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldlum import sun, weather
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.records import Site
+
+SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+
+
+def test_seattle_ships_with_4379_daylight_hours() -> None:
+    """The paper counts 4 379 hours with light and the sun up, by its own sun; ours may move a few at the horizon."""
+    year = weather.shipped_seattle()
+    assert len(year) == 8760 and not year.repairs
+    assert abs(len(year.daylight()) - 4379) < 15
+    assert year.t_utc[0] == datetime(2027, 1, 1, 8, 30, tzinfo=UTC)
+
+
+def _year(site: Site = SEATTLE) -> weather.Weather:
+    return weather.synthetic_weather(site, seed=3)
+
+
+def _write_csv(path: Path, year: weather.Weather, *, dated: bool) -> None:
+    rows = ["t_utc,dni_wm2,dhi_wm2" if dated else "month,day,hour,dni_wm2,dhi_wm2"]
+    for t, dni, dhi in zip(year.t_utc, year.dni_wm2, year.dhi_wm2, strict=True):
+        local = sun.standard_time(t, year.site.timezone)
+        stamp = f"{t:%Y-%m-%dT%H:%M:%SZ}" if dated else f"{local.month},{local.day},{local.hour + local.minute / 60}"
+        rows.append(f"{stamp},{dni:.2f},{dhi:.2f}")
+    path.write_text("\n".join(rows))
+
+
+def _write_epw(path: Path, year: weather.Weather, zone: float = -8, longitude: float | None = None) -> None:
+    place = year.site
+    where = longitude if longitude is not None else place.longitude_deg
+    head = [f"LOCATION,Test,WA,USA,none,0,{place.latitude_deg},{where},{zone},5"]
+    head += [f"HEADER {k}" for k in range(7)]
+    rows = []
+    for t, dni, dhi, ghi in zip(year.t_utc, year.dni_wm2, year.dhi_wm2, year.ghi_wm2, strict=True):
+        local = t + timedelta(hours=zone)
+        cells = [str(local.year), str(local.month), str(local.day), str(local.hour + 1), "60", "?", *["0"] * 7]
+        rows.append(",".join([*cells, f"{ghi:.2f}", f"{dni:.2f}", f"{dhi:.2f}", "0"]))
+    path.write_text("\n".join(head + rows))
+
+
+def _write_tmy3(path: Path, year: weather.Weather, zone: float = -8) -> None:
+    place = year.site
+    head = [f'727930,"TEST",WA,{zone},{place.latitude_deg},{place.longitude_deg},5']
+    head.append("Date (MM/DD/YYYY),Time (HH:MM),ETR (W/m^2),GHI (W/m^2),DNI (W/m^2),DHI (W/m^2)")
+    rows = []
+    for t, dni, dhi, ghi in zip(year.t_utc, year.dni_wm2, year.dhi_wm2, year.ghi_wm2, strict=True):
+        local = t + timedelta(hours=zone)
+        rows.append(f"{local:%m/%d/%Y},{local.hour + 1:02d}:00,0,{ghi:.2f},{dni:.2f},{dhi:.2f}")
+    path.write_text("\n".join(head + rows))
+
+
+def test_the_formats_agree(tmp_path) -> None:
+    """Contract: EPW labels are starts in hour 1..24, TMY3 labels are ends, CSV stands at centres: the same year."""
+    year = _year()
+    _write_csv(tmp_path / "a.csv", year, dated=True)
+    _write_csv(tmp_path / "b.csv", year, dated=False)
+    _write_epw(tmp_path / "c.epw", year)
+    _write_tmy3(tmp_path / "d.csv", year)
+    for name in ("a.csv", "b.csv", "c.epw", "d.csv"):
+        found = weather.read_weather(tmp_path / name, SEATTLE)
+        assert found.t_utc == year.t_utc, name
+        assert found.dni_wm2 == pytest.approx(year.dni_wm2, abs=0.006)
+        assert found.dhi_wm2 == pytest.approx(year.dhi_wm2, abs=0.006)
+        assert not found.repairs, name
+
+
+def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
+    """Analytic: in a cloudless EPW the beam-weighted mean time of a day is solar noon within three minutes."""
+    times = _year().t_utc
+    clear = sun.clearsky(times, SEATTLE)
+    year = weather.Weather("clear", SEATTLE, times, clear.dni_wm2, clear.dhi_wm2, clear.ghi_wm2)
+    _write_epw(tmp_path / "clear.epw", year)
+    found = weather.read_weather(tmp_path / "clear.epw", SEATTLE)
+    day = slice(24 * 171, 24 * 172)
+    seconds = np.array([t.timestamp() for t in found.t_utc[day]])
+    middle = datetime.fromtimestamp(float(np.average(seconds, weights=found.ghi_wm2[day])), UTC)
+    noon = sun.rise_transit_set([sun.standard_date(found.t_utc[24 * 171 + 12], SEATTLE.timezone)], SEATTLE)[0].transit
+    assert noon is not None and abs((middle - noon).total_seconds()) < 180
+
+
+def test_typical_year_answers_for_any_year() -> None:
+    year = _year()
+    noon = [datetime(y, 3, 21, 20, 10, tzinfo=UTC) for y in (2019, 2024, 2027)]
+    assert len(set(year.at(noon).dhi_wm2)) == 1
+    leap = [datetime(2028, 2, 29, 20, 30, tzinfo=UTC), datetime(2028, 2, 28, 20, 30, tzinfo=UTC)]
+    assert np.ptp(year.at(leap).dhi_wm2) == 0
+    ends = [datetime(2027, 1, 1, 8, 0, tzinfo=UTC), datetime(2027, 12, 31, 23, 59, tzinfo=UTC)]
+    assert np.isfinite(year.at(ends).ghi_wm2).all()
+
+
+def test_steady_within_the_hour_or_drifting() -> None:
+    year = _year()
+    k = 24 * 100 + 12
+    times = [year.t_utc[k] + timedelta(minutes=m) for m in (-29, 0, 29)]
+    assert np.ptp(year.at(times).dhi_wm2) == 0
+    drift = year.at(times, steady=False).dhi_wm2
+    assert drift[1] == pytest.approx(year.dhi_wm2[k]) and drift[0] != drift[1]
+
+
+def test_repairs_are_said(tmp_path) -> None:
+    year = _year()
+    path = tmp_path / "w.csv"
+    _write_csv(path, year, dated=False)
+    lines = path.read_text().splitlines()
+    lines[3] = "1,1,2.5,-1.5,0"
+    del lines[5000:5002]  # two hours lacking
+    del lines[6000:6010]  # ten hours lacking
+    lines.append("2,29,12.5,100,100")
+    path.write_text("\n".join(lines))
+    found = weather.read_weather(path, SEATTLE)
+    said = " | ".join(found.repairs)
+    assert "29 February" in said and "negative" in said and "2 missing hours interpolated" in said
+    assert "10 missing hours left out" in said
+    assert len(found) == 8750
+    assert (found.dni_wm2 >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda rows: rows.__setitem__(9, "1,1,8.5,abc,20"), "line 10: dni_wm2 is 'abc'"),
+        (lambda rows: rows.__setitem__(9, "1,1,8.5,-500,20"), "line 10: dni_wm2 is -500"),
+        (lambda rows: rows.__setitem__(9, "1,1,8.5,100"), "line 10: 4 cells"),
+        (lambda rows: rows.__setitem__(9, "1,41,8.5,100,20"), "line 10: no such time"),
+        (lambda rows: rows.__setitem__(9, rows[8]), "lines 9 and 10: the same hour twice"),
+        (lambda rows: rows.__setitem__(0, "month,day,hour,dni,dhi"), "no column dni_wm2, dhi_wm2"),
+        (lambda rows: rows.insert(0, "# place: Nowhere, 47.6, -122.3, UTC+9"), "time zone UTC+9"),
+        (lambda rows: rows.insert(0, "# place: Paris, 48.9, 2.3, UTC+1"), "km"),
+    ],
+)
+def test_bad_files_are_named(tmp_path, change, expected: str) -> None:
+    path = tmp_path / "w.csv"
+    _write_csv(path, _year(), dated=False)
+    rows = path.read_text().splitlines()
+    change(rows)
+    path.write_text("\n".join(rows))
+    with pytest.raises(InputError, match=expected.replace("+", r"\+")):
+        weather.read_weather(path, SEATTLE)
+
+
+def test_wrong_time_zone_shows_as_light_at_night(tmp_path) -> None:
+    path = tmp_path / "w.csv"
+    _write_csv(path, _year(), dated=False)
+    lost = Site("Seattle", 47.6, -122.3, "UTC")
+    with pytest.raises(InputError, match="sun is down"):
+        weather.read_weather(path, lost)
+    _write_epw(tmp_path / "w.epw", _year(), longitude=122.3)
+    with pytest.raises(InputError, match="time zone UTC-8"):
+        weather.read_weather(tmp_path / "w.epw", SEATTLE)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02", b"LOCATION,x\n", b"t_utc,dni_wm2,dhi_wm2\n2027-01-01,1,1\n"])
+def test_hopeless_files(tmp_path, content: bytes) -> None:
+    path = tmp_path / "w.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError):
+        weather.read_weather(path, SEATTLE)
+    path.write_text("t_utc,dni_wm2,dhi_wm2\n")
+    with pytest.raises(NotEnoughDataError):
+        weather.read_weather(path, SEATTLE)
+    with pytest.raises(InputError):
+        weather.read_weather(tmp_path / "missing.epw", SEATTLE)
+
+
+def test_synthetic_is_seeded_plausible_and_labelled() -> None:
+    for place in (SEATTLE, Site("Sydney", -33.9, 151.2, "Australia/Sydney")):
+        a, b = weather.synthetic_weather(place, 1), weather.synthetic_weather(place, 1)
+        assert np.array_equal(a.dni_wm2, b.dni_wm2) and a.synthetic and "synthetic" in a.repairs[0]
+        assert 800e3 < a.ghi_wm2.sum() < 2200e3  # Wh/m2 in a year, anywhere people live
+        assert (a.ghi_wm2 <= 1.25 * np.maximum(sun.clearsky(a.t_utc, place).ghi_wm2, 1.0)).all()
