@@ -1,0 +1,114 @@
+"""Contrast and what else a map says: RAMMG, window to task, uniformity, melanopic illuminance.
+
+RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and Marini 2004). In the
+paper's form (cd/m2) it is computed as its authors' code does: five levels, halved by OpenCV's bilinear resize, eight
+neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2), border pixels count as no contrast, no solid angles, no wrap at
+the seam. The L* form is the same on CIELAB lightness, which is what Rizzi describes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare.geometry import view_frame
+from fieldlum.projection import equirect_rays, equirect_solid_angles
+from fieldlum.records import Float
+
+RAMMG_LEVELS = 5
+WHITE_OVER_MEAN = 5.0  # L* needs a white: the mean of the map counts as an 18 to 20 % grey
+TASK_ALTITUDE_DEG, TASK_RADIUS_DEG = -30.0, 15.0  # a desk in front of a level head
+BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
+MELANOPIC_DER_D65 = 1.0
+
+
+def local_contrast(image: Float) -> NDArray[np.float64]:
+    """Weighted mean absolute difference to the eight neighbours, 0 on the border, [H, W]."""
+    values = np.asarray(image, np.float64)
+    out = np.zeros_like(values)
+    height, width = values.shape
+    if min(height, width) < 3:
+        return out
+    centre = values[1:-1, 1:-1]
+    total = np.zeros_like(centre)
+    for row in (-1, 0, 1):
+        for column in (-1, 0, 1):
+            if row or column:
+                near = values[1 + row : height - 1 + row, 1 + column : width - 1 + column]
+                total += np.abs(centre - near) / (np.sqrt(2.0) if row and column else 1.0)
+    out[1:-1, 1:-1] = total / (4.0 + 2.0 * np.sqrt(2.0))
+    return out
+
+
+def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.float64]:
+    """Mean local contrast of each pyramid level, full size first, [levels] (the paper's Figure 13)."""
+    import cv2
+
+    level = np.asarray(image, np.float64)
+    means = np.zeros(levels)
+    for k in range(levels):
+        means[k] = local_contrast(level).mean()
+        height, width = level.shape
+        half = (max(1, width // 2), max(1, height // 2))
+        level = np.asarray(cv2.resize(level, half, interpolation=cv2.INTER_LINEAR), np.float64)
+    return means
+
+
+def rammg(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
+    """RAMMG in cd/m2, as the paper's tables; the sun's disc dominates it where the map holds one."""
+    return float(contrast_levels(luminance_cdm2, levels).mean())
+
+
+def rammg_lightness(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
+    """RAMMG of CIELAB L*, with white at `WHITE_OVER_MEAN` times the map's solid-angle mean."""
+    image = np.asarray(luminance_cdm2, np.float64)
+    omega = equirect_solid_angles(*image.shape)
+    white = max(WHITE_OVER_MEAN * float((image * omega).sum() / omega.sum()), 1e-6)
+    return float(contrast_levels(lightness(image / white), levels).mean())
+
+
+def lightness(relative: Float) -> NDArray[np.float64]:
+    """CIE 1976 L* of Y / Yn, at most 100."""
+    ratio = np.clip(relative, 0.0, 1.0)
+    return np.where(ratio > (6 / 29) ** 3, 116.0 * np.cbrt(ratio) - 16.0, ratio * (29 / 3) ** 3)
+
+
+def melanopic_edi_lx(ev_lx: Float, melanopic_der: float = MELANOPIC_DER_D65) -> NDArray[np.float64]:
+    """An estimate: Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; D65 = 1, a blue sky above)."""
+    return np.asarray(ev_lx, float) * melanopic_der
+
+
+class ViewRegions:
+    """Where task, band and bright window stand for d view directions; made once, used every hour."""
+
+    def __init__(self, height: int, width: int, heading_deg: float, azimuths_deg: Float) -> None:
+        rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
+        omega = equirect_solid_angles(height, width).ravel()
+        task, band, half = [], [], []
+        for azimuth in np.atleast_1d(azimuths_deg):
+            ahead = rays @ view_frame(float(azimuth))[2] > 0
+            to_task = rays @ view_frame(float(azimuth), TASK_ALTITUDE_DEG)[2]
+            task.append(omega * (to_task > np.cos(np.radians(TASK_RADIUS_DEG))))
+            band.append(omega * (ahead & (np.abs(rays[:, 2]) < np.sin(np.radians(BAND_DEG)))))
+            half.append(omega * ahead)
+        self.task, self.band, self.half = (np.array(part, np.float32).T for part in (task, band, half))
+
+    def ratios(self, luminance_cdm2: Float, window_cdm2: float = 2000.0) -> dict[str, NDArray[np.float64]]:
+        """Of n maps [n, H, W]: arrays [n, d].
+
+        task_cdm2: mean of a 15-degree cone 30 degrees down; window_to_task: mean of the pixels in view brighter than
+        `window_cdm2` over that (NaN where there is none); uniformity: the 40-degree band's harmonic over its arithmetic
+        mean, 1 for a uniform band, falling with dark corners.
+        """
+        flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
+        task = flat @ self.task / self.task.sum(axis=0)
+        bright = flat > window_cdm2
+        power, area = (flat * bright) @ self.half, bright.astype(np.float32) @ self.half
+        window = np.divide(power, area, out=np.full_like(power, np.nan), where=area > 0)
+        mean = flat @ self.band / self.band.sum(axis=0)
+        inverse = (1.0 / np.maximum(flat, 0.1)) @ self.band / self.band.sum(axis=0)
+        return {
+            "task_cdm2": task.astype(float),
+            "window_to_task": (window / np.maximum(task, 1e-6)).astype(float),
+            "uniformity": (1.0 / np.maximum(inverse * mean, 1e-9)).astype(float),
+        }

@@ -1,0 +1,134 @@
+"""Glare of one picture on disk, as plain numbers for a terminal or a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.errors import InputError
+from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx, rammg, rammg_lightness
+from fieldlum.glare.fisheye import panorama_to_fisheye
+from fieldlum.glare.geometry import view_azimuths_deg
+from fieldlum.glare.metrics import glare_directions
+from fieldlum.glare.pictures import Picture, read_picture
+from fieldlum.glare.reference import reference_glare
+from fieldlum.glare.sources import group_pixels, widen
+from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.records import Flag, Float, SunSource, utc_text
+from fieldlum.sun import SUN_SOLID_ANGLE_SR
+
+DISC_CDM2 = 1e6  # no matt surface and no sky is that bright
+BRIGHTEST_SUN_CDM2 = 2.2e9
+VERDICTS = ((0.35, "imperceptible"), (0.40, "perceptible"), (0.45, "disturbing"), (np.inf, "intolerable"))
+
+
+def verdict(dgp: float) -> str:
+    """Wienold's four grades of DGP."""
+    return next(name for limit, name in VERDICTS if dgp < limit)
+
+
+def picture_glare(path: Path, azimuths_deg: Sequence[float] = (), *, reference: bool = False) -> dict[str, Any]:
+    """File, views (one dict each), contrast of the whole and warnings. Raises InputError for an unusable picture."""
+    picture = read_picture(path)
+    panorama = picture.panorama
+    azimuths = _azimuths(picture, azimuths_deg, path)
+    maps, warnings = _sound(panorama.luminance_cdm2, path)
+    warnings += _warnings(picture)
+    maps, sun = take_out_sun(maps, panorama.heading_deg, panorama.sun)
+    rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
+    disc = None if sun is None else np.array([sun.normal_illuminance_lx])
+    found = glare_directions(maps[None], panorama.heading_deg, azimuths, rays, disc)
+    height, width = maps.shape
+    found |= ViewRegions(height, width, panorama.heading_deg, azimuths).ratios(maps[None])
+    views = []
+    for i, azimuth in enumerate(azimuths):
+        row: dict[str, Any] = {"azimuth_deg": float(azimuth)}
+        row |= {name: _plain(values[0, i]) for name, values in found.items()}
+        row["melanopic_edi_lx"] = float(melanopic_edi_lx(found["ev_lx"][0, i]))
+        row["verdict"] = verdict(row["dgp"])
+        if reference:
+            view = panorama_to_fisheye(maps, panorama.heading_deg, float(azimuth), sun=sun)
+            row["reference"] = asdict(reference_glare(view))
+        views.append(row)
+    whole = {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)} if picture.view is None else {}
+    return {
+        "file": str(path),
+        "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
+        "heading_deg": panorama.heading_deg,
+        "covered_share": min(1.0, picture.covered_sr / (2 * np.pi)),
+        "sun": None if sun is None else asdict(sun),
+        "melanopic_der": "D65, assumed",
+        **whole,
+        "views": views,
+        "warnings": warnings,
+    }
+
+
+def take_out_sun(luminance_cdm2: Float, heading_deg: float, known: SunSource | None) -> tuple[Float, SunSource | None]:
+    """A disc that a rendering left in its picture becomes a source of its own, of the sun's own solid angle.
+
+    The brightest spot from `DISC_CDM2` up, no larger than a disc that a coarse grid has smeared, and no brighter than
+    the sun once its energy is put into the disc. A sun that the picture names is taken as it stands.
+    """
+    peaks = luminance_cdm2 >= DISC_CDM2
+    if known is not None or not peaks.any():
+        return luminance_cdm2, known
+    height, width = luminance_cdm2.shape
+    omega = equirect_solid_angles(height, width)
+    groups = group_pixels(peaks)
+    spot = groups == groups.flat[int(np.argmax(luminance_cdm2))]
+    energy = float((luminance_cdm2 * omega)[spot].sum())
+    room = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(omega[spot].max())
+    if omega[spot].sum() > room or not DISC_CDM2 <= energy / SUN_SOLID_ANGLE_SR <= BRIGHTEST_SUN_CDM2:
+        return luminance_cdm2, None
+    weights = (luminance_cdm2 * omega)[spot][:, None]
+    x, y, z = (weights * equirect_rays(height, width, heading_deg)[spot]).sum(axis=0)
+    around = np.where(spot, float(np.median(luminance_cdm2[widen(spot, np.radians(3.0)) & ~spot])), luminance_cdm2)
+    altitude, azimuth = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(x, y)) % 360.0
+    return around.astype(np.float32), SunSource(float(altitude), float(azimuth), energy, 1.0, "picture")
+
+
+def _azimuths(picture: Picture, asked: Sequence[float], path: Path) -> np.ndarray:
+    view = picture.view
+    if view is None:
+        return np.asarray(asked or view_azimuths_deg(picture.panorama.heading_deg), float) % 360.0
+    if abs(view.altitude_deg) > 1.0:
+        raise InputError(
+            path, f"a view {view.altitude_deg:.1f} degrees off the horizon", "a level view", "take it with a level head"
+        )
+    if asked and max(abs((a - view.azimuth_deg + 180.0) % 360.0 - 180.0) for a in asked) > 1e-3:
+        raise InputError(
+            path, f"--view-azimuth on a fisheye that looks to {view.azimuth_deg:.1f}", "a panorama",
+            "leave --view-azimuth away",
+        )  # fmt: skip
+    return np.array([view.azimuth_deg])
+
+
+def _sound(luminance_cdm2: Float, path: Path) -> tuple[np.ndarray, list[str]]:
+    """Negative values are noise and count as 0; what is no number is refused."""
+    bad = int((~np.isfinite(luminance_cdm2)).sum())
+    if bad:
+        raise InputError(path, f"{bad} pixels that are no numbers", "cd/m2 everywhere", "merge or render it again")
+    dark = int((luminance_cdm2 < 0).sum())
+    said = [f"{dark} pixels below 0 cd/m2 count as 0"] if dark else []
+    return np.maximum(luminance_cdm2, 0.0).astype(np.float32), said
+
+
+def _warnings(picture: Picture) -> list[str]:
+    said = []
+    share = picture.covered_sr / (2.0 * np.pi)
+    if share < 0.98:
+        said.append(f"covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds")
+    flags = picture.panorama.flags
+    clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
+    if clipped:
+        said.append(f"{clipped} pixels clipped in every frame: luminance there, and DGP, are lower bounds")
+    return said
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,174 @@
+"""Single pictures: VIEW headers, contrast figures, the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fieldlum.cli import main
+from fieldlum.errors import InputError
+from fieldlum.glare import FISHEYE_VIEW, panorama_to_fisheye
+from fieldlum.glare.contrast import ViewRegions, contrast_levels, lightness, local_contrast, rammg, rammg_lightness
+from fieldlum.glare.pictures import parse_view, read_picture
+from fieldlum.glare.single import picture_glare
+from fieldlum.images import write_panorama, write_radiance_hdr
+from fieldlum.projection import equirect_solid_angles
+from fieldlum.records import Panorama, SunSource
+
+SOUTH = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
+
+
+@pytest.fixture
+def maps() -> np.ndarray:
+    image = np.full((90, 180), 200.0, np.float32)
+    image[35:48, 80:100] = 6000.0
+    return image
+
+
+@pytest.fixture
+def panorama(tmp_path: Path, maps: np.ndarray) -> Path:
+    path = tmp_path / "p.exr"
+    write_panorama(path, Panorama(maps, 180.0, sun=SunSource(30.0, 200.0, 20_000.0)))
+    return path
+
+
+def _fisheye(path: Path, maps: np.ndarray, view: str = SOUTH, size: int = 300) -> Path:
+    write_radiance_hdr(path, panorama_to_fisheye(maps, 180.0, 180.0, size=size), view=view)
+    return path
+
+
+# ---------------------------------------------------------------------------------------------- pictures
+
+
+def test_a_fisheye_and_its_panorama_agree(tmp_path: Path, maps: np.ndarray) -> None:
+    panorama = tmp_path / "p.hdr"
+    write_radiance_hdr(panorama, maps, heading_deg=180.0)
+    a = picture_glare(panorama, [180.0])["views"][0]
+    b = picture_glare(_fisheye(tmp_path / "f.hdr", maps))["views"][0]
+    assert b["azimuth_deg"] == pytest.approx(180.0)
+    assert b["ev_lx"] == pytest.approx(a["ev_lx"], rel=0.005)
+    assert b["dgp"] == pytest.approx(a["dgp"], abs=0.003)
+
+
+@pytest.mark.parametrize("kind", ["a", "h", "s"])
+def test_a_uniform_fisheye_of_each_mapping_gives_pi_l(tmp_path: Path, kind: str) -> None:
+    # analytic: whatever the mapping, a uniform hemisphere has Ev = pi L
+    path = tmp_path / "f.hdr"
+    write_radiance_hdr(path, np.full((240, 240), 100.0), view=SOUTH.replace("-vta", f"-vt{kind}"))
+    answer = picture_glare(path)
+    assert answer["covered_share"] == pytest.approx(1.0, abs=0.01)
+    assert answer["views"][0]["ev_lx"] == pytest.approx(100 * np.pi, rel=0.01)
+
+
+def test_a_perspective_picture_says_that_it_covers_little(tmp_path: Path) -> None:
+    path = tmp_path / "v.hdr"
+    write_radiance_hdr(path, np.full((90, 90), 100.0), view="-vtv -vd 0 -1 0 -vh 60 -vv 60")
+    answer = picture_glare(path)
+    tan = np.tan(np.radians(30))
+    omega = 4 * np.arcsin(np.sin(np.arctan(tan)) ** 2)  # analytic: solid angle of a square pyramid
+    assert answer["covered_share"] == pytest.approx(omega / (2 * np.pi), rel=0.02)
+    assert "lower bounds" in answer["warnings"][0]
+
+
+def test_a_disc_left_in_a_rendering_becomes_the_sun(tmp_path: Path, maps: np.ndarray) -> None:
+    lit = maps.copy()
+    omega = equirect_solid_angles(90, 180)
+    lit[30, 92] += 50_000.0 / omega[30, 92]
+    path = tmp_path / "p.hdr"
+    write_radiance_hdr(path, lit, heading_deg=180.0)
+    sun = picture_glare(path, [180.0])["sun"]
+    assert sun["normal_illuminance_lx"] == pytest.approx(50_000, rel=0.02)
+    assert (sun["altitude_deg"], sun["azimuth_deg"]) == pytest.approx((29.0, 185.0), abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("view", "said"),
+    [
+        ("", "no VIEW"),
+        ("-vta -vh 180 -vv 90", "proportion"),
+        ("-vtv -vh 180 -vv 180", "-vtv"),
+        ("-vtl -vh 180 -vv 180", "view type -vtl"),
+        ("-vh 180 -vv 180", "without a type"),
+        ("-vta -vd 0 0 1 -vu 0 0 1 -vh 180 -vv 180", "-vd along -vu"),
+        ("-vta -vd 0 0 0 -vh 180 -vv 180", "not all 0"),
+        ("-vta -vh nan -vv 180", "a number"),
+        ("-vta -vh 180 -vv 180 -vs 0.2", "shifted"),
+        ("-vta -vd 0 -1 1 -vh 180 -vv 180", "off the horizon"),
+    ],
+)
+def test_a_missing_or_contradictory_view_is_refused(tmp_path: Path, maps: np.ndarray, view: str, said: str) -> None:
+    path = _fisheye(tmp_path / "f.hdr", maps, view)
+    with pytest.raises(InputError, match=said):
+        picture_glare(path)
+
+
+def test_two_views_and_a_panorama_with_a_view_are_refused(tmp_path: Path, maps: np.ndarray) -> None:
+    path = tmp_path / "two.hdr"
+    write_radiance_hdr(path, maps[:, :90], header=("VIEW= -vtv -vh 60 -vv 60",), view=FISHEYE_VIEW)
+    with pytest.raises(InputError, match="one VIEW"):
+        read_picture(path)
+    write_radiance_hdr(path, maps, heading_deg=180.0, view=FISHEYE_VIEW)
+    with pytest.raises(InputError, match="one of the two"):
+        read_picture(path)
+
+
+def test_view_directions() -> None:
+    view = parse_view("-vta -vp 1 2 3 -vd 1 0 0 -vu 0 0 1 -vh 180 -vv 180 -vo 0 -va 0", Path("x"))
+    assert view.azimuth_deg == pytest.approx(90.0)
+    assert view.altitude_deg == pytest.approx(0.0)
+
+
+# ---------------------------------------------------------------------------------------------- contrast
+
+
+def test_rammg_of_one_step() -> None:
+    # analytic: an edge in the middle of the full-size level; the neighbours across it weigh 1 + 2 / sqrt(2).
+    image = np.zeros((20, 40))
+    image[:, 20:] = 10.0
+    share = (1 + np.sqrt(2)) / (4 + 2 * np.sqrt(2))
+    contrast = local_contrast(image)
+    assert contrast[5, 19] == pytest.approx(10 * share)
+    assert contrast[0].max() == 0.0
+    assert contrast_levels(image)[0] == pytest.approx(10 * share * 2 * 18 / 800)
+
+
+def test_rammg_scales_with_luminance_and_lightness_does_not(maps: np.ndarray) -> None:
+    assert rammg(7 * maps) == pytest.approx(7 * rammg(maps))
+    assert rammg_lightness(7 * maps) == pytest.approx(rammg_lightness(maps))
+    assert lightness(np.array([0.184186, 1.0])) == pytest.approx([50.0, 100.0], abs=1e-3)  # CIE: L* 50 at Y 18.42
+
+
+def test_regions() -> None:
+    flat = ViewRegions(90, 180, 180.0, np.array([180.0, 0.0])).ratios(np.full((1, 90, 180), 50.0, np.float32))
+    assert flat["uniformity"] == pytest.approx(1.0, rel=1e-4)
+    assert flat["task_cdm2"] == pytest.approx(50.0, rel=1e-4)
+    assert np.isnan(flat["window_to_task"]).all()
+
+
+# ---------------------------------------------------------------------------------------------- the command
+
+
+def test_the_command_speaks_json_lines_and_a_table(panorama: Path, tmp_path: Path, maps: np.ndarray) -> None:
+    fisheye = _fisheye(tmp_path / "f.hdr", maps)
+    done = CliRunner().invoke(main, ["glare", str(panorama), str(fisheye), "--json"])
+    assert done.exit_code == 0, done.output
+    first, second = (json.loads(line) for line in done.stdout.splitlines())
+    assert (len(first["views"]), len(second["views"])) == (10, 1)
+    assert first["sun"]["normal_illuminance_lx"] == pytest.approx(20_000)
+    shown = CliRunner().invoke(main, ["glare", str(panorama), "--view-azimuth", "180"])
+    assert shown.exit_code == 0
+    assert "180.0°" in shown.stdout
+
+
+def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> None:
+    path = _fisheye(tmp_path / "f.hdr", maps, "")
+    done = CliRunner().invoke(main, ["glare", str(path)])
+    assert done.exit_code == 3
+    assert done.stderr.count("\n") == 1
+    assert "write VIEW= -vta" in done.stderr
+    assert CliRunner().invoke(main, ["glare", str(tmp_path / "none.hdr")]).exit_code == 3
+    assert CliRunner().invoke(main, ["glare", str(_fisheye(path, maps)), "--view-azimuth", "90"]).exit_code == 3
