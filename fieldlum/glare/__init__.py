@@ -7,7 +7,8 @@ from fieldlum.glare.metrics import METRICS, dgi, dgp, dgps, glare_directions, ug
 from fieldlum.glare.reference import ReferenceGlare, reference_glare, reference_glare_of_file, reference_version
 
 __all__ = [
-    "FISHEYE_VIEW", "METRICS", "PAPER_VIEWS", "ReferenceGlare", "ViewRegions", "Views", "contrast_levels", "dgi", "dgp", "dgps", "glare_directions",
-    "melanopic_edi_lx",     "panorama_to_fisheye", "panorama_views", "position_index", "rammg", "rammg_lightness", "reference_glare", "reference_glare_of_file",
-    "reference_version", "ugr", "view_azimuths_deg",
+    "FISHEYE_VIEW", "METRICS", "PAPER_VIEWS", "ReferenceGlare", "ViewRegions", "Views", "contrast_levels", "dgi",
+    "dgp", "dgps", "glare_directions", "melanopic_edi_lx", "panorama_to_fisheye", "panorama_views", "position_index",
+    "rammg", "rammg_lightness", "reference_glare", "reference_glare_of_file", "reference_version", "ugr",
+    "view_azimuths_deg",
 ]  # fmt: skip
