@@ -298,6 +298,7 @@ def train(
         "schedule": plan.schedule, "epochs": run.epoch, "steps": run.step, "seconds": round(run.elapsed_s, 1),
         "pixels_seen_per_pixel": round(_passes(run, plan, pixels), 2), "best_validation_loss": run.best,
         "skipped_updates": run.skipped, "seed": seed, "device": device.type, "bfloat16": half, "plan": asdict(plan),
+        "validation_slots": [data.slots[i] for i in check],
     }  # fmt: skip
     return net, average, about
 

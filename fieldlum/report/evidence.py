@@ -1,0 +1,159 @@
+"""How good the numbers are: the model's own scores, and measured against predicted maps of days it did not see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare import contrast_levels, glare_directions, panorama_views, view_azimuths_deg
+from fieldlum.models import fit, load
+from fieldlum.models.data import Dataset, add_disc
+from fieldlum.records import Progress, quiet
+from fieldlum.report.figures import (
+    agreement_svg,
+    comparison_png,
+    contrast_levels_svg,
+    error_by_sun_svg,
+)
+from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
+
+REFITTED = ("mean", "nearest", "transport")  # cheap enough to fit again without a fifth of the days
+SHOWN = ("typical", "one in ten is worse", "worst")
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Measured maps and what a model says of them that never saw their days; both without the disc, [n, H, W]."""
+
+    data: Dataset
+    predicted_cdm2: NDArray[np.float32]
+    log10_mse: NDArray[np.float64]
+    about: str
+
+
+def held_out(data: Dataset, model: Path, config: dict[str, Any], progress: Progress = quiet) -> HeldOut | None:
+    """Every fifth captured day left out and predicted by a refit; a slow model shows its own validation images."""
+    name = config["model"]
+    days = np.unique(data.days)
+    progress(0, 2, "held-out days")
+    if name in REFITTED and len(days) >= 3:
+        out = np.isin(data.days, days[2::5] if len(days) >= 5 else days[-1:])
+        patch = config.get("patch", "absolute" if data.patch_cdm2 is not None else "none")
+        fitted = fit(name, data.take(~out), patch=patch, seed=int(config.get("seed", 0)))
+        about = f"{int(out.sum())} maps of {len(np.unique(data.days[out]))} days that the fit behind them did not see"
+    else:
+        slots = set(config.get("validation_slots", ()))
+        out = np.array([slot in slots for slot in data.slots])
+        fitted, about = (
+            load(model),
+            f"{int(out.sum())} validation images, which stopped the training but were not fitted",
+        )
+    if not out.any():
+        return None
+    test = data.take(out)
+    progress(1, 2, "held-out days")
+    predicted = fitted.predict(test.light, test.patch_cdm2).luminance_cdm2
+    error = np.log10(np.maximum(predicted, 1.0)) - np.log10(np.maximum(test.luminance_cdm2, 1.0))
+    mse = (error**2 * test.weights).mean(axis=(1, 2), dtype=float)
+    return HeldOut(test, predicted, mse, about)
+
+
+def _views_of(held: HeldOut, maps: NDArray[np.float32]) -> NDArray[np.float64]:
+    """DGP of the paper's ten directions, [n, 10]."""
+    height, width = held.data.shape
+    azimuths = view_azimuths_deg(held.data.heading_deg)
+    views = panorama_views(height, width, held.data.heading_deg, azimuths)
+    light = held.data.light
+    return glare_directions(
+        maps, held.data.heading_deg, azimuths, light.sun_direction, held.data.disc_lx, views=views
+    )["dgp"]  # fmt: skip
+
+
+def _maps_row(held: HeldOut) -> Row:
+    order = np.argsort(held.log10_mse)
+    n = len(order)
+    picks = [int(order[i]) for i in dict.fromkeys((n // 2, min(int(0.9 * n), n - 1), n - 1))]
+    labels = [f"{held.data.slots[i]}\n{text}" for i, text in zip(picks, SHOWN, strict=False)]
+    png = comparison_png(held.data.luminance_cdm2[picks], held.predicted_cdm2[picks], labels)
+    caption = (
+        "Measured, predicted and their ratio for a typical, a bad and the worst held-out hour; the sun's disc is kept "
+        "beside the maps. Red is predicted too bright, blue too dark."
+    )
+    return Row((png_figure(png, "Measured and predicted luminance panoramas with their ratio.", caption),))
+
+
+def _agreement_rows(held: HeldOut) -> tuple[Row, ...]:
+    measured, predicted = _views_of(held, held.data.luminance_cdm2), _views_of(held, held.predicted_cdm2)
+    light = held.data.light
+    disc = (light, held.data.disc_lx, held.data.heading_deg)
+    whole = [add_disc(maps, *disc) for maps in (held.data.luminance_cdm2, held.predicted_cdm2)]
+    true_levels, guess_levels = (np.stack([contrast_levels(image) for image in maps]) for maps in whole)
+    mean_error = (predicted - measured).mean(axis=1)
+    glare = Row(
+        (
+            svg_figure(
+                agreement_svg(measured, predicted, "DGP"),
+                "Predicted against measured DGP of ten directions.",
+                "DGP of ten directions around each held-out hour.",
+            ),
+            svg_figure(
+                error_by_sun_svg(mean_error, light.sun_altitude_deg, light.sun_azimuth_deg, "DGP"),
+                "Mean DGP error against sun altitude and sun azimuth.",
+                "Where the sun stood when the glare was predicted wrong.",
+            ),
+        ),
+        "Glare",
+    )
+    contrast = Row(
+        (
+            svg_figure(
+                contrast_levels_svg(true_levels, guess_levels),
+                "Mean local contrast of measured and predicted maps at five pyramid levels.",
+                "Local contrast per pyramid level, disc included.",
+            ),
+            svg_figure(
+                agreement_svg(true_levels.mean(axis=1), guess_levels.mean(axis=1), "RAMMG, cd/m²"),
+                "Predicted against measured RAMMG contrast.",
+                "RAMMG, the mean of the levels, of each held-out hour.",
+            ),
+        ),
+        "Contrast",
+    )
+    return glare, contrast
+
+
+def _score_table(scores: dict[str, Any]) -> Table | None:
+    rows = scores.get("models") or []
+    if not rows:
+        return None
+    head = ("model", "fit, s", "log10 MSE", "RER", "log10 MSE (paper mode)", "DGP MSE", "trained on", "tested on")
+    keys = ("name", "fit_s", "log10_mse_weighted", "rer_weighted", "paper_log10_mse", "dgp_mse", "n_train", "n_test")
+    chosen = scores.get("chosen")
+
+    def cell(row: dict[str, Any], key: str) -> Any:
+        value = row.get(key)
+        if key == "name":
+            return {"kind": "high", "text": f"{value} (chosen)"} if value == chosen else value
+        if isinstance(value, float):
+            return f"{value:.3g}"
+        return "–" if value is None else value
+
+    return Table(head, tuple(tuple(cell(row, key) for key in keys) for row in rows), "Models tried, on held-out days")
+
+
+def section(held: HeldOut | None, scores: dict[str, Any]) -> Section:
+    table = _score_table(scores)
+    rows = (_maps_row(held), *_agreement_rows(held)) if held else ()
+    if held:
+        factor = 10 ** np.sqrt(np.median(held.log10_mse))
+        text = (
+            f"Checked on {held.about}: half of them are predicted within a factor of {factor:.2f} (rms over the map), "
+            f"the worst within {10 ** np.sqrt(held.log10_mse.max()):.2f}."
+        )
+    else:
+        text = "Too few captured days to leave some out: the numbers of this report are not checked."
+    return Section("evidence", "How good the numbers are", text, rows, (table,) if table else ())
