@@ -1,0 +1,186 @@
+"""One bracket: its frames on disk as the camera gave them, checked at once, acknowledged one by one."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from fieldlum.capture.keeper import Keeper, plain_info
+from fieldlum.capture.recorder import Recorder, disk_is_full
+from fieldlum.capture.state import Frame, SlotState, frame_fields
+from fieldlum.capture.steady import SteadyClock
+from fieldlum.devices import Camera
+from fieldlum.errors import DeviceError
+from fieldlum.records import CameraSetup, Exposure, Slot, utc_text
+from fieldlum.session import Session, replacing, sha256, sync_folder
+
+LONGEST_PAUSE_S = 60.0  # between two frames of one bracket; the light has changed after a longer one
+Check = Callable[[Path, Exposure], str]
+"""Looks at a new frame; returns what is wrong with it, or nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    index: int
+    exposure: Exposure
+    heading_deg: float | None
+
+    @property
+    def stem(self) -> str:
+        turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
+        return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}" + (
+            f"_{self.exposure.nd}" if self.exposure.nd else ""
+        )
+
+
+def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[Shot, ...]:
+    """Every exposure, for every heading of a turned head."""
+    headings: tuple[float | None, ...] = setup.headings or (None,)
+    pairs = [(exposure, heading) for heading in headings for exposure in exposures]
+    return tuple(Shot(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
+
+
+@dataclass(slots=True)
+class Bracket:
+    """Takes the frames of one slot. `between` runs after each frame (log a sample, refresh the display)."""
+
+    session: Session
+    setup: CameraSetup
+    camera: Keeper[Camera]
+    recorder: Recorder
+    clock: SteadyClock
+    check: Check
+    between: Callable[[Frame | None], None]
+
+    def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
+        """Go on from `state` until done; after a failure try again while a new start is still in the slot's window."""
+        folder = self.session.raw / slot.id
+        wanted = shots(slot.exposures, self.setup)
+        for scrap in folder.glob(".*"):  # of a killed process: never acknowledged
+            scrap.unlink()
+        if state.outcome == "":
+            state = self._start(slot, 1)
+        while True:
+            state = self._not_too_old(slot, folder, state)
+            have = {frame.index for frame in state.frames}
+            missing = [shot for shot in wanted if shot.index not in have]
+            if not missing:
+                return self._finish(slot, folder, state)
+            try:
+                frame = self._expose(missing[0], folder, state.attempt)
+            except Exception as error:  # a driver's defect is a failed frame, not the end of the month
+                why = f"{type(error).__name__}: {error}"[:300]
+                if disk_is_full(error):
+                    self.recorder.make_room()
+                elif not isinstance(error, _Away):
+                    self.camera.lost(error)
+                if disk_is_full(error) or not self._wait_for_camera(deadline):
+                    return self.abort(slot, state, why)
+                continue
+            if not self.recorder.tell("frame", slot=slot.id, frame=frame_fields(frame)):
+                return self.abort(slot, state, "disk full")
+            state = SlotState("started", state.attempt, (*state.frames, frame))
+            self.between(frame)
+
+    def resumable(self, slot: Slot, state: SlotState) -> bool:
+        """Whether an interrupted bracket is whole, or so fresh that its light is still the same."""
+        if len(state.frames) == len(shots(slot.exposures, self.setup)):
+            return True
+        return bool(state.frames) and self._pause_s(state) <= LONGEST_PAUSE_S
+
+    def _pause_s(self, state: SlotState) -> float:
+        last = max(state.frames, key=lambda frame: frame.t_utc)
+        return (self.clock.now() - last.t_utc).total_seconds() - last.seconds
+
+    def _start(self, slot: Slot, attempt: int) -> SlotState:
+        self.recorder.tell("started", slot=slot.id, attempt=attempt)
+        return SlotState("started", attempt)
+
+    def _not_too_old(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
+        """A bracket with too long a pause in it begins anew; its frames are kept in a folder beside."""
+        if not state.frames or self.resumable(slot, state):
+            return state
+        aside = folder / f"attempt-{state.attempt}"
+        aside.mkdir(exist_ok=True)
+        for frame in state.frames:
+            if (folder / frame.file).exists():
+                (folder / frame.file).replace(aside / frame.file)
+        sync_folder(folder)
+        return self._start(slot, state.attempt + 1)
+
+    def _expose(self, shot: Shot, folder: Path, attempt: int) -> Frame:
+        if self.camera.get() is None:
+            raise _Away("camera is away")
+        folder.mkdir(parents=True, exist_ok=True)
+        begun, boot = self.clock.now(), self.clock.boottime()
+        # A name of its own for each try: a frame that a hung camera delivers late must not land in another's place.
+        target = folder / f".{shot.stem}.{os.getpid()}.{attempt}.{boot:.3f}"
+        written = self.camera.call(
+            lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg), shot.exposure.shutter_s
+        )
+        doubt = self.check(written, shot.exposure)
+        with written.open("rb+") as file:
+            os.fsync(file.fileno())
+        final = folder / f"{shot.stem}{written.suffix}"
+        written.replace(final)
+        sync_folder(folder)
+        seconds = self.clock.boottime() - boot
+        return Frame(shot.index, final.name, shot.exposure, shot.heading_deg, begun, seconds, sha256(final), doubt)
+
+    def _wait_for_camera(self, deadline: datetime) -> bool:
+        while self.clock.now() < deadline:
+            if self.camera.get() is not None:
+                return True
+            self.clock.sleep(1.0)
+            self.between(None)
+        return False
+
+    def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
+        doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
+        write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
+        self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why="; ".join(doubts))
+        return SlotState("done", state.attempt, state.frames, "; ".join(doubts))
+
+    def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
+        """Close a slot that will not be finished; the frames there are stay, marked as incomplete."""
+        folder = self.session.raw / slot.id
+        for scrap in folder.glob(".*"):
+            scrap.unlink(missing_ok=True)
+        if state.frames and not self.recorder.full:
+            write_capture(folder, slot, state, self.setup, self._camera_info(), complete=False)
+        self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
+        return SlotState("aborted", state.attempt, state.frames, why)
+
+    def _camera_info(self) -> dict[str, Any]:
+        camera = self.camera.get()
+        return plain_info(camera.info) if camera is not None else {}
+
+
+class _Away(DeviceError):
+    """The camera is not there; it has been reported already."""
+
+
+def write_capture(
+    folder: Path, slot: Slot, state: SlotState, setup: CameraSetup, camera: dict[str, Any], *, complete: bool
+) -> None:
+    """raw/<slot>/capture.json: what `merge` needs, whole or not at all (docs/file-formats.md)."""
+    frames = sorted(state.frames, key=lambda frame: frame.index)
+    opened = min(frame.t_utc for frame in frames)
+    closed = max(frame.t_utc + timedelta(seconds=frame.seconds) for frame in frames)
+    table = {
+        "slot": slot.id,
+        "t_open_utc": utc_text(opened),
+        "t_close_utc": utc_text(closed),
+        "complete": complete,
+        "profile": setup.profile,
+        "heading_deg": setup.heading_deg,
+        "camera": camera,
+        "frames": [frame_fields(frame) for frame in frames],
+    }
+    with replacing(folder / "capture.json", "w", encoding="utf-8") as file:
+        json.dump(table, file, indent=1)

@@ -1,0 +1,113 @@
+"""Devices that come and go: opened when needed, dropped when they fail, opened again with growing pauses."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, is_dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from fieldlum.devices.clock import Clock
+from fieldlum.errors import DeviceError
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+
+
+class Closable(Protocol):
+    def close(self) -> None: ...
+
+
+D = TypeVar("D", bound=Closable)
+R = TypeVar("R")
+
+
+class Keeper(Generic[D]):
+    """Holds one device. `tell(event, fields)` hears of device-lost and device-back."""
+
+    def __init__(
+        self, name: str, open_device: Callable[[], D], clock: Clock, tell: Callable[..., Any], watchdog_s: float
+    ) -> None:
+        self.name, self._open, self._clock, self._tell, self._watchdog_s = name, open_device, clock, tell, watchdog_s
+        self._device: D | None = None
+        self._pause_s = FIRST_PAUSE_S
+        self._next_try = float("-inf")
+        self._lost_at: float | None = None
+
+    @property
+    def state(self) -> str:
+        return "ok" if self._device is not None else ("lost" if self._lost_at is not None else "closed")
+
+    def get(self) -> D | None:
+        """The open device, or None while it is away; tries to open it when a try is due."""
+        if self._device is None and self._clock.boottime() >= self._next_try:
+            try:
+                self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
+            except Exception as error:  # termios.error, SerialException, a driver's defect: none may stop the capture
+                self.lost(error)
+            else:
+                if self._lost_at is not None:
+                    self._tell(
+                        "device-back", device=self.name, after_s=round(self._clock.boottime() - self._lost_at, 1)
+                    )
+                self._lost_at, self._pause_s = None, FIRST_PAUSE_S
+        return self._device
+
+    def insist(self) -> D:
+        """Open it now. Raises whatever opening raises."""
+        if self._device is None:
+            self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
+        return self._device
+
+    def call(self, use: Callable[[D], R], extra_s: float = 0.0) -> R:
+        """`use(device)` under the watchdog. Raises DeviceError when the device is away or does not come back."""
+        device = self.get()
+        if device is None:
+            raise DeviceError(f"{self.name} is away")
+        return guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
+
+    def lost(self, error: BaseException) -> None:
+        """Drop the device and try again later: 1, 2, 4 ... 30 s."""
+        if self._device is not None:
+            device, self._device = self._device, None
+            with suppress(Exception):
+                guarded(device.close, min(self._watchdog_s, 5.0), f"{self.name}: closing")
+        now = self._clock.boottime()
+        if self._lost_at is None:
+            self._lost_at, self._pause_s = now, FIRST_PAUSE_S
+            self._tell("device-lost", device=self.name, why=f"{type(error).__name__}: {error}"[:300])
+        self._next_try = now + self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+
+    def close(self) -> None:
+        if self._device is not None:
+            with suppress(Exception):
+                guarded(self._device.close, min(self._watchdog_s, 5.0), f"{self.name}: closing")
+            self._device = None
+
+
+def plain_info(info: Any) -> dict[str, Any]:
+    """Camera or instrument info as JSON and TOML can hold it: nothing empty."""
+    table = asdict(info) if is_dataclass(info) and not isinstance(info, type) else dict(vars(info))
+    return {k: v if isinstance(v, int | float | bool) else str(v) for k, v in table.items() if v not in (None, "", ())}
+
+
+def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
+    """`work()` in a thread of its own. Raises DeviceError when it does not return in time, and leaves the thread."""
+    result: list[Any] = []
+
+    def job() -> None:
+        try:
+            result.append((True, work()))
+        except BaseException as error:
+            result.append((False, error))
+
+    thread = threading.Thread(target=job, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if not result:
+        raise DeviceError(f"{what} did not answer in {seconds:g} s")
+    fine, value = result[0]
+    if not fine:
+        raise value
+    return value

@@ -1,0 +1,105 @@
+"""Irradiance beside the brackets: one row a poll, whatever the instrument does."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+
+from fieldlum.capture.keeper import Keeper, plain_info
+from fieldlum.capture.recorder import Recorder
+from fieldlum.capture.steady import SteadyClock
+from fieldlum.devices import Pyranometer, open_pyranometer
+from fieldlum.devices.clock import Clock
+from fieldlum.records import IrradianceSample
+from fieldlum.session import Session, sole_user
+
+_BAD_IN_A_ROW = 3  # readings that fail before the port is opened anew
+
+
+class Logger:
+    """Polls a pyranometer every `every_s`; in a thread of its own, or by `poll_if_due` from the capture's loop."""
+
+    def __init__(self, keeper: Keeper[Pyranometer], recorder: Recorder, clock: SteadyClock, every_s: float) -> None:
+        self.keeper, self.every_s = keeper, every_s
+        self._recorder, self._clock = recorder, clock
+        self._due = float("-inf")
+        self._failed = 0
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.last: IrradianceSample | None = None
+        self.bad = 0
+
+    def poll(self) -> IrradianceSample | None:
+        """Read and write one row; None when the instrument is away or answered with something broken."""
+        device = self.keeper.get()
+        if device is None:
+            return None
+        asked: datetime = self._clock.now()
+        try:
+            sample = self.keeper.call(lambda d: d.read())
+        except Exception as error:  # whatever a driver raises, the log goes on
+            self._failed, self.bad = self._failed + 1, self.bad + 1
+            if self._failed >= _BAD_IN_A_ROW:
+                self._failed = 0
+                self.keeper.lost(error)
+            return None
+        self._failed = 0
+        sample = replace(sample, t_utc=asked)  # steady time, not the instrument's nor a stepped wall clock's
+        self._recorder.sample(sample)
+        self.last = sample
+        return sample
+
+    @property
+    def due_in_s(self) -> float:
+        return max(0.0, self._due - self._clock.boottime())
+
+    def poll_if_due(self) -> None:
+        now = self._clock.boottime()
+        if now >= self._due:
+            # Keep the beat, but never make up for beats that were slept through.
+            self._due = max(self._due + self.every_s, now + 0.5 * self.every_s)
+            self.poll()
+
+    def start(self) -> None:
+        self._thread = threading.Thread(target=self._loop, name="irradiance", daemon=True)
+        self._thread.start()
+
+    def _loop(self) -> None:
+        while not self._stop.is_set():
+            self.poll_if_due()
+            self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
+
+    def close(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(timeout=10.0)
+        self.keeper.close()
+
+
+def log(
+    session: Session, uri: str, *, clock: Clock, every_s: float, rows: int | None, say: Callable[[str], None]
+) -> int:
+    """Irradiance alone, until `rows` are written or the process is stopped; returns the rows written.
+
+    Raises DeviceError when the instrument does not open at the start, InputError when another log runs here.
+    """
+    steady = SteadyClock(clock)
+    with sole_user(session, "log"):
+        recorder = Recorder(session, steady.now)
+        keeper = Keeper(
+            "pyranometer", lambda: open_pyranometer(uri, clock=clock, session=session), steady, recorder.tell, 60.0
+        )
+        logger = Logger(keeper, recorder, steady, every_s)
+        try:
+            say(f"logging {plain_info(keeper.insist().info)} every {every_s:g} s; Ctrl-C stops")
+            while rows is None or recorder.rows < rows:
+                for name, fields in steady.check():
+                    recorder.tell(name, **fields)
+                logger.poll_if_due()
+                clock.sleep(min(logger.due_in_s, 1.0))
+        finally:
+            logger.close()
+            recorder.close()
+    return recorder.rows

@@ -1,0 +1,128 @@
+"""Writing on a disk that may be full: a reserve file makes room, and what cannot be written yet is kept in memory."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from fieldlum.records import IrradianceSample
+from fieldlum.session import DayFiles, Journal, Session
+
+RESERVE_BYTES = 16 << 20
+_KEPT_ROWS = 100_000  # almost six days at 5 s
+
+
+def disk_is_full(error: BaseException) -> bool:
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+class Recorder:
+    """Journal and day files of one running capture. Never raises on a full disk: it says so, waits, and tries again."""
+
+    def __init__(self, session: Session, now: Callable[[], datetime], reserve_bytes: int = RESERVE_BYTES) -> None:
+        self._session, self._now, self._reserve_bytes = session, now, reserve_bytes
+        self._reserve = session.root / ".reserve"
+        self._lock = threading.RLock()
+        self._events: deque[tuple[str, datetime, dict[str, Any]]] = deque()
+        self._rows: deque[IrradianceSample] = deque(maxlen=_KEPT_ROWS)
+        self.journal, self.days = Journal(session), DayFiles(session)
+        self.full, self.rows, self.rows_dropped = False, 0, 0
+        self.last_event = ""
+        self.refill()
+
+    def tell(self, event: str, **fields: Any) -> bool:
+        """Journal an event at the present moment; True when it is durable."""
+        with self._lock:
+            self.last_event = event
+            self._events.append((event, self._now(), fields))
+            return self._flush_events()
+
+    def sample(self, sample: IrradianceSample) -> bool:
+        """Add a row to its day file; True when it is durable."""
+        with self._lock:
+            self.rows_dropped += len(self._rows) == self._rows.maxlen
+            self._rows.append(sample)
+            return self._flush_rows()
+
+    def make_room(self) -> None:
+        """The disk is full: give the reserve back so that this can be written down."""
+        with self._lock:
+            if not self.full:
+                self.full = True
+                self._reserve.unlink(missing_ok=True)
+                self.tell("disk-full")
+
+    def refill(self) -> None:
+        """Set the reserve aside (again), and write what waited. Called before each bracket."""
+        with self._lock:
+            try:
+                _allocate(self._reserve, self._reserve_bytes)
+                self.full = False
+            except OSError as error:
+                self._reserve.unlink(missing_ok=True)
+                if not disk_is_full(error):
+                    raise
+                self.make_room()
+            self._flush_events()
+            self._flush_rows()
+
+    def _flush_events(self) -> bool:
+        while self._events:
+            event, t_utc, fields = self._events[0]
+            if not self._write(lambda e=event, t=t_utc, f=fields: self.journal.append(e, t, **f)):
+                return False
+            self._events.popleft()
+        return True
+
+    def _flush_rows(self) -> bool:
+        while self._rows:
+            sample = self._rows[0]
+            if not self._write(lambda s=sample: self.days.append(s)):
+                return False
+            self._rows.popleft()
+            self.rows += 1
+        return True
+
+    def _write(self, write: Callable[[], None]) -> bool:
+        """Once more after the reserve is given back; False when there is still no room."""
+        for _ in range(2):
+            try:
+                write()
+                return True
+            except OSError as error:
+                if not disk_is_full(error):
+                    raise
+                if self.full:
+                    return False
+                self.full = True
+                self._reserve.unlink(missing_ok=True)
+                with suppress(OSError):
+                    self.journal.append("disk-full", self._now())
+        return False
+
+    def close(self) -> None:
+        with self._lock:
+            self._flush_events()
+            self._flush_rows()
+            self.journal.close()
+            self.days.close()
+            self._reserve.unlink(missing_ok=True)
+
+
+def _allocate(path: Path, size: int) -> None:
+    """A file that really takes `size` bytes of the disk."""
+    if path.is_file() and path.stat().st_size == size:
+        return
+    with path.open("wb") as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)
+        else:
+            file.write(b"\0" * size)
+            file.flush()

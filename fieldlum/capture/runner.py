@@ -1,0 +1,295 @@
+"""The loop that a laptop runs for a month: wait for a slot, take its bracket, go on whatever happens."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from shutil import disk_usage
+
+from fieldlum import __version__
+from fieldlum.capture.bracket import Bracket, Check, shots
+from fieldlum.capture.keeper import Keeper, plain_info
+from fieldlum.capture.logger import Logger
+from fieldlum.capture.recorder import RESERVE_BYTES, Recorder
+from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
+from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
+from fieldlum.devices import Camera, Pyranometer, open_camera, open_pyranometer
+from fieldlum.devices.clock import Clock, FastClock, RealClock
+from fieldlum.errors import DeviceError
+from fieldlum.records import Exposure, Slot, parse_utc
+from fieldlum.session import Session, read_journal, sole_user, update_session
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    grace_s: float = 300.0  # a bracket may start this late; later it is missed, never caught up in a burst
+    log_every_s: float = 5.0
+    log_around_s: float | None = None  # log only this long before a slot (simulated time); None: all the time
+    threaded: bool = True  # the log in a thread of its own; else from the loop, for a simulated clock
+    watchdog_s: float = 60.0  # a device that is silent for longer has hung
+    on_misses: str = ""  # shell command to run when two slots in a row gave no bracket
+    reserve_bytes: int = RESERVE_BYTES
+    boot: str = ""  # which start of the machine this is; lets a restarted capture see a clock step made in between
+
+
+DEFAULTS = Options()
+FAST_LEAD_S = 60.0
+
+
+def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
+    """The real clock and a log of its own thread; or a simulated clock that jumps from slot to slot.
+
+    The simulated one starts a minute before the first slot, or where the journal ends.
+    """
+    if not fast:
+        return RealClock(), Options(boot=boot_id())
+    ledger = fold(read_journal(session))
+    slots = owed(session.slots(), ledger)
+    lead = timedelta(seconds=2 * FAST_LEAD_S)
+    start = ledger.last_utc or (slots[0].t_utc - lead if slots else datetime.now(UTC))
+    return FastClock(start), Options(log_around_s=FAST_LEAD_S, threaded=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """What a person, or a script far away, wants to know while it runs."""
+
+    state: str  # waiting, capturing, finished
+    t_utc: datetime
+    planned: int
+    done: int
+    missed: int
+    aborted: int
+    left: int
+    next_slot: str
+    next_in_s: float | None
+    last_frame: str
+    ghi_wm2: float | None
+    ghi_age_s: float | None
+    camera: str
+    pyranometer: str
+    bytes_free: int
+    disk_days: float | None
+    last_event: str
+
+
+Watch = Callable[[Live], None]
+
+
+def unwatched(live: Live) -> None:
+    """Nobody looks."""
+
+
+def no_check(path: Path, exposure: Exposure) -> str:
+    """Finds nothing wrong."""
+    return ""
+
+
+def run(
+    session: Session,
+    camera_uri: str,
+    pyranometer_uri: str = "",
+    *,
+    clock: Clock,
+    options: Options = DEFAULTS,
+    watch: Watch = unwatched,
+    check: Check = no_check,
+    trusted: Callable[[], bool] = synchronised,
+    open_cam: Callable[[], Camera] | None = None,
+    open_pyr: Callable[[], Pyranometer] | None = None,
+) -> Ledger:
+    """Take all brackets that are owed; returns when the plan is settled.
+
+    Raises DeviceError when a device does not open at the start (a person is still there then), InputError for a
+    session that another capture holds. `open_cam`, `open_pyr` replace what the URIs open.
+    """
+    with sole_user(session, "capture"):
+        runner = _Runner(session, SteadyClock(clock, trusted, options.boot), options, watch, check)
+        try:
+            runner.open(
+                open_cam or (lambda: open_camera(camera_uri, clock=clock, session=session)),
+                open_pyr
+                or (
+                    (lambda: open_pyranometer(pyranometer_uri, clock=clock, session=session))
+                    if pyranometer_uri
+                    else None
+                ),
+                {"camera": camera_uri, "pyranometer": pyranometer_uri},
+            )
+            runner.work()
+        finally:
+            runner.close()
+    return fold(read_journal(session))
+
+
+class _Runner:
+    def __init__(self, session: Session, clock: SteadyClock, options: Options, watch: Watch, check: Check) -> None:
+        self.session, self.clock, self.options, self.watch, self.check = session, clock, options, watch, check
+        self.setup = session.site_file()
+        self.slots = session.slots()
+        before = fold(read_journal(session))
+        self.states = before.slots
+        self._resume_time(before)
+        self.recorder = Recorder(session, clock.now, options.reserve_bytes)
+        self.camera: Keeper[Camera] | None = None
+        self.logger: Logger | None = None
+        self.bytes_per_slot = 0.0
+        self.last_frame = ""
+        self._misses_in_a_row = 0
+        self._state, self._next = "waiting", ""
+
+    def _resume_time(self, before: Ledger) -> None:
+        if before.opened and before.last_utc is not None:
+            self.clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
+        if before.last_utc is not None and self.clock.now() < before.last_utc - timedelta(seconds=2):
+            raise DeviceError(
+                f"the clock says {self.clock.now():%Y-%m-%d %H:%M:%S} UTC, before the last journal entry "
+                f"({before.last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
+            )
+
+    def open(
+        self, open_cam: Callable[[], Camera], open_pyr: Callable[[], Pyranometer] | None, uris: dict[str, str]
+    ) -> None:
+        """Open both devices, or say now what is missing."""
+        options = self.options
+        self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
+        about = {"uris": uris}
+        about["camera"] = plain_info(self.camera.insist().info)
+        if open_pyr is not None:
+            keeper = Keeper("pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s)
+            about["pyranometer"] = plain_info(keeper.insist().info)
+            self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
+        self.recorder.tell(
+            "open",
+            **self.clock.mark(),
+            pid=os.getpid(),
+            fieldlum=__version__,
+            cut_bytes=self.recorder.journal.cut_bytes,
+        )
+        for name, fields in self.clock.check():
+            self.recorder.tell(name, **fields)
+        update_session(self.session, {"devices": about})
+        if self.logger is not None and options.threaded:
+            self.logger.start()
+
+    def work(self) -> None:
+        assert self.camera is not None
+        bracket = Bracket(
+            self.session, self.setup.camera, self.camera, self.recorder, self.clock, self.check, self._between
+        )
+        grace = timedelta(seconds=self.options.grace_s)
+        for slot in owed(self.slots, Ledger(dict(self.states))):
+            state = self.states.get(slot.id, SlotState())
+            self._state, self._next = "waiting", slot.id
+            self._wait_until(slot.t_utc, slot)
+            late_s = (self.clock.now() - slot.t_utc).total_seconds()
+            if late_s > self.options.grace_s and not (state.outcome == "started" and bracket.resumable(slot, state)):
+                state = self._too_late(bracket, slot, state, late_s)
+            else:
+                self._state = "capturing"
+                self.recorder.refill()
+                if late_s > 10.0 and state.outcome == "":
+                    self.recorder.tell("late", slot=slot.id, by_s=round(late_s, 1))
+                state = bracket.take(slot, state, slot.t_utc + grace)
+                self._after_bracket(slot, state)
+            self.states[slot.id] = state
+            self._count_misses(state)
+            self._show()
+        self._state, self._next = "finished", ""
+        self._show()
+
+    def _too_late(self, bracket: Bracket, slot: Slot, state: SlotState, late_s: float) -> SlotState:
+        if state.outcome == "started":
+            return bracket.abort(
+                slot, state, f"interrupted, and the slot's window closed {late_s:.0f} s after its start"
+            )
+        self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s")
+        return SlotState("missed", why="late")
+
+    def _after_bracket(self, slot: Slot, state: SlotState) -> None:
+        """One more sample, so that the bracket's interval is closed on both sides; and what a slot takes on disk."""
+        if self.logger is not None and not self.options.threaded:
+            self.clock.sleep(self.logger.due_in_s)
+            self.logger.poll_if_due()
+        sizes = [(self.session.raw / slot.id / frame.file).stat().st_size for frame in state.frames[:3]]
+        if sizes:
+            self.bytes_per_slot = sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))
+
+    def _wait_until(self, t_utc: datetime, slot: Slot) -> None:
+        around = self.options.log_around_s
+        if around is not None and self.logger is not None:
+            self._sleep_until(t_utc - timedelta(seconds=around), log=False)
+        self._sleep_until(t_utc, log=True)
+
+    def _sleep_until(self, t_utc: datetime, *, log: bool) -> None:
+        inline = self.logger if log and not self.options.threaded else None
+        while True:
+            for name, fields in self.clock.check():
+                self.recorder.tell(name, **fields)
+            left = (t_utc - self.clock.now()).total_seconds()
+            if left <= 0:
+                return
+            if inline is not None:
+                inline.poll_if_due()
+                left = min(left, max(inline.due_in_s, 0.01))
+            if self.options.threaded:
+                left = min(left, 1.0)
+                self._show()
+            if self.camera is not None and left <= 60.0:
+                self.camera.get()  # a camera that went away is back before its slot, if it can be
+            self.clock.sleep(left)
+
+    def _between(self, frame: Frame | None) -> None:
+        if frame is not None:
+            self.last_frame = f"{frame.file} {frame.doubt}".strip()
+        if self.logger is not None and not self.options.threaded:
+            self.logger.poll_if_due()
+        if self.options.threaded:
+            self._show()
+
+    def _count_misses(self, state: SlotState) -> None:
+        self._misses_in_a_row = 0 if state.outcome == "done" else self._misses_in_a_row + 1
+        if self._misses_in_a_row == 2 and self.options.on_misses:
+            self.recorder.tell("hook", command=self.options.on_misses)
+            threading.Thread(target=_run_hook, args=(self.options.on_misses, self.session.root), daemon=True).start()
+
+    def _show(self) -> None:
+        self.watch(self.live())
+
+    def live(self) -> Live:
+        outcomes = [state.outcome for state in self.states.values()]
+        done, missed, aborted = (outcomes.count(o) for o in ("done", "missed", "aborted"))
+        left = len(self.slots) - done - missed - aborted
+        now = self.clock.now()
+        upcoming = next((s for s in self.slots if s.id == self._next), None)
+        sample = self.logger.last if self.logger else None
+        free = disk_usage(self.session.root).free
+        per_day = self.bytes_per_slot * len(self.slots) / max(1, len({slot.t_utc.date() for slot in self.slots}))
+        return Live(
+            self._state, now, len(self.slots), done, missed, aborted, left, self._next,
+            (upcoming.t_utc - now).total_seconds() if upcoming else None,
+            self.last_frame,
+            sample.ghi_wm2 if sample else None,
+            (now - sample.t_utc).total_seconds() if sample else None,
+            self.camera.state if self.camera else "", self.logger.keeper.state if self.logger else "",
+            free, free / per_day if per_day else None, self.recorder.last_event,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        if self.logger is not None:
+            self.logger.close()
+        if self.camera is not None:
+            self.camera.close()
+            self.recorder.tell("close", state=self._state)
+        self.recorder.close()
+
+
+def _run_hook(command: str, folder: Path) -> None:
+    with suppress(OSError, subprocess.SubprocessError):
+        subprocess.run(command, shell=True, cwd=folder, timeout=300, stdin=subprocess.DEVNULL, check=False)

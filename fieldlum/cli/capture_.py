@@ -1,0 +1,71 @@
+"""fieldlum capture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fieldlum.cli import terminal
+
+if TYPE_CHECKING:
+    from fieldlum.session import Session
+
+
+@click.command("capture")
+@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option("--camera", "camera", metavar="URI", help="Like sim:office?seed=1, gphoto: or theta:http://192.168.1.1.")
+@click.option("--pyranometer", metavar="URI", help="Like serial:/dev/ttyUSB0?kind=spn1; without, none is logged.")
+@click.option(
+    "--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True, help="fast: simulated."
+)
+@click.option("--grace", "grace_s", metavar="S", type=click.FloatRange(min=0), default=300.0, show_default=True,
+              help="How late a bracket may start; later it is missed.")  # fmt: skip
+@click.option("--log-every", "log_every_s", metavar="S", type=click.FloatRange(min=0.1), default=5.0,
+              show_default=True, help="Seconds between irradiance rows.")  # fmt: skip
+@click.option("--status-json", type=click.Path(path_type=Path), help="Keep this file up to date for remote watching.")
+@click.option("--on-misses", metavar="COMMAND", default="", help="Run this when two slots in a row gave no bracket.")
+def command(
+    folder: Path, camera: str | None, pyranometer: str | None, clock: str, grace_s: float, log_every_s: float,
+    status_json: Path | None, on_misses: str,
+) -> None:  # fmt: skip
+    """Take the planned brackets and log irradiance beside.
+
+    Can be stopped and started again at any moment: at most the frame in flight is taken anew.
+
+    \b
+    fieldlum capture office-2027 --camera gphoto: --pyranometer serial:/dev/ttyUSB0?kind=spn1
+    """
+    from fieldlum import capture
+    from fieldlum.capture.verify import doubts
+    from fieldlum.cli.live import shown
+    from fieldlum.session import open_session
+
+    session = open_session(folder)
+    camera_uri, pyranometer_uri = _devices(session, camera, pyranometer)
+    ticking, options = capture.prepare(session, fast=clock == "fast")
+    options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
+    with shown(session.site_file().site, status_json) as watch:
+        ledger = capture.run(
+            session, camera_uri, pyranometer_uri, clock=ticking, options=options, watch=watch, check=doubts
+        )
+    outcomes = [state.outcome for state in ledger.slots.values()]
+    click.echo(
+        f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} missed, "
+        f"{outcomes.count('aborted')} aborted"
+    )
+
+
+def _devices(session: Session, camera: str | None, pyranometer: str | None) -> tuple[str, str]:
+    """What the command line names, else what the last capture of this session used."""
+    known = session.table().get("devices", {}).get("uris", {})
+    camera_uri = camera if camera is not None else known.get("camera", "")
+    if not camera_uri:
+        raise click.UsageError("name a camera, like: --camera gphoto: (or --camera sim:office?seed=1 to try it)")
+    if pyranometer is None:
+        pyranometer = known.get("pyranometer", "")
+        if not pyranometer:
+            terminal.say("note: no --pyranometer: irradiance is not logged here")
+    return camera_uri, pyranometer or ""

@@ -1,0 +1,131 @@
+"""What a running capture shows: a live panel on a terminal, lines in a pipe, a JSON file for a watcher far away."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from zoneinfo import ZoneInfo
+
+from fieldlum.capture.runner import Live, Watch
+from fieldlum.cli import terminal
+from fieldlum.records import Site, utc_text
+from fieldlum.session import replacing
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+_JSON_EVERY_S = 10.0
+
+
+def countdown(seconds: float | None) -> str:
+    """``mm:ss``, with hours in front where there are any."""
+    if seconds is None:
+        return "-"
+    whole = max(0, round(seconds))
+    hours, rest = divmod(whole, 3600)
+    return (f"{hours}:{rest // 60:02d}" if hours else f"{rest // 60:02d}") + f":{rest % 60:02d}"
+
+
+def panel(live: Live, site: Site) -> RenderableType:
+    """The whole display as one rich renderable."""
+    from rich.panel import Panel
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+
+    rows = Table.grid(padding=(0, 2))
+    rows.add_column(style="bold", no_wrap=True)
+    rows.add_column(no_wrap=True)
+    for name, text in _lines(live, ZoneInfo(site.timezone)):
+        rows.add_row(name, text)
+    whole = Table.grid(padding=(0, 0))
+    whole.add_row(ProgressBar(total=max(1, live.planned), completed=live.planned - live.left, width=58))
+    whole.add_row(rows)
+    return Panel(whole, title=f"fieldlum capture: {site.name}", width=64)
+
+
+def _lines(live: Live, zone: ZoneInfo) -> list[tuple[str, str]]:
+    trouble = "yellow" if live.missed or live.aborted else "green"
+    slots = f"[green]{live.done} done[/], [{trouble}]{live.missed} missed, {live.aborted} aborted[/], {live.left} left"
+    upcoming = f"{live.next_slot} in [bold]{countdown(live.next_in_s)}[/]" if live.next_slot else "none"
+    age = f" ({live.ghi_age_s:.0f} s ago)" if live.ghi_age_s is not None else ""
+    ghi = f"{live.ghi_wm2:.0f} W/m²{age}" if live.ghi_wm2 is not None else "-"
+    days = f", {live.disk_days:.0f} days of captures" if live.disk_days is not None else ""
+    return [
+        ("slots", slots),
+        ("now", f"{live.state}, {live.t_utc.astimezone(zone):%Y-%m-%d %H:%M:%S %Z}"),
+        ("next", upcoming if live.state != "capturing" else f"{live.next_slot} is being taken"),
+        ("camera", f"{_state(live.camera)} {live.last_frame}"),
+        ("global", f"{_state(live.pyranometer)} {ghi}" if live.pyranometer else "not logged"),
+        ("disk", f"{live.bytes_free / 1e9:.1f} GB free{days}"),
+        ("last", live.last_event or "-"),
+    ]
+
+
+def _state(state: str) -> str:
+    return f"[{'green' if state == 'ok' else 'red'}]{state}[/]"
+
+
+def as_json(live: Live) -> dict[str, Any]:
+    return {k: utc_text(v) if isinstance(v, datetime) else v for k, v in asdict(live).items()}
+
+
+class _StatusFile:
+    """Rewrites a small JSON file, at once when something happened and every ten seconds else."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path, self._key, self._at = path, (), None
+
+    def __call__(self, live: Live) -> None:
+        key = (live.state, live.next_slot, live.done, live.missed, live.aborted, live.last_frame, live.last_event)
+        fresh = self._at is not None and abs((live.t_utc - self._at).total_seconds()) < _JSON_EVERY_S
+        if self._path is None or (key == self._key and fresh):
+            return
+        self._key, self._at = key, live.t_utc
+        with (
+            suppress(OSError),
+            replacing(self._path, "w", encoding="utf-8") as file,
+        ):  # a full disk, a share that is gone
+            json.dump(as_json(live), file)
+
+
+@contextmanager
+def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
+    """A watcher for `run`: live on a terminal, else one line an outcome on stderr."""
+    status_file = _StatusFile(status_json)
+    if not sys.stderr.isatty():
+        plain = _PlainLines()
+
+        def watch(live: Live) -> None:
+            plain(live)
+            status_file(live)
+
+        yield watch
+        return
+    from rich.console import Console
+    from rich.live import Live as Screen
+
+    with Screen(console=Console(stderr=True), refresh_per_second=4) as screen:
+
+        def draw(live: Live) -> None:
+            screen.update(panel(live, site))
+            status_file(live)
+
+        yield draw
+
+
+class _PlainLines:
+    def __init__(self) -> None:
+        self._settled = -1
+
+    def __call__(self, live: Live) -> None:
+        settled = live.planned - live.left
+        if settled != self._settled and settled % max(1, live.planned // 20) == 0:
+            self._settled = settled
+            counts = f"{live.done} done, {live.missed} missed, {live.aborted} aborted, {live.left} left"
+            terminal.say(f"{utc_text(live.t_utc)}  {counts}")

@@ -1,0 +1,34 @@
+"""fieldlum log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli import terminal
+
+
+@click.command("log")
+@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option("--pyranometer", "uri", metavar="URI", required=True, help="Like serial:/dev/ttyUSB0?kind=spn1.")
+@click.option("--every", "every_s", metavar="S", type=click.FloatRange(min=0.1), default=5.0, show_default=True,
+              help="Seconds between rows.")  # fmt: skip
+@click.option("--rows", type=click.IntRange(min=1), help="Stop after so many rows; else log until Ctrl-C.")
+def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
+    """Log irradiance alone, until stopped.
+
+    \b
+    fieldlum log office-2027 --pyranometer serial:/dev/ttyUSB0?kind=spn1
+    """
+    from fieldlum.capture.logger import log
+    from fieldlum.devices.clock import RealClock
+    from fieldlum.session import open_session
+
+    session = open_session(folder)
+    try:
+        written = log(session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say)
+    except KeyboardInterrupt:
+        click.echo(f"{session.irradiance}: stopped")
+        return
+    click.echo(f"{session.irradiance}: {written} rows")

@@ -1,0 +1,48 @@
+"""fieldlum status."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fieldlum.cli import terminal
+
+
+@click.command("status")
+@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(folder: Path, as_json: bool) -> None:
+    """Show what a session has done and what it owes.
+
+    \b
+    fieldlum status office-2027
+    """
+    from fieldlum.capture.status import status
+    from fieldlum.session import open_session
+
+    found = status(open_session(folder))
+    if as_json:
+        terminal.emit_json(found)
+        return
+    for line in _lines(found):
+        click.echo(line)
+
+
+def _lines(s: dict[str, Any]) -> list[str]:
+    plan, capture, log, merge, pair = (s[k] for k in ("plan", "capture", "irradiance", "merge", "pair"))
+    models = ", ".join(m["name"] for m in s["train"]["models"]) or "none"
+    upcoming = f", next {capture['next']}" if capture["next"] else ""
+    return [
+        f"{s['session']}: {s['name']}",
+        f"plan        {plan['slots']} slots" + (f" ({plan['set']})" if plan["set"] else ""),
+        f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} aborted, "
+        f"{capture['owed']} owed{upcoming}; {capture['frames']} frames",
+        f"irradiance  {log['rows']} rows on {log['days']} days",
+        f"merge       {merge['done']} done, {merge['owed']} owed",
+        f"pair        {pair['done']} done, {pair['usable']} usable, {pair['owed']} owed",
+        f"train       {models}",
+        f"predict     {', '.join(s['predict']['years']) or 'none'}",
+        f"report      {'done' if s['report']['done'] else 'none'}",
+    ]

@@ -1,0 +1,306 @@
+"""Capture: the plan is run to its end whatever the devices, the disk and the clock do."""
+
+from __future__ import annotations
+
+import errno
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fieldlum.capture.runner import Live, Options, run
+from fieldlum.capture.state import fold, owed
+from fieldlum.capture.status import status
+from fieldlum.capture.steady import SteadyClock
+from fieldlum.devices.clock import ClockFault, FastClock
+from fieldlum.errors import DeviceError
+from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
+
+T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
+LADDER = tuple(Exposure(2.0**-i, 5.6) for i in range(3))
+FAST = Options(log_around_s=60.0, threaded=False, reserve_bytes=4096, watchdog_s=5.0)
+
+
+def make_session(folder: Path, slots: int = 3, setup: CameraSetup | None = None) -> Session:
+    plan = [Slot(T0 + timedelta(hours=i), 10.0, 120.0, LADDER) for i in range(slots)]
+    site = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"), setup or CameraSetup())
+    return create_session(folder, site, plan, {"set": "test"})
+
+
+@dataclass
+class TinyCamera:
+    """Writes a few bytes a frame; `fault(count)` may raise or hang before frame number `count`."""
+
+    clock: FastClock
+    fault: Callable[[int], None] = lambda count: None
+    count: int = 0
+    info: Any = field(default_factory=lambda: SimpleNamespace(kind="tiny", serial="7"))
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        self.count += 1
+        self.fault(self.count)
+        self.clock.sleep(2.0)
+        written = target.with_name(f"{target.name}.dng")
+        written.write_bytes(f"{exposure} {heading_deg} {self.clock.true_utc}".encode())
+        return written
+
+    def close(self) -> None: ...
+
+
+@dataclass
+class TinyPyranometer:
+    clock: FastClock
+    fault: Callable[[int], None] = lambda count: None
+    count: int = 0
+    info: Any = field(default_factory=lambda: SimpleNamespace(kind="tiny"))
+
+    def read(self) -> IrradianceSample:
+        self.count += 1
+        self.fault(self.count)
+        return IrradianceSample(self.clock.now(), 500.0 + self.count, 100.0)
+
+    def close(self) -> None: ...
+
+
+@dataclass
+class Field:
+    """A session with its tiny devices; keeps every device that was opened."""
+
+    session: Session
+    clock: FastClock
+    camera_fault: Callable[[int], None] = lambda count: None
+    pyranometer_fault: Callable[[int], None] = lambda count: None
+    cameras: list[TinyCamera] = field(default_factory=list)
+    shown: list[Live] = field(default_factory=list)
+    count: int = 0
+
+    def open_camera(self) -> TinyCamera:
+        made = TinyCamera(self.clock, self.camera_fault)
+        made.count = sum(c.count for c in self.cameras)
+        self.cameras.append(made)
+        return made
+
+    def run(self, options: Options = FAST, trusted: bool = False, **more: Any) -> list[str]:
+        run(
+            self.session, "tiny:", "tiny:", clock=self.clock, options=options, watch=self.shown.append,
+            trusted=lambda: trusted, open_cam=more.pop("open_cam", self.open_camera),
+            open_pyr=lambda: TinyPyranometer(self.clock, self.pyranometer_fault), **more,
+        )  # fmt: skip
+        return [event["event"] for event in read_journal(self.session)]
+
+    def outcomes(self) -> list[str]:
+        ledger = fold(read_journal(self.session))
+        return [ledger.slots[slot.id].outcome for slot in self.session.slots()]
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Field:
+    return Field(make_session(tmp_path / "s"), FastClock(T0 - timedelta(minutes=5)))
+
+
+def test_undisturbed_run_takes_everything_once(site: Field) -> None:
+    events = site.run()
+    assert site.outcomes() == ["done"] * 3 and events.count("frame") == 9
+    for slot in site.session.slots():
+        folder = site.session.raw / slot.id
+        table = json.loads((folder / "capture.json").read_text())
+        assert table["complete"] and table["slot"] == slot.id
+        assert [f["exposure"]["shutter_s"] for f in table["frames"]] == [1.0, 0.5, 0.25]
+        assert all(sha256(folder / f["file"]) == f["sha256"] for f in table["frames"])
+        assert not list(folder.glob(".*"))
+        assert table["t_open_utc"] < table["t_close_utc"]
+    samples = [s for path in day_files(site.session) for s in read_day(path)[0]]
+    for slot in site.session.slots():  # the bracket's interval is closed on both sides
+        assert any(slot.t_utc - timedelta(seconds=6) <= s.t_utc <= slot.t_utc for s in samples)
+        end = slot.t_utc + timedelta(seconds=6)
+        assert any(end <= s.t_utc <= end + timedelta(seconds=6) for s in samples)
+    assert site.shown[-1].state == "finished" and site.shown[-1].left == 0
+    assert site.run()[-1] == "close" and site.cameras[0].count == 9, "nothing is owed: nothing is taken"
+
+
+def test_turned_head_takes_every_heading(tmp_path: Path) -> None:
+    field_ = Field(make_session(tmp_path / "s", 1, CameraSetup(headings=(0.0, 180.0))), FastClock(T0))
+    field_.run()
+    table = json.loads((field_.session.raw / "20270320T153000Z" / "capture.json").read_text())
+    assert [f["heading_deg"] for f in table["frames"]] == [0.0] * 3 + [180.0] * 3
+    assert len({f["file"] for f in table["frames"]}) == 6
+
+
+def test_late_is_missed_never_a_burst(site: Field) -> None:
+    site.clock = FastClock(T0 + timedelta(hours=1, minutes=4))
+    site.run()
+    assert site.outcomes() == ["missed", "done", "done"]
+    late = [e for e in read_journal(site.session) if e["event"] == "late"]
+    assert [e["by_s"] for e in late] == [240.0]
+
+
+def test_a_lost_camera_comes_back_within_the_bracket(site: Field) -> None:
+    def fault(count: int) -> None:
+        if count == 5:
+            raise DeviceError("unplugged")
+
+    site.camera_fault = fault
+    events = site.run()
+    assert site.outcomes() == ["done"] * 3 and len(site.cameras) == 2
+    assert events.count("device-lost") == events.count("device-back") == 1 and events.count("frame") == 9
+
+
+def test_a_camera_that_stays_away_costs_slots_not_the_session(site: Field) -> None:
+    opened = site.open_camera
+
+    def refuse() -> TinyCamera:
+        if site.cameras and site.clock.true_utc < T0 + timedelta(minutes=90):
+            raise OSError(errno.ENODEV, "no such device")
+        return opened()
+
+    def fault(count: int) -> None:
+        if count == 2:
+            raise DeviceError("gone")
+
+    site.camera_fault = fault
+    site.run(open_cam=refuse)
+    assert site.outcomes() == ["aborted", "aborted", "done"]
+    table = json.loads((site.session.raw / "20270320T153000Z" / "capture.json").read_text())
+    assert not table["complete"] and len(table["frames"]) == 1
+
+
+def test_a_hung_camera_is_left_behind(site: Field) -> None:
+    hang = threading.Event()
+
+    def fault(count: int) -> None:
+        if count == 4:
+            hang.wait(20)
+
+    site.camera_fault = fault
+    site.run(replace(FAST, watchdog_s=0.2))
+    hang.set()
+    assert site.outcomes() == ["done"] * 3 and len(site.cameras) == 2
+
+
+def test_a_long_pause_starts_the_bracket_anew(site: Field) -> None:
+    def fault(count: int) -> None:
+        if count == 3:
+            site.clock.sleep(90.0)
+            raise DeviceError("slept")
+
+    site.camera_fault = fault
+    site.run()
+    assert site.outcomes() == ["done"] * 3
+    folder = site.session.raw / "20270320T153000Z"
+    assert len(list((folder / "attempt-1").iterdir())) == 2
+    assert len(json.loads((folder / "capture.json").read_text())["frames"]) == 3
+
+
+def test_two_misses_run_the_hook(site: Field, tmp_path: Path) -> None:
+    site.clock = FastClock(T0 + timedelta(hours=1, minutes=30))
+    told = tmp_path / "told"
+    events = site.run(replace(FAST, on_misses=f"echo missed > {told}"))
+    assert events.count("hook") == 1
+
+
+def test_bad_readings_and_a_lost_pyranometer(site: Field) -> None:
+    def fault(count: int) -> None:
+        if count in (3, 8, 9, 10):
+            raise DeviceError("garbage")
+
+    site.pyranometer_fault = fault
+    site.run()
+    lost = [e for e in read_journal(site.session) if e["event"] == "device-lost"]
+    assert len(lost) >= 1 and all(e["device"] == "pyranometer" for e in lost)
+    assert site.outcomes() == ["done"] * 3
+
+
+def test_full_disk_is_recorded_and_survived(site: Field) -> None:
+    def fault(count: int) -> None:
+        if count == 5:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    site.camera_fault = fault
+    events = site.run()
+    assert site.outcomes() == ["done", "aborted", "done"]
+    assert events.count("disk-full") == 1
+    assert not (site.session.root / ".reserve").exists()
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_clock_step_keeps_slots_at_the_sun(site: Field, trusted: bool) -> None:
+    # Wall clock set back an hour by hand, twenty minutes after the first slot; or by a time server (then it is right).
+    site.clock = FastClock(T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=20), "step", -3600.0)])
+    events = site.run(replace(FAST, log_around_s=None, log_every_s=30.0), trusted=trusted)
+    steps = [e for e in read_journal(site.session) if e["event"] == "clock-step"]
+    assert [(e["seconds"], e["followed"]) for e in steps] == [(-3600.0, trusted)]
+    frames = [e["frame"]["t_utc"] for e in read_journal(site.session) if e["event"] == "frame"]
+    assert frames == sorted(frames) and events.count("frame") == 9
+    end = site.clock.true_utc - T0
+    assert end < timedelta(hours=2, minutes=1) if not trusted else end > timedelta(hours=3)
+
+
+def test_suspend_is_told_and_what_it_covered_is_missed(site: Field) -> None:
+    site.clock = FastClock(T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=30), "suspend", 3600.0)])
+    site.run(replace(FAST, log_around_s=None, log_every_s=30.0))
+    assert [e["seconds"] for e in read_journal(site.session) if e["event"] == "suspend"] == [pytest.approx(3600, abs=1)]
+    assert site.outcomes() == ["done", "missed", "done"]
+
+
+def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:  # analytic
+    clock = FastClock(T0)
+    first = SteadyClock(clock, lambda: False, boot="b1")
+    then, mark = first.now(), first.mark()
+    clock.sleep(100.0)
+    clock.step(3600.0)
+    second = SteadyClock(clock, lambda: False, boot="b1")
+    second.carry_on(then, mark)
+    assert second.check() == [("clock-step", {"seconds": 3600.0, "followed": False})]
+    assert second.now() == T0 + timedelta(seconds=100)
+    third = SteadyClock(clock, lambda: False, boot="b2")
+    third.carry_on(then, mark)
+    assert third.check() == []
+
+
+def test_a_clock_before_the_journal_is_refused(site: Field) -> None:
+    site.run()
+    site.clock = FastClock(T0 - timedelta(days=400))
+    with pytest.raises(DeviceError, match="set the clock"):
+        site.run()
+
+
+def test_no_camera_at_the_start_is_said_at_once(site: Field) -> None:
+    def refuse() -> TinyCamera:
+        raise DeviceError("no camera found")
+
+    with pytest.raises(DeviceError, match="no camera found"):
+        site.run(open_cam=refuse)
+    assert len(owed(site.session.slots(), fold(read_journal(site.session)))) == 3
+
+
+def test_status_counts_from_files_alone(site: Field) -> None:
+    before = status(site.session)
+    assert before["capture"]["owed"] == 3 and before["capture"]["next"] == "20270320T153000Z"
+    site.run()
+    after = status(site.session)
+    assert (after["capture"]["done"], after["capture"]["frames"], after["merge"]["owed"]) == (3, 9, 3)
+    assert after["irradiance"]["rows"] == sum(len(read_day(p)[0]) for p in day_files(site.session))
+
+
+def test_threaded_log_runs_beside(tmp_path: Path) -> None:
+    from fieldlum.devices.clock import RealClock
+
+    now = datetime.now(UTC)
+    slots = [Slot(now + timedelta(seconds=0.5), 10.0, 120.0, LADDER[:1])]
+    session = create_session(tmp_path / "s", SiteFile(Site("office", 47.6, -122.3)), slots, {})
+    fast = FastClock(now)
+    options = Options(log_every_s=0.05, reserve_bytes=4096)
+    cameras = [TinyCamera(fast)]
+    run(
+        session, "tiny:", "tiny:", clock=RealClock(), options=options, trusted=lambda: False,
+        open_cam=lambda: cameras[0], open_pyr=lambda: TinyPyranometer(fast),
+    )  # fmt: skip
+    samples = [s for path in day_files(session) for s in read_day(path)[0]]
+    assert len(samples) >= 3 and fold(read_journal(session)).slots[slots[0].id].outcome == "done"
