@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli import terminal
 
-SETS = ("month", "9-day", "12-day", "4-day", "even")
+if TYPE_CHECKING:
+    from fieldlum.records import Site
+    from fieldlum.weather import Weather
+
+SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 
 
 @click.command("plan")
@@ -17,29 +22,101 @@ SETS = ("month", "9-day", "12-day", "4-day", "even")
 @click.option("--set", "set_", type=click.Choice(SETS), help="Which hours of the year to capture.")
 @click.option("--start", type=click.DateTime(["%Y-%m-%d"]), help="First day, local date; else the next that fits.")
 @click.option("--year", type=click.IntRange(1950, 2100), help="Plan the events of this year.")
-@click.option("--count", type=click.IntRange(min=1), help="Number of hours, for even (200).")
+@click.option(
+    "--days", type=click.IntRange(1, 366), help="Days of a month (31), or of the window of even and best (365)."
+)
+@click.option("--count", type=click.IntRange(min=1), help="Number of hours, for even (200) and best (50).")
+@click.option(
+    "--weather", "weather_file", type=click.Path(path_type=Path), help="EPW, TMY3 or CSV: skies and coverage."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="The session folder to make.")
-@click.option("--json", "as_json", is_flag=True, help="Print the plan's summary as one JSON object.")
+@click.option("--ics", is_flag=True, help="Also write plan.ics, one event a day.")
+@click.option("--html", is_flag=True, help="Also write plan.html, a printable sheet a day.")
+@click.option("--next", "next_", is_flag=True, help="Rank the coming hours by what they would teach the model.")
+@click.option("--replan", is_flag=True, help="Add make-up slots for the missed ones.")
+@click.option("--json", "as_json", is_flag=True, help="Print the answer as one JSON object.")
 def command(
-    target: Path, set_: str | None, start: datetime | None, year: int | None, count: int | None,
-    out: Path | None, as_json: bool,
+    target: Path, set_: str | None, start: datetime | None, year: int | None, days: int | None, count: int | None,
+    weather_file: Path | None, out: Path | None, ics: bool, html: bool, next_: bool, replan: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Choose the hours to capture and make the session.
 
     \b
-    fieldlum plan office.toml --set 9-day --out office-2027
+    fieldlum plan office.toml --set 9-day --out office-2027 --ics --html
+    fieldlum plan office-2027 --next --weather seattle.epw
+    fieldlum plan office-2027 --replan
     """
-    if set_ is None or out is None:
+    if next_ and replan:
+        raise click.UsageError("--next and --replan do different things: give one of them")
+    if next_ or replan:
+        if set_ or out:
+            raise click.UsageError("--next and --replan work on a session: leave out --set and --out")
+        answer, said = _coming(target, weather_file) if next_ else _replanned(target, ics, html, weather_file)
+    elif set_ is None or out is None:
         raise click.UsageError("give --set and --out, like: fieldlum plan SITE.toml --set 9-day --out my-session")
+    elif set_ == "best" and weather_file is None:
+        raise click.UsageError("the best hours depend on the climate: give a weather year with --weather FILE")
+    else:
+        asked = (set_, start.date() if start else None, year, days, count)
+        answer, said = _planned(target, asked, weather_file, out, ics, html)
+    if as_json:
+        terminal.emit_json(answer)
+    else:
+        click.echo("\n".join(said))
+
+
+def _planned(
+    target: Path, asked: tuple, weather_file: Path | None, out: Path, ics: bool, html: bool
+) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.profiles import load_site
 
     setup = load_site(target)
-    request = plan.Request(
-        set_, plan.today_at(setup.site, datetime.now(UTC)), start.date() if start else None, year, None, count
-    )
-    session, made = plan.run(setup, request, out)
-    for warning in made.warnings:
-        terminal.say(f"note: {warning}")
-    summary = plan.summary(session, made)
-    terminal.emit_json(summary) if as_json else click.echo(plan.sentence(summary))
+    set_, start, year, days, count = asked
+    request = plan.Request(set_, plan.today_at(setup.site, datetime.now(UTC)), start, year, days, count)
+    weather = _weather(weather_file, setup.site)
+    with terminal.progress("choosing hours") as progress:
+        session, made = plan.run(setup, request, out, weather, progress)
+    answer = plan.summary(session, made)
+    for note in made.warnings:
+        terminal.say(f"note: {note}")
+    said = plan.sentences(answer)
+    if ics:
+        plan.write_calendar(session, datetime.now(UTC))
+    if html:
+        plan.write_sheets(session, weather, [*said[1:], *made.warnings])
+    return answer, said
+
+
+def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
+    from fieldlum.plan import coming
+    from fieldlum.session import open_session
+
+    session = open_session(target)
+    weather = _weather(weather_file, session.site_file().site)
+    if weather is None:
+        raise click.UsageError("what an hour teaches depends on the climate: give a weather year with --weather FILE")
+    answer = coming.run(session, weather, datetime.now(UTC))
+    return coming.as_table(answer), coming.sentences(answer, session.site_file().site)
+
+
+def _replanned(target: Path, ics: bool, html: bool, weather_file: Path | None) -> tuple[dict, list[str]]:
+    from fieldlum import plan
+    from fieldlum.plan import makeup
+    from fieldlum.session import open_session
+
+    session = open_session(target)
+    answer = makeup.run(session, datetime.now(UTC))
+    if ics or (session.root / "plan.ics").exists():
+        plan.write_calendar(session, datetime.now(UTC))
+    if html or (session.root / "plan.html").exists():
+        plan.write_sheets(session, _weather(weather_file, session.site_file().site))
+    return makeup.as_table(answer), makeup.sentences(answer)
+
+
+def _weather(path: Path | None, site: Site) -> Weather | None:
+    if path is None:
+        return None
+    from fieldlum.weather import read_weather
+
+    return read_weather(path, site)

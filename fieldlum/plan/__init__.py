@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import date
+from dataclasses import asdict, dataclass
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.plan import choose
+from fieldlum.plan.coverage import Coverage, coverage
 from fieldlum.plan.days import Hours, dark_days, daylight_hours, season_tag, set_days
 from fieldlum.plan.days import today_at as today_at
 from fieldlum.plan.window import sun_enters, sun_in_view
 from fieldlum.profiles import Bracket, bracket_exposures, load_camera_profile
 from fieldlum.records import Exposure, Progress, Site, SiteFile, Slot, quiet
-from fieldlum.session import Session, create_session
+from fieldlum.session import Session, create_session, replacing
+from fieldlum.weather import Weather
 
-SETS = ("month", "9-day", "12-day", "4-day", "even")
-EVEN_COUNT = 200
+EVEN_COUNT, BEST_COUNT = 200, 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,30 +41,53 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
+class Months:
+    """Expected error of a capture month, as variance left in the kernel, against the best calendar month."""
+
+    best: str  # its name
+    times_best: float  # of the month planned
+    by_month: tuple[float, ...]  # January first, each against the best
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     slots: tuple[Slot, ...]
     days: tuple[date, ...]  # asked for, the dark ones too
     seconds_per_slot: float
     megabytes_per_slot: float
+    coverage: Coverage
+    variance_left: float | None  # of the model's prior uncertainty over the year; None without weather
+    months: Months | None  # for a month with weather
     warnings: tuple[str, ...]
+
+    @property
+    def hours(self) -> Hours:
+        return hours_of(self.slots)
 
     def about(self, request: Request) -> dict[str, Any]:
         """What session.toml keeps under [plan]."""
         asked = {"set": request.set, "start": request.start, "year": request.year, "count": request.count}
         return {
             **{key: value for key, value in asked.items() if value is not None},
+            "revision": 0,
             "slots": len(self.slots),
             "first": self.days[0],
             "last": self.days[-1],
             "seconds_per_slot": self.seconds_per_slot,
             "megabytes_per_slot": self.megabytes_per_slot,
+            "sun_band_percent": round(self.coverage.sun_band_percent, 1),
         }
 
 
-def make_plan(setup: SiteFile, request: Request, weather: object | None = None, progress: Progress = quiet) -> Plan:
+def hours_of(slots: Sequence[Slot]) -> Hours:
+    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
+    return Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
+
+
+def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet) -> Plan:
     """The slots of a set. Pure: nothing is written.
 
-    Raises NotEnoughDataError when no hour of the window has the sun above the horizon.
+    Raises NotEnoughDataError when no hour of the window has the sun above the horizon, or when `best` has no weather.
     """
     site = setup.site
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -73,16 +97,42 @@ def make_plan(setup: SiteFile, request: Request, weather: object | None = None, 
             f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) "
             f"from {days[0]} to {days[-1]}, so there is nothing to plan; choose another --start or --set"
         )
-    chosen = _chosen(setup, request, hours, weather, progress)
+    task = choose.learning(site, setup.room, weather) if weather is not None else None
+    chosen = _chosen(request, hours, weather, task, progress)
     bracket = load_camera_profile(setup.camera.profile).bracket
-    slots = make_slots(chosen, setup, bracket_exposures(bracket))
-    return Plan(slots, tuple(days), *cost_of(bracket, setup), tuple(_warnings(days, chosen, site, request)))
+    left = choose.variance_left(task, choose.features_at(chosen, task)[1]) if task else None
+    return Plan(
+        make_slots(chosen, setup, bracket_exposures(bracket)),
+        tuple(days),
+        *cost_of(bracket, setup),
+        coverage(chosen, site, weather),
+        left,
+        _months(task, len(days), days[0].year, left) if task and left and request.set == "month" else None,
+        (*_warnings(days, chosen, site, request), *(weather.repairs if weather else ())),
+    )
 
 
-def _chosen(setup: SiteFile, request: Request, hours: Hours, weather: object | None, progress: Progress) -> Hours:
+def _chosen(
+    request: Request, hours: Hours, weather: Weather | None, task: choose.Learning | None, progress: Progress
+) -> Hours:
     if request.set == "even":
-        return hours[choose.even(hours, request.count or EVEN_COUNT, np.random.default_rng(request.seed))]
+        return hours[choose.even(hours, weather, request.count or EVEN_COUNT, np.random.default_rng(request.seed))]
+    if request.set == "best":
+        if task is None:
+            raise NotEnoughDataError("the best hours depend on the climate: give a weather year with --weather FILE")
+        return hours[choose.best(hours, task, request.count or BEST_COUNT, progress)]
     return hours
+
+
+def _months(task: choose.Learning, days: int, year: int, left: float) -> Months:
+    windows = [daylight_hours(window, task.site) for window in choose.month_windows(year, days)]
+    costs = [choose.variance_left(task, choose.features_at(hours, task)[1]) for hours in windows]
+    least = min(*costs, left)
+    best = f"{date(year, int(np.argmin(costs)) + 1, 1):%B}"
+    return Months(best, left / least, tuple(cost / least for cost in costs))
+
+
+# ---------------------------------------------------------------------------------------------- slots
 
 
 def make_slots(hours: Hours, setup: SiteFile, exposures: Sequence[Exposure]) -> tuple[Slot, ...]:
@@ -117,12 +167,15 @@ def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
     return round(turns * seconds, 1), round(turns * len(exposures) * bracket.megabytes_per_frame, 1)
 
 
+# ---------------------------------------------------------------------------------------------- what to say
+
+
 def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) -> list[str]:
-    said = []
-    dark = dark_days(days, hours, site) if request.set not in ("even", "best") else []
+    said, all_year = [], request.set in ("even", "best")
+    dark = [] if all_year else dark_days(days, hours, site)
     if dark:
         said.append(f"polar night: no slot on {len(dark)} of {len(days)} days, {dark[0]} to {dark[-1]}")
-    if midnight := [d for d, n in _per_day(hours, site).items() if n == 24]:
+    if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
         said.append(f"midnight sun: the sun does not set on {len(midnight)} days, {midnight[0]} to {midnight[-1]}")
     said += clock_texts(days, site)
     if days[0] < request.today:
@@ -151,35 +204,76 @@ def clock_texts(days: Sequence[date], site: Site) -> list[str]:
     return said
 
 
+def summary(session: Session, plan: Plan) -> dict[str, Any]:
+    """For --json: everything a script wants to know about the plan."""
+    slots = plan.slots
+    return {
+        "session": str(session.root),
+        "slots": len(slots),
+        "days": len(_per_day(plan.hours, session.site_file().site)),
+        "first": slots[0].id,
+        "last": slots[-1].id,
+        "frames": sum(len(slot.exposures) for slot in slots),
+        "seconds_per_slot": plan.seconds_per_slot,
+        "megabytes": round(plan.megabytes_per_slot * len(slots), 1),
+        "tags": {tag: sum(tag in s.tags for s in slots) for tag in sorted({t for s in slots for t in s.tags})},
+        "coverage": asdict(plan.coverage),
+        "variance_left_percent": None if plan.variance_left is None else 100 * plan.variance_left,
+        "month": None if plan.months is None else asdict(plan.months),
+        "warnings": list(plan.warnings),
+    }
+
+
+def sentences(summary: dict[str, Any]) -> list[str]:
+    """The same for a person."""
+    slots, found, tags = summary["slots"], summary["coverage"], summary["tags"]
+    said = [
+        f"{slots} slots on {summary['days']} days, {summary['first']} to {summary['last']}, in {summary['session']}",
+        f"{summary['frames']} frames, {summary['seconds_per_slot']:g} s and {summary['megabytes'] / slots:.0f} MB "
+        f"a slot, {summary['megabytes'] / 1000:.1f} GB in all",
+        f"covers {found['sun_band_percent']:.0f} % of the year's sun band"
+        + ("" if found["irradiance_percent"] is None else
+           f", {found['irradiance_percent']:.0f} % of the weather year's skies, {found['both_percent']:.0f} % in both"),
+    ]  # fmt: skip
+    if "sun-enters" in tags:
+        said.append(
+            f"the sun can enter a window in {tags['sun-enters']} slots and is in view in {tags.get('sun-in-view', 0)}"
+        )
+    if summary["variance_left_percent"] is not None:
+        said.append(f"leaves {summary['variance_left_percent']:.2g} % of the model's uncertainty about the year")
+    if month := summary["month"]:
+        said.append(f"expected squared error {month['times_best']:.2f} times that of the best month, {month['best']}")
+    return said
+
+
+# ---------------------------------------------------------------------------------------------- doing it
+
+
 def run(
-    setup: SiteFile, request: Request, out: Path, weather: object | None = None, progress: Progress = quiet
+    setup: SiteFile, request: Request, out: Path, weather: Weather | None = None, progress: Progress = quiet
 ) -> tuple[Session, Plan]:
     """Plan and create the session folder. Raises InputError when `out` is a session already."""
     plan = make_plan(setup, request, weather, progress)
     return create_session(out, setup, plan.slots, plan.about(request)), plan
 
 
-def summary(session: Session, plan: Plan) -> dict[str, Any]:
-    """For --json: everything a script wants to know about the plan."""
-    slots = plan.slots
-    frames = sum(len(slot.exposures) for slot in slots)
-    return {
-        "session": str(session.root),
-        "slots": len(slots),
-        "days": len({slot.t_utc.date() for slot in slots}),
-        "first": slots[0].id,
-        "last": slots[-1].id,
-        "frames": frames,
-        "seconds_per_slot": plan.seconds_per_slot,
-        "megabytes": round(plan.megabytes_per_slot * len(slots), 1),
-        "warnings": list(plan.warnings),
-    }
+def write_calendar(session: Session, made_utc: datetime) -> Path:
+    """plan.ics beside plan.csv, from what stands there."""
+    from fieldlum.plan.calendar import ics
+
+    about = session.table()["plan"]
+    data = ics(session.slots(), session.site_file().site, about["seconds_per_slot"], made_utc, about["revision"])
+    with replacing(session.root / "plan.ics") as file:
+        file.write(data)
+    return session.root / "plan.ics"
 
 
-def sentence(summary: dict[str, Any]) -> str:
-    """The same for a person."""
-    return (
-        f"{summary['slots']} slots, {summary['first']} to {summary['last']}: {summary['frames']} frames, "
-        f"{summary['seconds_per_slot']:g} s and {summary['megabytes'] / summary['slots']:.0f} MB a slot, "
-        f"{summary['megabytes'] / 1000:.1f} GB in all, in {summary['session']}"
-    )
+def write_sheets(session: Session, weather: Weather | None = None, notes: Sequence[str] = ()) -> Path:
+    """plan.html beside plan.csv: an overview with the coverage plots, then a sheet a day."""
+    from fieldlum.plan.sheet import Cost, html
+
+    about = session.table()["plan"]
+    cost = Cost(about["seconds_per_slot"], about["megabytes_per_slot"])
+    with replacing(session.root / "plan.html") as file:
+        file.write(html(session.slots(), session.site_file(), cost, weather, notes).encode())
+    return session.root / "plan.html"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import date, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fieldlum import sun
 from fieldlum.plan.days import Hours
 from fieldlum.records import Site
+from fieldlum.weather import Weather
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,28 +30,6 @@ class Coverage:
     sun_band_percent: float  # area of the band of sun positions within NEAR_DEG of a planned one
     irradiance_percent: float | None = None  # weather hours whose DNI-DHI cell holds a planned hour
     both_percent: float | None = None  # weather hours covered in both ways
-
-
-@dataclass(frozen=True, slots=True)
-class WeatherYear:
-    """A weather year by month, day and hour of local standard time, for hh:30 slots of any year."""
-
-    t_utc: tuple[datetime, ...]
-    dni_wm2: NDArray[np.float64]
-    dhi_wm2: NDArray[np.float64]
-    timezone: str
-
-    def at(self, times_utc: tuple[datetime, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """DNI and DHI [n] of the same hours of the weather year; 29 February reads 28 February. NaN: not there."""
-        rows = {_hour_of_year(t, self.timezone): i for i, t in enumerate(self.t_utc)}
-        found = [rows.get(_hour_of_year(t, self.timezone), -1) for t in times_utc]
-        dni, dhi = (np.append(values, np.nan)[found] for values in (self.dni_wm2, self.dhi_wm2))
-        return dni, dhi
-
-
-def _hour_of_year(t_utc: datetime, timezone: str) -> tuple[int, int, int]:
-    at = sun.standard_time(t_utc, timezone)
-    return at.month, 28 if (at.month, at.day) == (2, 29) else at.day, at.hour
 
 
 # ---------------------------------------------------------------------------------------------- sun band
@@ -88,14 +67,14 @@ def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
     return dni * 1000 + dhi
 
 
-def coverage(hours: Hours, site: Site, weather: WeatherYear | None = None) -> Coverage:
+def coverage(hours: Hours, site: Site, weather: Weather | None = None) -> Coverage:
     """What of the year the hours cover; with a weather file, what of its hours."""
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
         return Coverage(band)
     at = sun.position(weather.t_utc, site)
     lit = (at.altitude_deg > 0) & (weather.dhi_wm2 > 0)
-    planned_dni, planned_dhi = weather.at(hours.t_utc)
+    _, planned_dni, planned_dhi = weather.at(hours.t_utc)
     known = np.isfinite(planned_dni)
     seen = np.isin(_cells(weather.dni_wm2[lit], weather.dhi_wm2[lit]), _cells(planned_dni[known], planned_dhi[known]))
     suns = sun.direction(at.altitude_deg[lit], at.azimuth_deg[lit])
@@ -106,10 +85,11 @@ def coverage(hours: Hours, site: Site, weather: WeatherYear | None = None) -> Co
 # ---------------------------------------------------------------------------------------------- plots
 
 
-def sun_figure(hours: Hours, site: Site, year: int) -> Figure:
+def sun_figure(hours: Hours, site: Site) -> Figure:
     """The band of sun positions by azimuth and altitude with the planned suns (the paper's Figure 15)."""
     from matplotlib.figure import Figure
 
+    year = hours.t_utc[0].year if len(hours) else datetime.now(UTC).year
     figure = Figure(figsize=(7.2, 3.8), layout="constrained")
     axes = figure.add_subplot()
     middle = 180.0 if site.latitude_deg >= 0 else 0.0  # where the sun culminates stands in the middle
@@ -155,7 +135,7 @@ def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.floa
     return at.azimuth_deg[up], at.altitude_deg[up]
 
 
-def irradiance_figure(hours: Hours, site: Site, weather: WeatherYear) -> Figure:
+def irradiance_figure(hours: Hours, site: Site, weather: Weather) -> Figure:
     """Joint density of direct normal and diffuse of the weather year, with the planned hours (Figures 16, 17)."""
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
@@ -168,7 +148,9 @@ def irradiance_figure(hours: Hours, site: Site, weather: WeatherYear) -> Figure:
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
     figure.colorbar(picture, ax=axes, label="hours a year in a cell")
     planned = weather.at(hours.t_utc)
-    axes.scatter(*planned, s=9, color=INK, linewidths=0, label="planned, as the weather year has them")
+    axes.scatter(
+        planned.dni_wm2, planned.dhi_wm2, s=9, color=INK, linewidths=0, label="planned, as the weather year has them"
+    )
     axes.set(xlabel="direct normal [W/m2]", ylabel="diffuse horizontal [W/m2]")
     found = coverage(hours, site, weather)
     title = f"{site.name}: skies met by the plan make up {found.irradiance_percent:.0f} % of the year's daylight hours"

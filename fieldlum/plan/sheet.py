@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
+from io import StringIO
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -12,9 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fieldlum import sun
 from fieldlum.plan.calendar import by_day
-from fieldlum.plan.coverage import day_arc
+from fieldlum.plan.coverage import day_arc, irradiance_figure, sun_figure
+from fieldlum.plan.days import SEASON_TAGS, Hours
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session import exposure_text
+from fieldlum.weather import Weather
 
 SIZE_PX, RADIUS_PX = 300.0, 122.0
 LATE_MINUTES = 5
@@ -26,8 +29,10 @@ class Cost:
     megabytes_per_slot: float
 
 
-def html(slots: Sequence[Slot], setup: SiteFile, cost: Cost) -> str:
-    """One self-contained page of HTML, with a sheet of paper for every day."""
+def html(
+    slots: Sequence[Slot], setup: SiteFile, cost: Cost, weather: Weather | None = None, notes: Sequence[str] = ()
+) -> str:
+    """One self-contained page of HTML: an overview with the coverage plots, then a sheet of paper for every day."""
     from jinja2 import Environment, PackageLoader, select_autoescape
 
     days = by_day(slots, setup.site)
@@ -37,8 +42,24 @@ def html(slots: Sequence[Slot], setup: SiteFile, cost: Cost) -> str:
         before += len(group)
         sheets.append(_sheet(number, day, group, setup, cost, before))
     return environment.get_template("sheet.html.j2").render(
-        site=setup.site, camera=setup.camera, sheets=sheets, days=len(days), late=LATE_MINUTES, slots=len(slots)
-    )
+        site=setup.site, sheets=sheets, days=len(days), late=LATE_MINUTES, notes=notes,
+        figures=_figures(slots, setup, weather),
+    )  # fmt: skip
+
+
+def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
+    """The coverage plots as inline SVG."""
+    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
+    hours = Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
+    figures = [sun_figure(hours, setup.site)]
+    if weather is not None:
+        figures.append(irradiance_figure(hours, setup.site, weather))
+    texts = []
+    for figure in figures:
+        buffer = StringIO()
+        figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
+        texts.append(buffer.getvalue()[buffer.getvalue().index("<svg") :])
+    return texts
 
 
 def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cost, so_far: int) -> dict[str, object]:
@@ -49,6 +70,7 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
     return {
         "number": number,
         "date": f"{day:%A %d %B %Y}".replace(" 0", " "),
+        "season": " ".join(sorted({tag.replace("-", " ") for s in slots for tag in s.tags if tag in SEASON_TAGS})),
         "rise": f"{today.rise.astimezone(zone):%H:%M}" if today.rise else "does not rise or set",
         "set": f"{today.set.astimezone(zone):%H:%M}" if today.set else "",
         "clock_change": [
@@ -61,7 +83,7 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
                 "utc": f"{slot.t_utc:%H:%M}",
                 "altitude": f"{slot.sun_altitude_deg:.0f}",
                 "azimuth": f"{slot.sun_azimuth_deg:.0f}",
-                "tags": [tag.replace("-", " ") for tag in slot.tags],
+                "tags": [tag.replace("-", " ") for tag in slot.tags if tag not in SEASON_TAGS],
             }
             for slot in slots
         ],
@@ -129,7 +151,7 @@ def _looking(setup: SiteFile) -> str:
     """Thin wedges where the camera's headings point."""
     parts = []
     for heading in setup.camera.headings or (setup.camera.heading_deg,):
-        tip, left, right = _xy([0, -5, -5], [heading, heading - 3, heading + 3])
+        tip, left, right = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, left, right))
         parts.append(f'<polygon points="{points}" fill="#1f5fa8"><title>camera looks here</title></polygon>')
     return "".join(parts)

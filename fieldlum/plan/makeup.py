@@ -1,0 +1,193 @@
+"""Make-up slots: a missed hour is taken again on a coming day whose sun runs the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum import sun
+from fieldlum.plan.coverage import coverage
+from fieldlum.plan.days import Hours, span
+from fieldlum.records import Site, SiteFile, Slot, slot_id
+from fieldlum.session import Session, read_journal, replacing, sha256, update_session, write_plan
+
+GRACE = timedelta(minutes=5)
+SAME_DECLINATION_DEG = 0.2  # half of a day's change at the equinoxes, so that every passage holds one such day
+MAKEUP = "makeup:"  # tag, followed by the missed slot's id
+MOST_OFF_DEG = 12.0  # the clock runs up to half an hour off the sun between the two passages: 7.5 deg of hour angle
+
+
+@dataclass(frozen=True, slots=True)
+class MakeUp:
+    missed: str
+    slot: str
+    sun_off_deg: float  # angle between the two suns
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    missed: int
+    made_up: tuple[MakeUp, ...]
+    lost: tuple[str, ...]  # missed slots that no coming hour can make up
+    already: int  # missed slots whose make-up is still to come
+    sun_band_percent: dict[str, float]  # planned, without (what would be left), with make-ups
+    revision: int
+
+
+def captured_ids(session: Session) -> set[str]:
+    return {event["slot"] for event in read_journal(session) if event["event"] == "done" and "slot" in event}
+
+
+def missed_slots(slots: Sequence[Slot], done: set[str], now_utc: datetime) -> list[Slot]:
+    """Slots whose time is over, without a capture."""
+    return [slot for slot in slots if slot.id not in done and slot.t_utc + GRACE < now_utc]
+
+
+def make_up(
+    missed: Sequence[Slot], planned: Sequence[Slot], setup: SiteFile, now_utc: datetime
+) -> tuple[list[Slot], list[MakeUp], list[Slot]]:
+    """Make-up slots, what each stands for, and what cannot be made up within a year.
+
+    The earliest coming day with the missed day's declination (across the solstice), at the same standard hour. A
+    make-up that is itself missed is made up for its original.
+    """
+    site, taken = setup.site, {slot.id for slot in planned}
+    days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
+    declination = sun.declination_deg([_noon(day, site) for day in days])
+    added: list[Slot] = []
+    pairs: list[MakeUp] = []
+    lost: list[Slot] = []
+    for slot in missed:
+        wanted = sun.declination_deg([_noon(sun.standard_date(slot.t_utc, site.timezone), site)])[0]
+        same = np.flatnonzero(np.abs(declination - wanted) <= SAME_DECLINATION_DEG)
+        times = [_same_hour(slot.t_utc, days[i], site) for i in same]
+        found = _first_free(slot, times, taken, site)
+        if found is None:
+            lost.append(slot)
+            continue
+        new, off = found
+        taken.add(new.id)
+        added.append(new)
+        pairs.append(MakeUp(slot.id, new.id, round(off, 1)))
+    return added, pairs, lost
+
+
+def _noon(day: date, site: Site) -> datetime:
+    return sun.standard_midnight(day, site.timezone) + timedelta(hours=12)
+
+
+def _same_hour(t_utc: datetime, day: date, site: Site) -> datetime:
+    at = sun.standard_time(t_utc, site.timezone)
+    return sun.standard_midnight(day, site.timezone) + timedelta(hours=at.hour, minutes=at.minute, seconds=at.second)
+
+
+def _first_free(slot: Slot, times: Sequence[datetime], taken: set[str], site: Site) -> tuple[Slot, float] | None:
+    at = sun.position(times, site)
+    old = sun.direction(slot.sun_altitude_deg, slot.sun_azimuth_deg)
+    cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ old
+    for i, t in enumerate(times):
+        off = float(np.degrees(np.arccos(np.clip(cosine[i], -1, 1))))
+        if slot_id(t) not in taken and at.altitude_deg[i] > 0 and off <= MOST_OFF_DEG:
+            tags = (*(tag for tag in slot.tags if not tag.startswith(MAKEUP)), MAKEUP + slot.id)
+            position = {"sun_altitude_deg": float(at.altitude_deg[i]), "sun_azimuth_deg": float(at.azimuth_deg[i])}
+            return replace(slot, t_utc=t, **position, tags=tags), off
+    return None
+
+
+def _made_up_for(slots: Sequence[Slot]) -> dict[str, Slot]:
+    """Missed slot's id to its make-up."""
+    return {tag.removeprefix(MAKEUP): slot for slot in slots for tag in slot.tags if tag.startswith(MAKEUP)}
+
+
+def run(session: Session, now_utc: datetime) -> Answer:
+    """Add make-up slots to plan.csv. Nothing is ever taken out of it; the plan before is kept as plan.N.csv."""
+    now_utc = now_utc.astimezone(UTC)
+    about = _resumed(session)
+    setup, slots, done = session.site_file(), session.slots(), captured_ids(session)
+    stands_in = _made_up_for(slots)
+    missed = missed_slots(slots, done, now_utc)
+    owed = [slot for slot in missed if slot.id not in stands_in]
+    added, pairs, lost = make_up(owed, slots, setup, now_utc)
+    if added:
+        about = _keep_and_write(session, [*slots, *added], about, setup)
+    left = [slot for slot in slots if slot.id in done or slot.t_utc + GRACE >= now_utc]
+    band = {
+        name: round(coverage(_hours(some), setup.site).sun_band_percent, 1)
+        for name, some in (("planned", slots), ("without", left), ("with", [*left, *added]))
+    }
+    return Answer(
+        len(missed),
+        tuple(pairs),
+        tuple(slot.id for slot in lost),
+        len(missed) - len(owed),
+        band,
+        about.get("revision", 0),
+    )
+
+
+def _keep_and_write(session: Session, slots: list[Slot], about: dict[str, Any], setup: SiteFile) -> dict[str, Any]:
+    with replacing(_kept(session, about)) as file:
+        file.write(session.plan.read_bytes())
+    write_plan(session.plan, sorted(slots, key=lambda slot: slot.t_utc), setup.site.timezone)
+    return _record(session, about)
+
+
+def _kept(session: Session, about: dict[str, Any]) -> Path:
+    return session.root / f"plan.{about.get('revision', 0)}.csv"
+
+
+def _record(session: Session, about: dict[str, Any]) -> dict[str, Any]:
+    """The new plan's hash and length into session.toml; the hashes of older ones stay."""
+    older = [*about.get("older_sha256", []), about.get("sha256", "")]
+    new = {
+        **about,
+        "revision": about.get("revision", 0) + 1,
+        "slots": len(session.slots()),
+        "sha256": sha256(session.plan),
+        "older_sha256": older,
+    }
+    update_session(session, {"plan": new})
+    return new
+
+
+def _resumed(session: Session) -> dict[str, Any]:
+    """What session.toml says of the plan; a re-plan that was killed before its last write is brought to its end."""
+    about = session.table().get("plan", {})
+    if _kept(session, about).exists() and sha256(session.plan) != about.get("sha256"):
+        return _record(session, about)
+    return about
+
+
+def _hours(slots: Sequence[Slot]) -> Hours:
+    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
+    return Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
+
+
+def as_table(answer: Answer) -> dict[str, Any]:
+    return asdict(answer)
+
+
+def sentences(answer: Answer) -> list[str]:
+    if not answer.missed:
+        return ["nothing was missed: the plan stands"]
+    band = answer.sun_band_percent
+    said = [f"{answer.missed} slots missed, {answer.already} of them with a make-up slot already"]
+    if answer.made_up:
+        days = sorted({pair.slot[:8] for pair in answer.made_up})
+        shown = ", ".join(f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6]) + (" ..." if len(days) > 6 else "")
+        off = max(pair.sun_off_deg for pair in answer.made_up)
+        said.append(
+            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; the sun at most {off:g} deg off"
+        )
+    if answer.lost:
+        said.append(f"{len(answer.lost)} cannot be made up within a year: {', '.join(answer.lost[:4])}")
+    said.append(
+        f"sun band: {band['planned']:.0f} % as planned, {band['without']:.0f} % without the missed, "
+        f"{band['with']:.0f} % with the make-ups"
+    )
+    return said
