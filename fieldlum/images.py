@@ -148,8 +148,11 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
 # ---------------------------------------------------------------------------------------------- panoramas
 
 
-def write_panorama(path: Path, panorama: Panorama) -> None:
-    """Float32 EXR with channels Y, u, flags (and R, G, B) and attributes view, heading_deg, t_utc, sun."""
+def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
+    """Float32 EXR with channels Y, u, flags (and R, G, B) and attributes view, heading_deg, t_utc, sun.
+
+    view: for a picture that is no panorama its Radiance view options.
+    """
     import OpenEXR
 
     channels = {"Y": np.ascontiguousarray(panorama.luminance_cdm2, np.float32)}
@@ -162,7 +165,7 @@ def write_panorama(path: Path, panorama: Panorama) -> None:
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "view": "equirect",
+        "view": view,
         "heading_deg": f"{panorama.heading_deg:.6g}",
         **({"t_utc": utc_text(panorama.t_utc)} if panorama.t_utc else {}),
         **({"sun": _sun_text(panorama.sun)} if panorama.sun else {}),

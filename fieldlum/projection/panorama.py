@@ -1,4 +1,4 @@
-"""Lens mappings, rays, solid angles and flux-conserving resampling.
+"""The panorama grid: rays, azimuths, solid angles.
 
 Axes: x east, y north, z up. Azimuth clockwise from north. A panorama is equirectangular, row 0 at the zenith, W = 2H;
 the azimuth of column centre j is heading + ((j + .5)/W - .5) * 360 degrees, so right is clockwise.

@@ -1,0 +1,19 @@
+"""Bracket to luminance panorama: linear merge on the mosaic, flux-conserving projection, uncertainty and flags."""
+
+from fieldlum.merge.bracket import MergeResult, merge_frames, merge_sensor, merge_shots
+from fieldlum.merge.frames import Shot, shots_of_files, shots_of_slot
+from fieldlum.merge.picture import files_to_picture
+from fieldlum.merge.stage import Verdict, run
+
+__all__ = [
+    "MergeResult",
+    "Shot",
+    "Verdict",
+    "files_to_picture",
+    "merge_frames",
+    "merge_sensor",
+    "merge_shots",
+    "run",
+    "shots_of_files",
+    "shots_of_slot",
+]

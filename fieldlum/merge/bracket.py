@@ -1,0 +1,198 @@
+"""One bracket from files to a map: the order of work, and what is said about its quality."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.merge.estimator import Merged, merge_signals
+from fieldlum.merge.frames import (
+    Crop,
+    FrameStore,
+    Shot,
+    lens_crop,
+    load_jpeg,
+    load_raw,
+    plateau_of,
+    shots_of_files,
+    sorted_shots,
+    true_shutter_s,
+)
+from fieldlum.merge.ratios import Neighbours, bracket_pairs, fit_bracket, neighbours
+from fieldlum.merge.stitch import SensorMap, blend, finish, view_through
+from fieldlum.photometry import RatioFit
+from fieldlum.profiles import CameraProfile
+from fieldlum.projection import Equirect
+from fieldlum.projection.resample import Target
+from fieldlum.records import Flag, Panorama, Progress, quiet
+from fieldlum.session import exposure_text
+
+RESIDUAL_WARN_PERCENT = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class MergeResult:
+    """The map, one line about it, and the figures behind that line. view: Radiance's words, empty for a panorama."""
+
+    panorama: Panorama
+    quality: dict[str, Any]
+    verdict: str
+    view: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorMerge:
+    """One bracket of one heading, merged on the sensor; luminance in the camera's own colours."""
+
+    merged: Merged
+    shots: tuple[Shot, ...]
+    crop: Crop
+    fit: RatioFit
+    neighbours: tuple[Neighbours, ...]
+    plateau_dn: float | None
+    u_ratio: float
+
+
+def merge_sensor(
+    shots: Sequence[Shot],
+    profile: CameraProfile,
+    *,
+    fit: bool | None = None,
+    budget_bytes: int = 600_000_000,
+    progress: Progress = quiet,
+) -> SensorMerge:
+    """Merge frames of one heading, sorted by exposure. fit: estimate exposure ratios (default: of raw frames).
+
+    Raises InputError for a frame that cannot be read or does not belong.
+    """
+    crop = lens_crop(profile)
+    times = [true_shutter_s(shot.exposure, profile) for shot in shots]
+    raw = profile.camera.kind == "raw"
+    plateau = plateau_of(shots, profile)
+
+    def loader(i: int) -> Any:
+        if raw:
+            return load_raw(shots[i], profile, crop, times[i][0], plateau)
+        return load_jpeg(shots[i], profile, crop, times[i][0], (i == 0, i == len(shots) - 1))
+
+    store = FrameStore([lambda i=i: loader(i) for i in range(len(shots))], budget_bytes)
+    pairs = bracket_pairs(store)
+    wanted = raw if fit is None else fit
+    ratios = fit_bracket(pairs if wanted else [], [u for _, u in times])
+    store.correct(ratios.correction)
+    left = neighbours(pairs, ratios.correction)
+    u_ratio = float(np.sqrt(np.mean(ratios.u_log**2)))
+    if not wanted and left:
+        u_ratio = max(float(np.median([abs(n.residual_percent) for n in left])) / 100, 1e-3)
+    shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
+    tolerance = max(0.003, 3 * u_ratio)
+    merged = merge_signals(
+        [lambda i=i: store[i] for i in range(len(shots))], shape, u_ratio=tolerance, progress=progress
+    )
+    return SensorMerge(merged, tuple(shots), crop, ratios, tuple(left), plateau, u_ratio)
+
+
+def merge_shots(
+    shots: Sequence[Shot],
+    profile: CameraProfile,
+    *,
+    target: Target,
+    heading_deg: float,
+    fit: bool | None = None,
+    progress: Progress = quiet,
+) -> MergeResult:
+    """Merge a bracket of one or several headings to a target grid. Raises InputError."""
+    ordered = sorted_shots(shots, profile)
+    views, parts = [], []
+    for heading, group in groupby(ordered, key=lambda s: s.heading_deg):
+        part = merge_sensor(list(group), profile, fit=fit, progress=progress)
+        parts.append(part)
+        turn = 0.0 if heading is None else heading - heading_deg
+        sensor = SensorMap(part.merged, part.crop, turn, part.shots[0].exposure.f_number, None)
+        views += [view_through(sensor, lens, profile, target) for lens in profile.lens]
+    u_ratio = float(np.sqrt(np.mean([p.u_ratio**2 for p in parts])))
+    done = finish(blend(views), profile, target, u_ratio)
+    quality = _quality(parts, done.flags, target)
+    times = [s.t_utc for s in ordered if s.t_utc is not None]
+    middle = min(times) + (max(times) - min(times)) / 2 if times else None
+    panorama = Panorama(
+        done.luminance_cdm2, heading_deg, done.u_cdm2, done.flags, middle, None, done.rgb,
+        {"camera": profile.camera.name},
+    )  # fmt: skip
+    view = "" if isinstance(target, Equirect) else target.view
+    return MergeResult(panorama, quality, verdict(quality), view)
+
+
+def merge_frames(
+    files: Sequence[Path],
+    profile: CameraProfile,
+    *,
+    height: int = 230,
+    heading_deg: float = 180.0,
+    shots: Sequence[Shot] | None = None,
+    fit: bool | None = None,
+    progress: Progress = quiet,
+) -> MergeResult:
+    """A bracket of raw or JPEG files to a luminance panorama [height, 2 height].
+
+    shots: the same frames with what is known beside their EXIF (headings, times, filters).
+    Raises InputError, naming the file, for anything that cannot be merged.
+    """
+    known = list(shots) if shots is not None else shots_of_files(files)
+    return merge_shots(known, profile, target=Equirect(height), heading_deg=heading_deg, fit=fit, progress=progress)
+
+
+def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) -> dict[str, Any]:
+    """Figures of one bracket; shares are of the solid angle seen. [%]"""
+    solid = target.solid_angles()
+    seen = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
+
+    def share(flag: Flag) -> float:
+        return float(100 * (seen * ((flags & flag) > 0)).sum() / max(seen.sum(), 1e-12))
+
+    frames = [
+        {
+            "file": shot.path.name,
+            "heading_deg": shot.heading_deg,
+            "exposure": exposure_text(shot.exposure),
+            "correction": round(float(c), 6),
+            "u_percent": round(float(100 * u), 4),
+        }
+        for part in parts
+        for shot, c, u in zip(part.shots, part.fit.correction, part.fit.u_log, strict=True)
+    ]
+    left = [n for part in parts for n in part.neighbours]
+    return {
+        "frames": frames,
+        "neighbours": [asdict(n) for n in left],
+        "residual_percent": max((abs(n.residual_percent) for n in left), default=None),
+        "clipped_percent": share(Flag.CLIPPED_HIGH),
+        "bloom_percent": share(Flag.BLOOM),
+        "motion_percent": share(Flag.MOTION),
+        "below_noise_percent": share(Flag.BELOW_NOISE),
+        "outside_percent": float(100 * (1 - seen.sum() / max(solid.sum(), 1e-12))),
+        "plateau_dn": parts[0].plateau_dn,
+        "u_ratio_percent": 100 * float(np.sqrt(np.mean([p.u_ratio**2 for p in parts]))),
+    }
+
+
+def verdict(quality: dict[str, Any]) -> str:
+    """One line: good, or what to look at."""
+    said = []
+    worst = quality["residual_percent"]
+    if worst is None:
+        said.append("no two frames overlap")
+    elif worst > RESIDUAL_WARN_PERCENT:
+        said.append(f"neighbouring frames disagree by {worst:.1f} %")
+    if quality["clipped_percent"] > 0.05:
+        said.append(f"clipped in every frame: {quality['clipped_percent']:.2f} % of the view")
+    if quality["motion_percent"] > 2.0:
+        said.append(f"motion in {quality['motion_percent']:.1f} % of the view")
+    if quality["below_noise_percent"] > 5.0:
+        said.append(f"below noise: {quality['below_noise_percent']:.1f} %")
+    return "; ".join(said) or f"good: frames agree within {worst:.2f} %"

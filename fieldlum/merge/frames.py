@@ -1,0 +1,427 @@
+"""Camera files as linear signals: which frames belong together, and what each one's counts mean."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.merge.estimator import Signal, Strip
+from fieldlum.photometry import prior_u_log, response_table, saturation_plateau, snap_shutter_s, z_per_cdm2
+from fieldlum.profiles import CameraProfile
+from fieldlum.raw import channel_positions, read_exif, read_jpeg, read_mosaic
+from fieldlum.records import Exposure, parse_utc
+
+_GATE = 0.97  # of the saturation, for predictions; noise is added to it
+_FULL = 0.99  # of the saturation: a count that is taken for saturated
+_SIGMA_CODE = 0.6  # codes: noise of a JPEG pixel beside its quantisation (sensor, compression)
+_Z_STEPS = 1 << 14
+_COLOUR = {"R": 0, "G": 1, "B": 2}
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One frame of a bracket: the file and the exposure it was meant to have. heading_deg None: the camera's own."""
+
+    path: Path
+    exposure: Exposure
+    heading_deg: float | None = None
+    t_utc: datetime | None = None
+    sha256: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """The part of the sensor that any lens reaches, even numbers for the mosaic's sake."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+
+def lens_crop(profile: CameraProfile) -> Crop:
+    """Raises InputError when a lens's circle misses the sensor."""
+    body = profile.camera
+    top, left, bottom, right = body.height_px, body.width_px, 0, 0
+    for lens in profile.lens:
+        (x, y), r = lens.centre_px, lens.radius_px + 3
+        top, bottom = min(top, int(y - r)), max(bottom, int(np.ceil(y + r)))
+        left, right = min(left, int(x - r)), max(right, int(np.ceil(x + r)))
+    top, left = max(top, 0) // 2 * 2, max(left, 0) // 2 * 2
+    bottom, right = min(bottom + bottom % 2, body.height_px // 2 * 2), min(right + right % 2, body.width_px // 2 * 2)
+    if bottom - top < 2 or right - left < 2:
+        raise InputError(body.name, "lens circles beside the sensor", "centre_px on the sensor", "mend [[lens]]")
+    return Crop(top, left, bottom - top, right - left)
+
+
+# ---------------------------------------------------------------------------------------------- which frames
+
+
+def shots_of_slot(folder: Path) -> list[Shot]:
+    """Frames of raw/<slot>/: by its capture.json where there is one, else by EXIF. Raises InputError."""
+    note = folder / "capture.json"
+    if not note.is_file():
+        return shots_of_files(frame_files(folder))
+    try:
+        table = json.loads(note.read_text(encoding="utf-8"))
+        return [_shot_of_note(folder, row) for row in table["frames"]]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(note, f"{type(error).__name__}: {error}", "frames with file and exposure") from None
+
+
+def _shot_of_note(folder: Path, row: dict[str, Any]) -> Shot:
+    heading, when = row.get("heading_deg"), row.get("t_utc")
+    known = row["exposure"]
+    exposure = Exposure(
+        float(known["shutter_s"]), float(known["f_number"]), float(known["iso"]), str(known.get("nd") or "")
+    )
+    return Shot(
+        folder / row["file"],
+        exposure,
+        None if heading is None else float(heading),
+        parse_utc(when) if when else None,
+        row.get("sha256") or "",
+    )
+
+
+def frame_files(folder: Path) -> list[Path]:
+    """Everything in a slot's folder that may be a frame. Raises InputError for a folder without any."""
+    skipped = {".json", ".tmp", ".txt", ".xmp", ".csv", ".part"}
+    files = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() not in skipped and p.name[0] != ".")
+    if not files:
+        raise InputError(folder, "no frames in it", "raw or JPEG frames", "capture or import the slot again")
+    return files
+
+
+def shots_of_files(files: Sequence[Path]) -> list[Shot]:
+    """By EXIF. Raises InputError for a file without exposure time."""
+    if not files:
+        raise InputError("merge", "no frames", "at least one raw or JPEG file")
+    found = []
+    for path in files:
+        if not path.is_file():
+            raise InputError(path, "no such file", "a raw or JPEG frame")
+        found.append(Shot(path, read_exif(path).exposure))
+    return found
+
+
+def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
+    """Longest exposure first and by name: one order whatever the caller's. Raises InputError for a mixed bracket."""
+    known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
+    for shot in shots:
+        if shot.exposure.nd and shot.exposure.nd not in known:
+            raise InputError(shot.path, f"filter '{shot.exposure.nd}'", f"one of the profile's: {', '.join(known)}")
+    kinds = {is_jpeg(s.path) for s in shots}
+    if kinds != {profile.camera.kind == "jpeg"}:
+        got = "JPEG" if True in kinds else "raw"
+        odd = next(s.path for s in shots if is_jpeg(s.path) != (profile.camera.kind == "jpeg"))
+        raise InputError(odd, f"a {got} frame", f"{profile.camera.kind} frames, as {profile.camera.name} says")
+    apertures = profile.scale.f_numbers
+    for shot in shots:
+        if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
+            valid = ", ".join(f"f/{n:g}" for n in apertures)
+            raise InputError(shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k holds for nothing else")
+
+    def collected(shot: Shot) -> float:
+        e = shot.exposure
+        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (known[e.nd] if e.nd else 1.0)
+
+    return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
+
+
+def is_jpeg(path: Path) -> bool:
+    return path.suffix.lower() in JPEG_SUFFIXES
+
+
+def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, float]:
+    """The profile's measured time where it has one, else the snapped one; and its relative u before any fit."""
+    for known in profile.shutter:
+        if abs(known.nominal_s / exposure.shutter_s - 1) < 0.02:
+            return known.true_s, known.u_rel
+    snapped = snap_shutter_s(exposure.shutter_s)
+    return snapped, float(prior_u_log(np.asarray(snapped)))
+
+
+def nd_factors(exposure: Exposure, profile: CameraProfile) -> tuple[float, float, float]:
+    return next((nd.factor_rgb for nd in profile.nd if nd.name == exposure.nd), (1.0, 1.0, 1.0))
+
+
+# ---------------------------------------------------------------------------------------------- raw
+
+
+@dataclass(frozen=True)
+class RawSignal:
+    """A mosaic, cropped, as [rows / 2, 2, columns]; constants of the four colours are [2, columns] or scalars."""
+
+    counts: NDArray[np.uint16]
+    black: NDArray[np.float32]
+    saturation: NDArray[np.float32]  # above black
+    per_cdm2: NDArray[np.float32]
+    gain_e_per_dn: float
+    noise_dn2: float  # read noise and quantisation
+    through_nd: bool = False
+
+    @cached_property
+    def limit(self) -> NDArray[np.float32]:
+        """Predictions above it may have saturated: 97 % of full, or four sigma below it."""
+        sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
+        return np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma).astype(np.float32)
+
+    @cached_property
+    def _limit_cdm2(self) -> NDArray[np.float32]:
+        return np.asarray(self.limit / self.per_cdm2, np.float32)
+
+    @cached_property
+    def _per_gain(self) -> NDArray[np.float32]:
+        return np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
+
+    @cached_property
+    def _any_full(self) -> float:
+        return float(np.min(_FULL * self.saturation + self.black))
+
+    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+        part = self.counts[first:last]
+        above = part.astype(np.float32)
+        above -= self.black
+        if part.max(initial=0) < self._any_full:
+            a, b = max(first - 1, 0), min(last + 1, len(self.counts))
+            edges = self.counts[a:first], self.counts[last:b]
+            if all(e.max(initial=0) < self._any_full for e in edges):
+                return above, None
+        return above, self._near_full(first, last)
+
+    def _near_full(self, first: int, last: int) -> NDArray[np.bool_]:
+        """Saturated or within two pixels of it (charge spills over, and other colours there are no better)."""
+        import cv2
+
+        a, b = max(first - 1, 0), min(last + 1, len(self.counts))
+        part = self.counts[a:b]
+        full = (part - self.black >= _FULL * self.saturation).reshape(-1, part.shape[-1])
+        wide = cv2.dilate(full.view(np.uint8), np.ones((5, 5), np.uint8)).reshape(part.shape)
+        return wide[first - a : last - a].view(np.bool_)
+
+    def weight(self, predicted_cdm2: Strip) -> Strip:
+        w = predicted_cdm2 * self._per_gain
+        w += np.float32(self.noise_dn2)
+        np.divide(self.per_cdm2, w, out=w)
+        w *= predicted_cdm2 < self._limit_cdm2
+        return w
+
+    def usable(self, counts: Strip) -> NDArray[np.bool_]:
+        return counts < self.limit
+
+    def largest_cdm2(self) -> NDArray[np.float32]:
+        return self._limit_cdm2
+
+    def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
+        at = _spread(len(self.counts), rows)
+        step = max(1, self.counts.shape[-1] // columns) | 1  # odd, so that both columns of the mosaic are met
+        full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])[:, :, ::step]
+        constants = (c[..., ::step] if c.ndim else c for c in (self.black, self.saturation, self.per_cdm2))
+        black, saturation, per = constants
+        counts = self.counts[at][:, :, ::step]
+        return RawSignal(counts, black, saturation, per, self.gain_e_per_dn, self.noise_dn2, self.through_nd), full
+
+
+def _spread(length: int, wanted: int) -> NDArray[np.intp]:
+    """At most `wanted` places, evenly spread over `length`."""
+    return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
+
+
+def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[np.float32]:
+    """Values of R, G1, G2, B on the mosaic, [2, width]; a scalar where all are equal."""
+    if len(set(by_colour)) == 1:
+        return np.asarray(by_colour[0], np.float32)
+    cell = np.empty((2, 2), np.float32)
+    for at, value in zip(channel_positions(cfa), by_colour, strict=True):
+        cell[at] = value
+    return np.tile(cell, (1, width // 2))
+
+
+def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, plateau: float | None) -> RawSignal:
+    """Raises InputError for a frame that is none of this camera's."""
+    mosaic = read_mosaic(shot.path)
+    sensor, body = profile.sensor, profile.camera
+    _check_size(shot.path, mosaic.counts.shape, profile)
+    if mosaic.cfa != sensor.cfa:
+        raise InputError(shot.path, f"mosaic {mosaic.cfa}", f"{sensor.cfa}, as {body.name} says")
+    part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
+    counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)
+    black = sensor.black_dn if any(sensor.black_dn) else mosaic.black_dn
+    full = [min(s, mosaic.white_dn, plateau or np.inf) - b for s, b in zip(sensor.saturation_dn, black, strict=True)]
+    exposure = replace(shot.exposure, shutter_s=shutter_s)
+    per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
+    red, green, blue = nd_factors(exposure, profile)
+    per_colour = [per * (sensor.white_dn - b) / f for b, f in zip(black, (red, green, green, blue), strict=True)]
+    gain = sensor.gain_e_per_dn * sensor.iso / exposure.iso
+    return RawSignal(
+        counts,
+        _cell_pattern(mosaic.cfa, black, crop.width),
+        _cell_pattern(mosaic.cfa, full, crop.width),
+        _cell_pattern(mosaic.cfa, per_colour, crop.width),
+        gain,
+        (sensor.read_noise_e / gain) ** 2 + 1 / 12,
+        bool(exposure.nd),
+    )
+
+
+def _check_size(path: Path, shape: tuple[int, ...], profile: CameraProfile) -> None:
+    body = profile.camera
+    if shape[:2] != (body.height_px, body.width_px):
+        found = f"{shape[1]} x {shape[0]} pixels"
+        raise InputError(path, found, f"{body.width_px} x {body.height_px}, as {body.name} says", "use its own profile")
+
+
+def plateau_of(shots: Sequence[Shot], profile: CameraProfile) -> float | None:
+    """Where the sensor really saturates, from the most exposed frame; None when it shows no plateau."""
+    if profile.camera.kind == "jpeg":
+        return None
+    mosaic = read_mosaic(shots[0].path)
+    return saturation_plateau(mosaic.counts, mosaic.white_dn)
+
+
+# ---------------------------------------------------------------------------------------------- JPEG
+
+
+@dataclass(frozen=True)
+class JpegSignal:
+    """Codes [h, w, 3] with a table of z for each colour; weights by the predicted z from a table as well."""
+
+    codes: NDArray[np.uint8]
+    z_of_code: NDArray[np.float32]  # [256, 3]
+    per_cdm2: NDArray[np.float32]  # [3]
+    low_code: int
+    high_code: int
+    dark_end: bool  # the most exposed frame: codes below low_code are all there is
+    bright_end: bool
+    through_nd: bool = False
+
+    @cached_property
+    def _top(self) -> int:
+        return 250 if self.bright_end else self.high_code
+
+    @cached_property
+    def _weight_of_z(self) -> NDArray[np.float32]:
+        """per_cdm2 / variance over predicted z, [steps, 3]."""
+        z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * 1.02
+        table = np.zeros((_Z_STEPS, 3), np.float32)
+        codes = np.arange(256.0)
+        for c in range(3):
+            curve = self.z_of_code[:, c].astype(np.float64) + np.arange(256) * 1e-9
+            code = np.interp(z, curve, codes)
+            slope = np.interp(code, codes, np.maximum(np.gradient(curve), 1e-6))
+            variance = slope**2 * (_SIGMA_CODE**2 + 1 / 12)
+            low = 0 if self.dark_end else self.low_code
+            table[:, c] = np.where((code >= low) & (code <= self._top), self.per_cdm2[c] / variance, 0.0)
+        return table
+
+    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+        import cv2
+
+        part = self.codes[first:last]
+        linear = np.asarray(cv2.LUT(part, self.z_of_code.reshape(1, 256, 3)), np.float32)
+        a, b = max(first - 2, 0), min(last + 2, len(self.codes))
+        if self.codes[a:b].max(initial=0) < 252:
+            return linear, None
+        full = (self.codes[a:b].max(axis=2) >= 252).view(np.uint8)
+        wide = cv2.dilate(full, np.ones((5, 5), np.uint8))[first - a : last - a].view(np.bool_)
+        return linear, np.repeat(wide[:, :, None], 3, axis=2)
+
+    def weight(self, predicted_cdm2: Strip) -> Strip:
+        z = predicted_cdm2 * self.per_cdm2
+        z *= np.float32(_Z_STEPS / 1.02)
+        index = np.minimum(np.nan_to_num(z, posinf=_Z_STEPS), _Z_STEPS - 1).astype(np.int32)
+        w = np.empty(z.shape, np.float32)
+        for c in range(3):
+            np.take(self._weight_of_z[:, c], index[..., c], out=w[..., c])
+        return w
+
+    def usable(self, counts: Strip) -> NDArray[np.bool_]:
+        low = -1.0 if self.dark_end else self.z_of_code[self.low_code]
+        return (counts >= low) & (counts <= self.z_of_code[self._top])
+
+    def largest_cdm2(self) -> NDArray[np.float32]:
+        return np.asarray(self.z_of_code[self._top] / self.per_cdm2, np.float32)
+
+    def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
+        at = _spread(len(self.codes), rows)
+        step = max(1, self.codes.shape[1] // columns)
+        full = np.stack([_or_none(self.strip(int(i), int(i) + 1)[1], self.codes.shape[1:]) for i in at])
+        return replace(self, codes=self.codes[at][:, ::step], bright_end=False, dark_end=False), full[:, ::step]
+
+
+def _or_none(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    return np.zeros(shape, bool) if mask is None else mask[0]
+
+
+def response_tables(profile: CameraProfile) -> NDArray[np.float32]:
+    """z of the 256 codes of R, G, B, [256, 3]. Raises InputError for a broken response."""
+    r = profile.response
+    try:
+        tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
+    except ValueError as error:
+        raise InputError(profile.camera.name, f"[response]: {error}") from None
+    return np.stack(tables, axis=1).astype(np.float32)
+
+
+def load_jpeg(
+    shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, ends: tuple[bool, bool] = (False, False)
+) -> JpegSignal:
+    """ends: whether this is the bracket's most and least exposed frame. Raises InputError."""
+    frame = read_jpeg(shot.path)
+    _check_size(shot.path, frame.codes.shape, profile)
+    exposure = shot.exposure
+    per = z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
+    return JpegSignal(
+        np.ascontiguousarray(frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]),
+        response_tables(profile),
+        np.asarray([per / f for f in nd_factors(exposure, profile)], np.float32),
+        profile.response.low_code,
+        profile.response.high_code,
+        *ends,
+        bool(exposure.nd),
+    )
+
+
+# ---------------------------------------------------------------------------------------------- memory
+
+
+class FrameStore:
+    """Loads frames on demand and keeps them while they fit in `budget_bytes`; the rest are read again each pass."""
+
+    def __init__(self, loaders: Sequence[Callable[[], Signal]], budget_bytes: int = 600_000_000) -> None:
+        self._loaders, self._left = loaders, budget_bytes
+        self._kept: dict[int, Signal] = {}
+        self._scale = np.ones(len(loaders))
+
+    def __len__(self) -> int:
+        return len(self._loaders)
+
+    def correct(self, factors: NDArray[np.floating]) -> None:
+        """Multiply the frames' assumed exposures, now and for all later reads."""
+        self._scale = self._scale * factors
+        self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
+
+    def __getitem__(self, number: int) -> Signal:
+        if number in self._kept:
+            return self._kept[number]
+        signal = _scaled(self._loaders[number](), float(self._scale[number]))
+        size = getattr(signal, "counts", getattr(signal, "codes", np.empty(0))).nbytes
+        if size <= self._left:
+            self._left -= size
+            self._kept[number] = signal
+        return signal
+
+
+def _scaled(signal: Any, factor: float) -> Any:
+    return replace(signal, per_cdm2=(signal.per_cdm2 * np.float32(factor)).astype(np.float32))

@@ -1,0 +1,231 @@
+"""`fieldlum merge SESSION`: every captured slot to panoramas/<slot>.exr, resumably and by several processes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import threading
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from fieldlum import __version__
+from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
+from fieldlum.images import write_panorama
+from fieldlum.merge.bracket import MergeResult, merge_frames
+from fieldlum.merge.disc import take_out_sun
+from fieldlum.merge.frames import Shot, shots_of_slot
+from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
+from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, quiet, utc_text
+from fieldlum.session import Session, replacing, replacing_path, sha256
+
+DEFAULT_HEIGHT = 230
+_RECIPE = 1  # raise it when the arithmetic changes: panoramas made before are then made again
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One bracket's outcome. state: merged, kept (done before from the same inputs), failed."""
+
+    slot: str
+    state: str
+    text: str
+    quality: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    session: Session
+    slot: str
+    profile: CameraProfile
+    profile_sha256: str
+    setup: CameraSetup
+    site: Site
+    height: int
+    fit: bool | None
+    force: bool
+
+
+def captured_slots(session: Session) -> list[str]:
+    """Names of the folders in raw/, in order of time."""
+    return sorted(p.name for p in session.raw.glob("[0-9]*Z") if p.is_dir())
+
+
+def _recipe(job: _Job, shots: list[Shot]) -> dict[str, Any]:
+    """What a panorama depends on; two equal recipes give the same picture."""
+    frames = [
+        {"file": s.path.name, "size": s.path.stat().st_size, "sha256": s.sha256 or sha256(s.path),
+         "heading_deg": s.heading_deg}
+        for s in shots
+    ]  # fmt: skip
+    text = {
+        "recipe": _RECIPE,
+        "frames": frames,
+        "profile_sha256": job.profile_sha256,
+        "height": job.height,
+        "heading_deg": job.setup.heading_deg,
+        "fit": job.fit,
+    }
+    return {**text, "digest": hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()}
+
+
+def _done_before(session: Session, slot: str, digest: str) -> dict[str, Any] | None:
+    """The sidecar of a panorama that was made by this very recipe, else None."""
+    picture, note = session.panoramas / f"{slot}.exr", session.panoramas / f"{slot}.json"
+    try:
+        table = json.loads(note.read_text(encoding="utf-8"))
+        same = table["inputs"]["digest"] == digest and table["size_bytes"] == picture.stat().st_size
+        return table if same else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _slot_time(session: Session, slot: str, shots: list[Shot]) -> datetime:
+    """The middle of the bracket: capture.json's interval, else the frames' times, else the slot's own."""
+    note = session.raw / slot / "capture.json"
+    if note.is_file():
+        try:
+            table = json.loads(note.read_text(encoding="utf-8"))
+            opened, closed = parse_utc(table["t_open_utc"]), parse_utc(table["t_close_utc"])
+            return opened + (closed - opened) / 2
+        except (ValueError, KeyError, TypeError):
+            pass
+    times = [s.t_utc for s in shots if s.t_utc is not None]
+    return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
+
+
+def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
+    """One bracket, from frames to files. A failure is a verdict too: one bad bracket stops nothing."""
+    try:
+        shots = shots_of_slot(job.session.raw / job.slot)
+        recipe = _recipe(job, shots)
+        known = None if job.force else _done_before(job.session, job.slot, recipe["digest"])
+        if known is not None:
+            return Verdict(job.slot, "kept", known["verdict"], known["quality"])
+        result = merge_frames(
+            [s.path for s in shots], job.profile, height=job.height, heading_deg=job.setup.heading_deg,
+            shots=shots, fit=job.fit, progress=progress,
+        )  # fmt: skip
+        panorama = replace(result.panorama, t_utc=_slot_time(job.session, job.slot, shots))
+        panorama = take_out_sun(panorama, job.site)
+        _write(job, replace(result, panorama=panorama), recipe)
+        return Verdict(job.slot, "merged", result.verdict, result.quality)
+    except (FieldlumError, OSError) as error:
+        return Verdict(job.slot, "failed", str(error), {})
+
+
+def _write(job: _Job, result: MergeResult, recipe: dict[str, Any]) -> None:
+    """The picture first, then its sidecar: a picture without one is made again."""
+    picture = job.session.panoramas / f"{job.slot}.exr"
+    with replacing_path(picture) as path:
+        write_panorama(path, result.panorama)
+    p = job.profile
+    table = {
+        "slot": job.slot,
+        "t_utc": utc_text(result.panorama.t_utc) if result.panorama.t_utc else "",
+        "verdict": result.verdict,
+        "quality": result.quality,
+        "sun": _sun_table(result.panorama.sun),
+        "factors": {
+            "k": p.scale.k,
+            "y_from_rgb": p.colour.y_from_rgb,
+            "u_percent": {
+                "k": 100 * p.scale.u_rel,
+                "colour": 100 * p.colour.u_rel,
+                "glare_floor": 100 * p.glare_floor_rel,
+            },
+        },
+        "profile": {"name": p.camera.name, "sha256": job.profile_sha256},
+        "inputs": recipe,
+        "size_bytes": picture.stat().st_size,
+        "software": {"fieldlum": __version__},
+    }
+    with replacing(picture.with_suffix(".json"), "w", encoding="utf-8") as file:
+        json.dump(table, file, indent=1)
+
+
+def _sun_table(sun: SunSource | None) -> dict[str, Any] | None:
+    if sun is None:
+        return None
+    return {
+        "altitude_deg": sun.altitude_deg,
+        "azimuth_deg": sun.azimuth_deg,
+        "normal_illuminance_lx": sun.normal_illuminance_lx,
+        "origin": sun.origin,
+        "lower_bound": sun.origin == "clipped",
+    }
+
+
+# ---------------------------------------------------------------------------------------------- many brackets
+
+
+def _die_with_parent() -> None:
+    """In a worker: end when the parent is killed, instead of waiting for work for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+def _merged(jobs: list[_Job], workers: int, progress: Progress) -> Iterator[Verdict]:
+    if workers <= 1 or len(jobs) <= 1:
+        for job in jobs:
+            yield merge_slot(job)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_die_with_parent) as pool:
+        for future in as_completed([pool.submit(merge_slot, job) for job in jobs]):
+            yield future.result()
+
+
+def _jobs(session: Session, slots: Iterable[str], height: int, fit: bool | None, force: bool) -> list[_Job]:
+    setup = session.site_file()
+    path = find_camera_profile(setup.camera.profile)
+    profile = load_camera_profile(path)
+    digest = sha256(path)
+    return [_Job(session, s, profile, digest, setup.camera, setup.site, height, fit, force) for s in slots]
+
+
+def run(
+    session: Session,
+    *,
+    workers: int = 1,
+    height: int = DEFAULT_HEIGHT,
+    fit: bool | None = None,
+    force: bool = False,
+    progress: Progress = quiet,
+) -> list[Verdict]:
+    """Merge every slot of the session that is not merged yet from the same frames and profile.
+
+    Raises NotEnoughDataError when nothing was captured; InputError when every bracket failed.
+    """
+    slots = captured_slots(session)
+    if not slots:
+        raise NotEnoughDataError(f"{session.raw}: no captured slots, capture or import some first")
+    jobs = _jobs(session, slots, height, fit, force)
+    session.panoramas.mkdir(parents=True, exist_ok=True)
+    for scrap in session.panoramas.glob(".*.tmp*"):  # of killed runs
+        if not _alive(scrap):
+            scrap.unlink(missing_ok=True)
+    verdicts = []
+    for done, verdict in enumerate(_merged(jobs, workers, progress), start=1):
+        verdicts.append(verdict)
+        progress(done, len(jobs), f"{verdict.slot}: {verdict.text}"[:60])
+    verdicts.sort(key=lambda v: v.slot)
+    if all(v.state == "failed" for v in verdicts):
+        raise InputError(session.raw, f"no bracket could be merged; {verdicts[0].text}", remedy="see each bracket")
+    return verdicts
+
+
+def _alive(scrap: Path) -> bool:
+    """Whether the process that writes this temporary file (its number is in the name) still runs."""
+    numbers = [part for part in scrap.name.split(".") if part.isdigit()]
+    try:
+        os.kill(int(numbers[0]), 0)
+    except (OSError, IndexError):
+        return False
+    return True

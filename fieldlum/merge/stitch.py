@@ -1,0 +1,199 @@
+"""Merged sensors to one map: resampling, vignetting, colour, the blend of lenses, and the uncertainty of the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
+from fieldlum.merge.estimator import Merged
+from fieldlum.merge.frames import Crop
+from fieldlum.photometry import check_vignetting, vignetting_at
+from fieldlum.profiles import CameraProfile, Lens
+from fieldlum.projection import LensGeometry, Resampler, resampler
+from fieldlum.projection.resample import Target
+from fieldlum.records import Flag
+
+# Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it makes a lower bound.
+_SHARE = {Flag.CLIPPED_HIGH: 1e-3, Flag.BLOOM: 0.05, Flag.MOTION: 0.25, Flag.ND: 0.25}
+_SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
+_TAPER_RAD = 0.06  # over which a lens fades in from its edge, where another lens sees the same
+
+
+@dataclass(frozen=True, slots=True)
+class SensorMap:
+    """A merged sensor and where it looked: heading offset from the target's heading, aperture, crop."""
+
+    merged: Merged
+    crop: Crop
+    turn_deg: float
+    f_number: float
+    valid: NDArray[np.bool_] | None = None  # False: bad pixels
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Flat arrays [n] of the target: luminance, random variance, share covered, vignetting's u, flags, camera RGB."""
+
+    luminance: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    coverage: NDArray[np.float64]
+    edge: NDArray[np.float64]  # 0 at the lens's edge, 1 from _TAPER_RAD inwards
+    u_vignetting: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+    rgb: NDArray[np.float64]  # [n, 3]
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """[H, W]: luminance, standard uncertainty (all sources), flags; rgb in Radiance's primaries or None."""
+
+    luminance_cdm2: NDArray[np.float32]
+    u_cdm2: NDArray[np.float32]
+    flags: NDArray[np.uint16]
+    rgb: NDArray[np.float32] | None
+    u_random_cdm2: NDArray[np.float32]
+
+
+def lens_geometry(lens: Lens, crop: Crop, turn_deg: float) -> LensGeometry:
+    x, y = lens.centre_px
+    return LensGeometry(
+        (x - crop.left, y - crop.top), lens.radius_px, lens.full_angle_deg, lens.mapping, lens.coefficients,
+        (lens.azimuth_deg + turn_deg + 180.0) % 360.0 - 180.0, lens.tilt_deg, lens.roll_deg,
+    )  # fmt: skip
+
+
+def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
+    """Coefficients and relative uncertainty at the edge. Raises InputError for a curve that cannot be one.
+
+    An aperture without a curve takes the nearest one, at most a third of a stop away; a lens without any has V = 1.
+    """
+    if not lens.vignetting:
+        return (1.0,), 0.0
+    nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
+    if abs(2 * np.log2(nearest.f_number / f_number)) > 0.4:
+        known = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
+        raise InputError(lens.name, f"no vignetting for f/{f_number:g}", f"one of {known}", "calibrate this aperture")
+    wrong = check_vignetting(nearest.coefficients)
+    if wrong:
+        raise InputError(lens.name, f"vignetting at f/{nearest.f_number:g}: {wrong}", "a loss towards the edge")
+    return nearest.coefficients, nearest.u_rel
+
+
+def _project(sensor: SensorMap, r: Resampler) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
+    """Camera RGB [n, 3], its random variance [n, 3] and flags [n] of one lens."""
+    m = sensor.merged
+    colours = list("RGB") if len(r.matrices) > 1 else [""]
+    values, variance = (np.reshape(a, (-1, 3) if colours == [""] else -1) for a in (m.value_cdm2, m.variance))
+    valid = None if sensor.valid is None else sensor.valid.ravel().astype(np.float32)
+    rgb, var = [], []
+    for colour in colours:
+        matrix = r.matrices[colour]
+        square = matrix.copy()
+        square.data = matrix.data**2
+        if valid is None:
+            rgb.append(matrix @ values)
+            var.append(square @ variance)
+        else:  # bad pixels: what is left of each row is scaled back to 1
+            share = np.maximum(matrix @ valid, 1e-6)
+            rgb.append(matrix @ (values * valid) / share)
+            var.append(square @ (variance * valid) / share**2)
+    flags = np.zeros(len(r.coverage), np.uint8)
+    raised = m.flags if colours != [""] else np.bitwise_or.reduce(m.flags, axis=-1)
+    present = int(np.bitwise_or.reduce(raised, axis=None))
+    for flag, least in _SHARE.items():
+        if present & flag:
+            marked = ((raised & flag) > 0).ravel().astype(np.float32)
+            share = np.max([r.matrices[c] @ marked for c in colours], axis=0)
+            flags[share > least] |= np.uint8(flag)
+    if colours == [""]:
+        return np.asarray(rgb[0], np.float64), np.asarray(var[0], np.float64), flags
+    return np.stack(rgb, axis=1).astype(np.float64), np.stack(var, axis=1).astype(np.float64), flags
+
+
+def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: Target) -> View:
+    """One lens's contribution, vignetting undone."""
+    geometry = lens_geometry(lens, sensor.crop, sensor.turn_deg)
+    cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
+    r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
+    rgb, var, flags = _project(sensor, r)
+    coefficients, u_edge = vignetting_of(lens, sensor.f_number)
+    angle = r.angle_rad.astype(np.float64)
+    v = vignetting_at(coefficients, angle / geometry.half_angle_rad)
+    worst = max(1.0 - float(vignetting_at(coefficients, 1.0)), 1e-9)
+    weights = np.asarray(profile.colour.y_from_rgb)
+    rgb, var = rgb / v[:, None], var / v[:, None] ** 2
+    edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
+    u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
+    return View(rgb @ weights, var @ weights**2, r.coverage.astype(np.float64), edge, u_vignetting, flags, rgb)
+
+
+def blend(views: Sequence[View]) -> View:
+    """Inverse-variance mean of all lenses and headings that see a pixel.
+
+    The variance is that of the common luminance (of the noisy one it would pull towards the darker lens), and a lens
+    fades out towards its edge. Pixels that are clipped, bloomed or moving in one lens give way to the others.
+    """
+    coverage = np.stack([v.coverage for v in views])
+    luminance = np.stack([v.luminance for v in views])
+    seen = coverage > 0
+    common = np.divide(
+        (coverage * luminance).sum(0), coverage.sum(0), out=np.zeros(coverage.shape[1]), where=seen.any(0)
+    )
+    variance = np.stack([v.variance for v in views])
+    spread = np.stack([v.u_vignetting for v in views]) * common
+    edge = np.stack([v.edge for v in views])
+    weight = np.where(seen, coverage * edge / (variance + spread**2 + (1e-4 * common) ** 2 + 1e-12), 0.0)
+    spoilt = np.stack([(v.flags & _SPOILT) > 0 for v in views])
+    weight = np.where(spoilt, weight * 1e-6, weight)
+    total = weight.sum(0)
+    share = np.divide(weight, total, out=np.zeros_like(weight), where=total > 0)
+    flags = np.zeros(coverage.shape[1], np.uint8)
+    for view, part in zip(views, share, strict=True):
+        flags |= np.where(part > 0.05, view.flags, 0).astype(np.uint8)
+    flags[coverage.sum(0) < 1e-3] = Flag.OUTSIDE_LENS
+    rgb = sum(part[:, None] * view.rgb for view, part in zip(views, share, strict=True))
+    u_vig = np.sqrt((share**2 * np.stack([v.u_vignetting for v in views]) ** 2).sum(0))
+    return View(
+        (share * luminance).sum(0), (share**2 * variance).sum(0), coverage.max(0), edge.max(0), u_vig, flags,
+        np.asarray(rgb, np.float64),
+    )  # fmt: skip
+
+
+def finish(view: View, profile: CameraProfile, target: Target, u_ratio: float) -> Map:
+    """The GUM budget and the flags of the finished map.
+
+    u^2 = random^2 + L^2 (ratio^2 + response^2 + vignetting^2 + colour^2 + filter^2 + k^2) + (glare floor)^2; the glare
+    floor is a share of the mean luminance seen. A clipped pixel is a lower bound: its u is 100 %.
+    """
+    p, light = profile, view.luminance
+    seen = (view.flags & Flag.OUTSIDE_LENS) == 0
+    response = p.response.u_rel if p.camera.kind == "jpeg" else 0.0
+    filtered = max((nd.u_rel for nd in p.nd), default=0.0) * ((view.flags & Flag.ND) > 0)
+    relative = u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + filtered**2 + p.scale.u_rel**2
+    solid = target.solid_angles().ravel() * seen
+    floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
+    u = np.sqrt(view.variance + light**2 * relative + floor**2)
+    u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
+    flags = view.flags.astype(np.uint16)
+    flags[seen & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
+    matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
+    rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
+    shape = target.shape
+    return Map(
+        light.reshape(shape).astype(np.float32), u.reshape(shape).astype(np.float32), flags.reshape(shape),
+        None if rgb is None else rgb.reshape(*shape, 3), np.sqrt(view.variance).reshape(shape).astype(np.float32),
+    )  # fmt: skip
+
+
+def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float32]:
+    """RGB scaled pixel by pixel so that 179 (.265 .670 .065) gives the luminance; grey where it cannot."""
+    own = np.maximum(colour, 0.0)
+    y = own @ np.asarray(RADIANCE_Y)
+    scale = np.divide(light, y, out=np.zeros_like(y), where=y > 1e-12)
+    grey = np.repeat(light[:, None], 3, axis=1)
+    return (np.where((y > 1e-12)[:, None], own * scale[:, None], grey) / RADIANCE_LM_PER_W).astype(np.float32)

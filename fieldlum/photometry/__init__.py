@@ -1,0 +1,40 @@
+"""Exposure and luminance arithmetic: shutter times, response curves, exposure ratios, vignetting, illuminance."""
+
+from fieldlum.photometry.exposure import (
+    STONITS,
+    saturation_plateau,
+    snap_shutter_s,
+    z_per_cdm2,
+)
+from fieldlum.photometry.illuminance import illuminance_lx, illuminance_verdict, vertical_illuminance_lx
+from fieldlum.photometry.ratios import PairRatio, RatioFit, fit_ratios, pair_ratio, prior_u_log
+from fieldlum.photometry.response import (
+    fit_response,
+    monotone,
+    polynomial_table,
+    response_table,
+    srgb_table,
+)
+from fieldlum.photometry.vignetting import check_vignetting, vignetting_at
+
+__all__ = [
+    "STONITS",
+    "PairRatio",
+    "RatioFit",
+    "check_vignetting",
+    "fit_ratios",
+    "fit_response",
+    "illuminance_lx",
+    "illuminance_verdict",
+    "monotone",
+    "pair_ratio",
+    "polynomial_table",
+    "prior_u_log",
+    "response_table",
+    "saturation_plateau",
+    "snap_shutter_s",
+    "srgb_table",
+    "vertical_illuminance_lx",
+    "vignetting_at",
+    "z_per_cdm2",
+]

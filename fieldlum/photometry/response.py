@@ -1,0 +1,88 @@
+"""From a JPEG's codes to linear z in [0, 1]: tables of 256 values, their shapes, and the fit from a bracket."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def srgb_table() -> NDArray[np.float64]:
+    """IEC 61966-2-1, [256]."""
+    c = np.arange(256) / 255.0
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def polynomial_table(coefficients: Sequence[float]) -> NDArray[np.float64]:
+    """z = sum c_k (code / 255)^k, c_0 first, made monotone and kept above 0, [256]. hdrgen's .rsp has c_0 last."""
+    z = np.polynomial.polynomial.polyval(np.arange(256) / 255.0, np.asarray(coefficients, float))
+    return monotone(np.asarray(z, np.float64))
+
+
+def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64]:
+    """[256] of a profile's response: linear, srgb, polynomial (coefficients) or table (256 values).
+
+    Raises ValueError for a table of another length or one that is not increasing.
+    """
+    if kind == "table":
+        z = np.asarray(curve, float)
+        if z.shape != (256,) or not np.isfinite(z).all() or np.any(np.diff(z) < 0) or z[-1] <= 0:
+            raise ValueError("a response table needs 256 increasing values")
+        return z
+    if kind == "polynomial":
+        if len(curve) < 2 or not np.isfinite(curve).all():
+            raise ValueError("a response polynomial needs at least two finite coefficients")
+        return polynomial_table(curve)
+    return srgb_table() if kind == "srgb" else np.arange(256) / 255.0
+
+
+def monotone(z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The nearest non-decreasing curve (pool adjacent violators), at least 0."""
+    from scipy.optimize import isotonic_regression
+
+    return np.maximum(isotonic_regression(np.asarray(z, float)).x, 0.0)
+
+
+def fit_response(
+    codes: NDArray[np.uint8], log_exposure: NDArray[np.floating], *, smooth: float = 30.0, low: int = 3, high: int = 252
+) -> tuple[NDArray[np.float64], float]:
+    """A monotone response from the same places in all frames, with the exposures held fixed.
+
+    codes [places, frames]; log_exposure [frames] natural log. Debevec and Malik's least squares in the log domain
+    (SIGGRAPH 1997, eq. 3) with hat weights and a second-difference prior, then made monotone.
+    Returns z [256] with z(255) = 1 and the rms residual of ln z over the codes of 27 to 228. Response and exposure
+    ratios cannot both be free (Grossberg and Nayar 2003): fit the ratios elsewhere.
+    Raises ValueError with fewer than two frames or 20 places.
+    """
+    from scipy import sparse
+    from scipy.sparse.linalg import spsolve
+
+    places, frames = codes.shape
+    if frames < 2 or places < 20:
+        raise ValueError(f"{places} places in {frames} frames are too few for a response")
+    ok = (codes >= low) & (codes <= high)
+    place, frame = np.nonzero(ok)
+    value = codes[place, frame].astype(int)
+    weight = np.minimum(value - low + 1, high - value + 1) / ((high - low) / 2)
+    n = value.size
+    rows = np.arange(n)
+    data = sparse.csr_matrix(
+        (np.r_[weight, -weight], (np.r_[rows, rows], np.r_[value, 256 + place])), shape=(n, 256 + places)
+    )
+    curve = np.arange(1, 255)
+    hat = np.minimum(curve, 255 - curve) / 127.0 + 0.05
+    bend = sparse.csr_matrix(
+        (
+            np.r_[hat, -2 * hat, hat] * np.sqrt(smooth * n / 256 / 100),
+            (np.tile(curve - 1, 3), np.r_[curve - 1, curve, curve + 1]),
+        ),
+        shape=(254, 256 + places),
+    )
+    pin = sparse.csr_matrix(([1e3], ([0], [128])), shape=(1, 256 + places))
+    system = sparse.vstack([data, bend, pin, 1e-6 * sparse.eye(256 + places)]).tocsr()
+    target = np.r_[weight * log_exposure[frame], np.zeros(254 + 1 + 256 + places)]
+    solution = np.asarray(spsolve((system.T @ system).tocsc(), system.T @ target))
+    g, light = solution[:256], solution[256:]
+    middle = (value >= 27) & (value <= 228)
+    residual = (g[value] - light[place] - log_exposure[frame])[middle]
+    z = monotone(np.exp(g - g[255]))
+    return z / z[255], float(np.sqrt(np.mean(residual**2)))

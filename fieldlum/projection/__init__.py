@@ -1,0 +1,36 @@
+"""Lens mappings, rays, solid angles and flux-conserving resampling.
+
+Axes: x east, y north, z up. Azimuth clockwise from north. A panorama is equirectangular, row 0 at the zenith, W = 2H;
+the azimuth of column centre j is heading + ((j + .5)/W - .5) * 360 degrees, so right is clockwise.
+"""
+
+from fieldlum.projection.lens import LensGeometry, angle_of_radius, lens_pixels, lens_rays, radius_of_angle
+from fieldlum.projection.panorama import (
+    column_azimuths_deg,
+    direction,
+    equirect_pixel,
+    equirect_rays,
+    equirect_solid_angles,
+    row_altitudes_deg,
+    row_solid_angles,
+)
+from fieldlum.projection.resample import Equirect, Fisheye, Resampler, resampler
+
+__all__ = [
+    "Equirect",
+    "Fisheye",
+    "LensGeometry",
+    "Resampler",
+    "angle_of_radius",
+    "column_azimuths_deg",
+    "direction",
+    "equirect_pixel",
+    "equirect_rays",
+    "equirect_solid_angles",
+    "lens_pixels",
+    "lens_rays",
+    "radius_of_angle",
+    "resampler",
+    "row_altitudes_deg",
+    "row_solid_angles",
+]
