@@ -114,7 +114,7 @@ def load(folder: Path) -> Fitted:
     config = read_config(folder)
     path = folder / "weights.npz"
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         return importlib.import_module(MODELS[config["model"]].module).from_state(config, arrays)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:

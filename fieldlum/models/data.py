@@ -81,6 +81,18 @@ class Dataset:
             steadiness=self.steadiness[rows],
         )
 
+    def coarse(self, height: int) -> Dataset:
+        """The same hours on maps of about that height: means of blocks; unchanged when there is nothing to gain."""
+        factor = next((f for f in range(max(1, self.shape[0] // height), 0, -1) if self.shape[0] % f == 0), 1)
+        if factor == 1:
+            return self
+        return replace(
+            self,
+            luminance_cdm2=_block_means(self.luminance_cdm2, factor),
+            patch_cdm2=None if self.patch_cdm2 is None else _block_means(self.patch_cdm2, factor),
+            seen=_block_means(self.seen[None].astype(np.float32), factor)[0] > 0.5,
+        )
+
     def about(self) -> dict[str, Any]:
         """What a model's config.json says about its training data."""
         return {
@@ -90,6 +102,11 @@ class Dataset:
             "width": self.shape[1],
             "training": {"source": self.source, "slots": list(self.slots), "days": sorted({str(d) for d in self.days})},
         }
+
+
+def _block_means(maps: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    n, height, width = maps.shape
+    return maps.reshape(n, height // factor, factor, width // factor, factor).mean(axis=(2, 4))
 
 
 # ---------------------------------------------------------------------------------------------- the sun's disc
@@ -114,18 +131,20 @@ def split_disc(
     """Take the disc out of one map [H, W]: the map without it, and its illuminance [lx] on a plane normal to the sun.
 
     Disc pixels stand within two pixels of the sun and are brighter than any matt surface or sky could be: over ten
-    times a white wall in that sun. They are given the median of the pixels around.
+    times a white wall in that sun, a fiftieth of the whole disc, three times their surroundings. They are given the
+    median of the pixels around.
     """
     height, width = luminance_cdm2.shape
     row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, heading_deg)
     rows = np.clip(np.arange(-2, 3) + int(row), 0, height - 1)[:, None]
     columns = (np.arange(-2, 3) + int(column))[None, :] % width
     near = luminance_cdm2[rows, columns]
-    disc = near > max(10.0 * LUMENS_PER_WATT * dni_wm2 / math.pi, 100.0)
+    omega = equirect_solid_angles(height, width)[rows, columns + 0 * rows]
+    full_lx = LUMENS_PER_WATT * dni_wm2
+    disc = near > np.maximum(0.02 * full_lx / omega, max(10.0 * full_lx / math.pi, 3.0 * float(np.median(near)), 100.0))
     if not disc.any() or disc.sum() > 9:
         return luminance_cdm2, 0.0
     background = float(np.median(near[~disc]))
-    omega = equirect_solid_angles(height, width)[rows, columns + 0 * rows]
     illuminance = float(((near - background) * omega)[disc].sum())
     out = luminance_cdm2.copy()
     out[rows, columns] = np.where(disc, background, near)

@@ -11,6 +11,7 @@ import math
 import os
 import pickle
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -387,7 +388,9 @@ def _restore(
 ) -> tuple[Plan, dict[str, Tensor]]:
     """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but tensors and numbers."""
     try:
-        state = torch.load(path, map_location=pick_device(), weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # torch warns before it refuses what no torch.save wrote
+            state = torch.load(path, map_location=pick_device(), weights_only=True)
         if state["shape"] != asdict(shape):
             raise KeyError("another network's checkpoint")
         net.load_state_dict(state["net"])
@@ -395,6 +398,6 @@ def _restore(
         for name, value in state["run"].items():
             setattr(run, name, value)
         return Plan(**state["plan"]), state["best"]
-    except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError, AttributeError) as error:
+    except (pickle.UnpicklingError, Warning, RuntimeError, KeyError, TypeError, EOFError, AttributeError) as error:
         found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
         raise InputError(path, found, "one of this training", "remove it to start anew") from None

@@ -1,0 +1,225 @@
+"""How far predicted maps are from the truth, in the paper's way and in an honest one; both on maps with the disc in.
+
+paper: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum e^2 / sum t^2) of log10 L over
+the whole test; DGP of ten views; RAMMG in cd/m2 of five pyramid levels, with and without the authors' cut at 500.
+honest: weights of the solid angle, mean 1; beside the mean the median, 90th percentile and worst image.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuths_deg
+from fieldlum.glare.contrast import rammg
+from fieldlum.models.data import add_disc
+from fieldlum.records import Progress, quiet
+
+if TYPE_CHECKING:
+    from fieldlum.models import Fitted, Prediction
+    from fieldlum.models.data import Dataset
+
+FLOOR_CDM2 = 1.0
+RAMMG_CUT = 500.0
+GLARE_MAPS = 150  # at most so many maps are asked for DGP and RAMMG, evenly spread over the test
+CHUNK = 24  # maps predicted at a time
+BAND_90 = 1.6449  # standard deviations of a 90 % interval
+
+
+@dataclass(slots=True)
+class Scores:
+    """One value a map; NaN for what was not computed. error2, truth2: sums over pixels of e^2 and t^2 of log10 L."""
+
+    mse_weighted: NDArray[np.float64]
+    mse: NDArray[np.float64]
+    error2: NDArray[np.float64]
+    truth2: NDArray[np.float64]
+    error2_weighted: NDArray[np.float64]
+    truth2_weighted: NDArray[np.float64]
+    dgp_mse: NDArray[np.float64]
+    dgp_mae: NDArray[np.float64]
+    rammg_error: NDArray[np.float64]
+    rammg_truth: NDArray[np.float64]
+    expected_mse: NDArray[np.float64]
+    trusted: NDArray[np.bool_]
+    in_band: NDArray[np.float64]  # share of pixels whose truth lies in the model's 90 % interval
+    seconds: float = 0.0  # spent predicting
+    slots: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.mse)
+
+
+def join(parts: Sequence[Scores]) -> Scores:
+    """Scores of several tests as of one."""
+    arrays = [f.name for f in fields(Scores) if f.name not in ("seconds", "slots")]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
+    slots = tuple(slot for part in parts for slot in part.slots)
+    return Scores(**joined, seconds=sum(part.seconds for part in parts), slots=slots)
+
+
+def take(scores: Scores, rows: NDArray[Any]) -> Scores:
+    """Scores of some of the maps."""
+    index = np.flatnonzero(rows) if rows.dtype == bool else rows
+    arrays = [f.name for f in fields(Scores) if f.name not in ("seconds", "slots")]
+    part = {name: getattr(scores, name)[index] for name in arrays}
+    share = len(index) / max(len(scores), 1)
+    return Scores(**part, seconds=scores.seconds * share, slots=tuple(scores.slots[i] for i in index))
+
+
+# ---------------------------------------------------------------------------------------------- comparing
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a test needs once, whatever the model: weights, views, which maps are asked for glare, their answers."""
+
+    data: Dataset
+    weights: NDArray[np.float64]
+    views: Views
+    glare_maps: NDArray[np.bool_]
+    dgp: NDArray[np.float64]  # [n, 10]; NaN where not asked
+    rammg: NDArray[np.float64]  # [n]
+
+
+def truth(data: Dataset, *, glare: bool = True) -> Truth:
+    """Prepare a test set."""
+    n = len(data)
+    asked = np.zeros(n, bool)
+    if glare:
+        asked[np.unique(np.linspace(0, n - 1, min(n, GLARE_MAPS)).round().astype(int))] = True
+    views = panorama_views(*data.shape, data.heading_deg, view_azimuths_deg(data.heading_deg))
+    dgp, contrast = np.full((n, len(views.azimuths_deg)), np.nan), np.full(n, np.nan)
+    for rows in _chunks(np.flatnonzero(asked)):
+        part = data.take(rows)
+        dgp[rows] = _dgp(part.luminance_cdm2, part, views)
+        contrast[rows] = _rammg(part.luminance_cdm2, part)
+    return Truth(data, data.weights, views, asked, dgp, contrast)
+
+
+def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    for start in range(0, len(rows), CHUNK):
+        yield rows[start : start + CHUNK]
+
+
+def _dgp(maps: NDArray[np.float32], data: Dataset, views: Views) -> NDArray[np.float64]:
+    found = glare_directions(
+        maps, data.heading_deg, views.azimuths_deg, data.light.sun_direction, data.disc_lx, views=views
+    )
+    return found["dgp"]
+
+
+def _rammg(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
+    whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    return np.array([rammg(image) for image in whole])
+
+
+def evaluate(fitted: Fitted, test: Truth, *, progress: Progress = quiet) -> Scores:
+    """Predict a test set in chunks and compare."""
+    parts = []
+    for rows in _chunks(np.arange(len(test.data))):
+        progress(int(rows[0]), len(test.data), f"{fitted.name}: test")
+        part = test.data.take(rows)
+        start = time.monotonic()
+        prediction = fitted.predict(part.light, part.patch_cdm2)
+        spent = time.monotonic() - start
+        scores = compare(prediction, part, test.weights)
+        _glare_errors(scores, prediction, part, test, rows)
+        scores.seconds = spent
+        parts.append(scores)
+    return join(parts)
+
+
+def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
+    whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    return np.log10(np.maximum(whole, np.float32(FLOOR_CDM2)))
+
+
+def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
+    """Errors of log10 luminance, map by map. A value that is no number raises FloatingPointError: never unseen."""
+    if not np.isfinite(prediction.luminance_cdm2).all():
+        raise FloatingPointError("a predicted map holds values that are no numbers")
+    seen = data.seen
+    target = _log10(data.luminance_cdm2, data)
+    error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen].astype(np.float64)
+    t2, e2, w = target[:, seen].astype(np.float64) ** 2, error**2, weights[seen]
+    blank = np.full(len(data), np.nan)
+    in_band = blank.copy()
+    if prediction.log10_sd is not None:
+        in_band = (np.abs(error) <= BAND_90 * prediction.log10_sd[:, seen]).mean(axis=1)
+    return Scores(
+        mse_weighted=e2 @ w / w.sum(), mse=e2.mean(axis=1), error2=e2.sum(axis=1), truth2=t2.sum(axis=1),
+        error2_weighted=e2 @ w, truth2_weighted=t2 @ w, dgp_mse=blank.copy(), dgp_mae=blank.copy(),
+        rammg_error=blank.copy(), rammg_truth=blank.copy(), expected_mse=prediction.expected_mse,
+        trusted=prediction.trusted, in_band=in_band, slots=data.slots,
+    )  # fmt: skip
+
+
+def _glare_errors(scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: NDArray[Any]) -> None:
+    asked = test.glare_maps[rows]
+    if not asked.any():
+        return
+    some, maps = part.take(asked), prediction.luminance_cdm2[asked]
+    difference = _dgp(maps, some, test.views) - test.dgp[rows[asked]]
+    scores.dgp_mse[asked] = (difference**2).mean(axis=1)
+    scores.dgp_mae[asked] = np.abs(difference).mean(axis=1)
+    scores.rammg_truth[asked] = test.rammg[rows[asked]]
+    scores.rammg_error[asked] = _rammg(maps, some) - test.rammg[rows[asked]]
+
+
+# ---------------------------------------------------------------------------------------------- summing up
+
+
+def by_day(values: NDArray[np.float64], days: NDArray[np.datetime64]) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Days and the mean of their maps' values."""
+    unique, which = np.unique(days, return_inverse=True)
+    return unique, np.bincount(which, weights=values) / np.bincount(which)
+
+
+def standard_error(day_means: NDArray[np.float64]) -> float:
+    """Of the mean over days; NaN for a single day."""
+    return float(day_means.std(ddof=1) / np.sqrt(len(day_means))) if len(day_means) > 1 else float("nan")
+
+
+def _mean(values: NDArray[np.float64]) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else None
+
+
+def summary(scores: Scores) -> dict[str, Any]:
+    """The figures of DESIGN section 4 and the spread beside them; None for what was not computed."""
+    kept = scores.rammg_truth < RAMMG_CUT
+    return {
+        "log10_mse_weighted": float(scores.mse_weighted.mean()),
+        "rer_weighted": float(np.sqrt(scores.error2_weighted.sum() / max(scores.truth2_weighted.sum(), 1e-12))),
+        "median": float(np.median(scores.mse_weighted)),
+        "p90": float(np.quantile(scores.mse_weighted, 0.9)),
+        "worst": float(scores.mse_weighted.max()),
+        "paper_log10_mse": float(scores.mse.mean()),
+        "paper_rer": float(np.sqrt(scores.error2.sum() / max(scores.truth2.sum(), 1e-12))),
+        "dgp_mse": _mean(scores.dgp_mse),
+        "dgp_mae": _mean(scores.dgp_mae),
+        "rammg_mse": _mean(scores.rammg_error**2),
+        "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
+        "n_test": len(scores),
+        "predict_s_per_map": scores.seconds / max(len(scores), 1),
+        "untrusted_share": float(1.0 - scores.trusted.mean()),
+        "expected_mse": _mean(scores.expected_mse),
+        "in_90_band": _mean(scores.in_band),
+        **_flagging(scores),
+    }
+
+
+def _flagging(scores: Scores) -> dict[str, float | None]:
+    """Share of the true worst tenth among the tenth that the model itself ranks worst."""
+    if not np.isfinite(scores.expected_mse).all() or len(scores) < 20:
+        return {"worst_decile_found": None}
+    tenth = max(1, len(scores) // 10)
+    worst = set(np.argsort(-scores.mse_weighted)[:tenth])
+    feared = set(np.argsort(-scores.expected_mse)[:tenth])
+    return {"worst_decile_found": len(worst & feared) / tenth}

@@ -1,0 +1,203 @@
+"""Fit a room's model, score it on days it has not seen, and say why it was chosen.
+
+`run` is what the `train` command calls; `evaluate_folds` and `fit_timed` serve the benchmarks too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fieldlum import models
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.models import Fitted, Patch
+from fieldlum.models.scores import Scores, evaluate, join, summary, truth
+from fieldlum.records import Progress, quiet
+from fieldlum.session import replacing
+from fieldlum.train.choice import Choice, Trial, choose
+from fieldlum.train.folds import MOST_FOLDS, Fold, day_folds, one_day_only
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+CANDIDATES = ("mean", "nearest", "transport", "dense")
+BASELINES = ("mean", "nearest")
+SLOW = ("dense",)  # no closed form: trained again for each fold, within a share of the budget
+FOLD_SHARE = 0.5  # of the budget; the rest is for the model that is kept
+LEAST_FOLD_S = 60.0  # a dense fold shorter than this says little about the network
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What training came to."""
+
+    fitted: Fitted
+    trials: tuple[Trial, ...]
+    choice: Choice
+    fit_s: float
+    notes: tuple[str, ...] = ()
+    captures: dict[str, Any] = field(default_factory=dict)
+
+    def table(self, seed: int) -> list[dict[str, Any]]:
+        """Rows as DESIGN section 4 fixes them, with more columns behind."""
+        return [row(trial, seed) for trial in self.trials]
+
+
+def row(trial: Trial, seed: int) -> dict[str, Any]:
+    return {
+        "name": trial.name, "fit_s": trial.fit_s, "n_train": trial.n_train, "seed": seed, "folds": trial.folds,
+        **summary(trial.scores),
+    }  # fmt: skip
+
+
+# ---------------------------------------------------------------------------------------------- one model
+
+
+def fit_timed(
+    name: str,
+    data: Dataset,
+    *,
+    patch: Patch,
+    seed: int,
+    budget_s: float | None,
+    progress: Progress = quiet,
+    **more: Any,
+) -> tuple[Fitted, float]:
+    """A fitted model and the seconds it took."""
+    start = time.monotonic()
+    limit = {"budget_s": budget_s} if name in SLOW else {}
+    fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **limit, **more)
+    return fitted, time.monotonic() - start
+
+
+def evaluate_folds(
+    name: str,
+    data: Dataset,
+    folds: Sequence[Fold],
+    *,
+    patch: Patch,
+    seed: int,
+    budget_s: float | None = None,
+    glare: bool = True,
+    progress: Progress = quiet,
+    **more: Any,
+) -> Trial:
+    """Fit on each fold's teaching rows and compare on the rows held out; budget_s is for all folds together."""
+    parts: list[Scores] = []
+    seconds, taught = 0.0, 0
+    share = budget_s / len(folds) if budget_s else None
+    for fold in folds:
+        fitted, spent = fit_timed(
+            name, data.take(fold.teach), patch=patch, seed=seed, budget_s=share, progress=progress, **more
+        )
+        parts.append(evaluate(fitted, truth(data.take(fold.check), glare=glare), progress=progress))
+        seconds, taught = seconds + spent, taught + len(fold.teach)
+    return Trial(name, join(parts), seconds / len(folds), round(taught / len(folds)), len(folds))
+
+
+def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
+    """As many folds as the dense network can be trained for within its share, at least one."""
+    return tuple(folds[: max(1, min(MOST_FOLDS, int(budget_s / LEAST_FOLD_S / 2)))])
+
+
+# ---------------------------------------------------------------------------------------------- train
+
+
+def patch_mode(data: Dataset, patch: Patch) -> Patch:
+    """Without pictures of the sun patch there is nothing to read."""
+    return "none" if data.patch_cdm2 is None else patch
+
+
+def fit_and_score(
+    data: Dataset,
+    model: str,
+    *,
+    patch: Patch = "absolute",
+    budget_s: float = 600.0,
+    seed: int = 0,
+    checkpoint: Path | None = None,
+    progress: Progress = quiet,
+) -> Result:
+    """Trials on held-out days, the choice, and the model fitted on all of the data.
+
+    Raises NotEnoughDataError when there are too few hours to hold any out.
+    """
+    patch = patch_mode(data, patch)
+    folds = day_folds(data)
+    if not folds:
+        raise NotEnoughDataError(f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check")
+    names = CANDIDATES if model == "auto" else tuple(dict.fromkeys((*BASELINES, model)))
+    trials = []
+    for name in names:
+        some, limit = tuple(folds), None
+        if name in SLOW:
+            limit = FOLD_SHARE * budget_s
+            some = dense_folds(folds, limit)
+        trials.append(evaluate_folds(name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress))
+    choice = choose(trials, data) if model == "auto" else Choice(model, "asked for")
+    more = {"checkpoint": checkpoint} if checkpoint is not None and choice.name in SLOW else {}
+    fitted, seconds = fit_timed(
+        choice.name, data, patch=patch, seed=seed, budget_s=(1.0 - FOLD_SHARE) * budget_s, progress=progress, **more
+    )
+    return Result(fitted, tuple(trials), choice, seconds, _notes(data, patch, model, trials))
+
+
+def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
+    """What a reader of the table must know."""
+    notes = list(data.notes)
+    if one_day_only(data):
+        notes.append("all hours are of one day: held-out hours are its neighbours, so the errors are too small")
+    if patch == "none" and data.patch_cdm2 is None:
+        notes.append("no sun patches in the data: give a [room] in SITE.toml and run fieldlum pair for a better model")
+    errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
+    floor = min((errors[name] for name in BASELINES if name in errors), default=float("inf"))
+    if model in errors and model not in BASELINES and errors[model] >= floor:
+        notes.append(f"WARNING: {model} is no better than a baseline on held-out days: do not use it as it is")
+    return tuple(notes)
+
+
+def run(
+    data: Dataset,
+    model: str = "auto",
+    *,
+    budget_min: float = 10.0,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    out: Path,
+    captures: bool = True,
+    progress: Progress = quiet,
+) -> dict[str, Any]:
+    """Train, keep the model and its scores in `out`, and return what `train --json` prints.
+
+    A dense training that was cut off goes on from `out`/checkpoint.pt when the data, the model and the seed are the
+    same. captures: also say how many captures would have been enough.
+    """
+    from fieldlum.models import dense_training
+    from fieldlum.train.captures import how_many
+
+    same = hashlib.sha256(" ".join((str(seed), patch, *data.slots)).encode()).hexdigest()[:12]
+    checkpoint = out / f"checkpoint-{same}.pt"
+    result = fit_and_score(
+        data, model, patch=patch, budget_s=60.0 * budget_min, seed=seed, checkpoint=checkpoint, progress=progress
+    )
+    enough = how_many(data, patch_mode(data, patch), seed=seed, progress=progress) if captures else {}
+    answer = {
+        "models": result.table(seed),
+        "chosen": result.choice.name,
+        "reason": result.choice.reason,
+        "final_fit_s": result.fit_s,
+        "captures": enough,
+        "notes": list(result.notes),
+    }
+    if dense_training.rank() == 0:
+        mode = patch_mode(data, patch)
+        models.save(out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason)
+        with replacing(out / "scores.json", "w", encoding="utf-8") as file:
+            json.dump(answer, file, indent=1, ensure_ascii=False, default=str)
+        checkpoint.unlink(missing_ok=True)
+    return answer

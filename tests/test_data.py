@@ -1,0 +1,124 @@
+"""Training data: strict reading, the sun's disc by energy."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from learning_room import dataset, write_pairs
+
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.images import write_panorama
+from fieldlum.models.data import add_disc, load_pairs, split_disc
+from fieldlum.projection import equirect_pixel, equirect_solid_angles
+from fieldlum.records import Flag, Panorama
+
+DATA = dataset(("2027-03-20", "2027-06-21"))
+
+
+@pytest.fixture
+def pairs(tmp_path: Path) -> Path:
+    return write_pairs(tmp_path, DATA)
+
+
+def test_what_was_written_is_read(pairs: Path) -> None:
+    data = load_pairs(pairs)
+    assert data.slots == DATA.slots and data.heading_deg == 180.0
+    np.testing.assert_allclose(data.luminance_cdm2, DATA.luminance_cdm2, rtol=1e-6)
+    np.testing.assert_allclose(data.light.sun_azimuth_deg, DATA.light.sun_azimuth_deg, rtol=1e-8)
+    assert [str(day) for day in np.unique(data.days)] == ["2027-03-20", "2027-06-21"]
+
+
+@pytest.mark.parametrize(
+    ("column", "text", "said"),
+    [
+        ("dni_wm2", "much", "line 3: dni_wm2 is 'much'"),
+        ("dhi_wm2", "", "line 3: dhi_wm2 is ''"),
+        ("dni_wm2", "5000", "line 3: dni_wm2 is '5000'"),
+        ("dni_wm2", "nan", "line 3: dni_wm2 is nan"),
+        ("t_utc", "2027-03-20 12:00", "line 3: time '2027-03-20 12:00' has no time zone"),
+        ("panorama", "gone.exr", "line 3: no file"),
+        ("sunpatch", "", "line 3: no sunpatch, but other rows have one"),
+    ],
+)
+def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, said: str) -> None:
+    lines = pairs.read_text().splitlines()
+    cells = lines[2].split(",")
+    cells[lines[0].split(",").index(column)] = text
+    lines[2] = ",".join(cells)
+    pairs.write_text("\n".join(lines))
+    with pytest.raises(InputError) as caught:
+        load_pairs(pairs)
+    assert said in str(caught.value) and caught.value.exit_code == 3
+
+
+def test_rows_that_are_not_ok_are_left_out_and_counted(pairs: Path) -> None:
+    text = pairs.read_text().splitlines()
+    pairs.write_text("\n".join([text[0], *(line[:-1] + "0" for line in text[1:3]), *text[3:]]))
+    data = load_pairs(pairs)
+    assert len(data) == len(DATA) - 2 and "2 rows with ok = 0" in data.notes[0]
+    pairs.write_text("\n".join([text[0], *(line[:-1] + "0" for line in text[1:])]))
+    with pytest.raises(NotEnoughDataError):
+        load_pairs(pairs)
+
+
+def test_a_missing_column_a_missing_site_and_another_size_are_errors(pairs: Path) -> None:
+    write_panorama(pairs.parent / "m3.exr", Panorama(np.ones((4, 8), np.float32), 180.0))
+    with pytest.raises(InputError, match="8 x 4 pixels"):
+        load_pairs(pairs)
+    (pairs.parent / "site.toml").unlink()
+    with pytest.raises(InputError, match="no site known"):
+        load_pairs(pairs)
+    pairs.write_text("t_utc,dni_wm2\n")
+    (pairs.parent / "site.toml").write_text('[site]\nname = "x"\nlatitude_deg = 1\nlongitude_deg = 1\n')
+    with pytest.raises(InputError, match="no column panorama, dhi_wm2"):
+        load_pairs(pairs)
+
+
+def test_pixels_that_no_lens_saw_are_not_learned_from(pairs: Path) -> None:
+    for k in range(len(DATA)):
+        flags = np.zeros(DATA.shape, np.uint16)
+        flags[-2:] = Flag.OUTSIDE_LENS
+        write_panorama(pairs.parent / f"m{k}.exr", Panorama(DATA.luminance_cdm2[k], 180.0, flags=flags))
+    data = load_pairs(pairs)
+    assert not data.seen[-2:].any() and data.seen[:-2].all()
+    assert data.weights[-2:].max() == 0.0 and data.weights[data.seen].mean() == pytest.approx(1.0)
+
+
+@settings(deadline=None, max_examples=50)
+@given(altitude=st.floats(0, 80), azimuth=st.floats(0, 359.9), dni=st.floats(5, 1000), wall=st.floats(1, 8000))
+def test_splitting_a_disc_keeps_its_energy(altitude: float, azimuth: float, dni: float, wall: float) -> None:
+    """property: what was deposited by energy comes out again, and the map is what it was."""
+    height, width, heading = 58, 116, 180.0
+    clean = np.full((height, width), wall, np.float32)
+    row, column = equirect_pixel(altitude, azimuth, height, width, heading)
+    i, j = int(row), int(column) % width
+    lux = 93.0 * dni
+    whole = clean.copy()
+    whole[i, j] += lux / equirect_solid_angles(height, width)[i, j]
+    if lux / equirect_solid_angles(height, width)[i, j] < 3.0 * wall:  # a disc that does not stand out is left alone
+        return
+    found, energy = split_disc(whole, altitude, azimuth, dni, heading)
+    assert energy == pytest.approx(lux, rel=1e-4)
+    np.testing.assert_allclose(found, clean, rtol=1e-5)
+
+
+def test_a_sunlit_wall_is_no_disc() -> None:
+    """A white wall in full sun stays in the map."""
+    bright = np.full((58, 116), 93.0 * 900 / np.pi, np.float32)
+    found, energy = split_disc(bright, 30.0, 180.0, 900.0, 180.0)
+    assert energy == 0.0 and found is bright
+
+
+def test_add_disc_puts_all_energy_on_the_suns_pixel() -> None:
+    maps = np.zeros_like(DATA.luminance_cdm2)
+    lux = np.full(len(DATA), 5e4)
+    whole = add_disc(maps, DATA.light, lux, 180.0)
+    np.testing.assert_allclose((whole * equirect_solid_angles(*DATA.shape)).sum(axis=(1, 2)), lux, rtol=1e-5)
+
+
+def test_coarse_maps_keep_means() -> None:
+    small = DATA.coarse(4)
+    assert small.shape == (4, 8) and DATA.coarse(50) is DATA
+    np.testing.assert_allclose(small.luminance_cdm2.mean(axis=(1, 2)), DATA.luminance_cdm2.mean(axis=(1, 2)), rtol=1e-5)

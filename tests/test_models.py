@@ -1,0 +1,223 @@
+"""The registry, the baselines and the paper's network."""
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from learning_room import dataset
+
+from fieldlum import models
+from fieldlum.errors import InputError
+from fieldlum.models import dense, dense_training
+from fieldlum.models.dense import Net, Shape, decode, encode, parameter_count
+from fieldlum.models.dense_training import Plan
+from fieldlum.models.scores import compare, evaluate, summary, truth
+
+DATA = dataset(("2027-03-20", "2027-03-21"), height=8)
+TEST = dataset(("2027-03-22",), seed=1, height=8)
+SMALL = {"width": 24, "patch_width": 12, "depth": 2}
+FEW = Plan("short", steps=100, batch_pixels=256)
+
+
+@pytest.mark.parametrize(("sky_map", "count"), [(False, 1_688_601), (True, 1_689_201)])
+def test_the_network_has_the_papers_parameters(sky_map: bool, count: int) -> None:
+    """authority: 1 688 601 is the "Base Model" of the thesis behind the paper (DESIGN section 6)."""
+    assert parameter_count(Net(Shape(sky_map=sky_map))) == count
+
+
+@settings(deadline=None)
+@given(luminance=st.floats(1.0, 1.5e9))
+@pytest.mark.parametrize("curve", ["log", "gamma"])
+def test_normalisation_comes_back(curve: str, luminance: float) -> None:
+    """property: encode and decode are inverse to float32's precision, and stay in [0, 1]."""
+    encoded = encode(np.array([luminance]), curve)
+    assert 0.0 <= encoded[0] <= 1.0
+    assert decode(encoded, curve)[0] == pytest.approx(luminance, rel=2e-4)
+
+
+def test_normalisation_at_known_points() -> None:
+    """analytic: floor 1, top 10^9.2, power 1/1.5."""
+    np.testing.assert_allclose(encode(np.array([0.0, 1.0, 10.0**9.2])), [0.0, 0.0, 1.0], atol=1e-7)
+    assert encode(np.array([10.0**4.6]))[0] == pytest.approx(0.5 ** (1 / 1.5))
+
+
+def test_inputs_are_scaled_as_the_paper_says() -> None:
+    at = dense.hours(DATA.light, Shape())
+    light = DATA.light
+    np.testing.assert_allclose(at.sun[:, 0], light.sun_altitude_deg / 90, rtol=1e-5)
+    west = light.sun_azimuth_deg > 180
+    assert (at.sun[:, 1].numpy()[west] > 0.5).all() and (at.sun[:, 1].numpy()[~west] < 0.5).all()
+    assert at.sky is not None and at.sky.shape == (len(DATA), 2306) and float(at.sky[:, -1].max()) == 0.0
+
+
+def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
+    """analytic: MSE + 10 RER of the batch, differentiated by torch in one piece."""
+    torch.manual_seed(3)
+    shape = Shape(**SMALL)
+    net = Net(shape)
+    base = dense.canvas(np.log10(np.maximum(DATA.luminance_cdm2, 1)).mean(axis=0, dtype=float), 180.0)
+    pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
+    numbers = torch.randperm(len(pixels))[:500]
+    still = torch.optim.SGD(net.parameters(), lr=0.0)
+    loss = dense_training._step(net, still, pixels, numbers, 64, half=False)
+    pieces = [p.grad.clone() for p in net.parameters() if p.grad is not None]
+    net.zero_grad()
+    scene, patch, target, weight = pixels.batch(numbers)
+    error = net(scene, patch) - target
+    s = (weight * error**2).sum()
+    whole = s / 500 + 10 * torch.sqrt(s / (weight * target**2).sum())
+    whole.backward()
+    assert loss == pytest.approx(whole.item(), rel=1e-5)
+    for mine, parameter in zip(pieces, net.parameters(), strict=True):
+        torch.testing.assert_close(mine, parameter.grad, rtol=1e-3, atol=1e-5)
+
+
+def test_the_network_learns_a_tiny_set_by_heart() -> None:
+    one = DATA.take(np.array([2]))  # a lone image validates itself
+    plan = Plan("short", steps=400, batch_pixels=128)
+    fitted = models.fit("dense", one, plan=plan, width=128, patch_width=32, bfloat16=False)
+    error = compare(fitted.predict(one.light, one.patch_cdm2), one, one.weights)
+    assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
+
+
+@pytest.mark.parametrize("schedule", ["paper", "short"])
+def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> None:
+    plan = Plan("paper", epochs=4) if schedule == "paper" else FEW
+    options = {"plan": plan, "seed": 5, **SMALL}
+    straight = models.fit("dense", DATA, **options)
+    kept = tmp_path / "checkpoint.pt"
+    models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=2, **options)
+    assert kept.is_file()
+    resumed = models.fit("dense", DATA, checkpoint=kept, **options)
+    for name, value in straight.state()[1].items():
+        np.testing.assert_array_equal(value, resumed.state()[1][name])
+
+
+def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
+    a, b, c = (models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state()[1] for seed in (1, 1, 2))
+    assert all((a[name] == b[name]).all() for name in a)
+    assert any((a[name] != c[name]).any() for name in a)
+
+
+def test_a_strangers_checkpoint_cannot_run_code(tmp_path: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple[object, tuple[str]]:
+            return (Path.touch, (tmp_path / "owned",))  # type: ignore[return-value]
+
+    path = tmp_path / "checkpoint.pt"
+    torch.save({"net": Evil()}, path)
+    with pytest.raises(InputError, match="a checkpoint that cannot be used"):
+        models.fit("dense", DATA, plan=FEW, checkpoint=path, **SMALL)
+    path.write_bytes(pickle.dumps(Evil()))
+    with pytest.raises(InputError):
+        models.fit("dense", DATA, plan=FEW, checkpoint=path, **SMALL)
+    assert not (tmp_path / "owned").exists()
+
+
+def test_a_strangers_model_folder_cannot_run_code(tmp_path: Path) -> None:
+    fitted = models.fit("mean", DATA)
+    models.save(tmp_path, fitted, DATA)
+    with (tmp_path / "weights.npz").open("wb") as file:
+        np.savez(file, log10_mean=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match="weights that cannot be used"):
+        models.load(tmp_path)
+    (tmp_path / "weights.npz").write_bytes(b"PK\x03\x04 broken")
+    with pytest.raises(InputError):
+        models.load(tmp_path)
+    config = json.loads((tmp_path / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps(config | {"model": "os.system"}))
+    with pytest.raises(InputError, match="an unknown model"):
+        models.load(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["mean", "nearest", "dense"])
+def test_a_kept_model_predicts_as_before(tmp_path: Path, name: str) -> None:
+    options = {"plan": FEW, **SMALL} if name == "dense" else {}
+    fitted = models.fit(name, DATA, **options)
+    models.save(tmp_path, fitted, DATA, patch="absolute")
+    again = models.load(tmp_path)
+    a, b = (m.predict(TEST.light, TEST.patch_cdm2) for m in (fitted, again))
+    np.testing.assert_allclose(a.luminance_cdm2, b.luminance_cdm2, rtol=1e-5)
+    np.testing.assert_array_equal(a.trusted, b.trusted)
+    assert again.parameters == fitted.parameters > 0
+
+
+def test_nearest_doubles_with_the_light() -> None:
+    """property: twice the irradiance, twice the map (its features move a little: the same hours are asked for)."""
+    fitted = models.fit("nearest", DATA, patch="none")
+    one = fitted.predict(DATA.light).luminance_cdm2
+    np.testing.assert_allclose(one, DATA.luminance_cdm2, rtol=1e-5)
+
+
+def test_hours_far_from_the_captured_ones_are_not_trusted() -> None:
+    winter = dataset(("2027-12-20", "2027-12-21"), height=8)
+    fitted = models.fit("mean", winter)
+    june = dataset(("2027-06-21",), height=8)
+    sunny = june.light.dni_wm2 > 200
+    assert sunny.any() and not fitted.predict(june.light).trusted[sunny].any()
+    assert fitted.predict(winter.light).trusted.all()
+
+
+def test_a_network_without_patches_and_its_other_forms() -> None:
+    for options in ({"sky_map": False}, {"form": "cnn"}, {"curve": "gamma"}):
+        fitted = models.fit("dense", DATA, plan=Plan("paper", epochs=2), **SMALL, **options)
+        assert np.isfinite(fitted.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2).all()
+    bare = models.fit("dense", DATA, plan=FEW, patch="none", **SMALL)
+    assert bare.predict(TEST.light).luminance_cdm2.shape == TEST.luminance_cdm2.shape
+    with pytest.raises(ValueError, match="trained with sun patches"):
+        fitted.predict(TEST.light)
+
+
+def test_the_papers_schedule_halves_rate_and_batch() -> None:
+    run = dense_training.Run()
+    for _ in range(2):
+        dense_training._paper_rate(run, improved=False)
+    assert run.rate == 5e-4 and run.stage == 0
+    for _ in range(28):
+        dense_training._paper_rate(run, improved=True)
+    assert run.stage == 1 and run.rate == 5e-4
+
+
+def test_a_loss_that_is_no_number_changes_nothing() -> None:
+    """Training never ends in NaN: the update is skipped and the best weights are taken up again."""
+    net = Net(Shape(**SMALL))
+    base = dense.canvas(np.zeros((8, 16)), 180.0)
+    pixels = dense_training._pixels(DATA, base, Shape(**SMALL), "absolute", torch.device("cpu"))
+    pixels.target[0, 0] = float("nan")
+    before = [p.clone() for p in net.parameters()]
+    adam = torch.optim.Adam(net.parameters(), lr=1e-3)
+    assert np.isnan(dense_training._step(net, adam, pixels, torch.arange(10), 64, half=False))
+    assert all(torch.equal(a, b) for a, b in zip(before, net.parameters(), strict=True))
+
+
+def test_scores_of_a_constant_factor() -> None:
+    """analytic: everything 10^0.1 too bright is 0.01 in both modes."""
+    bright = DATA.take(np.arange(4))
+    prediction = models.Prediction(
+        np.maximum(bright.luminance_cdm2, 1.0) * np.float32(10**0.1), None, np.full(4, np.nan), np.ones(4, bool)
+    )
+    found = summary(compare(prediction, bright, bright.weights))
+    assert found["paper_log10_mse"] == pytest.approx(0.01, rel=1e-3)
+    assert found["log10_mse_weighted"] == pytest.approx(0.01, rel=1e-3)
+    assert found["dgp_mse"] is None
+
+
+def test_a_perfect_prediction_scores_nothing_and_nan_is_never_unseen() -> None:
+    class Oracle:
+        name, parameters, held_out_mse = "mean", 0, None
+        maps = TEST.luminance_cdm2.copy()
+
+        def predict(self, light: object, patch: object = None) -> models.Prediction:
+            return models.Prediction(self.maps, None, np.zeros(len(self.maps)), np.ones(len(self.maps), bool))
+
+    oracle = Oracle()
+    found = summary(evaluate(oracle, truth(TEST)))  # type: ignore[arg-type]
+    assert found["paper_log10_mse"] == 0.0 and found["dgp_mse"] == 0.0 and found["rammg_mse"] == 0.0
+    oracle.maps[0, 0, 0] = np.nan
+    with pytest.raises(FloatingPointError):
+        evaluate(oracle, truth(TEST))  # type: ignore[arg-type]

@@ -1,0 +1,131 @@
+"""Choosing and keeping a model: folds, the one-standard-error rule, the command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from learning_room import dataset, write_pairs
+
+from fieldlum import models
+from fieldlum.cli import main
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.models.scores import Scores
+from fieldlum.train import evaluate_folds, fit_and_score, run
+from fieldlum.train.captures import how_many, order_of_use
+from fieldlum.train.choice import Trial, choose
+from fieldlum.train.folds import day_folds, one_day_only
+
+DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
+DATA = dataset(DAYS, height=8)
+KEYS = {
+    "name", "fit_s", "predict_s_per_map", "n_train", "n_test", "seed", "log10_mse_weighted", "rer_weighted",
+    "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse",
+}  # fmt: skip
+
+
+def test_no_day_is_on_both_sides_and_every_hour_is_asked_once() -> None:
+    folds = day_folds(DATA)
+    assert len(folds) == 5
+    for fold in folds:
+        assert not set(DATA.days[fold.teach]) & set(DATA.days[fold.check])
+    assert sorted(np.concatenate([fold.check for fold in folds])) == list(range(len(DATA)))
+
+
+def test_one_day_is_parted_by_hours_and_said_so() -> None:
+    day = DATA.take(DATA.days == DATA.days[0])
+    assert one_day_only(day) and len(day_folds(day)) > 1
+    with pytest.raises(NotEnoughDataError):
+        fit_and_score(day.take([0]), "mean")
+
+
+def trial(name: str, errors: list[float]) -> Trial:
+    n = len(errors)
+    blank = np.full(n, np.nan)
+    scores = Scores(
+        np.array(errors), *(blank,) * 10, trusted=np.ones(n, bool), in_band=blank, slots=DATA.slots[:n]
+    )  # fmt: skip
+    return Trial(name, scores, 1.0, n, 1)
+
+
+def test_the_smallest_model_within_one_standard_error_is_chosen() -> None:
+    """analytic: day means 1, 2, 3 have mean 2 and standard error 0.58."""
+    slots = [int(np.flatnonzero(DATA.days == day)[0]) for day in np.unique(DATA.days)[:3]]
+    three = DATA.take(slots)
+
+    def with_slots(name: str, errors: list[float]) -> Trial:
+        found = trial(name, errors)
+        found.scores.slots = three.slots
+        return found
+
+    best = with_slots("dense", [1.0, 2.0, 3.0])
+    assert choose([with_slots("transport", [2.5, 2.5, 2.5]), best], three).name == "transport"
+    assert choose([with_slots("transport", [2.6, 2.6, 2.6]), best], three).name == "dense"
+    assert (
+        choose([with_slots("mean", [2.1, 2.1, 2.1]), with_slots("transport", [2.0, 2.0, 2.0])], three).name
+        == "transport"
+    )
+
+
+def test_candidates_are_compared_on_the_hours_they_share() -> None:
+    """A network that was only asked about easy days must not win by that."""
+    all_days = trial("transport", [0.1] * 3 + [9.0] * (len(DATA) - 3))
+    easy = trial("dense", [0.2] * 3)
+    assert choose([all_days, easy], DATA).name == "transport"
+
+
+def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
+    answer = run(DATA, "nearest", out=tmp_path, captures=False)
+    assert {row["name"] for row in answer["models"]} == {"mean", "nearest"}
+    assert all(set(row) >= KEYS for row in answer["models"])
+    assert json.loads((tmp_path / "scores.json").read_text())["chosen"] == "nearest"
+    config = json.loads((tmp_path / "config.json").read_text())
+    assert config["training"]["slots"] == list(DATA.slots) and config["setup"]["site"]["name"] == "Test room"
+    assert models.load(tmp_path).name == "nearest"
+
+
+def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
+    folds = day_folds(DATA)
+    by_hand = models.fit("nearest", DATA.take(folds[1].teach))
+    check = DATA.take(folds[1].check)
+    maps = by_hand.predict(check.light, check.patch_cdm2).luminance_cdm2
+    error = np.log10(np.maximum(maps, 1)) - np.log10(np.maximum(check.luminance_cdm2, 1))
+    found = evaluate_folds("nearest", DATA, folds, patch="absolute", seed=0)
+    rows = [found.scores.slots.index(slot) for slot in check.slots]
+    np.testing.assert_allclose(found.scores.mse[rows], (error**2).mean(axis=(1, 2)), rtol=1e-4)
+    assert found.n_train == round(np.mean([len(fold.teach) for fold in folds]))
+
+
+def test_a_short_budget_still_trains_the_network(tmp_path: Path) -> None:
+    answer = run(DATA, "dense", budget_min=0.03, out=tmp_path, captures=False)
+    row = next(row for row in answer["models"] if row["name"] == "dense")
+    assert np.isfinite(row["log10_mse_weighted"]) and not list(tmp_path.glob("checkpoint*"))
+    assert models.load(tmp_path).name == "dense"
+
+
+def test_the_order_of_use_puts_copies_last() -> None:
+    """A capture that was made twice tells nothing the second time."""
+    twice = DATA.take([0, 0, *range(1, 12)])
+    order = list(order_of_use(twice))
+    assert {order[-1]} <= {0, 1} or max(order.index(0), order.index(1)) > 6
+
+
+def test_too_few_captures_have_no_curve() -> None:
+    assert how_many(DATA.take(range(5)), "absolute") == {}
+
+
+def test_the_command(tmp_path: Path) -> None:
+    path = write_pairs(tmp_path, DATA)
+    runner = CliRunner()
+    result = runner.invoke(main, ["train", str(path), "--model", "nearest", "--json"])
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["chosen"] == "nearest" and set(answer["models"][0]) >= KEYS
+    assert (tmp_path / "models" / "nearest" / "config.json").is_file()
+    shown = runner.invoke(main, ["train", str(path), "--model", "mean", "--out", str(tmp_path / "m")])
+    assert "chosen: mean" in shown.stdout
+    assert runner.invoke(main, ["train", str(tmp_path / "none.csv")]).exit_code == 3
+    assert runner.invoke(main, ["train", str(path), "--budget", "0"]).exit_code == 2
+    path.write_text("\n".join(path.read_text().splitlines()[:2]))
+    assert runner.invoke(main, ["train", str(path), "--model", "mean"]).exit_code == 5
