@@ -1,0 +1,25 @@
+"""Instruments that talk in lines: ``serial:PLACE?kind=spn1``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fieldlum.devices.uri import DeviceUri, number, one_of, whole
+from fieldlum.errors import DeviceError
+
+if TYPE_CHECKING:
+    from fieldlum.devices import Pyranometer
+    from fieldlum.devices.clock import Clock
+    from fieldlum.session import Session
+
+
+def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Pyranometer:
+    """Raises DeviceError for unknown options, a port that is not there, or an instrument that does not answer."""
+    if not uri.place:
+        raise DeviceError(f"{uri.text}: no port, expected something like serial:/dev/serial/by-id/NAME?kind=spn1")
+    options = uri.read(kind=one_of("spn1"), baud=whole(300, 921600), timeout=number(0.1, 60.0))
+    if "kind" not in options:
+        raise DeviceError(f"{uri.text}: no kind, add ?kind=spn1")
+    from fieldlum.devices.serial_spn1 import Spn1
+
+    return Spn1(uri.place, clock, baud=options.get("baud", 9600), timeout_s=options.get("timeout", 2.0))

@@ -1,0 +1,57 @@
+"""Shipped simulators: ``sim:office?seed=1`` as a camera or as a pyranometer.
+
+Camera options: seed, profile (name or path; default: the session's, else sim-dual-fisheye), clock_offset (s, the
+camera's own clock minus ours), overhead (s between frames). Pyranometer options: seed, noise (W/m2).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fieldlum.devices.uri import DeviceUri, number, whole
+from fieldlum.errors import DeviceError
+
+if TYPE_CHECKING:
+    from fieldlum.devices import Camera, Pyranometer
+    from fieldlum.devices.clock import Clock
+    from fieldlum.session import Session
+
+_SEED = whole(0, 2**31)
+
+
+def _check_place(uri: DeviceUri) -> None:
+    if uri.place not in ("office", ""):
+        raise DeviceError(f"{uri.text}: no simulated place '{uri.place}', there is sim:office")
+
+
+def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Camera:
+    """Raises DeviceError for unknown options, InputError for a bad profile or truth."""
+    from fieldlum.devices.simulated.camera import SimulatedCamera
+    from fieldlum.devices.simulated.world import open_world
+    from fieldlum.profiles import load_camera_profile
+    from fieldlum.records import CameraSetup
+
+    _check_place(uri)
+    options = uri.read(seed=_SEED, profile=str, clock_offset=number(-1e9, 1e9), overhead=number(0.0, 600.0))
+    seed = options.get("seed", 1)
+    setup = session.site_file().camera if session is not None else CameraSetup()
+    return SimulatedCamera(
+        open_world(session, seed),
+        load_camera_profile(options.get("profile", setup.profile)),
+        clock,
+        heading_deg=setup.heading_deg,
+        seed=seed,
+        clock_offset_s=options.get("clock_offset", 0.0),
+        overhead_s=options.get("overhead"),
+    )
+
+
+def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Pyranometer:
+    """An SPN1 on a pty, read by the real driver."""
+    from fieldlum.devices.simulated.spn1 import open_simulated
+    from fieldlum.devices.simulated.world import open_world
+
+    _check_place(uri)
+    options = uri.read(seed=_SEED, noise=number(0.0, 100.0))
+    seed = options.get("seed", 1)
+    return open_simulated(open_world(session, seed), clock, seed, options.get("noise", 1.0))

@@ -1,0 +1,148 @@
+"""A fisheye camera that photographs a `World`: everything between the room's light and a DNG or JPEG on the card."""
+
+from __future__ import annotations
+
+import zlib
+from datetime import datetime, timedelta
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.devices import CameraInfo
+from fieldlum.devices.clock import Clock
+from fieldlum.devices.settings import nearest
+from fieldlum.devices.simulated import optics, sensor
+from fieldlum.devices.simulated.world import World
+from fieldlum.errors import DeviceError
+from fieldlum.photometry import vignetting_at
+from fieldlum.profiles import CameraProfile
+from fieldlum.raw import write_dng, write_jpeg
+from fieldlum.records import Exposure, Panorama
+
+
+class SimulatedCamera:
+    """Implements `Camera`. heading_deg: where it looks when nobody turns it."""
+
+    def __init__(
+        self,
+        world: World,
+        profile: CameraProfile,
+        clock: Clock,
+        *,
+        heading_deg: float = 180.0,
+        seed: int = 1,
+        clock_offset_s: float = 0.0,
+        overhead_s: float | None = None,
+    ) -> None:
+        self._world, self._profile, self._clock = world, profile, clock
+        self._heading_deg, self._seed = heading_deg, seed
+        self._clock_offset_s = clock_offset_s
+        self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
+        self._shape = (profile.camera.height_px, profile.camera.width_px)
+        self._raw = sensor.RawSensor(profile) if profile.camera.kind == "raw" else None
+        self._jpeg = sensor.JpegSensor(profile) if profile.camera.kind == "jpeg" else None
+        self._views = lru_cache(maxsize=8)(self._views_of)
+        self._shading = lru_cache(maxsize=8)(self._shading_of)
+        self._last: tuple[Panorama, float, NDArray[np.float32]] | None = None
+
+    @property
+    def info(self) -> CameraInfo:
+        body = self._profile.camera
+        return CameraInfo(
+            "sim", body.make, body.model, f"SIM{self._seed:04d}", lens=self._profile.lens[0].name,
+            clock_offset_s=self._clock_offset_s,
+        )  # fmt: skip
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        """Takes as much of the clock's time as a camera would: overhead and shutter."""
+        dial_s = self._allowed(exposure)
+        asked = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)
+        opened = self._clock.now()
+        heading = self._heading_deg if heading_deg is None else heading_deg
+        image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
+        true_s = self._true_s(dial_s)
+        # One seed a frame, whatever was taken before: a resumed capture gives the frames of an undisturbed one.
+        name = f"{opened.timestamp():.0f} {asked} {heading}".encode()
+        rng = np.random.default_rng([self._seed, zlib.crc32(name)])
+        path = self._write(image, asked, true_s, target, opened, rng)
+        self._clock.sleep(self._overhead_s + true_s)
+        return path
+
+    def close(self) -> None:
+        self._last = None
+
+    def _allowed(self, exposure: Exposure) -> float:
+        """The dial's time. Raises DeviceError for what this camera does not have."""
+        profile = self._profile
+        apertures = [v.f_number for v in profile.lens[0].vignetting] or [profile.bracket.f_number]
+        if exposure.f_number not in apertures:
+            raise DeviceError(f"simulated camera: no f/{exposure.f_number:g}, it has {_list(apertures, 'f/')}")
+        if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
+            known = ", ".join(nd.name for nd in profile.nd) or "none"
+            raise DeviceError(f"simulated camera: no filter '{exposure.nd}', it has {known}")
+        if not 50 <= exposure.iso <= 6400:
+            raise DeviceError(f"simulated camera: no ISO {exposure.iso:g}, it has 50 to 6400")
+        return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
+
+    def _true_s(self, dial_s: float) -> float:
+        measured = {round(t.nominal_s, 9): t.true_s for t in self._profile.shutter}
+        return measured.get(round(dial_s, 9), sensor.true_shutter_s(dial_s))
+
+    def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
+        """Camera channels before vignetting, [h, w] on the mosaic or [h, w, 3]; kept while the scene is the same."""
+        if self._last is None or self._last[0] is not panorama or self._last[1] != heading_deg:
+            height, width = panorama.luminance_cdm2.shape
+            views = self._views(heading_deg - panorama.heading_deg, (height, width))
+            scene = optics.on_sensor(panorama, views, self._shape)
+            image = sensor.camera_channels(scene, self._profile)
+            if self._raw is not None:
+                image = sensor.mosaic_of(image, self._profile.sensor.cfa)
+            self._last = (panorama, heading_deg, image)
+        return self._last[2]
+
+    def _views_of(self, turn_deg: float, panorama: tuple[int, int]) -> list[optics.LensView]:
+        lenses = (optics.geometry_of(lens, turn_deg) for lens in self._profile.lens)
+        return [optics.look(lens, self._shape, panorama) for lens in lenses]
+
+    def _shading_of(self, f_number: float) -> NDArray[np.float32]:
+        """Vignetting on the sensor, [h, w] or [h, w, 1]."""
+        out = np.ones(self._shape, np.float32)
+        rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
+        for lens in self._profile.lens:
+            geometry = optics.geometry_of(lens, 0.0)
+            distance = np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) / lens.radius_px
+            relative = optics.angle_of_radius(geometry, np.minimum(distance, 1.0)) / geometry.half_angle_rad
+            curve = next((v.coefficients for v in lens.vignetting if v.f_number == f_number), ())
+            out = np.where(distance <= 1.0, vignetting_at(curve, relative), out)
+        return out.astype(np.float32)[..., None] if self._jpeg is not None else out.astype(np.float32)
+
+    def _write(
+        self,
+        image: NDArray[np.float32],
+        exposure: Exposure,
+        true_s: float,
+        target: Path,
+        opened: datetime,
+        rng: np.random.Generator,
+    ) -> Path:
+        body = self._profile.camera
+        t_camera = (opened + timedelta(seconds=self._clock_offset_s)).replace(tzinfo=None)  # cameras know no time zone
+        if self._jpeg is not None:
+            path = target.with_name(f"{target.name}.jpg")
+            codes = self._jpeg.codes(image, exposure, true_s, rng)
+            write_jpeg(path, codes, exposure, t_camera=t_camera, make=body.make, model=body.model)
+            return path
+        assert self._raw is not None
+        path, s = target.with_name(f"{target.name}.dng"), self._profile.sensor
+        counts = self._raw.counts(image, exposure, true_s, rng)
+        write_dng(
+            path, counts, exposure, black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa, t_camera=t_camera,
+            make=body.make, model=body.model,
+        )  # fmt: skip
+        return path
+
+
+def _list(values: list[float], unit: str) -> str:
+    return ", ".join(f"{unit}{v:g}" for v in values)

@@ -1,0 +1,141 @@
+"""From a luminance panorama to what falls on each pixel of a fisheye sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import projection
+from fieldlum.profiles import Lens
+from fieldlum.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
+from fieldlum.records import Panorama, SunSource
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+SUN_RADIUS_DEG = 0.2665
+_SUBSAMPLES = 3  # per sensor pixel and axis
+_SUN_SUBSAMPLES, _SUN_REACH_PX = 8, 8
+_PSF_PX = 0.5  # standard deviation of the lens's blur; applied to the sun only, all else is smoother than that
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LensView:
+    """One lens on the sensor: its pixels (flat indices [n]), how far off its axis they look, and at what.
+
+    weights [n, H*W]: share of each panorama pixel in each sensor pixel; rows sum to 1.
+    """
+
+    geometry: LensGeometry
+    pixels: NDArray[np.intp]
+    relative_angle: Array
+    weights: csr_array
+
+
+def geometry_of(lens: Lens, turn_deg: float) -> LensGeometry:
+    """turn_deg: the camera's heading minus the panorama's."""
+    return LensGeometry(
+        lens.centre_px,
+        lens.radius_px,
+        lens.full_angle_deg,
+        lens.mapping,
+        lens.coefficients,
+        lens.azimuth_deg + turn_deg,
+        lens.tilt_deg,
+        lens.roll_deg,
+    )
+
+
+def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensView:
+    """Precompute a lens's view; sensor and panorama are (height, width).
+
+    The panorama is taken as constant over each of its pixels; a sensor pixel averages 3 x 3 directions within it.
+    """
+    from scipy.sparse import csr_array
+
+    (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0  # the picture ends behind the circle
+    top, bottom = max(int(cy - reach), 0), min(int(cy + reach) + 1, sensor[0])
+    left, right = max(int(cx - reach), 0), min(int(cx + reach) + 1, sensor[1])
+    rows, columns = (a.ravel() for a in np.mgrid[top:bottom, left:right])
+    near = np.hypot(columns + 0.5 - cx, rows + 0.5 - cy) < reach
+    rows, columns = rows[near], columns[near]
+    targets, sources = [], []
+    for dy, dx in np.ndindex(_SUBSAMPLES, _SUBSAMPLES):
+        x, y = columns + (dx + 0.5) / _SUBSAMPLES, rows + (dy + 0.5) / _SUBSAMPLES
+        targets.append(np.arange(len(rows), dtype=np.int32))
+        sources.append(_panorama_pixels(lens_rays(lens, x, y), panorama))
+    target, source = np.concatenate(targets), np.concatenate(sources)
+    share = np.full(len(target), 1.0 / _SUBSAMPLES**2, np.float32)
+    weights = csr_array((share, (target, source)), shape=(len(rows), panorama[0] * panorama[1]))
+    weights.sum_duplicates()
+    distance = np.hypot(columns + 0.5 - cx, rows + 0.5 - cy) / lens.radius_px
+    relative = angle_of_radius(lens, np.minimum(distance, 1.0)) / lens.half_angle_rad
+    return LensView(lens, rows * sensor[1] + columns, relative, weights)
+
+
+def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32]:
+    """Flat index of the panorama pixel that each ray meets; rays are in the panorama's own frame (heading 0)."""
+    height, width = panorama
+    altitude = np.degrees(np.arcsin(np.clip(rays[:, 2], -1.0, 1.0)))
+    azimuth = np.degrees(np.arctan2(rays[:, 0], rays[:, 1]))
+    row, column = projection.equirect_pixel(altitude, azimuth, height, width, 0.0)
+    return (
+        np.minimum(row.astype(np.int32), height - 1) * width + np.minimum(column.astype(np.int32), width - 1)
+    ).astype(np.int32)
+
+
+def channels(panorama: Panorama) -> NDArray[np.float32]:
+    """Red, green and blue in cd/m2 such that .265 R + .670 G + .065 B is the luminance, [H*W, 3]; [H*W, 1] if grey."""
+    from fieldlum.images import RADIANCE_LM_PER_W
+
+    if panorama.rgb is None:
+        return np.asarray(panorama.luminance_cdm2, np.float32).reshape(-1, 1)
+    return (RADIANCE_LM_PER_W * np.asarray(panorama.rgb, np.float32)).reshape(-1, 3)
+
+
+def on_sensor(panorama: Panorama, views: list[LensView], sensor: tuple[int, int]) -> NDArray[np.float32]:
+    """Mean luminance [cd/m2] over each sensor pixel, [h, w, 3] or [h, w, 1] (grey), the sun's disc in it."""
+    flat = channels(panorama)
+    out = np.zeros((sensor[0] * sensor[1], flat.shape[1]), np.float32)
+    for view in views:
+        out[view.pixels] = view.weights @ flat
+    image = out.reshape(*sensor, -1)
+    if panorama.sun is not None:
+        for view in views:
+            _add_sun(image, panorama.sun, panorama.heading_deg, view.geometry)
+    return image
+
+
+def _add_sun(image: NDArray[np.float32], sun: SunSource, heading_deg: float, lens: LensGeometry) -> None:
+    """Deposit the disc by energy: its pixels' luminance times their solid angles is its normal illuminance."""
+    from scipy.ndimage import gaussian_filter
+
+    at = projection.direction(sun.altitude_deg, sun.azimuth_deg - heading_deg)
+    x, y, angle = lens_pixels(lens, at)
+    if angle >= lens.half_angle_rad:
+        return
+    reach, fine = _SUN_REACH_PX, _SUN_SUBSAMPLES
+    rows, columns = int(y) - reach + np.arange(2 * reach), int(x) - reach + np.arange(2 * reach)
+    step = (np.arange(2 * reach * fine) + 0.5) / fine
+    rays = lens_rays(lens, (columns[0] + step)[None, :], (rows[0] + step)[:, None])
+    covered = (rays @ at > np.cos(np.radians(SUN_RADIUS_DEG))).astype(float)
+    share = gaussian_filter(covered, _PSF_PX * fine).reshape(2 * reach, fine, 2 * reach, fine).sum(axis=(1, 3))
+    omega = pixel_solid_angle_sr(lens, columns[None, :] + 0.5, rows[:, None] + 0.5)
+    value = share / share.sum() * sun.normal_illuminance_lx / np.maximum(omega, 1e-12)
+    fits = (rows >= 0) & (rows < image.shape[0]), (columns >= 0) & (columns < image.shape[1])
+    value = np.where(omega > 0, value, 0.0)[np.ix_(*fits)]
+    image[np.ix_(rows[fits[0]], columns[fits[1]])] += value[..., None].astype(np.float32)
+
+
+def pixel_solid_angle_sr(lens: LensGeometry, x_px: NDArray[np.floating], y_px: NDArray[np.floating]) -> Array:
+    """Solid angle of the sensor pixel around a point; 0 outside the circle. [sr]"""
+    distance = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
+    step = 1e-4
+    r = np.clip(distance, step, 1.0 - step)
+    ring = np.cos(angle_of_radius(lens, r - step)) - np.cos(angle_of_radius(lens, r + step))
+    return np.where(distance <= 1.0, ring / (2 * step * r * lens.radius_px**2), 0.0)

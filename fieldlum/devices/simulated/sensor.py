@@ -1,0 +1,123 @@
+"""From luminance on a sensor to the counts or codes that a camera writes, with all that is wrong about them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.photometry import response_table, z_per_cdm2
+from fieldlum.profiles import CameraProfile
+from fieldlum.raw import channel_positions
+from fieldlum.records import Exposure
+
+# What a camera's dial says, thirds of a stop.
+DIAL_S = tuple(float(t) for t in (30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3.2, 2.5, 2, 1.6, 1.3, 1)) + tuple(
+    1.0 / t
+    for t in (
+        1.3, 1.6, 2, 2.5, 3, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 40, 50, 60, 80, 100, 125, 160, 200, 250, 320, 400, 500,
+        640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000, 10000, 12800, 16000,
+    )
+)  # fmt: skip
+_GAUSSIAN_ABOVE_E = 60.0  # a Poisson of more electrons is a normal distribution to 0.1 %
+RADIANCE_Y = (0.265, 0.670, 0.065)
+
+
+def true_shutter_s(dial_s: float) -> float:
+    """What the shutter does: 2^(k/3) s, up to 4 % from what the dial and EXIF say."""
+    return 2.0 ** (round(3.0 * math.log2(dial_s)) / 3.0)
+
+
+def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
+    """Scene red, green, blue [cd/m2] to camera channels, [3, 3]: the inverse of the profile's colour.
+
+    A profile without a matrix sees grey only: each channel gets luminance / sum(y_from_rgb).
+    """
+    colour = profile.colour
+    if colour.rgb_to_radiance:
+        return np.linalg.inv(np.reshape(colour.rgb_to_radiance, (3, 3)))
+    return np.tile(np.asarray(RADIANCE_Y) / sum(colour.y_from_rgb), (3, 1))
+
+
+def camera_channels(scene: NDArray[np.float32], profile: CameraProfile) -> NDArray[np.float32]:
+    """[h, w, 3] or grey [h, w, 1] in cd/m2 to camera channels [h, w, 3]."""
+    matrix = camera_from_scene(profile).astype(np.float32)
+    return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
+
+
+def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
+    """One colour a pixel, [h, w, 3] to [h, w]."""
+    out = np.empty(image.shape[:2], np.float32)
+    for i, letter in enumerate(cfa):
+        row, column = divmod(i, 2)
+        out[row::2, column::2] = image[row::2, column::2, "RGB".index(letter)]
+    return out
+
+
+def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Values of R, G1, G2, B spread over a mosaic."""
+    out = np.empty(shape, np.float32)
+    for (row, column), value in zip(channel_positions(cfa), by_colour, strict=True):
+        out[row::2, column::2] = value
+    return out
+
+
+class RawSensor:
+    """A Bayer sensor as the profile describes it, for one size of picture."""
+
+    def __init__(self, profile: CameraProfile) -> None:
+        sensor, body = profile.sensor, profile.camera
+        shape = (body.height_px, body.width_px)
+        self._profile = profile
+        self._black = _cells(sensor.cfa, sensor.black_dn, shape)
+        self._full = _cells(sensor.cfa, sensor.saturation_dn, shape)
+        self._range = sensor.white_dn - self._black
+
+    def counts(
+        self, mosaic_cdm2: NDArray[np.float32], exposure: Exposure, true_s: float, rng: np.random.Generator
+    ) -> NDArray[np.uint16]:
+        """Camera channels on the mosaic (vignetting in them) to raw counts with shot, read and rounding noise."""
+        sensor, k = self._profile.sensor, self._profile.scale.k
+        gain = sensor.gain_e_per_dn * sensor.iso / exposure.iso
+        per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
+        red, green, blue = nd_factors(self._profile, exposure.nd)
+        attenuation = _cells(sensor.cfa, (red, green, green, blue), mosaic_cdm2.shape)
+        electrons = mosaic_cdm2 * (self._range * np.float32(per * gain)) / attenuation
+        electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
+        noisy = electrons + rng.standard_normal(electrons.shape, np.float32) * np.sqrt(
+            np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0) + np.float32(sensor.read_noise_e**2)
+        )
+        few = np.flatnonzero((electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0))
+        noisy.flat[few] += rng.poisson(electrons.flat[few]) - electrons.flat[few]
+        return np.clip(np.rint(noisy / np.float32(gain) + self._black), 0, self._full).astype(np.uint16)
+
+
+class JpegSensor:
+    """A camera that writes 8 bits through a response curve."""
+
+    def __init__(self, profile: CameraProfile) -> None:
+        r = profile.response
+        self._profile = profile
+        self._z = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
+
+    def codes(
+        self, image_cdm2: NDArray[np.float32], exposure: Exposure, true_s: float, rng: np.random.Generator
+    ) -> NDArray[np.uint8]:
+        """Camera channels [h, w, 3] (vignetting in them) to codes."""
+        sensor, k = self._profile.sensor, self._profile.scale.k
+        per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
+        full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
+        z = image_cdm2 * np.float32(per) / np.asarray(nd_factors(self._profile, exposure.nd), np.float32)
+        spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
+        z = z + rng.standard_normal(z.shape, np.float32) * spread
+        out = np.empty(z.shape, np.uint8)
+        for c, table in enumerate(self._z):
+            codes = np.interp(z[..., c], table + np.arange(256) * 1e-12, np.arange(256.0))
+            out[..., c] = np.rint(codes)
+        return out
+
+
+def nd_factors(profile: CameraProfile, name: str) -> tuple[float, float, float]:
+    """Luminance without over luminance with the filter; ones for no filter. Raises KeyError for an unknown one."""
+    return {"": (1.0, 1.0, 1.0), **{nd.name: nd.factor_rgb for nd in profile.nd}}[name]

@@ -1,0 +1,90 @@
+"""What the simulated devices look at: a session's truth/ folder, or the built-in office.
+
+truth/ (written by `fieldlum simulate`): ``<slot>.exr``, a panorama with its sun, and ``irradiance.csv`` with the
+columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted; between its rows the light is interpolated, beyond them it is dark.
+"""
+
+from __future__ import annotations
+
+import csv
+from datetime import UTC, datetime, timedelta
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from fieldlum.errors import DeviceError, InputError
+from fieldlum.records import Panorama, parse_utc
+from fieldlum.session import Session
+
+NEAREST_TRUTH = timedelta(minutes=45)
+
+
+class Light(NamedTuple):
+    """Horizontal global and diffuse, and direct normal irradiance. [W/m2]"""
+
+    ghi_wm2: float
+    dhi_wm2: float
+    dni_wm2: float
+
+
+class World(Protocol):
+    def scene(self, t_utc: datetime) -> Panorama: ...
+
+    def irradiance(self, t_utc: datetime) -> Light: ...
+
+
+class TruthWorld:
+    """The rendered truth of a simulated session."""
+
+    def __init__(self, folder: Path) -> None:
+        self._panoramas = {
+            datetime.strptime(path.stem, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC): path
+            for path in sorted(folder.glob("[0-9]*Z.exr"))
+        }
+        self._times, self._light = _read_irradiance(folder / "irradiance.csv")
+        self._read = lru_cache(maxsize=2)(_read_panorama)
+
+    def scene(self, t_utc: datetime) -> Panorama:
+        """The panorama nearest in time. Raises DeviceError when none is within 45 minutes."""
+        nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
+        if nearest is None or abs(nearest - t_utc) > NEAREST_TRUTH:
+            raise DeviceError(f"simulated camera: no truth for {t_utc:%Y-%m-%d %H:%M} UTC, it is dark here")
+        return self._read(self._panoramas[nearest])
+
+    def irradiance(self, t_utc: datetime) -> Light:
+        now = t_utc.timestamp()
+        if not self._times[0] <= now <= self._times[-1]:
+            return Light(0.0, 0.0, 0.0)
+        return Light(*(float(np.interp(now, self._times, column)) for column in self._light))
+
+
+def _read_panorama(path: Path) -> Panorama:
+    from fieldlum.images import read_panorama
+
+    return read_panorama(path)
+
+
+def _read_irradiance(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times [n] s and light [3, n]. Raises InputError."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
+        light = np.array([[float(row[name]) for row in rows] for name in ("ghi_wm2", "dhi_wm2", "dni_wm2")])
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        expected = "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2"
+        raise InputError(path, str(error), expected, "make it anew: fieldlum simulate") from None
+    if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
+        raise InputError(path, f"{len(times)} rows", "two or more sorted rows of numbers", "fieldlum simulate")
+    return times, light
+
+
+def open_world(session: Session | None, seed: int) -> World:
+    """The session's truth where it has one, else the built-in office at the session's place (Seattle without one)."""
+    if session is not None and (session.truth / "irradiance.csv").is_file():
+        return TruthWorld(session.truth)
+    from fieldlum.devices.simulated.office import Office
+
+    return Office(session.site_file() if session is not None else None, seed)

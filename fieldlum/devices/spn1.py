@@ -1,0 +1,57 @@
+"""Delta-T SPN1, total and diffuse: what it says and what that means, as pure functions.
+
+Source: SPN1 User Manual v1.0, appendix B: 9600 8N1; every character is echoed except R; replies end in CR alone.
+Only R, S and I are ever sent. T starts a test mode in which commands change the calibration for good.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from fieldlum.errors import DeviceError
+
+AWAKE = b"\xaf"
+LARGEST_WM2 = 2500.0  # the instrument's range ends at 2000
+_READING = re.compile(rb"S?(?=.{6},)( *\d{1,4}\.\d),(?=.{6},)( *\d{1,4}\.\d),([01])\r")  # tttt.t,dddd.d,s
+_SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
+_FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
+
+
+@dataclass(frozen=True, slots=True)
+class Spn1Reading:
+    total_wm2: float
+    diffuse_wm2: float
+    sunshine: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Spn1Status:
+    firmware: str = ""
+    serial: str = ""
+    lines: tuple[str, ...] = ()
+
+
+def parse_reading(reply: bytes) -> Spn1Reading:
+    """``S 812.4, 104.9,1<CR>``, with or without the echo. Raises DeviceError for every other byte string.
+
+    Both numbers fill six places with one decimal, so that a lost character is never taken for a smaller number.
+    """
+    match = _READING.fullmatch(reply)
+    if match is None:
+        raise DeviceError(f"SPN1 said {reply[:40]!r}, expected total, diffuse, sunshine and CR")
+    total, diffuse = float(match[1]), float(match[2])
+    if max(total, diffuse) > LARGEST_WM2:
+        raise DeviceError(f"SPN1 said {reply[:40]!r}, beyond its range of {LARGEST_WM2:g} W/m2")
+    return Spn1Reading(total, diffuse, match[3] == b"1")
+
+
+def parse_status(reply: bytes) -> Spn1Status:
+    """Reply to I: firmware, units, radio and serial number in CR lines. Raises DeviceError for other units."""
+    text = reply.decode("ascii", "replace").replace("\r", "\n")
+    units = re.search(r"Units: *(\S+)", text)
+    if units and units[1].upper().replace("^", "") not in ("W.M-2", "W/M2"):
+        raise DeviceError(f"SPN1 is set to {units[1]}, expected W.m-2: set it with Delta-T's own program")
+    firmware, serial = _FIRMWARE.search(text), _SERIAL.search(text)
+    lines = tuple(line.strip() for line in text.splitlines() if line.strip())
+    return Spn1Status(firmware[1].strip() if firmware else "", serial[1] if serial else "", lines)

@@ -1,0 +1,190 @@
+"""devices: the SPN1's bytes, its driver on a pty, and everything that can go wrong on the wire."""
+
+import os
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.devices import open_pyranometer
+from fieldlum.devices.clock import FastClock
+from fieldlum.devices.serial_spn1 import Spn1
+from fieldlum.devices.simulated.spn1 import PtyInstrument, Spn1Voice
+from fieldlum.devices.simulated.world import Light
+from fieldlum.devices.spn1 import Spn1Reading, parse_reading, parse_status
+from fieldlum.errors import DeviceError
+
+START = datetime(2027, 3, 20, 19, 30, tzinfo=UTC)
+# SPN1 User Manual v1.0, appendix B: the reply to S, with its echo, and the lines of I.
+READING = b"S 812.4, 104.9,1\r"
+STATUS = b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\r1mV radio off\rA106\r"
+
+
+def test_authority_transcript_of_the_manual() -> None:
+    assert parse_reading(READING) == Spn1Reading(812.4, 104.9, True)
+    assert parse_reading(b"   0.0,   0.0,0\r") == Spn1Reading(0.0, 0.0, False)
+    status = parse_status(STATUS)
+    assert (status.serial, status.firmware) == ("A106", "v1.03 Mar 13 2007")
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b"", b"\r", b"S", b"S 812.4, 104.9,1", b" 812.4, 104", b"S 8#2.4,,1\r", b"S 812.4, 104.9,2\r",
+        b"S 812, 104.9,1\r", b"S 12.4, 104.9,1\r",
+        b"\xfe\x80S 812.4, 104.9,1\r", b"S 812.4, 104.9,1\r\n", b"S 9999.9, 104.9,1\r", b"S nan,104.9,1\r", b"? \xaf",
+        b"S 812.4, 104.9,1\rS 812.4, 104.9,1\r", b"S-812.4, 104.9,1\r",
+    ],
+)  # fmt: skip
+def test_contract_a_broken_line_gives_no_number(reply: bytes) -> None:
+    with pytest.raises(DeviceError, match="SPN1 said"):
+        parse_reading(reply)
+
+
+def test_contract_other_units_are_refused() -> None:
+    with pytest.raises(DeviceError, match="set to mV"):
+        parse_status(STATUS.replace(b"W.m-2", b"mV"))
+
+
+@settings(deadline=None, max_examples=400)
+@given(st.integers(0, len(READING) - 1), st.binary(max_size=2), st.integers(0, 2))
+def test_property_a_lost_or_added_byte_is_noticed(at: int, put: bytes, cut: int) -> None:
+    line = READING[:at] + put + READING[at + cut :]
+    try:
+        reading = parse_reading(line)
+    except DeviceError:
+        return
+    assert len(line.removeprefix(b"S")) == len(READING) - 1, "only a byte turned into another digit can go unseen"
+    shown = f"{reading.total_wm2:6.1f},{reading.diffuse_wm2:6.1f},{reading.sunshine:d}\r".encode()
+    assert shown.replace(b" ", b"0") == line.removeprefix(b"S").replace(b" ", b"0")
+
+
+class Wire:
+    """Answers as the simulated SPN1, with a fault in between."""
+
+    def __init__(self, light: Light | None = None, noise_wm2: float = 0.0) -> None:
+        self.light, self.sent = light or Light(812.4, 104.9, 900.0), b""
+        self.fault: Callable[[bytes], bytes] = lambda reply: reply
+        self.time = 0.0
+        self._voice = Spn1Voice(lambda: (self.time, self.light), np.random.default_rng(1), noise_wm2, 106)
+
+    def __call__(self, data: bytes) -> bytes:
+        self.sent += data
+        return self.fault(self._voice(data))
+
+
+@contextmanager
+def spn1(wire: Wire, timeout_s: float = 0.15) -> Iterator[Spn1]:
+    instrument = PtyInstrument(wire)
+    try:
+        device = Spn1(instrument.port, FastClock(START), timeout_s=timeout_s)
+        yield device
+        device.close()
+    finally:
+        instrument.unplug()
+
+
+def test_the_real_driver_reads_the_simulated_bytes() -> None:
+    wire = Wire()
+    with spn1(wire) as device:
+        sample = device.read()
+        assert (sample.ghi_wm2, sample.dhi_wm2, sample.t_utc, sample.status) == (812.4, 104.9, START, "")
+        assert sample.raw == "S 812.4, 104.9,1"
+        assert device.info.serial == "A106" and device.info.gives == ("ghi", "dhi")
+    assert set(wire.sent) <= set(b"RSI"), "only questions may ever be sent"
+
+
+def test_analytic_time_constant() -> None:
+    wire = Wire(Light(0.0, 0.0, 0.0))
+    with spn1(wire) as device:
+        device.read()
+        wire.light, wire.time = Light(1000.0, 100.0, 900.0), 0.1
+        assert device.read().ghi_wm2 == pytest.approx(632.1, abs=0.1)
+        wire.time = 5.0
+        assert device.read().ghi_wm2 == 1000.0
+
+
+def test_total_below_diffuse_is_marked() -> None:
+    with spn1(Wire(Light(50.0, 60.0, 0.0))) as device:
+        assert device.read().status == "total below diffuse"
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (lambda reply: reply if reply == b"\xaf" else reply[:7], "SPN1 said"),
+        (lambda reply: reply if reply == b"\xaf" else b"\xfe\x80" + reply, "SPN1 said"),
+        (lambda reply: reply if reply == b"\xaf" else b"", "awake, but silent"),
+        (lambda reply: b"", "is silent when woken"),
+        (lambda reply: b"\x00", "when woken, expected 0xAF"),
+    ],
+    ids=["partial", "garbage", "mute", "dead", "wrong-baud"],
+)
+def test_contract_faults_on_the_wire(fault: Callable[[bytes], bytes], said: str) -> None:
+    wire = Wire()
+    with spn1(wire) as device:
+        wire.fault = fault
+        with pytest.raises(DeviceError, match=said):
+            device.read()
+        wire.fault = lambda reply: reply
+        assert device.read().ghi_wm2 == 812.4, "it must recover without being opened anew"
+
+
+def test_contract_the_rest_of_a_late_reply_is_not_the_next_one() -> None:
+    wire = Wire()
+    with spn1(wire) as device:
+        wire.fault = lambda reply: reply if reply == b"\xaf" else reply[:7]
+        with pytest.raises(DeviceError):
+            device.read()
+        wire.light, wire.time = Light(400.0, 300.0, 100.0), 60.0
+        wire.fault = lambda reply: b"4, 104.9,1\r\xaf" if reply == b"\xaf" else reply
+        with pytest.raises(DeviceError, match="when woken"):
+            device.read()
+        wire.fault = lambda reply: reply
+        assert device.read().ghi_wm2 == 400.0
+
+
+def test_contract_unplugged_is_a_device_error() -> None:
+    instrument = PtyInstrument(Wire())
+    device = Spn1(instrument.port, FastClock(START), timeout_s=0.15)
+    instrument.unplug()
+    with pytest.raises(DeviceError, match="/dev/"):
+        device.read()
+    device.close()
+    with pytest.raises(DeviceError, match="/dev/"):
+        Spn1(instrument.port, FastClock(START), timeout_s=0.15)
+
+
+def test_contract_a_port_is_used_by_one_only() -> None:
+    wire = Wire()
+    with spn1(wire) as device, pytest.raises(DeviceError, match="lock"):
+        Spn1(device.info.port, FastClock(START), timeout_s=0.15)
+
+
+def test_a_silent_port_is_no_spn1() -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    with pytest.raises(DeviceError, match="is silent when woken"):
+        open_pyranometer(f"serial:{os.ttyname(theirs)}?kind=spn1&timeout=0.1", clock=FastClock(START))
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_sim_uri_opens_the_whole_chain() -> None:
+    clock = FastClock(START)
+    device = open_pyranometer("sim:office?seed=4&noise=0.5", clock=clock)
+    first = device.read()
+    clock.sleep(3600.0)
+    later = device.read()
+    assert first.ghi_wm2 is not None and first.dhi_wm2 is not None and 20 < first.ghi_wm2 < 1200
+    assert later.ghi_wm2 != first.ghi_wm2 and first.ghi_wm2 >= first.dhi_wm2 - 3
+    device.close()
+    with pytest.raises(DeviceError, match="no simulated place 'cave'"):
+        open_pyranometer("sim:cave", clock=clock)
+    with pytest.raises(DeviceError, match="no kind"):
+        open_pyranometer("serial:/dev/ttyUSB0", clock=clock)
