@@ -15,7 +15,7 @@ from fieldlum.glare.sources import sources_of
 from fieldlum.records import Float
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
-METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
+METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")  # beside them `contrast`, the sum of L2 omega / P2 over sources
 
 # Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16; evalglare computes with these, and so do we.
 DGP_EV, DGP_CONTRAST, DGP_BASE = 5.87e-5, 0.092, 0.159
@@ -58,7 +58,7 @@ def glare_directions(
     *,
     views: Views | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Glare of n panoramas in d horizontal view directions: `METRICS`, each [n, d].
+    """Glare of n panoramas in d horizontal view directions: `METRICS` and contrast, each [n, d].
 
     luminance_cdm2 : [n, H, W] without the sun's disc.
     sun_direction : [n, 3] unit vectors (x east, y north, z up).
@@ -124,6 +124,7 @@ def _combine(
     background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi  # CIE: what is left of Ev without the sources
     return {
         "ev_lx": ev,
+        "contrast": contrast,
         "dgp": dgp(ev, contrast),
         "dgps": dgps(ev),
         "ugr": ugr(contrast, background),

@@ -43,6 +43,7 @@ def picture_glare(path: Path, azimuths_deg: Sequence[float] = (), *, reference: 
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     found = glare_directions(maps[None], panorama.heading_deg, azimuths, rays, disc)
     height, width = maps.shape
+    del found["contrast"]
     found |= ViewRegions(height, width, panorama.heading_deg, azimuths).ratios(maps[None])
     views = []
     for i, azimuth in enumerate(azimuths):

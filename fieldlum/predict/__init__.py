@@ -1,0 +1,8 @@
+"""A weather year through a trained model: hourly maps, their glare in every direction, and what it means."""
+
+from __future__ import annotations
+
+from fieldlum.predict.annual import Annual as Annual
+from fieldlum.predict.annual import read_annual as read_annual
+from fieldlum.predict.annual import read_pictures as read_pictures
+from fieldlum.predict.year import run as run

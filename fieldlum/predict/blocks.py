@@ -1,0 +1,126 @@
+"""Maps of a year, a block of hours at a time, so that memory does not grow with the year."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.projection import equirect_pixel
+from fieldlum.records import Progress, SiteFile, quiet
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+    from fieldlum.models import Fitted, Prediction
+
+BLOCK = 64  # hours; about 30 MB a map layer at 460 x 230
+DISC_SHARE = (0.3, 1.3)  # of the sky behind: between them the sun's pixel shows open sky through glass
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Some hours: maps without the disc [k, H, W], the disc's illuminance at the lens [k] lx, the model's doubts."""
+
+    rows: slice
+    light: Light
+    prediction: Prediction
+    disc_lx: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """What a model folder says about its pictures."""
+
+    setup: SiteFile
+    height: int
+    width: int
+    heading_deg: float
+    needs_patch: bool
+
+    @property
+    def disc_from(self) -> str:
+        """Where the sun's visibility comes from."""
+        return "the room's geometry" if self.setup.room else "guessed: whether the map shows sky where the sun stands"
+
+
+def wants_patch(config: dict[str, Any]) -> bool:
+    """Whether a model's config says that it was trained with sun patches."""
+    return bool(config.get("with_patch", False)) or config.get("patch", "none") != "none"
+
+
+def room_of(config: dict[str, Any], folder: Path) -> Room:
+    """Raises InputError when the config lacks place or size, or when patches are needed and no room is known."""
+    from fieldlum.profiles import site_from_table
+
+    try:
+        height, width, heading = int(config["height"]), int(config["width"]), float(config["heading_deg"])
+        setup = site_from_table(config["setup"], str(folder / "config.json"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(folder / "config.json", f"no {error}", "place and size", "train the model again") from None
+    if wants_patch(config) and setup.room is None:
+        raise InputError(
+            folder, "a model that needs sun patches, of a site without [room]", "a room, or a model without patches",
+            "add [room] to the site and train again, or train --patch none",
+        )  # fmt: skip
+    return Room(setup, height, width, heading, wants_patch(config))
+
+
+def blocks(fitted: Fitted, room: Room, light: Light, *, progress: Progress = quiet) -> Iterator[Block]:
+    """Predict all hours of `light` in blocks. Raises InputError when maps have another size than the model says."""
+    count = len(light)
+    for patch, visible, rows in _patches(room, light):
+        part = light[np.arange(rows.start, rows.stop)]
+        prediction = fitted.predict(part, patch if room.needs_patch else None)
+        maps = prediction.luminance_cdm2
+        if maps.shape[1:] != (room.height, room.width):
+            raise InputError(
+                "the model", f"maps of {maps.shape[2]} x {maps.shape[1]}", f"{room.width} x {room.height}",
+                "train it again: its config and its weights are not of one training",
+            )  # fmt: skip
+        if not np.isfinite(maps).all():
+            raise FloatingPointError(f"hours {rows.start} to {rows.stop}: predicted values that are no numbers")
+        disc = guessed_disc(maps, part, room) if visible is None else np.asarray(visible * part.direct_lx, float)
+        progress(rows.stop, count, "hours predicted")
+        yield Block(rows, part, prediction, disc)
+
+
+def _patches(room: Room, light: Light) -> Iterator[tuple[NDArray[np.float32] | None, NDArray | None, slice]]:
+    """Sun patches, the visible disc's share times transmittance, and which hours; nothing known without a room."""
+    count = len(light)
+    if room.setup.room is None:
+        for start in range(0, count, BLOCK):
+            yield None, None, slice(start, min(start + BLOCK, count))
+        return
+    from fieldlum.scene import iter_sun_patches
+
+    start = 0
+    for found in iter_sun_patches(
+        room.setup.room, room.setup, light.sun_direction, light.direct_lx,
+        height=room.height, heading_deg=room.heading_deg, chunk=BLOCK,
+    ):  # fmt: skip
+        rows = slice(start, start + len(found.luminance_cdm2))
+        yield found.luminance_cdm2, found.visible_fraction * found.disc_transmittance, rows
+        start = rows.stop
+
+
+def guessed_disc(maps: NDArray[np.float32], light: Light, room: Room) -> NDArray[np.float64]:
+    """The disc's illuminance at the lens where no geometry is known, [k] lx.
+
+    The pixel where the sun stands shows sky when its luminance is that of the Perez sky there, times a transmittance;
+    the disc then shines through the same glass. A guess: a twig or a blind is not seen.
+    """
+    row, column = equirect_pixel(
+        light.sun_altitude_deg, light.sun_azimuth_deg, room.height, room.width, room.heading_deg
+    )
+    i = np.clip(row.astype(int), 0, room.height - 1)
+    j = np.minimum(column.astype(int), room.width - 1)
+    shown = maps[np.arange(len(maps)), i, j]
+    sky = np.array([light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))])
+    share = shown / np.maximum(sky, 1e-3)
+    seen = (share > DISC_SHARE[0]) & (share < DISC_SHARE[1]) & (light.sun_altitude_deg > 0)
+    return np.where(seen, np.minimum(share, 1.0) * light.direct_lx, 0.0)

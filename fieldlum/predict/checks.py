@@ -1,0 +1,79 @@
+"""Before predicting: where the year goes, whether model and session belong together, whether it was done already."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fieldlum import __version__
+from fieldlum.errors import InputError
+from fieldlum.predict.annual import Annual, read_annual
+from fieldlum.predict.blocks import Room
+from fieldlum.predict.occupancy import Occupancy
+from fieldlum.session import open_session, sha256
+
+
+def default_folder(model_folder: Path) -> Path:
+    """SESSION/annual/NAME for SESSION/models/NAME; else `annual` in the model's folder."""
+    resolved = model_folder.resolve()
+    in_session = resolved.parent.name == "models" and (resolved.parents[1] / "session.toml").is_file()
+    return model_folder.parent.parent / "annual" / resolved.name if in_session else model_folder / "annual"
+
+
+def check_session(model_folder: Path, room: Room) -> None:
+    """A model that stands in a session must have been trained on its place, heading and picture size."""
+    resolved = model_folder.resolve()
+    root = resolved.parents[1]
+    if resolved.parent.name != "models" or not (root / "session.toml").is_file():
+        return
+    session = open_session(root)
+    setup = session.site_file()
+    mine, theirs = room.setup.site, setup.site
+    apart = max(abs(mine.latitude_deg - theirs.latitude_deg), abs(mine.longitude_deg - theirs.longitude_deg))
+    if apart > 0.01:
+        raise InputError(
+            model_folder, f"a model of {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g})",
+            f"one of {theirs.name} ({theirs.latitude_deg:g}, {theirs.longitude_deg:g})", "train one in this session",
+        )  # fmt: skip
+    pictures = sorted(session.panoramas.glob("*.exr"))[:1]
+    if pictures:
+        from fieldlum.images import read_panorama
+
+        first = read_panorama(pictures[0])
+        height, width = first.luminance_cdm2.shape
+        if (height, width) != (room.height, room.width):
+            found = f"a model of {room.width} x {room.height} pictures"
+            raise InputError(model_folder, found, f"{width} x {height} as in this session", "train it again")
+        if abs((first.heading_deg - room.heading_deg + 180.0) % 360.0 - 180.0) > 0.1:
+            found = f"a model that faces {room.heading_deg:g}"
+            raise InputError(model_folder, found, f"{first.heading_deg:g} as in this session", "train it again")
+
+
+def inputs_of(
+    model: Path, weather: Path, views: int, occupancy: Occupancy, maps: bool, seed: int
+) -> dict[str, Any]:  # fmt: skip
+    if not weather.is_file():
+        raise InputError(weather, "no such file", "an EPW, TMY3 or CSV weather file")
+    return {
+        "model": model.resolve().name,
+        "model_sha256": sha256(model / "config.json"),
+        "weights_sha256": sha256(model / "weights.npz") if (model / "weights.npz").is_file() else "",
+        "weather": weather.name,
+        "weather_sha256": sha256(weather),
+        "views": views,
+        "occupancy": occupancy.text,
+        "maps": maps,
+        "seed": seed,
+    }
+
+
+def already(folder: Path, inputs: dict[str, Any]) -> Annual | None:
+    """The year in `folder` when it came from the same inputs by the same version."""
+    try:
+        annual = read_annual(folder)
+    except InputError:
+        return None
+    about = annual.about
+    whole = not inputs["maps"] or (folder / "maps.zarr").is_dir()
+    same = about.get("inputs") == inputs and about.get("software", {}).get("fieldlum") == __version__
+    return annual if same and whole else None

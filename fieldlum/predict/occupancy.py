@@ -1,0 +1,117 @@
+"""When the room is used: EN 17037's default, or a small csv."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, time, timedelta
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.sun import standard_offset
+
+DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+HOURS_OF_YEAR = 8760
+HOW = "columns days,start,end (mon-fri,08:00,18:00), or one column occupied with 8760 rows of 0 or 1"
+
+
+@dataclass(frozen=True, slots=True)
+class Occupancy:
+    """periods: weekday (0 = Monday), start and end in local clock time; or hourly [8760] of local standard time."""
+
+    text: str
+    periods: tuple[tuple[int, time, time], ...] = ()
+    hourly: NDArray[np.bool_] | None = None
+
+    def at(self, times_utc: Sequence[datetime], timezone: str) -> NDArray[np.bool_]:
+        """Whether the room is used at each moment, [n]."""
+        if self.hourly is not None:
+            rows = [_hour_of_year(t, timezone) for t in times_utc]
+            return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
+        zone = ZoneInfo(timezone)
+        local = [t.astimezone(zone) for t in times_utc]
+        return np.array([any(d == t.weekday() and a <= t.time() < b for d, a, b in self.periods) for t in local], bool)
+
+
+def default_occupancy() -> Occupancy:
+    """08:00 to 18:00 on every day of the year: 3 650 hours, the usual reading of EN 17037's annex."""
+    return Occupancy("08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7)))
+
+
+def _hour_of_year(t_utc: datetime, timezone: str) -> int:
+    local = t_utc.astimezone(UTC) + standard_offset(timezone, t_utc.year)
+    day = (datetime(2027, local.month, min(local.day, 28 if local.month == 2 else 31)) - datetime(2027, 1, 1)).days  # noqa: DTZ001
+    return day * 24 + local.hour
+
+
+def read_occupancy(path: Path) -> Occupancy:
+    """A csv of weekly periods or of 8760 hours. Raises InputError naming the line."""
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, str(error), "a readable csv", HOW) from None
+    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    if not rows:
+        raise InputError(path, "an empty file", HOW)
+    if rows[0] == ["days", "start", "end"]:
+        return _weekly(path, rows[1:])
+    if "occupied" in rows[0]:
+        return _hourly(path, rows)
+    raise InputError(path, f"columns {', '.join(rows[0])}", HOW)
+
+
+def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
+    periods = []
+    for number, row in enumerate(rows, start=2):
+        if len(row) != 3:
+            raise InputError(path, f"line {number}: {len(row)} cells", "days,start,end")
+        try:
+            start, end = (time.fromisoformat(cell) if cell != "24:00" else time.max for cell in row[1:])
+            days = _days(row[0])
+        except ValueError as error:
+            raise InputError(path, f"line {number}: {error}", "mon-fri,08:00,18:00") from None
+        if not start < end:
+            raise InputError(path, f"line {number}: {row[1]} is not before {row[2]}", "start before end")
+        periods += [(day, start, end) for day in days]
+    if not periods:
+        raise InputError(path, "no period", HOW)
+    return Occupancy("; ".join(" ".join(row) for row in rows), tuple(periods))
+
+
+def _days(text: str) -> list[int]:
+    found: list[int] = []
+    for part in text.lower().split():
+        first, dash, last = part.partition("-")
+        ends = [name[:3] for name in (first, last if dash else first)]
+        if any(name not in DAYS for name in ends):
+            raise ValueError(f"days '{text}'")
+        a, b = (DAYS.index(name) for name in ends)
+        found += [(a + k) % 7 for k in range((b - a) % 7 + 1)]
+    return found
+
+
+def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
+    column = rows[0].index("occupied")
+    if len(rows) - 1 != HOURS_OF_YEAR:
+        raise InputError(path, f"{len(rows) - 1} hours", f"{HOURS_OF_YEAR}, local standard time from 1 January 00:00")
+    hours = np.zeros(HOURS_OF_YEAR, bool)
+    for k, row in enumerate(rows[1:]):
+        if len(row) <= column or row[column] not in ("0", "1"):
+            raise InputError(path, f"line {k + 2}: occupied is '{row[column] if len(row) > column else ''}'", "0 or 1")
+        hours[k] = row[column] == "1"
+    return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
+
+
+def hours_in_year(occupancy: Occupancy, times_utc: Sequence[datetime], timezone: str) -> int:
+    """Occupied hours of the year that the weather hours lie in, dark ones too. Raises NotEnoughDataError for none."""
+    year = times_utc[len(times_utc) // 2].year
+    start = datetime(year, 1, 1, 0, 30, tzinfo=UTC) - standard_offset(timezone, year)
+    used = occupancy.at([start + timedelta(hours=k) for k in range(HOURS_OF_YEAR)], timezone)
+    if not used.any():
+        raise NotEnoughDataError(f"the occupancy ({occupancy.text}) has no hour in the year")
+    return int(used.sum())

@@ -1,0 +1,53 @@
+"""The maps of telling hours, for the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.predict.annual import Annual, Pictures
+from fieldlum.predict.blocks import Room, blocks
+from fieldlum.sun import standard_date
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+    from fieldlum.models import Fitted
+
+
+def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
+    """Typical, 95th percentile and worst occupied hour of the worst and the best direction, and one clear day."""
+    used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
+    dgp = annual.views["dgp"][used]
+    at_95 = np.percentile(dgp, 95, axis=0)
+    for name, direction in (("worst", int(at_95.argmax())), ("best", int(at_95.argmin()))):
+        order = used[np.argsort(dgp[:, direction], kind="stable")]
+        for share, kind in ((0.5, "typical"), (0.95, "p95"), (1.0, "highest")):
+            row = order[min(int(share * len(order)), len(order) - 1)]
+            yield f"{kind} of {name} view {annual.azimuths_deg[direction]:g}", int(row)
+    for row in clear_day(annual, zone):
+        yield "clear day", int(row)
+
+
+def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
+    """The hours of the sunniest day within three weeks of the March equinox (or of all, when there is none)."""
+    days = np.array([standard_date(t, zone).timetuple().tm_yday for t in annual.t_utc])
+    near = np.abs(days - 80) <= 21
+    pool = np.unique(days[near]) if near.any() else np.unique(days)
+    sunniest = max(pool, key=lambda day: float(annual.hours["dni_wm2"][days == day].sum()))
+    return np.flatnonzero(days == sunniest)
+
+
+def telling_pictures(fitted: Fitted, room: Room, light: Light, annual: Annual) -> Pictures:
+    """The maps of `telling_hours`, predicted again: keeping all of them for this would take a gigabyte."""
+    chosen = list(telling_hours(annual, room.setup.site.timezone))
+    rows = np.array(sorted({row for _, row in chosen}), np.int64)
+    parts = list(blocks(fitted, room, light[rows]))
+    maps = np.concatenate([block.prediction.luminance_cdm2 for block in parts])
+    disc = np.concatenate([block.disc_lx for block in parts])
+    at = [int(np.searchsorted(rows, row)) for _, row in chosen]
+    return Pictures(
+        tuple(kind for kind, _ in chosen), rows[at], maps[at], disc[at], room.heading_deg
+    )  # fmt: skip

@@ -1,0 +1,160 @@
+"""One run of `predict`: model and weather in, a year of metrics out."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx
+from fieldlum.glare.geometry import Views, panorama_views, view_azimuths_deg
+from fieldlum.glare.metrics import glare_directions
+from fieldlum.glare.sources import SOURCE_CDM2
+from fieldlum.glare.standards import dgp_uncertainty
+from fieldlum.predict.annual import HOUR_COLUMNS, VIEW_COLUMNS, Annual, write_about, write_hourly, write_pictures
+from fieldlum.predict.blocks import Block, Room, blocks, room_of
+from fieldlum.predict.checks import already, check_session, default_folder, inputs_of
+from fieldlum.predict.maps import MapStore
+from fieldlum.predict.meaning import about_year, judge
+from fieldlum.predict.occupancy import default_occupancy, hours_in_year, read_occupancy
+from fieldlum.predict.pictures import telling_pictures
+from fieldlum.records import Progress, quiet
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+    from fieldlum.models import Fitted
+    from fieldlum.weather import Weather
+
+
+def run(
+    model_folder: Path,
+    weather_path: Path,
+    *,
+    out: Path | None = None,
+    maps: bool = False,
+    views: int = 10,
+    occupancy_path: Path | None = None,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> tuple[Annual, bool]:
+    """Predict all daylight hours of a weather file with a trained model; returns the year and whether it is new.
+
+    Raises InputError for a broken model or weather, and for weather or a session of another place or camera than the
+    model's; NotEnoughDataError for weather without daylight.
+    """
+    from fieldlum.models import load, read_config
+    from fieldlum.weather import read_weather
+
+    config = read_config(model_folder)
+    room = room_of(config, model_folder)
+    check_session(model_folder, room)
+    folder = out or default_folder(model_folder)
+    occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
+    inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed)
+    if not force and (done := already(folder, inputs)) is not None:
+        return done, False
+    weather = read_weather(weather_path, room.setup.site)
+    hours = weather.daylight()
+    if len(hours) == 0:
+        raise NotEnoughDataError(f"{weather_path}: no hour with the sun up and any irradiance")
+    light = light_of(hours)
+    azimuths = view_azimuths_deg(room.heading_deg, views)
+    fitted = load(model_folder)
+    annual = measure(fitted, room, light, azimuths, folder, maps=maps, progress=progress)
+    zone = room.setup.site.timezone
+    annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
+    found = judge(annual, hours_in_year(occupancy, annual.t_utc, zone), seed)
+    annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found))
+    # predict.json comes last: a folder that has it is whole.
+    write_hourly(folder / "hourly.csv", annual, zone)
+    write_pictures(folder / "pictures.npz", telling_pictures(fitted, room, light, annual))
+    write_about(folder / "predict.json", annual.about)
+    return annual, True
+
+
+def light_of(weather: Weather) -> Light:
+    from fieldlum.light import light_at
+
+    return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
+
+
+# ---------------------------------------------------------------------------------------------- measuring
+
+
+def measure(
+    fitted: Fitted,
+    room: Room,
+    light: Light,
+    azimuths_deg: NDArray[np.float64],
+    folder: Path,
+    *,
+    maps: bool = False,
+    progress: Progress = quiet,
+) -> Annual:
+    """Predict every hour in blocks and keep its figures; with `maps`, the maps too."""
+    count, d = len(light), len(azimuths_deg)
+    views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg)
+    regions = ViewRegions(room.height, room.width, room.heading_deg, azimuths_deg)
+    hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
+    figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
+    folder.mkdir(parents=True, exist_ok=True)
+    about = {"site": room.setup.site.name}
+    store = MapStore(folder / "maps.zarr", room.height, room.width, room.heading_deg, about) if maps else nullcontext()
+    with store as kept:
+        for block in blocks(fitted, room, light, progress=progress):
+            for name, values in _hour_figures(block).items():
+                hours[name][block.rows] = values
+            for name, values in view_figures(block, room, views, regions).items():
+                figures[name][block.rows] = values
+            if kept is not None:
+                kept.append(block)
+    return Annual(folder, {}, light.t_utc, np.asarray(azimuths_deg, float), hours, figures)
+
+
+def _hour_figures(block: Block) -> dict[str, NDArray[Any]]:
+    light, told = block.light, block.prediction
+    return {
+        "dni_wm2": light.dni_wm2, "dhi_wm2": light.dhi_wm2, "sun_altitude_deg": light.sun_altitude_deg,
+        "sun_azimuth_deg": light.sun_azimuth_deg, "disc_lx": block.disc_lx, "occupied": np.zeros(len(light)),
+        "trusted": told.trusted.astype(float), "expected_log10_mse": told.expected_mse,
+    }  # fmt: skip
+
+
+def view_figures(block: Block, room: Room, views: Views, regions: ViewRegions) -> dict[str, NDArray[np.float64]]:
+    """`VIEW_COLUMNS` of a block, [k, d] each."""
+    maps = block.prediction.luminance_cdm2
+    found = glare_directions(
+        maps, room.heading_deg, views.azimuths_deg, block.light.sun_direction, block.disc_lx, views=views
+    )
+    contrast = found.pop("contrast")
+    ev_relative, source_relative = _relative(block, views)
+    found["u_dgp"] = dgp_uncertainty(found["ev_lx"], contrast, ev_relative, source_relative)
+    found["melanopic_edi_lx_estimate"] = melanopic_edi_lx(found["ev_lx"])
+    return found | regions.ratios(maps)
+
+
+def _relative(block: Block, views: Views) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Relative standard uncertainty of Ev and of the sources' luminance, [k, d]; NaN where the model says nothing.
+
+    Pixels of one picture are taken to err together: a model is too bright or too dark in all of a wall.
+    """
+    told = block.prediction
+    shape = (len(told.trusted), len(views.azimuths_deg))
+    if told.log10_sd is None:
+        same = np.log(10.0) * np.sqrt(np.asarray(told.expected_mse, float))[:, None]
+        return np.broadcast_to(same, shape).copy(), np.broadcast_to(same, shape).copy()
+    flat = told.luminance_cdm2.reshape(shape[0], -1)
+    spread = np.float32(np.log(10.0)) * told.log10_sd.reshape(shape[0], -1)
+    ev = flat @ views.illuminance
+    ev_off = (flat * spread) @ views.illuminance
+    power = np.where(flat > SOURCE_CDM2, flat, np.float32(0.0)) ** 2
+    source, source_off = power @ views.illuminance, (power * spread) @ views.illuminance
+    return (
+        (ev_off / np.maximum(ev, 1e-6)).astype(float),
+        np.divide(source_off, source, out=np.zeros_like(source), where=source > 0).astype(float),
+    )
