@@ -93,7 +93,7 @@ def protection(
 ) -> Protection:
     """Classes of d directions from the lit occupied hours' dgp [n, d] and its standard uncertainty u_dgp [n, d].
 
-    The interval comes from `DRAWS` years with normal errors, `COMMON_ERROR` of whose variance all hours share: a model's
+    The interval comes from `DRAWS` years with normal errors that share `COMMON_ERROR` of their variance: a model's
     answer is its mean belief, and the truth lies around it.
     """
     point = exceeded_in_share(dgp, occupied_hours)
