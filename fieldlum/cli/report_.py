@@ -1,0 +1,30 @@
+"""`fieldlum report`: one self-contained page of a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.terminal import progress, say
+
+
+@click.command()
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the page; default SESSION/report.")
+def command(session: Path, out: Path | None) -> None:
+    """Write the page that answers where to sit.
+
+    Makes report/index.html, one file without any link outside, and report.json beside it.
+
+    \b
+    Example:
+      fieldlum report office-2027
+    """
+    from fieldlum.report import run
+    from fieldlum.session import open_session
+
+    with progress("report") as shown:
+        page = run(open_session(session), out, progress=shown)
+    say(f"report: {page.stat().st_size / 1e6:.1f} MB")
+    click.echo(str(page))

@@ -1,0 +1,167 @@
+"""One self-contained page of a session: report/index.html, with report.json beside it.
+
+Whatever stage has not been run yet is left out and said so; nothing is invented.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fieldlum import __version__
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.records import Progress, quiet
+from fieldlum.session import Session, replacing
+
+if TYPE_CHECKING:
+    from fieldlum.predict import Annual
+    from fieldlum.report.page import Page, Section
+
+MODEL_FILES = ("config.json", "weights.npz")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a session holds that can be reported."""
+
+    model: Path | None
+    config: dict[str, Any]
+    scores: dict[str, Any]
+    annual: Annual | None
+
+
+def find(session: Session) -> Found:
+    """The newest model and the newest predicted year of a session."""
+    from fieldlum.models import read_config
+    from fieldlum.predict import read_annual
+
+    years = sorted(session.annual.glob("*/predict.json"), key=lambda path: path.stat().st_mtime)
+    annual = read_annual(years[-1].parent) if years else None
+    models = [folder for folder in session.models.glob("*") if all((folder / name).is_file() for name in MODEL_FILES)]
+    named = annual.about["inputs"]["model"] if annual else ""
+    newest = max(models, key=lambda f: (f.name == named, (f / "config.json").stat().st_mtime), default=None)
+    scores: dict[str, Any] = {}
+    if newest is not None and (newest / "scores.json").is_file():
+        scores = json.loads((newest / "scores.json").read_text(encoding="utf-8"))
+    return Found(newest, read_config(newest) if newest else {}, scores, annual)
+
+
+def _evidence(session: Session, found: Found, progress: Progress) -> Section | None:
+    if found.model is None or not session.pairs.is_file():
+        return None
+    from fieldlum.models.data import load_pairs
+    from fieldlum.report import evidence
+
+    data = load_pairs(session, progress=progress)
+    return evidence.section(evidence.held_out(data, found.model, found.config, progress), found.scores)
+
+
+def _settings(session: Session, found: Found) -> Section:
+    from fieldlum.report.page import Section, Table
+
+    table = session.table()
+    rows = [("fieldlum", __version__)]
+    rows += [(f"{group}: {key}", str(value)) for group, values in table.items() for key, value in _flat(values)]
+    if found.annual is not None:
+        rows += [(f"prediction: {key}", str(value)) for key, value in _flat(found.annual.about["inputs"])]
+        rows += [(f"weather: {key}", str(value)) for key, value in _flat(found.annual.about["weather"])]
+    keep = ("model", "patch", "seed", "software", "training")
+    rows += [(f"model: {key}", str(value)[:400]) for key, value in found.config.items() if key in keep]
+    return Section("settings", "Settings and versions", "", (), (Table(("setting", "value"), tuple(rows)),))
+
+
+def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
+    """Nested tables as dotted names."""
+    if not isinstance(values, dict):
+        return [(before, values)]
+    return [pair for key, value in values.items() for pair in _flat(value, f"{before}.{key}" if before else key)]
+
+
+def _page(session: Session, found: Found, progress: Progress) -> Page:
+    from fieldlum.predict import read_pictures
+    from fieldlum.report import annual, captured
+    from fieldlum.report.page import Page
+
+    setup = session.site_file()
+    zone = setup.site.timezone
+    pairs = captured.read_pair_table(session.pairs)
+    year = found.annual
+    sections: list[Section] = []
+    if year is not None:
+        sections += [annual.directions_section(year), annual.when_section(year, zone)]
+        sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
+    evidence = _evidence(session, found, progress)
+    sections += [evidence] if evidence else []
+    dni, dhi = (year.hours["dni_wm2"], year.hours["dhi_wm2"]) if year else (np.empty(0), np.empty(0))
+    sections += [captured.section(session, setup.site, pairs, dni, dhi), _settings(session, found)]
+    answer, why = (
+        annual.answer(year)
+        if year
+        else ("No year has been predicted yet.", "Train a model and run fieldlum predict to get the answer here.")
+    )
+    return Page(
+        title=setup.site.name,
+        answer=answer,
+        why=why,
+        facts=_facts(session, found, len(pairs.t_utc)),
+        sections=tuple(sections),
+        footer=f"Made by fieldlum {__version__}. Glare figures are fieldlum's own, checked against evalglare; "
+        "see docs/accuracy.md. This page needs no network.",
+        polar=annual.polar(year) if year else None,
+        warnings=_warnings(year),
+    )
+
+
+def _facts(session: Session, found: Found, captures: int) -> tuple[tuple[str, str], ...]:
+    site = session.site_file().site
+    facts = [("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"), ("captures used", f"{captures}")]
+    if found.model is not None:
+        facts.append(("model", str(found.config.get("model", "?"))))
+    if found.annual is not None:
+        about = found.annual.about
+        facts += [
+            ("hours predicted", f"{about['hours']}"),
+            ("weather", about["weather"]["name"]),
+            ("hours like captured ones", f"{100 * (1 - about['occupancy']['untrusted_share']):.0f} %"),
+        ]
+    return tuple(facts)
+
+
+def _warnings(year: Annual | None) -> tuple[str, ...]:
+    if year is None:
+        return ()
+    weather = year.about["weather"]
+    repairs = [f"Weather repaired: {text}." for text in weather["repairs"]]
+    synthetic = ["The weather is synthetic: do not judge this place by it."] if weather["synthetic"] else []
+    return (*synthetic, *repairs)
+
+
+def run(session: Session, out: Path | None = None, *, progress: Progress = quiet) -> Path:
+    """Write index.html and report.json; returns the page's path.
+
+    Raises NotEnoughDataError when the session holds nothing to report yet.
+    """
+    from fieldlum.report.page import render
+
+    if not session.pairs.is_file():
+        raise NotEnoughDataError(f"{session.root}: nothing paired yet; run fieldlum merge and fieldlum pair first")
+    found = find(session)
+    folder = out or session.report
+    page = folder / "index.html"
+    text = render(_page(session, found, progress))
+    with replacing(page, "w", encoding="utf-8") as file:
+        file.write(text)
+    summary = {
+        "site": session.site_file().site.name,
+        "fieldlum": __version__,
+        "model": found.model.name if found.model else None,
+        "scores": found.scores,
+        "annual": found.annual.about if found.annual else None,
+    }
+    with replacing(folder / "report.json", "w", encoding="utf-8") as file:
+        json.dump(summary, file, indent=1, ensure_ascii=False, default=str)
+    return page
