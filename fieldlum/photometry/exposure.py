@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 STONITS = 87.0  # cd/m2 at z = 1, f/1, 1 s, ISO 100 is STONITS / 100 * 100: hdrgen's empirical constant (Ward, panlib)
-_OFF_GRID = 0.06  # a nominal time further than this from every grid is taken as it stands
+_OFF_GRID = 0.07  # a nominal time further than this from every grid is taken as it stands
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
@@ -17,8 +17,8 @@ def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) ->
 def snap_shutter_s(nominal_s: float) -> float:
     """The time behind a nominal one: shutters run in powers of 2^(1/3), or of 2^(1/2) in half-stop cameras. [s]
 
-    1/60 is 1/64 and 13 s is 12.7 s; the dial's own figures are off by up to 4 %. A time off both grids by more than
-    6 % is no dial figure and is kept. Source: linearhdr (Wasilewski), hdrmerge (Jakob); measured on simulated brackets.
+    1/60 is 1/64 and 13 s is 12.7 s; the dial's own figures are off by up to 6.3 %. A time off both grids by more than
+    7 % is no dial figure and is kept. Source: linearhdr (Wasilewski), hdrmerge (Jakob); measured on simulated brackets.
     """
     exact = math.log2(nominal_s)
     grids = (round(exact * 3) / 3, round(exact * 2) / 2)
