@@ -1,0 +1,258 @@
+"""Choosing, coverage, calendar, sheets, make-ups and coming hours."""
+
+import json
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum import plan, sun
+from fieldlum.cli import main
+from fieldlum.light import Features
+from fieldlum.plan import calendar, choose, coming, makeup
+from fieldlum.plan.coverage import band_directions, coverage, irradiance_figure, sun_figure
+from fieldlum.plan.days import Hours, daylight_hours, set_days, span
+from fieldlum.profiles import save_profile, site_table
+from fieldlum.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
+from fieldlum.session import Journal, create_session, open_session
+from fieldlum.weather import Weather, synthetic_weather
+
+SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))
+EXPOSURES = (Exposure(0.5, 5.6), Exposure(0.01, 5.6))
+
+
+@pytest.fixture(scope="module")
+def weather() -> Weather:
+    return synthetic_weather(SEATTLE)
+
+
+@pytest.fixture(scope="module")
+def year() -> Hours:
+    return daylight_hours(span(date(2027, 1, 1), 365), SEATTLE)
+
+
+def _set(name: str) -> Hours:
+    return daylight_hours(set_days(name, SEATTLE, date(2027, 1, 1), None, 2027, None), SEATTLE)
+
+
+# ---------------------------------------------------------------------------------------------- choosing
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(2, 60), st.integers(1, 70), st.integers(0, 9))
+def test_property_choices_are_distinct_and_as_many_as_asked(points: int, count: int, seed: int) -> None:
+    cloud = np.random.default_rng(seed).normal(size=(points, 3))
+    for choice in (choose.medoids, choose.space_filling):
+        found = choice(cloud, count, np.random.default_rng(seed))
+        assert len(found) == len(set(found.tolist())) == min(points, count)
+        assert (np.diff(found) > 0).all()
+
+
+def test_analytic_medoids_find_clusters() -> None:
+    rng = np.random.default_rng(3)
+    centres = np.array([[0, 0], [10, 0], [0, 10], [10, 10]], float)
+    cloud = np.repeat(centres, 25, axis=0) + rng.normal(scale=0.2, size=(100, 2))
+    assert sorted(choose.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
+
+
+def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: Hours) -> None:
+    task = choose.learning(SEATTLE, ROOM, weather)
+    rng = np.random.default_rng(1)
+    left = {
+        name: choose.variance_left(task, choose.features_at(year[index], task)[1])
+        for name, index in (
+            ("best", choose.best(year, task, 40)),
+            ("even", choose.even(year, weather, 40, rng)),
+            ("january", np.arange(40)),
+        )
+    }
+    assert left["best"] < left["even"] < 0.3 * left["january"]
+
+
+def test_march_teaches_more_than_december(weather: Weather) -> None:
+    task = choose.learning(SEATTLE, ROOM, weather)
+    months = plan._months(task, 31, 2027, 1.0)
+    assert months.best in ("March", "April", "August", "September", "October")
+    assert months.by_month[11] > 2 * min(months.by_month) and min(months.by_month) == 1.0
+
+
+# ---------------------------------------------------------------------------------------------- coverage
+
+
+def test_analytic_band_is_the_solstice_band() -> None:
+    up = band_directions(SEATTLE)[:, 2]
+    assert np.degrees(np.arcsin(up.max())) == pytest.approx(90 - 47.6 + 23.44, abs=0.8)  # 41 steps of declination
+
+
+def test_coverage_grows_with_the_set(weather: Weather) -> None:
+    four, nine, twelve = (coverage(_set(name), SEATTLE, weather) for name in ("4-day", "9-day", "12-day"))
+    assert four.sun_band_percent < nine.sun_band_percent + 1 < twelve.sun_band_percent + 2
+    assert four.both_percent < nine.both_percent < twelve.both_percent  # type: ignore[operator]
+    assert coverage(_set("9-day"), SEATTLE).irradiance_percent is None
+
+
+@pytest.mark.parametrize("latitude", [-90.0, -33.9, 0.0, 69.6, 90.0])
+def test_figures_draw_anywhere(latitude: float, weather: Weather) -> None:
+    site = Site("x", latitude, 0.0)
+    hours = daylight_hours(span(date(2027, 3, 20), 2), site)
+    assert sun_figure(hours, site).axes
+    assert irradiance_figure(_set("4-day"), SEATTLE, weather).axes
+
+
+# ---------------------------------------------------------------------------------------------- calendar and sheets
+
+
+def _setup(profile: str = "") -> SiteFile:
+    return SiteFile(SEATTLE, CameraSetup(profile=profile), ROOM)
+
+
+def test_calendar_reads_back_with_stable_names() -> None:
+    from icalendar import Calendar
+
+    slots = plan.make_slots(_set("9-day"), _setup(), EXPOSURES)
+    made = datetime(2027, 1, 1, tzinfo=UTC)
+    first, second = (calendar.ics(slots, SEATTLE, 30.0, made, sequence) for sequence in (0, 1))
+    events = [list(Calendar.from_ical(data).walk("VEVENT")) for data in (first, second)]
+    assert len(events[0]) == 9
+    assert [e["UID"] for e in events[0]] == [e["UID"] for e in events[1]]
+    assert len({e["UID"] for e in events[0]}) == 9
+    assert [int(e["SEQUENCE"]) for e in (events[0][0], events[1][0])] == [0, 1]
+    assert events[0][0].decoded("DTSTART") == slots[0].t_utc
+    assert all(len(list(e.walk("VALARM"))) == 1 for e in events[0])
+    assert all(len(line) <= 75 for line in first.split(b"\r\n"))
+
+
+def test_sheets_hold_a_page_a_day_and_say_when_clocks_change() -> None:
+    from fieldlum.plan.sheet import Cost, html
+
+    days = span(date(2027, 3, 13), 3)
+    slots = plan.make_slots(daylight_hours(days, SEATTLE), _setup(), EXPOSURES)
+    page = html(slots, _setup(), Cost(30.0, 50.0), notes=["a <note>"])
+    assert page.count('<section class="sheet"') == 3 and page.count("The clocks change today") == 1
+    assert page.count('class="box"') == len(slots) + 2 * 3
+    assert "a &lt;note&gt;" in page and "<script" not in page and 'src="http' not in page
+
+
+# ---------------------------------------------------------------------------------------------- make-ups, coming hours
+
+
+def _session(folder: Path, hours: Hours, done: int) -> Path:
+    slots = plan.make_slots(hours, _setup(), EXPOSURES)
+    about = {"set": "month", "revision": 0, "seconds_per_slot": 30.0, "megabytes_per_slot": 50.0}
+    session = create_session(folder / "s", _setup(), slots, about)
+    journal = Journal(session)
+    for slot in slots[:done]:
+        journal.append("done", slot.t_utc, slot=slot.id)
+    journal.close()
+    return session.root
+
+
+def test_make_ups_have_the_same_sun_and_nothing_is_taken_out(tmp_path: Path) -> None:
+    hours = daylight_hours(span(date(2027, 4, 10), 5), SEATTLE)
+    root = _session(tmp_path, hours, 20)
+    session, before = open_session(root), open_session(root).slots()
+    now = datetime(2027, 4, 16, tzinfo=UTC)
+    answer = makeup.run(session, now)
+    assert answer.missed == len(before) - 20 == len(answer.made_up) and not answer.lost
+    after = {slot.id: slot for slot in session.slots()}
+    assert {slot.id for slot in before} <= set(after) and (root / "plan.0.csv").exists()
+    for pair in answer.made_up:
+        old, new = after[pair.missed], after[pair.slot]
+        assert new.t_utc > now and new.exposures == old.exposures
+        declinations = sun.declination_deg([old.t_utc, new.t_utc])
+        assert abs(declinations[1] - declinations[0]) < 0.4 and pair.sun_off_deg < 8
+    assert answer.sun_band_percent["without"] < answer.sun_band_percent["with"]
+    again = makeup.run(session, now)
+    assert again.already == again.missed and not again.made_up and len(session.slots()) == len(after)
+
+
+def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
+    session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
+    first = makeup.run(session, datetime(2027, 4, 12, tzinfo=UTC))
+    second = makeup.run(session, datetime(2027, 9, 20, tzinfo=UTC))
+    assert len(first.made_up) == len(second.made_up) == 13
+    assert {p.missed for p in second.made_up} == {p.slot for p in first.made_up}
+
+
+def test_a_replan_killed_before_its_last_write_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
+    now = datetime(2027, 4, 12, tzinfo=UTC)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(makeup, "update_session", killed)
+        with pytest.raises(KeyboardInterrupt):
+            makeup.run(session, now)
+    from fieldlum.session import sha256
+
+    answer = makeup.run(session, now)
+    assert answer.revision == 1 and not answer.made_up
+    assert session.table()["plan"]["sha256"] == sha256(session.plan)
+
+
+def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
+    session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
+    answer = makeup.run(session, datetime(2027, 4, 1, tzinfo=UTC))
+    assert answer.missed == 0 and makeup.sentences(answer) == ["nothing was missed: the plan stands"]
+
+
+def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather) -> None:
+    """All mornings captured: the afternoon sun, which was never seen, ranks first."""
+    hours = daylight_hours(span(date(2027, 4, 1), 10), SEATTLE)
+    mornings = hours[np.flatnonzero(hours.azimuth_deg < 180)]
+    session = open_session(_session(tmp_path, mornings, len(mornings)))
+    answer = coming.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))
+    assert answer.captured == len(mornings) and answer.pays
+    assert sum(hour.sun_azimuth_deg > 180 for hour in answer.hours) >= 10
+    drops = [hour.reduction_percent for hour in answer.hours]
+    assert drops == sorted(drops, reverse=True)
+
+
+def test_analytic_single_gain_is_the_drop_of_the_variance(weather: Weather, year: Hours) -> None:
+    task = choose.learning(SEATTLE, ROOM, weather)
+    _, features = choose.features_at(year[np.arange(0, len(year), 200)], task)
+    captured, one = features[:8], features[8:9]
+    gain = coming._single_gains(task, captured, one)[0]
+    both = Features(*(np.concatenate([getattr(captured, n), getattr(one, n)]) for n in ("sky", "beam", "direction")))
+    drop = choose.variance_left(task, captured) - choose.variance_left(task, both)
+    assert gain == pytest.approx(drop, rel=1e-3)
+
+
+def test_contract_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
+    import tomli_w
+
+    from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens
+
+    profile = tmp_path / "camera.toml"
+    save_profile(
+        profile,
+        CameraProfile(CameraBody("c", "raw", 9, 9), (Lens((4.0, 4.0), 4.0, 180.0),), Bracket(5.6, 100.0, (0.5, 0.01))),
+    )
+    site, file, out = tmp_path / "site.toml", tmp_path / "weather.csv", tmp_path / "s"
+    site.write_text(tomli_w.dumps(site_table(_setup(str(profile)))))
+    rows = zip(weather.t_utc, weather.dni_wm2, weather.dhi_wm2, strict=True)
+    file.write_text("t_utc,dni_wm2,dhi_wm2\n" + "".join(f"{t.isoformat()},{a:.1f},{b:.1f}\n" for t, a, b in rows))
+    start = (datetime.now(UTC) - timedelta(days=200)).strftime("%Y-%m-%d")
+
+    def call(*words: object) -> dict:
+        found = CliRunner().invoke(main, ["plan", *map(str, words), "--json"])
+        assert found.exit_code == 0, found.output
+        assert found.stdout.count("\n") == 1
+        return json.loads(found.stdout)
+
+    base = ("--year", "2027", "--weather", file)
+    made = call(site, "--set", "best", "--count", "12", *base, "--out", out, "--ics", "--html")
+    assert made["slots"] == 12 and made["variance_left_percent"] < 50
+    assert (out / "plan.ics").exists() and (out / "plan.html").exists()
+    past = call(site, "--set", "month", "--start", start, "--days", "3", "--out", tmp_path / "p")
+    assert call(tmp_path / "p", "--replan")["missed"] == past["slots"]
+    assert len(call(tmp_path / "p", "--next", "--weather", file)["hours"]) == 12
+    wrong = CliRunner().invoke(main, ["plan", str(site), "--set", "best", "--out", str(tmp_path / "x")])
+    assert wrong.exit_code == 2 and "--weather" in wrong.stderr
