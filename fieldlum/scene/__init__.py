@@ -1,0 +1,12 @@
+"""Room geometry to sun patches, to the window's share of each pixel, and to Radiance."""
+
+from __future__ import annotations
+
+from fieldlum.scene.geometry import BoxScene as BoxScene
+from fieldlum.scene.geometry import build as build
+from fieldlum.scene.patches import SunPatches as SunPatches
+from fieldlum.scene.patches import disc_visibility as disc_visibility
+from fieldlum.scene.patches import iter_sun_patches as iter_sun_patches
+from fieldlum.scene.patches import sun_patches as sun_patches
+from fieldlum.scene.patches import window_fraction as window_fraction
+from fieldlum.scene.view import look as look

@@ -1,0 +1,185 @@
+"""Direct sun on a box room's surfaces, hour by hour: only shadow rays, the primary rays are traced once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum.records import Progress, Room, SiteFile, quiet
+from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
+from fieldlum.scene.trace import blocked
+from fieldlum.scene.view import look
+
+Array = NDArray[np.float64]
+SUN_RADIUS_DEG = 0.2665
+
+
+@dataclass(frozen=True, slots=True)
+class SunPatches:
+    """Direct sun only, n moments.
+
+    luminance_cdm2 [n, H, W] of surfaces in the sun, without the disc; visible_fraction [n] of the disc that the camera
+    sees; disc_transmittance [n] of the glass before it (0 where nothing is seen); disc_lx [n] illuminance that the
+    disc gives at the camera, on a plane normal to it.
+    """
+
+    luminance_cdm2: NDArray[np.float32]
+    visible_fraction: Array
+    disc_transmittance: Array
+    disc_lx: Array
+
+    def __len__(self) -> int:
+        return len(self.luminance_cdm2)
+
+
+def iter_sun_patches(
+    room: Room,
+    setup: SiteFile | None,
+    sun_direction: ArrayLike,
+    normal_illuminance_lx: ArrayLike,
+    *,
+    height: int,
+    heading_deg: float | None = None,
+    chunk: int = 64,
+    sub: int = 3,
+    workers: int | None = None,
+    progress: Progress = quiet,
+) -> Iterator[SunPatches]:
+    """`sun_patches` in chunks of hours, so that a year does not fill the memory."""
+    heading = _heading(setup, heading_deg)
+    suns = np.atleast_2d(np.asarray(sun_direction, float))
+    normal = np.broadcast_to(np.asarray(normal_illuminance_lx, float), len(suns))
+    if room.kind != "box":
+        from fieldlum.scene.radiance import iter_traced
+
+        yield from iter_traced(room, suns, normal, height=height, heading_deg=heading, chunk=chunk, progress=progress)
+        return
+    points = look(room, height, heading, sub).sun_points()
+    toward = points.scene.to_room(suns)
+    visible, through = disc_visibility(points.scene, toward)
+    with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, 8)) as pool:
+        for start in range(0, len(suns), chunk):
+            progress(start, len(suns), "sun patches")
+            rows = range(start, min(start + chunk, len(suns)))
+            maps = np.zeros((len(rows), height, 2 * height), np.float32)
+
+            def fill(k: int, maps: NDArray[np.float32] = maps, start: int = start) -> None:
+                if normal[k] > 0:
+                    unit = points.direct(toward[k]).reshape(height, 2 * height)
+                    np.multiply(unit, np.float32(normal[k]), out=maps[k - start])
+
+            list(pool.map(fill, rows))
+            part = slice(start, rows.stop)
+            disc = normal[part] * visible[part] * through[part]
+            yield SunPatches(maps, visible[part], through[part], disc)
+    progress(len(suns), len(suns), "")
+
+
+def sun_patches(
+    room: Room,
+    setup: SiteFile | None,
+    sun_direction: ArrayLike,
+    normal_illuminance_lx: ArrayLike,
+    *,
+    height: int,
+    heading_deg: float | None = None,
+    sub: int = 3,
+    progress: Progress = quiet,
+) -> SunPatches:
+    """Luminance of the room's sunlit surfaces by direct sun alone (Radiance's -ab 0), without the disc.
+
+    sun_direction [n, 3] unit vectors in world axes (x east, y north, z up), normal_illuminance_lx [n] of the sun
+    outside, on its normal. A box room is traced exactly (hard shadows, sub x sub rays a pixel, one mirror image in
+    the panes); a room of kind "radiance" goes through rtrace. heading_deg: by default the setup's.
+    Raises InputError for an impossible room.
+    """
+    parts = list(
+        iter_sun_patches(
+            room, setup, sun_direction, normal_illuminance_lx, height=height, heading_deg=heading_deg, sub=sub,
+            progress=progress,
+        )
+    )  # fmt: skip
+    if not parts:
+        empty = np.zeros(0)
+        return SunPatches(np.zeros((0, height, 2 * height), np.float32), empty, empty, empty)
+    return SunPatches(*(np.concatenate([getattr(p, f) for p in parts]) for f in SunPatches.__dataclass_fields__))
+
+
+def window_fraction(
+    room: Room, setup: SiteFile | None, height: int, heading_deg: float | None = None, *, sub: int = 3
+) -> NDArray[np.float32]:
+    """Share of each pixel that sees the sky, times the transmittance of the glass there, [H, W].
+
+    The sky's luminance in a pixel's direction times this is what the pixel owes to the sky seen directly.
+    """
+    heading = _heading(setup, heading_deg)
+    if room.kind != "box":
+        from fieldlum.scene.radiance import traced_window_fraction
+
+        return traced_window_fraction(room, height, heading, sub)
+    return look(room, height, heading, sub).sky
+
+
+def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
+    if heading_deg is None and setup is None:
+        raise ValueError("give heading_deg or a setup")
+    return heading_deg if heading_deg is not None else setup.camera.heading_deg  # type: ignore[union-attr]
+
+
+# ---------------------------------------------------------------------------------------------- the disc
+
+
+def disc_rays(toward: Array, rings: int = 4) -> Array:
+    """Directions over the sun's disc, equal areas, [61, 3] for four rings."""
+    radius, angle = [0.0], [0.0]
+    for ring in range(1, rings + 1):
+        count = 6 * ring
+        radius += [(ring - 0.25) / (rings + 0.25)] * count
+        angle += list((np.arange(count) + 0.5 * (ring % 2)) * 2 * np.pi / count)
+    r = np.array(radius) * np.tan(np.radians(SUN_RADIUS_DEG))
+    side = np.cross(toward, (0.0, 0.0, 1.0) if abs(toward[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side /= np.linalg.norm(side)
+    other = np.cross(toward, side)
+    rays = toward + r[:, None] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
+    """Visible share of the sun's disc from the camera and the glass before it, [n], for suns [n, 3] in room axes."""
+    visible, through = np.zeros(len(toward)), np.zeros(len(toward))
+    eye = np.array(scene.camera_m)
+    for k, sun in enumerate(toward):
+        for o in scene.openings:
+            if sun[o.axis] * o.outward <= 1e-6 or sun[2] <= 0 or not _may_see(o, eye, sun):
+                continue
+            rays = disc_rays(sun)
+            free = _free(scene, o, eye, rays)
+            if free.any():
+                visible[k] += free.mean()
+                through[k] = float(glass_optics(o.transmittance, sun[o.axis])[0])
+    return visible, through
+
+
+def _may_see(o: Opening, eye: Array, sun: Array) -> bool:
+    at = (o.outer_m - eye[o.axis]) / sun[o.axis]
+    u, z = eye[o.along] + at * sun[o.along], eye[2] + at * sun[2]
+    margin = 0.01 * at
+    return o.u_m[0] - margin < u < o.u_m[1] + margin and o.z_m[0] - margin < z < o.z_m[1] + margin
+
+
+def _free(scene: BoxScene, o: Opening, eye: Array, rays: Array) -> NDArray[np.bool_]:
+    """Which rays [r, 3] from the eye leave through opening `o` and meet no frame and no obstruction."""
+    free = np.ones(len(rays), bool)
+    for plane in (o.inner_m, o.outer_m):
+        at = (plane - eye[o.axis]) / rays[:, o.axis]
+        u, z = eye[o.along] + at * rays[:, o.along], eye[2] + at * rays[:, 2]
+        free &= (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
+    which = scene.of_kind("frame", "obstruction")
+    for k in np.flatnonzero(free) if which else ():
+        free[k] = not blocked(scene.low[which], scene.high[which], eye[None], rays[k])[0]
+    return free

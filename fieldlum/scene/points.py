@@ -1,0 +1,168 @@
+"""Surface points that the sun may reach: sorted into tiles once, then tested hour by hour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
+from fieldlum.scene.trace import EPSILON_M, blocked
+
+Array = NDArray[np.float64]
+_TILE = 64  # points in a tile; a tile is culled as a whole by its bounding box
+
+
+@dataclass(frozen=True)
+class SunPoints:
+    """Points on matt surfaces, ready for shadow tests.
+
+    `direct(toward)` gives, per target, the sum over its points of weight x cosine x glass x visibility: a luminance
+    for weights of reflectance / pi, an irradiance for weights of 1 / count, both per lx on the sun's normal.
+    Points inside the pane see the sun only through an opening; points outside see it past the building.
+    """
+
+    scene: BoxScene
+    position: NDArray[np.float32]  # [m, 3], a hair above the surface
+    axis: NDArray[np.int8]
+    sign: NDArray[np.int8]
+    weight: NDArray[np.float32]
+    target: NDArray[np.int32]
+    inside: NDArray[np.bool_]
+    tile_low: NDArray[np.float32]  # [tiles, 3]
+    tile_high: NDArray[np.float32]
+    targets: int
+
+    def direct(self, toward: Array) -> NDArray[np.float32]:
+        """toward [3]: unit vector to the sun in room axes. [targets]"""
+        total = np.zeros(self.targets)
+        if toward[2] <= 0.0:
+            return total.astype(np.float32)
+        lit, share = self._lit(toward)
+        if len(lit):
+            cosine = self.sign[lit] * toward.astype(np.float32)[self.axis[lit]]
+            total = np.bincount(self.target[lit], self.weight[lit] * cosine * share, self.targets)
+        return total.astype(np.float32)
+
+    def _lit(self, toward: Array) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """Indices of the points in the sun, and the glass between them and it."""
+        parts: list[tuple[NDArray[np.intp], float]] = []
+        for o in self.scene.openings:
+            if toward[o.axis] * o.outward > 1e-6:
+                through = float(glass_optics(o.transmittance, toward[o.axis])[0])
+                parts.append((self._through(o, toward), through))
+        parts.append((self._outside(toward), 1.0))
+        lit = np.concatenate([part for part, _ in parts])
+        return lit, np.repeat(np.array([t for _, t in parts], np.float32), [len(part) for part, _ in parts])
+
+    def _facing(self, rows: NDArray[np.intp], toward: Array) -> NDArray[np.intp]:
+        return rows[self.sign[rows] * toward[self.axis[rows]] > 1e-6]
+
+    def _through(self, o: Opening, toward: Array) -> NDArray[np.intp]:
+        """Inside points whose way to the sun leads through this opening and past frames and furniture."""
+        rows = self._facing(self._near(o, toward), toward)
+        rows = rows[self.inside[rows]]
+        p = self.position[rows]
+        slope_u, slope_z = toward[o.along] / toward[o.axis], toward[2] / toward[o.axis]
+
+        def passes(plane_m: float) -> NDArray[np.bool_]:
+            across = np.float32(plane_m) - p[:, o.axis]
+            u, z = p[:, o.along] + across * np.float32(slope_u), p[:, 2] + across * np.float32(slope_z)
+            return (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
+
+        behind = (p[:, o.axis] - o.inner_m) * o.outward > -2 * EPSILON_M  # within the wall: the opening is convex
+        ahead = (o.pane_m - p[:, o.axis]) * o.outward > 0  # not beyond the pane
+        good = ahead & passes(o.outer_m) & (behind | passes(o.inner_m))
+        rows, p = rows[good], p[good]
+        return rows[~self._shaded(p, toward, "frame", "obstruction")]
+
+    def _near(self, o: Opening, toward: Array) -> NDArray[np.intp]:
+        """Points of all tiles whose bounding box can see the opening's outer end along the sun's direction."""
+        axis, reach = o.axis, np.float32(o.outward)
+        near = (np.float32(o.outer_m) - self.tile_high[:, axis]) * reach
+        far = (np.float32(o.outer_m) - self.tile_low[:, axis]) * reach
+        least, most = np.minimum(near, far), np.maximum(near, far)
+        keep = most > 0
+        least = np.maximum(least, 0)
+        for k, (low, high) in ((o.along, o.u_m), (2, o.z_m)):
+            slope = np.float32(toward[k] / abs(toward[axis]))
+            shift = np.sort(np.stack((least * slope, most * slope)), axis=0)
+            keep &= (self.tile_high[:, k] + shift[1] > low) & (self.tile_low[:, k] + shift[0] < high)
+        return _rows_of(keep, len(self.position))
+
+    def _outside(self, toward: Array) -> NDArray[np.intp]:
+        """Points beyond the panes, past obstructions and past the building's own shell."""
+        rows = self._facing(np.flatnonzero(~self.inside), toward)
+        if not len(rows):
+            return rows
+        p = self.position[rows]
+        low, high = np.array(self.scene.shell)
+        own = ((p > low) & (p < high)).all(axis=1)  # outer reveals and frames: the walls themselves shade them
+        dark = self._shaded(p, toward, "obstruction")
+        dark[~own] |= blocked(low[None], high[None], p[~own], toward)
+        dark[own] |= self._shaded(p[own], toward, "wall", "ceiling", "floor", "frame")
+        return rows[~dark]
+
+    def _shaded(self, points: NDArray[np.float32], toward: Array, *kinds: str) -> NDArray[np.bool_]:
+        which = self.scene.of_kind(*kinds)
+        if not which or not len(points):
+            return np.zeros(len(points), bool)
+        return blocked(self.scene.low[which], self.scene.high[which], points, toward)
+
+
+def _rows_of(tiles: NDArray[np.bool_], count: int) -> NDArray[np.intp]:
+    which = np.flatnonzero(tiles)
+    rows = (which[:, None] * _TILE + np.arange(_TILE)).ravel()
+    return rows[rows < count]
+
+
+def sun_points(
+    scene: BoxScene,
+    position: Array,
+    axis: NDArray[np.integer],
+    sign: NDArray[np.integer],
+    weight: Array,
+    target: NDArray[np.integer],
+    targets: int,
+) -> SunPoints:
+    """Sort points so that tiles are compact: by inside or outside, by face, then along a Z-shaped curve."""
+    inside = _inside(scene, position)
+    low, high = position.min(axis=0), position.max(axis=0)
+    grid = np.clip((position - low) / np.maximum(high - low, 1e-9) * 255, 0, 255).astype(np.int64)
+    grid = np.where(inside[:, None], np.clip((position - scene.shell[0]) / _extent(scene) * 255, 0, 255), grid)
+    face = axis.astype(np.int64) * 2 + (sign > 0)
+    order = np.lexsort((_interleave(grid.astype(np.int64)), face, inside))
+    raised = position.copy()
+    raised[np.arange(len(raised)), axis] += sign * 2 * EPSILON_M
+    p = raised[order].astype(np.float32)
+    starts = np.arange(0, len(p), _TILE)
+    tile_low, tile_high = np.minimum.reduceat(p, starts), np.maximum.reduceat(p, starts)
+    pad = np.float32(10 * EPSILON_M)
+    return SunPoints(
+        scene, p, axis[order].astype(np.int8), sign[order].astype(np.int8), weight[order].astype(np.float32),
+        target[order].astype(np.int32), inside[order], tile_low - pad, tile_high + pad, targets,
+    )  # fmt: skip
+
+
+def _extent(scene: BoxScene) -> Array:
+    low, high = np.array(scene.shell)
+    return high - low
+
+
+def _inside(scene: BoxScene, p: Array) -> NDArray[np.bool_]:
+    """Within the building and on the room's side of every pane."""
+    low, high = np.array(scene.shell)
+    inside = ((p > low - EPSILON_M) & (p < high + EPSILON_M)).all(axis=1)
+    for o in scene.openings:
+        inside &= (o.pane_m - p[:, o.axis]) * o.outward > 0
+    return inside
+
+
+def _interleave(grid: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Morton code of 8-bit coordinates [n, 3]."""
+    code = np.zeros(len(grid), np.int64)
+    for bit in range(8):
+        for k in range(3):
+            code |= ((grid[:, k] >> bit) & 1) << (3 * bit + k)
+    return code

@@ -1,0 +1,210 @@
+"""Rooms to Radiance: a box room as .rad text, and rooms given as .rad or .oct files traced by rtrace."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
+from fieldlum.records import Progress, Room, quiet
+from fieldlum.scene.geometry import BoxScene, transmissivity
+from fieldlum.scene.patches import SUN_RADIUS_DEG, SunPatches, disc_rays
+from fieldlum.scene.view import pixel_rays
+
+Array = NDArray[np.float64]
+SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
+_TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
+
+
+# ---------------------------------------------------------------------------------------------- boxes to .rad
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """A visible rectangle of a box: axis and sign of its normal, where it lies, its extent in the other two axes."""
+
+    box: int
+    axis: int
+    sign: int
+    at_m: float
+    low_m: tuple[float, float]
+    high_m: tuple[float, float]
+
+    @property
+    def others(self) -> tuple[int, int]:
+        a, b = (k for k in range(3) if k != self.axis)
+        return a, b
+
+    def corners(self) -> Array:
+        """Counter-clockwise as seen from where the normal points, [4, 3]."""
+        a, b = self.others
+        out = np.empty((4, 3))
+        out[:, self.axis] = self.at_m
+        out[:, a] = [self.low_m[0], self.high_m[0], self.high_m[0], self.low_m[0]]
+        out[:, b] = [self.low_m[1], self.low_m[1], self.high_m[1], self.high_m[1]]
+        flipped = (self.axis == 1) == (self.sign > 0)
+        return out[::-1] if flipped else out
+
+
+def faces(scene: BoxScene) -> list[Face]:
+    """All faces that are not wholly inside or against other boxes."""
+    found = []
+    for k in range(len(scene.boxes)):
+        for axis in range(3):
+            for sign in (-1, 1):
+                at = scene.high[k, axis] if sign > 0 else scene.low[k, axis]
+                a, b = (i for i in range(3) if i != axis)
+                low, high = scene.low[k], scene.high[k]
+                face = Face(k, axis, sign, float(at), (low[a], low[b]), (high[a], high[b]))
+                if not _covered(scene, face):
+                    found.append(face)
+    return found
+
+
+def _covered(scene: BoxScene, face: Face) -> bool:
+    """No sample point a hair before the face is in free air."""
+    n = 15
+    share = (np.arange(n) + 0.5) / n
+    a, b = face.others
+    points = np.empty((n * n, 3))
+    points[:, face.axis] = face.at_m + face.sign * 1e-3
+    grid = np.meshgrid(*(lo + (hi - lo) * share for lo, hi in zip(face.low_m, face.high_m, strict=True)))
+    points[:, a], points[:, b] = grid[0].ravel(), grid[1].ravel()
+    free = np.ones(len(points), bool)
+    for low, high in zip(scene.low, scene.high, strict=True):
+        free &= ~((points > low) & (points < high)).all(axis=1)
+    return not free.any()
+
+
+def _matt(name: str, reflectance: float) -> str:
+    return f"void plastic {name}\n0\n0\n5 {reflectance:.6g} {reflectance:.6g} {reflectance:.6g} 0 0\n"
+
+
+def _polygon(name: str, material: str, corners: Array) -> str:
+    numbers = " ".join(f"{x:.7g}" for x in corners.ravel())
+    return f"{material} polygon {name}\n0\n0\n{corners.size} {numbers}\n"
+
+
+def rad_text(scene: BoxScene, visible: Sequence[Face] | None = None) -> str:
+    """The room as Radiance text in room axes; face k carries material ``f<k>``, panes carry ``g<k>``."""
+    parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
+    for k, face in enumerate(visible if visible is not None else faces(scene)):
+        parts += [_matt(f"f{k}", scene.boxes[face.box].reflectance), _polygon(f"face{k}", f"f{k}", face.corners())]
+    for k, o in enumerate(scene.openings):
+        tn = transmissivity(o.transmittance)
+        parts.append(f"void glass g{k}\n0\n0\n3 {tn:.6f} {tn:.6f} {tn:.6f}\n")
+        pane = Face(0, o.axis, o.outward, o.pane_m, (o.u_m[0], o.z_m[0]), (o.u_m[1], o.z_m[1]))
+        parts.append(_polygon(f"pane{k}", f"g{k}", pane.corners()))
+    return "".join(parts)
+
+
+SKY_TEXT = "void glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source sky\n0\n0\n4 0 0 1 180\n"
+PLAIN_TEXT = "void glow plainglow\n0\n0\n4 1 1 1 0\nplainglow source plain\n0\n0\n4 0 0 -1 180\n"
+
+
+def sun_text(direction: Array, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
+    """A sun whose illuminance on its normal is given; 179 lx make an irradiance of one."""
+    radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
+    x, y, z = direction
+    light = f"void light solar\n0\n0\n3 {radiance:.8g} {radiance:.8g} {radiance:.8g}\n"
+    return f"{light}solar source sun\n0\n0\n4 {x:.9g} {y:.9g} {z:.9g} {2 * SUN_RADIUS_DEG}\n"
+
+
+@contextmanager
+def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
+    """A temporary octree of Radiance text, on top of an octree `base` if given."""
+    import pyradiance
+
+    with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
+        rad, oct_ = Path(folder) / "scene.rad", Path(folder) / "scene.oct"
+        rad.write_text("\n".join(texts), encoding="ascii")
+        oct_.write_bytes(pyradiance.oconv(rad, octree=base, warning=False))
+        yield oct_
+
+
+def trace(octree_path: Path, origins: Array, directions: Array, extra: Sequence[str] = ()) -> Array:
+    """Radiance of rays [n, 3] through rtrace, grey by Radiance's own luminance weights, [n] W/sr/m2."""
+    import pyradiance
+
+    rays = np.concatenate((np.broadcast_to(origins, directions.shape), directions), axis=1).astype("<f4").tobytes()
+    answer = pyradiance.rtrace(
+        rays, octree_path, header=False, inform="f", outform="f", params=[*_TRACE, *extra]
+    )  # fmt: skip
+    return np.frombuffer(answer, "<f4").reshape(-1, 3) @ np.array(RADIANCE_Y)
+
+
+# ---------------------------------------------------------------------------------------------- rooms from files
+
+
+@contextmanager
+def _room_octree(room: Room) -> Iterator[Path]:
+    """The file as an octree. Raises InputError when it is missing or Radiance refuses it."""
+    import pyradiance
+
+    path = Path(room.file)
+    if not path.is_file():
+        raise InputError(path, "no such file", "a Radiance .rad or .oct file of the room", "mend [room] file")
+    if path.suffix.lower() == ".oct":
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
+        out = Path(folder) / "room.oct"
+        try:
+            out.write_bytes(pyradiance.oconv(path.resolve(), warning=False, frozen=True))
+        except RuntimeError as error:
+            said = str(error).splitlines()[-1]
+            raise InputError(path, said, "a scene that oconv accepts", "try: oconv FILE") from None
+        yield out
+
+
+def _viewpoint(room: Room) -> Array:
+    if len(room.viewpoint_m) != 3:
+        raise InputError("[room]", f"viewpoint_m {room.viewpoint_m}", "three numbers: x east, y north, z up")
+    return np.array(room.viewpoint_m)
+
+
+def iter_traced(
+    room: Room, suns: Array, normal_lx: Array, *, height: int, heading_deg: float, chunk: int, sub: int = 2,
+    progress: Progress = quiet,
+) -> Iterator[SunPatches]:  # fmt: skip
+    """`iter_sun_patches` of a room of kind "radiance": one rtrace -ab 0 an hour (world axes, x east, y north)."""
+    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
+    with _room_octree(room) as base:
+        for start in range(0, len(suns), chunk):
+            rows = range(start, min(start + chunk, len(suns)))
+            maps = np.zeros((len(rows), height, 2 * height), np.float32)
+            visible, through = np.zeros(len(rows)), np.zeros(len(rows))
+            for k, hour in enumerate(rows):
+                progress(hour, len(suns), "sun patches")
+                if normal_lx[hour] <= 0 or suns[hour, 2] <= 0:
+                    continue
+                with octree(sun_text(suns[hour]), base=base) as lit:
+                    seen = trace(lit, eye, rays, ["-dv-"])
+                    disc = trace(lit, eye, disc_rays(suns[hour])) * SUN_SR
+                maps[k] = _pixel_mean(pixel, seen, height) * normal_lx[hour]
+                passed = disc > 1e-3
+                visible[k] = passed.mean()
+                through[k] = disc[passed].mean() if passed.any() else 0.0
+            yield SunPatches(maps, visible, through, normal_lx[rows.start : rows.stop] * visible * through)
+    progress(len(suns), len(suns), "")
+
+
+def _pixel_mean(pixel: NDArray[np.int32], values: Array, height: int) -> NDArray[np.float32]:
+    count = 2 * height**2
+    total = np.bincount(pixel, values, count) / np.bincount(pixel, minlength=count)
+    return total.reshape(height, 2 * height).astype(np.float32)
+
+
+def traced_window_fraction(room: Room, height: int, heading_deg: float, sub: int = 3) -> NDArray[np.float32]:
+    """Share of each pixel that sees the sky, times the glass, [H, W]: the room under a sky of one, all else dark."""
+    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
+    with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
+        # Ambient light is off and the sky is a glow of no reach: only what is seen directly counts.
+        return _pixel_mean(pixel, trace(lit, eye, rays), height)

@@ -1,0 +1,101 @@
+"""Exact ray casting among boxes and panes, vectorised over rays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
+
+Array = NDArray[np.float64]
+EPSILON_M = 1e-4
+_CHUNK = 150_000
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """Per ray: distance [m] (inf: none), box index (-1: none), face normal's axis 0..2 and its sign, [n]."""
+
+    distance_m: Array
+    box: NDArray[np.int32]
+    axis: NDArray[np.int8]
+    sign: NDArray[np.int8]
+
+
+def first_hits(scene: BoxScene, origins: Array, directions: Array) -> Hits:
+    """Nearest box of each ray [n, 3]; a ray that starts inside a box does not see it."""
+    n = len(directions)
+    distance, box = np.full(n, np.inf), np.full(n, -1, np.int32)
+    axis, sign = np.zeros(n, np.int8), np.zeros(n, np.int8)
+    for start in range(0, n, _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        distance[rows], box[rows], axis[rows], sign[rows] = _first(scene, origins[rows], directions[rows])
+    return Hits(distance, box, axis, sign)
+
+
+def _first(scene: BoxScene, origins: Array, directions: Array) -> tuple[NDArray[Any], ...]:
+    d = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
+    inverse = 1.0 / d
+    best = np.full(len(d), np.inf)
+    box, axis = np.full(len(d), -1, np.int32), np.zeros(len(d), np.int8)
+    for k in range(len(scene.boxes)):
+        a, b = (scene.low[k] - origins) * inverse, (scene.high[k] - origins) * inverse
+        enter, leave = np.minimum(a, b), np.maximum(a, b).min(axis=1)
+        near = enter.max(axis=1)
+        hit = (near < leave) & (near > EPSILON_M / 10) & (near < best)
+        best[hit], box[hit] = near[hit], k
+        axis[hit] = enter[hit].argmax(axis=1)
+    sign = -np.sign(np.take_along_axis(d, axis[:, None].astype(np.intp), axis=1)[:, 0]).astype(np.int8)
+    return best, box, axis, sign
+
+
+@dataclass(frozen=True, slots=True)
+class Panes:
+    """Per ray: index of the pane it crosses first (-1: none), the distance, and the pane's optics there."""
+
+    opening: NDArray[np.int32]
+    distance_m: Array
+    through: Array
+    back: Array
+
+
+def pane_crossings(scene: BoxScene, origins: Array, directions: Array, limit_m: Array) -> Panes:
+    """First pane that each ray crosses within `limit_m`."""
+    n = len(directions)
+    index, best = np.full(n, -1, np.int32), np.array(limit_m, float)
+    through, back = np.ones(n), np.zeros(n)
+    for k, o in enumerate(scene.openings):
+        at, inside = _cross(o, origins, directions, o.pane_m)
+        hit = inside & (at > EPSILON_M / 10) & (at < best)
+        best[hit], index[hit] = at[hit], k
+        through[hit], back[hit] = glass_optics(o.transmittance, directions[hit, o.axis])
+    return Panes(index, np.where(index >= 0, best, np.inf), through, back)
+
+
+def _cross(o: Opening, origins: Array, directions: Array, plane_m: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Distance to a plane across the opening, and whether the ray passes within its rectangle."""
+    d = directions[:, o.axis]
+    at = (plane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
+    u = origins[:, o.along] + at * directions[:, o.along]
+    z = origins[:, 2] + at * directions[:, 2]
+    return at, (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
+
+
+def blocked(low: Array, high: Array, points: NDArray[np.floating], toward: Array) -> NDArray[np.bool_]:
+    """Whether any box [b, 3] stands between points [m, 3] and a far light in one direction `toward` [3]."""
+    out = np.zeros(len(points), bool)
+    kind = points.dtype
+    d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
+    near, far = np.where(d > 0, low, high), np.where(d > 0, high, low)
+    inverse = (1.0 / d).astype(kind)
+    scaled = points * inverse
+    for k in range(len(low)):
+        enter = (near[k] / d).astype(kind) - scaled
+        leave = (far[k] / d).astype(kind) - scaled
+        first = np.maximum(np.maximum(enter[:, 0], enter[:, 1]), enter[:, 2])
+        last = np.minimum(np.minimum(leave[:, 0], leave[:, 1]), leave[:, 2])
+        out |= (first < last) & (last > EPSILON_M)
+    return out

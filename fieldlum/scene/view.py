@@ -1,0 +1,102 @@
+"""What each pixel of a panorama sees in a box room: matt surfaces straight on, through glass and mirrored in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.projection import direction
+from fieldlum.records import Room
+from fieldlum.scene.geometry import BoxScene, build
+from fieldlum.scene.points import SunPoints, sun_points
+from fieldlum.scene.trace import EPSILON_M, first_hits, pane_crossings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """The panorama's rays, traced once.
+
+    Surface samples [m]: position [m, 3], axis and sign of the face's normal, box index, pixel, and weight: the share of
+    the pixel times the glass between (or its mirror), so that luminance = sum weight x reflectance x E / pi.
+    sky [H, W]: share of the pixel that sees the sky, times the glass. plain [H, W]: the same for open ground beyond
+    the modelled one.
+    """
+
+    scene: BoxScene
+    height: int
+    heading_deg: float
+    position: Array
+    axis: NDArray[np.int8]
+    sign: NDArray[np.int8]
+    box: NDArray[np.int32]
+    pixel: NDArray[np.int32]
+    weight: Array
+    sky: NDArray[np.float32]
+    plain: NDArray[np.float32]
+
+    def sun_points(self) -> SunPoints:
+        weight = self.weight * self.scene.reflectance[self.box] / np.pi
+        count = 2 * self.height**2
+        return sun_points(self.scene, self.position, self.axis, self.sign, weight, self.pixel, count)
+
+
+def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Array]:
+    """sub x sub rays in each pixel, of equal solid angle within it: pixel index [m], world directions [m, 3]."""
+    width = 2 * height
+    fine = (np.arange(height * sub) + 0.5) / sub
+    top, bottom = np.floor(fine), np.floor(fine) + 1
+    share = fine - top
+    z = np.cos(top / height * np.pi) * (1 - share) + np.cos(bottom / height * np.pi) * share
+    altitude = np.degrees(np.arcsin(np.clip(z, -1, 1)))
+    azimuth = heading_deg + ((np.arange(width * sub) + 0.5) / (width * sub) - 0.5) * 360.0
+    rays = direction(altitude[:, None], azimuth[None, :]).reshape(-1, 3)
+    rows, columns = np.arange(height * sub) // sub, np.arange(width * sub) // sub
+    return (rows[:, None] * width + columns[None, :]).astype(np.int32).ravel(), rays
+
+
+@lru_cache(maxsize=2)
+def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
+    """Trace the panorama of a box room from its camera. Raises InputError for an impossible room."""
+    scene = build(room)
+    pixel, world = pixel_rays(height, heading_deg, sub)
+    rays = scene.to_room(world)
+    eye = np.broadcast_to(np.array(scene.camera_m), rays.shape)
+    hits = first_hits(scene, eye, rays)
+    panes = pane_crossings(scene, eye, rays, hits.distance_m)
+    share = np.full(len(rays), 1.0 / sub**2)
+    seen = [_surfaces(pixel, eye, rays, hits, share * panes.through)]
+    open_sky = (hits.box < 0) & (panes.opening >= 0)
+    mirrored = np.flatnonzero(panes.opening >= 0)
+    sky, plain = np.zeros(2 * height**2), np.zeros(2 * height**2)
+    for target, where in ((sky, rays[:, 2] > 0), (plain, rays[:, 2] <= 0)):
+        rows = open_sky & where
+        target += np.bincount(pixel[rows], (share * panes.through)[rows], len(target))
+    if len(mirrored):
+        seen.append(_mirrored(scene, pixel, eye, rays, panes, share, mirrored))
+    position, axis, sign, box, pixels, weight = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    shape = (height, 2 * height)
+    return View(
+        scene, height, heading_deg, position, axis, sign, box, pixels, weight,
+        sky.reshape(shape).astype(np.float32), plain.reshape(shape).astype(np.float32),
+    )  # fmt: skip
+
+
+def _surfaces(pixel, origin, rays, hits, weight) -> tuple[NDArray, ...]:  # type: ignore[no-untyped-def]
+    rows = np.flatnonzero(hits.box >= 0)
+    position = origin[rows] + rays[rows] * hits.distance_m[rows, None]
+    return position, hits.axis[rows], hits.sign[rows], hits.box[rows], pixel[rows], weight[rows]
+
+
+def _mirrored(scene, pixel, eye, rays, panes, share, rows) -> tuple[NDArray, ...]:  # type: ignore[no-untyped-def]
+    """The room's reflection in the panes: one bounce off the pane that a ray crosses."""
+    axis = np.array([o.axis for o in scene.openings])[panes.opening[rows]]
+    back = rays[rows].copy()
+    back[np.arange(len(rows)), axis] *= -1.0
+    origin = eye[rows] + rays[rows] * panes.distance_m[rows, None] + back * 2 * EPSILON_M
+    hits = first_hits(scene, origin, back)
+    return _surfaces(pixel[rows], origin, back, hits, (share * panes.back)[rows])

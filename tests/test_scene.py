@@ -1,0 +1,192 @@
+"""Sun patches against hand geometry and against Radiance; the window's share of each pixel."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum import scene, sun
+from fieldlum.errors import InputError
+from fieldlum.images import RADIANCE_LM_PER_W
+from fieldlum.profiles import load_site, shipped
+from fieldlum.projection import equirect_pixel
+from fieldlum.records import Obstruction, Room, Window
+from fieldlum.scene import geometry, radiance, view
+
+OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
+BARE = Room(
+    width_m=4, depth_m=5, height_m=3, camera_x_m=2, camera_y_m=2.5, camera_z_m=1.5,
+    window=(Window("south", left_m=1, width_m=2, sill_m=1, height_m=1.5, transmittance=0.88, frame_m=0.0),),
+)  # fmt: skip
+CORNER = Room(
+    width_m=5, depth_m=6, height_m=3, camera_x_m=2, camera_y_m=3, camera_z_m=1.2, wall_azimuth_deg=150,
+    wall_thickness_m=0.3,
+    window=(
+        Window("south", left_m=0.4, width_m=4, sill_m=0.8, height_m=1.9, panes=3, frame_m=0.06, transom_m=2.0),
+        Window("west", left_m=1, width_m=2.5, sill_m=0.5, height_m=2.2, panes=2, transmittance=0.7),
+    ),
+    obstruction=(
+        Obstruction(0.5, 0.8, 0.7, 1.8, 0.9, 0.05, 0.4),
+        Obstruction(-4, -14, -0.05, 12, 5, 9, 0.6),  # a building across the street
+        Obstruction(0.4, -0.9, 2.5, 4.3, 0.6, 0.05, 0.5),  # a light shelf
+    ),
+)  # fmt: skip
+
+
+def _heading(room: Room) -> float:
+    return room.wall_azimuth_deg
+
+
+def test_patch_on_the_floor_by_hand() -> None:
+    """Analytic: sun from due south at 45 degrees; window z 1 to 2.5, x 1 to 3, wall .25 m thick.
+
+    The outer sill shades: on the floor the light runs from y = 1 (inner sill) to y = 2.5 - .25 (outer lintel).
+    """
+    made = scene.sun_patches(BARE, None, sun.direction(45.0, 180.0)[None], [10000.0], height=180, heading_deg=180.0)
+    through, _ = geometry.glass_optics(0.88, np.cos(np.radians(45.0)))
+    expected = 10000.0 * float(through) * np.sin(np.radians(45.0)) * 0.2 / np.pi
+    eye = np.array([2.0, 2.5, 1.5])
+    for x, y, lit in ((2, 1.05, True), (2, 0.95, False), (2, 2.2, True), (2, 2.3, False), (1.05, 1.5, True), (0.95, 1.5, False), (2.95, 1.5, True)):  # fmt: skip  # noqa: E501
+        ray = np.array([x, y, 0.0]) - eye
+        altitude = np.degrees(np.arcsin(ray[2] / np.linalg.norm(ray)))
+        azimuth = np.degrees(np.arctan2(ray[0], ray[1]))
+        row, column = equirect_pixel(altitude, azimuth, 180, 360, 180.0)
+        found = made.luminance_cdm2[0, int(row), int(column)]
+        assert found == pytest.approx(expected if lit else 0.0, rel=1e-5), (x, y)
+
+
+def test_normal_glass_passes_what_it_says() -> None:
+    """Analytic: .88 at normal incidence gives transmissivity .96, as Radiance's manual has it; grazing gives none."""
+    through, back = geometry.glass_optics(0.88, [1.0, 0.5, 1e-6])
+    assert through[0] == pytest.approx(0.88, abs=1e-4)
+    assert geometry.transmissivity(0.88) == pytest.approx(0.96, abs=2e-3)
+    assert through[2] < 1e-3 and back[2] > 0.99
+    assert (through + back <= 1).all()
+
+
+@pytest.mark.parametrize("room", [OFFICE.room, CORNER], ids=["office", "corner"])
+def test_patches_authority_rtrace(room: Room) -> None:
+    """Radiance's rtrace -ab 0 on the same boxes, panes and rays: equal but for rays that graze an edge."""
+    assert room is not None
+    height, heading = 40, _heading(room)
+    built = geometry.build(room)
+    text = radiance.rad_text(built)
+    pixel, rays = view.pixel_rays(height, heading, 3)
+    for altitude, turn in ((45.0, 0.0), (20.0, 35.0), (35.0, 90.0), (15.0, -120.0)):
+        toward = sun.direction(altitude, heading + turn)
+        made = scene.sun_patches(room, None, toward[None], [179.0], height=height, heading_deg=heading)
+        with radiance.octree(text, radiance.sun_text(built.to_room(toward))) as octree:
+            seen = radiance.trace(octree, np.array(built.camera_m), built.to_room(rays), ["-dv-"])
+        truth = radiance._pixel_mean(pixel, seen, height) * RADIANCE_LM_PER_W
+        off = np.abs(made.luminance_cdm2[0] - truth) > 0.02 * max(truth.max(), 1e-6)
+        assert off.mean() < 4e-3
+        assert made.luminance_cdm2[0].sum() == pytest.approx(truth.sum(), rel=3e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("room", [OFFICE.room, CORNER], ids=["office", "corner"])
+def test_window_fraction_authority_rtrace(room: Room) -> None:
+    """The room under a sky of one, nothing else, by rtrace."""
+    assert room is not None
+    height, heading = 40, _heading(room)
+    built = geometry.build(room)
+    pixel, rays = view.pixel_rays(height, heading, 3)
+    with radiance.octree(radiance.rad_text(built), radiance.SKY_TEXT) as octree:
+        seen = radiance.trace(octree, np.array(built.camera_m), built.to_room(rays))
+    truth = radiance._pixel_mean(pixel, seen, height)
+    found = scene.window_fraction(room, None, height, heading)
+    assert found.max() > 0.6
+    assert np.abs(found - truth).max() < 0.12 and np.abs(found - truth).mean() < 2e-4
+
+
+def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
+    """Analytic: the office sees the sun at 20 degrees, 10 beside south; due south the middle bar hides it."""
+    assert OFFICE.room is not None
+    suns = sun.direction([20.0, 20.0, 60.0, 20.0, -5.0], [190.0, 180.0, 180.0, 0.0, 190.0])
+    made = scene.sun_patches(OFFICE.room, OFFICE, suns, 50000.0, height=20)
+    assert made.visible_fraction.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    through = float(geometry.glass_optics(0.88, np.cos(np.radians(20)) * np.cos(np.radians(10)))[0])
+    assert made.disc_lx[0] == pytest.approx(50000 * through, rel=1e-6)
+
+
+def test_a_bar_narrower_than_the_disc_hides_part_of_it() -> None:
+    thin = replace(BARE, window=(replace(BARE.window[0], panes=2, frame_m=0.01),))
+    made = scene.sun_patches(thin, None, sun.direction([15.0], [180.0]), 1.0, height=10, heading_deg=180.0)
+    assert 0.1 < made.visible_fraction[0] < 0.9  # 1 cm against 2.4 cm of disc at 2.6 m
+
+
+@settings(deadline=None, max_examples=12)
+@given(st.floats(3, 70), st.floats(-80, 80), st.floats(0, 360))
+def test_turning_the_world_turns_nothing(altitude: float, turn: float, north: float) -> None:
+    """Property: a room, its camera and the sun turned together give the same picture."""
+    base = scene.sun_patches(BARE, None, sun.direction(altitude, 180 + turn)[None], 1e4, height=16, heading_deg=180)
+    turned = replace(BARE, wall_azimuth_deg=(180 + north) % 360)
+    other = scene.sun_patches(
+        turned, None, sun.direction(altitude, 180 + turn + north)[None], 1e4, height=16, heading_deg=180 + north
+    )
+    differ = np.abs(base.luminance_cdm2 - other.luminance_cdm2) > 0.12 * max(base.luminance_cdm2.max(), 1)
+    assert differ.mean() < 0.01
+    assert base.visible_fraction == pytest.approx(other.visible_fraction, abs=0.05)
+
+
+def test_mirror_symmetry() -> None:
+    """Property: a symmetric room, the sun mirrored east-west, gives the mirrored picture."""
+    suns = sun.direction([30.0, 30.0], [150.0, 210.0])
+    made = scene.sun_patches(BARE, None, suns, 1e4, height=30, heading_deg=180.0).luminance_cdm2
+    assert made[0] == pytest.approx(made[1][:, ::-1], abs=0.15 * float(made.max()))
+    assert made[0].sum() == pytest.approx(made[1].sum(), rel=5e-3)
+
+
+def test_streaming_equals_all_at_once() -> None:
+    suns = sun.direction(np.linspace(5, 60, 7), np.linspace(120, 240, 7))
+    lx = np.linspace(0, 6e4, 7)
+    whole = scene.sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0)
+    parts = list(scene.iter_sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0, chunk=3, workers=2))
+    assert [len(p) for p in parts] == [3, 3, 1]
+    assert np.array_equal(np.concatenate([p.luminance_cdm2 for p in parts]), whole.luminance_cdm2)
+    assert whole.luminance_cdm2[0].max() == 0
+
+
+def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
+    """Authority: the same room written as .rad (kind "radiance") gives the same patches through rtrace."""
+    built = geometry.build(BARE)
+    path = tmp_path / "room.rad"
+    path.write_text(radiance.rad_text(built))
+    room = Room(kind="radiance", file=str(path), viewpoint_m=built.camera_m)
+    suns = sun.direction([40.0, 12.0], [200.0, 183.0])
+    a = scene.sun_patches(BARE, None, suns, [1e4, 2e4], height=20, heading_deg=180.0, sub=2)
+    b = scene.sun_patches(room, None, suns, [1e4, 2e4], height=20, heading_deg=180.0)
+    assert b.luminance_cdm2.sum() == pytest.approx(a.luminance_cdm2.sum(), rel=5e-3)
+    assert b.disc_lx == pytest.approx(a.disc_lx, rel=5e-3)
+    share = scene.window_fraction(room, None, 20, 180.0)
+    assert np.abs(share - scene.window_fraction(BARE, None, 20, 180.0)).mean() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"window": (Window("south", 3.0, 2.0, 1.0, 1.0),)}, "inside the south wall"),
+        ({"window": (Window("south", 1.0, 2.0, 1.0, 2.5),)}, "inside the south wall"),
+        ({"window": (Window("west", 1, 2, 1, 1), Window("west", 2, 2, 1.5, 1))}, "overlap"),
+        ({"camera_y_m": 6.0}, "camera at"),
+        ({"reflectance_walls": 1.2}, "reflectance_walls"),
+        ({"window": (Window("south", 1, 2, 1, 1, transmittance=0.99),)}, "transmittance"),
+        ({"obstruction": (Obstruction(1, 2, 1, 2, 2, 2),)}, "camera stands inside"),
+        ({"obstruction": (Obstruction(1, 2, 1, 2, 0, 2),)}, "size of zero"),
+        ({"kind": "radiance", "file": "nowhere.rad", "viewpoint_m": (1, 1, 1)}, "no such file"),
+        ({"kind": "radiance", "file": "nowhere.rad"}, "viewpoint_m"),
+    ],
+)
+def test_impossible_rooms_are_named(change: dict, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        scene.sun_patches(replace(BARE, **change), None, [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0)
+
+
+def test_a_broken_radiance_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "bad.rad"
+    path.write_text("void plastic oops\n0\n0\n5 .5 .5\nnothing polygon\n")
+    room = Room(kind="radiance", file=str(path), viewpoint_m=(1.0, 1.0, 1.0))
+    with pytest.raises(InputError, match=r"bad\.rad"):
+        scene.window_fraction(room, None, 8, 180.0)
