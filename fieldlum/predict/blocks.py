@@ -50,7 +50,9 @@ class Room:
 
 def wants_patch(config: dict[str, Any]) -> bool:
     """Whether a model's config says that it was trained with sun patches."""
-    return bool(config.get("with_patch", False)) or config.get("patch", "none") != "none"
+    if "transport" in config:
+        return config["transport"].get("patchwork") is not None
+    return bool(config["with_patch"]) if "with_patch" in config else config.get("patch", "none") != "none"
 
 
 def room_of(config: dict[str, Any], folder: Path) -> Room:
@@ -73,7 +75,7 @@ def room_of(config: dict[str, Any], folder: Path) -> Room:
 def blocks(fitted: Fitted, room: Room, light: Light, *, progress: Progress = quiet) -> Iterator[Block]:
     """Predict all hours of `light` in blocks. Raises InputError when maps have another size than the model says."""
     count = len(light)
-    for patch, visible, rows in _patches(room, light):
+    for patch, known_disc_lx, rows in _patches(room, light):
         part = light[np.arange(rows.start, rows.stop)]
         prediction = fitted.predict(part, patch if room.needs_patch else None)
         maps = prediction.luminance_cdm2
@@ -84,28 +86,33 @@ def blocks(fitted: Fitted, room: Room, light: Light, *, progress: Progress = qui
             )  # fmt: skip
         if not np.isfinite(maps).all():
             raise FloatingPointError(f"hours {rows.start} to {rows.stop}: predicted values that are no numbers")
-        disc = guessed_disc(maps, part, room) if visible is None else np.asarray(visible * part.direct_lx, float)
+        disc = guessed_disc(maps, part, room) if known_disc_lx is None else known_disc_lx
         progress(rows.stop, count, "hours predicted")
         yield Block(rows, part, prediction, disc)
 
 
-def _patches(room: Room, light: Light) -> Iterator[tuple[NDArray[np.float32] | None, NDArray | None, slice]]:
-    """Sun patches, the visible disc's share times transmittance, and which hours; nothing known without a room."""
-    count = len(light)
-    if room.setup.room is None:
-        for start in range(0, count, BLOCK):
-            yield None, None, slice(start, min(start + BLOCK, count))
-        return
-    from fieldlum.scene import iter_sun_patches
+def _patches(
+    room: Room, light: Light
+) -> Iterator[tuple[NDArray[np.float32] | None, NDArray[np.float64] | None, slice]]:
+    """Sun patches where the model wants them, the visible disc [lx] where a room is known, and which hours."""
+    from fieldlum.scene import build, disc_visibility, iter_sun_patches
 
-    start = 0
-    for found in iter_sun_patches(
-        room.setup.room, room.setup, light.sun_direction, light.direct_lx,
-        height=room.height, heading_deg=room.heading_deg, chunk=BLOCK,
-    ):  # fmt: skip
-        rows = slice(start, start + len(found.luminance_cdm2))
-        yield found.luminance_cdm2, found.visible_fraction * found.disc_transmittance, rows
-        start = rows.stop
+    count, space = len(light), room.setup.room
+    starts = [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
+    if space is None:
+        yield from ((None, None, rows) for rows in starts)
+    elif not room.needs_patch and space.kind == "box":
+        scene = build(space)
+        visible, through = disc_visibility(scene, scene.to_room(light.sun_direction))
+        disc = visible * through * light.direct_lx
+        yield from ((None, disc[rows], rows) for rows in starts)
+    else:
+        found = iter_sun_patches(
+            space, room.setup, light.sun_direction, light.direct_lx,
+            height=room.height, heading_deg=room.heading_deg, chunk=BLOCK,
+        )  # fmt: skip
+        for part, rows in zip(found, starts, strict=True):
+            yield part.luminance_cdm2, part.disc_lx, rows
 
 
 def guessed_disc(maps: NDArray[np.float32], light: Light, room: Room) -> NDArray[np.float64]:

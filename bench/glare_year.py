@@ -1,0 +1,104 @@
+"""A year of maps and of glare in ten directions from a model trained here: seconds, memory, and evalglare beside it.
+
+Usage: python bench/glare_year.py PAIRS.csv [--weather FILE] [--upsample 2] [--views 10] [--sample 20]
+
+The model is light transport with sun patches from the site's [room]. --upsample repeats pixels of the training maps
+(115 rows to 230), for time and memory at full size. Without --weather: the paper's Seattle year, which ships with the tool.
+Everything runs in one process; OMP_NUM_THREADS sets what BLAS may use.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum import models
+from fieldlum.glare import panorama_to_fisheye, reference_glare, reference_version, view_azimuths_deg
+from fieldlum.models.data import load_pairs
+from fieldlum.predict.blocks import Room, blocks
+from fieldlum.predict.year import ViewRegions, light_of, panorama_views, view_figures
+from fieldlum.scene import sun_patches
+from fieldlum.weather import read_weather, shipped_seattle
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pairs", type=Path)
+    parser.add_argument("--weather", type=Path)
+    parser.add_argument("--upsample", type=int, default=1)
+    parser.add_argument("--views", type=int, default=10)
+    parser.add_argument("--sample", type=int, default=20)
+    args = parser.parse_args()
+    data = load_pairs(args.pairs)
+    maps = data.luminance_cdm2.repeat(args.upsample, axis=1).repeat(args.upsample, axis=2)
+    seen = data.seen.repeat(args.upsample, axis=0).repeat(args.upsample, axis=1)
+    height, width = maps.shape[1:]
+    site, light = data.setup.room, data.light
+    patch = None
+    if site is not None:
+        patch = sun_patches(
+            site, data.setup, light.sun_direction, light.direct_lx, height=height, heading_deg=data.heading_deg
+        ).luminance_cdm2
+    data = replace(data, luminance_cdm2=maps, patch_cdm2=patch, seen=seen)
+    start = time.monotonic()
+    fitted = models.fit("transport", data, patch="absolute" if patch is not None else "none")
+    fit_s = time.monotonic() - start
+    del maps
+    weather = read_weather(args.weather, data.setup.site) if args.weather else shipped_seattle(data.setup.site)
+    light = light_of(weather.daylight())
+    print(f"{len(light)} hours, {width} x {height}, {args.views} directions; fit {fit_s:.1f} s", file=sys.stderr)
+    room = Room(data.setup, height, width, data.heading_deg, patch is not None)
+    table = year(fitted, room, light, args.views, args.sample)
+    print(f"| {len(light)} hours, {width} x {height}, {args.views} directions | |\n|---|---|")
+    for name, value in table.items():
+        print(f"| {name} | {value} |")
+
+
+def _clocks() -> np.ndarray:
+    """Wall and CPU time. [s] On a busy machine the second one counts."""
+    return np.array([time.monotonic(), time.process_time()])
+
+
+def year(fitted: models.Fitted, room: Room, light, views: int, sample: int) -> dict[str, str]:
+    """Times of maps and of metrics apart, memory, and the same view-hours by evalglare from a sample."""
+    azimuths = view_azimuths_deg(room.heading_deg, views)
+    weights = panorama_views(room.height, room.width, room.heading_deg, azimuths)
+    regions = ViewRegions(room.height, room.width, room.heading_deg, azimuths)
+    rng = np.random.default_rng(0)
+    asked = set(rng.choice(len(light), sample, replace=False).tolist())
+    kept, maps_s, metrics_s = [], np.zeros(2), np.zeros(2)
+    begin = _clocks()
+    for block in blocks(fitted, room, light):
+        now = _clocks()
+        maps_s += now - begin
+        view_figures(block, room, weights, regions)
+        metrics_s += _clocks() - now
+        here = [k - block.rows.start for k in sorted(asked) if block.rows.start <= k < block.rows.stop]
+        kept += [block.prediction.luminance_cdm2[k].copy() for k in here]
+        print(f"{block.rows.stop} / {len(light)}", end="\r", file=sys.stderr)
+        begin = _clocks()
+    start = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    for k, image in enumerate(kept):
+        reference_glare(panorama_to_fisheye(image, room.heading_deg, float(azimuths[k % views])))
+    each = (resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - start) / max(len(kept), 1)
+    total = each * len(light) * views
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return {
+        "maps with sun patches: wall, CPU s": "{:.0f}, {:.0f}".format(*maps_s),
+        "metrics of all directions: wall, CPU s": "{:.0f}, {:.0f}".format(*metrics_s),
+        "together: wall, CPU s": "{:.0f}, {:.0f}".format(*(maps_s + metrics_s)),
+        "peak memory, GiB": f"{peak:.2f}",
+        f"{reference_version().split(' release')[0]}, 800 px, one view, CPU s (of {len(kept)})": f"{each:.2f}",
+        "the same year through it, core-hours": f"{total / 3600:.1f}",
+        "ratio to our metrics, CPU to CPU": f"{total / max(metrics_s[1], 1e-9):.0f}",
+    }
+
+
+if __name__ == "__main__":
+    main()
