@@ -3,7 +3,7 @@
 Usage: python bench/glare_year.py PAIRS.csv [--weather FILE] [--upsample 2] [--views 10] [--sample 20]
 
 The model is light transport with sun patches from the site's [room]. --upsample repeats pixels of the training maps
-(115 rows to 230), for time and memory at full size. Without --weather: the paper's Seattle year, which ships with the tool.
+(115 rows to 230), for time and memory at full size. Without --weather: the Seattle year that ships with the tool.
 Everything runs in one process; OMP_NUM_THREADS sets what BLAS may use.
 """
 

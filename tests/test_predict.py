@@ -269,7 +269,7 @@ def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path:
 
     bare = site_table(replace(DATA.setup, room=None))
     with pytest.raises(InputError, match=r"without \[room\]"):
-        run(_changed(model, tmp_path, patch="absolute", setup=bare), weather, out=tmp_path / "y")
+        run(_changed(model, tmp_path, with_patch=True, setup=bare), weather, out=tmp_path / "y")
 
 
 def test_a_model_of_another_site_or_camera_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:
