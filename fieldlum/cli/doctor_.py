@@ -1,0 +1,44 @@
+"""fieldlum doctor."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from fieldlum.cli import terminal
+
+MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "red")}
+
+
+@click.command("doctor")
+@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option("--camera", metavar="URI", help="Like gphoto: or sim:office; else what the last capture used.")
+@click.option("--pyranometer", metavar="URI", help="Like serial:/dev/ttyUSB0?kind=spn1; else what the last one used.")
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as one JSON object.")
+def command(folder: Path, camera: str | None, pyranometer: str | None, as_json: bool) -> None:
+    """Look at devices, clock, disk and plan before you leave.
+
+    Exit code 0: nothing failed. 4: a device or this computer. 3: a file.
+
+    \b
+    fieldlum doctor office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
+    """
+    from fieldlum import doctor
+    from fieldlum.session import open_session
+
+    session = open_session(folder)
+    known = session.table().get("devices", {}).get("uris", {})
+    uris = (known.get("camera", "") if camera is None else camera,
+            known.get("pyranometer", "") if pyranometer is None else pyranometer)  # fmt: skip
+    with terminal.progress("looking") as progress:
+        findings = doctor.run(session, *uris, datetime.now(UTC), progress)
+    if as_json:
+        terminal.emit_json(doctor.as_table(findings))
+    else:
+        for finding in findings:
+            mark, colour = MARKS[finding.verdict]
+            click.echo(f"{click.style(mark, fg=colour)}  {finding.what:13} {finding.text}")
+    sys.exit(doctor.exit_code(findings))
