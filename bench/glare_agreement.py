@@ -17,9 +17,19 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.glare import glare_directions, panorama_to_fisheye, reference_glare, reference_version, view_azimuths_deg
-from fieldlum.projection import equirect_pixel, row_solid_angles
+from fieldlum.glare import (
+    dgp,
+    glare_directions,
+    panorama_to_fisheye,
+    position_index,
+    reference_glare,
+    reference_version,
+    view_azimuths_deg,
+)
+from fieldlum.glare.geometry import angles_from_view, view_frame
+from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles, row_solid_angles
 from fieldlum.records import SunSource
+from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 HEADING_DEG = 180.0
 DISC_CDM2 = 1e5
@@ -48,6 +58,19 @@ def load(path: Path) -> dict[str, np.ndarray]:
             lux[i] = float((excess * np.broadcast_to(omega[max(r - 1, 0) : r + 2], disc.shape)).sum())
             luminance[i][box] = np.where(disc, surround, luminance[i][box])
     return {"luminance": luminance.astype(np.float32), "disc_lx": lux, "sun": sun}
+
+
+def additive_dgp(image: np.ndarray, ev: float, azimuth: float, sun: np.ndarray, lux: float) -> float:
+    """DGP with every bright pixel as a source of its own: what grouping is worth."""
+    height, width = image.shape
+    right, up, cosine = angles_from_view(equirect_rays(height, width, HEADING_DEG), view_frame(azimuth))
+    seen = (image > 2000) & (cosine > 0)
+    weight = equirect_solid_angles(height, width)[seen] / position_index(right[seen], up[seen]) ** 2
+    total = float((image[seen].astype(float) ** 2 * weight).sum())
+    a, b, c = angles_from_view(sun[None], view_frame(azimuth))
+    if c[0] > 0:
+        total += lux**2 / SUN_SOLID_ANGLE_SR / float(position_index(a[0], b[0])) ** 2
+    return float(dgp(ev, total))
 
 
 def strata(
@@ -96,6 +119,9 @@ def main() -> None:
                     "stratum": name, "hour": int(i), "azimuth_deg": float(azimuths[d]), "ev": ours["ev_lx"][i, d],
                     "ev_ref": theirs.ev_lx, "dgp": ours["dgp"][i, d], "dgp_ref": theirs.dgp, "ugr": ours["ugr"][i, d],
                     "ugr_ref": theirs.ugr, "dgi": ours["dgi"][i, d], "dgi_ref": theirs.dgi, "sources": theirs.sources,
+                    "dgp_additive": additive_dgp(
+                        data["luminance"][i], ours["ev_lx"][i, d], float(azimuths[d]), sun, float(data["disc_lx"][i])
+                    ),
                 }
             )  # fmt: skip
             print(len(rows), end="\r", file=sys.stderr)
@@ -111,9 +137,10 @@ def report(rows: list[dict], version: str) -> None:
     """The Markdown table."""
     print(f"Reference: {version}\n")
     print(
-        "| stratum | n | DGP mean abs diff | DGP largest | above .02 | r2 | Ev mean diff % | Ev largest % | UGR | DGI |"
+        "| stratum | n | saturated | DGP mean abs diff | DGP largest | above .02 | without grouping | r2 |"
+        " Ev mean diff % | Ev largest % | UGR | DGI |"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
     for name in ("sun in view", "low light", "reflections", "other", "all"):
         part = [row for row in rows if name in ("all", row["stratum"])]
         if not part:
@@ -125,7 +152,8 @@ def report(rows: list[dict], version: str) -> None:
         have = np.isfinite(column["ugr"]) & (column["sources"] > 0)
         other = [np.abs(column[k] - column[f"{k}_ref"])[have].mean() if have.any() else np.nan for k in ("ugr", "dgi")]
         print(
-            f"| {name} | {len(part)} | {off.mean():.4f} | {off.max():.3f} | {(off > 0.02).sum()} | {r2:.4f} |"
+            f"| {name} | {len(part)} | {(column['dgp_ref'] >= 1).sum()} | {off.mean():.4f} | {off.max():.3f} |"
+            f" {(off > 0.02).sum()} | {np.abs(column['dgp_additive'] - column['dgp_ref']).mean():.4f} | {r2:.4f} |"
             f" {ev.mean():.2f} | {ev.max():.2f} | {other[0]:.2f} | {other[1]:.2f} |"
         )
 
