@@ -98,6 +98,7 @@ class IlluminanceMeter(Protocol):
 # Scheme -> module and function; modules are imported when their scheme is asked for.
 CAMERAS = {
     "sim": ("fieldlum.devices.simulated", "open_camera"),
+    "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
 }
 PYRANOMETERS = {
     "sim": ("fieldlum.devices.simulated", "open_pyranometer"),

@@ -1,0 +1,88 @@
+"""A driver in a process of its own: when it hangs it is killed, when it crashes it is started anew, and the rest lives.
+
+The child runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result) or ("error", text).
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+from fieldlum.errors import DeviceError
+
+Serve = Callable[[Connection], None]
+
+
+class Child:
+    """Starts when first asked; one question at a time. `starts` counts how often it had to be started."""
+
+    def __init__(self, name: str, serve: Serve) -> None:
+        self._name, self._serve = name, serve
+        self._lock = threading.Lock()
+        self._process: Any = None
+        self._pipe: Connection | None = None
+        self.starts = 0
+
+    @property
+    def alive(self) -> bool:
+        return self._process is not None and self._process.is_alive()
+
+    def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
+        """The child's answer. Raises DeviceError for its error, its silence (it is killed then) and its death."""
+        with self._lock:
+            pipe = self._ready()
+            try:
+                pipe.send((command, arguments))
+                if not pipe.poll(timeout_s):
+                    self._kill()
+                    raise DeviceError(f"{self._name}: '{command}' hung for {timeout_s:g} s; its process was killed")
+                kind, result = pipe.recv()
+            except (EOFError, OSError):
+                code = self._kill()
+                why = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
+                raise DeviceError(f"{self._name}: the driver crashed in '{command}' ({why})") from None
+        if kind == "error":
+            raise DeviceError(f"{self._name}: {result}")
+        return result
+
+    def _ready(self) -> Connection:
+        if self._pipe is None or not self.alive:
+            self._kill()
+            context = multiprocessing.get_context("spawn")  # never fork: libusb and threads do not survive it
+            ours, theirs = context.Pipe()
+            self._process = context.Process(target=self._serve, args=(theirs,), daemon=True, name=self._name)
+            self._process.start()
+            theirs.close()
+            self._pipe, self.starts = ours, self.starts + 1
+        return self._pipe
+
+    def _kill(self) -> int | None:
+        """Ends the process for good; its exit code."""
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None
+        if self._process is None:
+            return None
+        self._process.join(0.2)
+        if self._process.is_alive():
+            self._process.kill()
+        self._process.join(5.0)
+        code = self._process.exitcode
+        with suppress(ValueError):
+            self._process.close()
+        self._process = None
+        return code
+
+    def close(self, timeout_s: float = 3.0) -> None:
+        """Lets the child end by itself, and ends it otherwise."""
+        with self._lock:
+            if self._pipe is not None and self.alive:
+                with suppress(OSError, EOFError):
+                    self._pipe.send(("close", ()))
+                    self._process.join(timeout_s)
+            self._kill()

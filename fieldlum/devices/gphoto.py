@@ -1,0 +1,125 @@
+"""A tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``; ``?delete=1`` clears the card as it goes."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fieldlum.devices import CameraInfo
+from fieldlum.devices.child import Child, Serve
+from fieldlum.devices.settings import LARGEST_STEP_EV, nearest
+from fieldlum.devices.uri import DeviceUri, whole
+from fieldlum.errors import DeviceError, InputError
+from fieldlum.records import Exposure
+
+if TYPE_CHECKING:
+    from fieldlum.devices.clock import Clock
+    from fieldlum.session import Session
+
+OPEN_S, SET_S, READOUT_S = 30.0, 15.0, 30.0  # patience beyond the shutter time itself
+_NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", re.IGNORECASE)
+
+
+def setting_value(text: str) -> float | None:
+    """Number behind a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100; None for Bulb, Auto and the like."""
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None or (match[2] is not None and not float(match[2])):
+        return None
+    return float(match[1]) / float(match[2] or 1)
+
+
+def choose(role: str, asked: float, choices: list[str]) -> str:
+    """The camera's own text for a value. Raises DeviceError when none is within 1/6 EV."""
+    offered = {value: text for text in choices if (value := setting_value(text)) is not None}
+    unit = {"shutter": "s", "aperture": "", "iso": ""}[role]
+    return offered[nearest(asked, offered, f"camera {role}", unit)]
+
+
+class GphotoCamera:
+    """Implements `Camera`, with libgphoto2 in a child process under a watchdog.
+
+    After a hang or a crash the next call starts the child anew. `patience` scales all time-outs; `late_file_s` is how
+    long the second file of a raw and JPEG pair may take.
+    """
+
+    def __init__(
+        self, serve: Serve, model: str = "", *, delete: bool = False, patience: float = 1.0, late_file_s: float = 0.15
+    ) -> None:
+        self._child = Child("gphoto", serve)
+        self._model, self._delete, self._patience, self._late_ms = model, delete, patience, round(1000 * late_file_s)
+        self._about: dict[str, Any] = {}
+        try:
+            self._open()
+        except DeviceError:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        self._about = self._child.ask("open", self._model, timeout_s=OPEN_S * self._patience)
+        self._opened_at_start = self._child.starts
+        if "shutter" not in self._about["settings"]:
+            raise DeviceError("gphoto: the camera offers no shutter times: set its dial to M")
+
+    @property
+    def info(self) -> CameraInfo:
+        about = {k: v for k, v in self._about.items() if k != "settings"}
+        return CameraInfo("gphoto", **about)
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        """Set, read back, take, copy, compare with EXIF. Raises DeviceError; the frame is then not kept."""
+        if heading_deg is not None:
+            raise DeviceError("gphoto: this camera has no head that turns: leave headings out of the site file")
+        if not self._child.alive or self._child.starts != self._opened_at_start:
+            self._open()
+        for role, asked in (("aperture", exposure.f_number), ("iso", exposure.iso), ("shutter", exposure.shutter_s)):
+            self._set(role, asked)
+        wait_s = exposure.shutter_s + READOUT_S * self._patience
+        path = Path(self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s))
+        try:
+            self._compare(path, exposure)
+        except DeviceError:
+            path.unlink(missing_ok=True)
+            raise
+        return path
+
+    def _set(self, role: str, asked: float) -> None:
+        if role not in self._about["settings"]:  # a manual lens, or fixed: EXIF has the last word
+            return
+        widget, choices = self._about["settings"][role]
+        text = choose(role, asked, choices)
+        shown = self._child.ask("set", widget, text, timeout_s=SET_S * self._patience)
+        if shown != text:
+            raise DeviceError(f"gphoto: {widget} was set to {text}, but the camera shows {shown}: set its dial to M")
+
+    def _compare(self, path: Path, asked: Exposure) -> None:
+        from fieldlum.raw import read_exif
+
+        try:
+            got = read_exif(path).exposure
+        except InputError as error:
+            raise DeviceError(f"gphoto: the frame is unusable: {error}") from None
+        pairs = (
+            ("exposure time", got.shutter_s, asked.shutter_s),
+            ("f-number", got.f_number, asked.f_number),
+            ("ISO", got.iso, asked.iso),
+        )
+        for name, found, wanted in pairs:
+            if abs(math.log2(found / wanted)) > LARGEST_STEP_EV:
+                raise DeviceError(f"gphoto: EXIF says {name} {found:.5g}, asked was {wanted:.5g}: set the camera to M")
+
+    def close(self) -> None:
+        self._child.close()
+
+
+def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> GphotoCamera:
+    """Raises DeviceError without the gphoto2 package, for unknown options, or without a camera."""
+    from importlib.util import find_spec
+
+    options = uri.read(delete=whole(0, 1))
+    if find_spec("gphoto2") is None:
+        raise DeviceError(f"{uri.text}: needs the package gphoto2: pip install 'fieldlum[gphoto]' (Linux, macOS)")
+    from fieldlum.devices.gphoto_child import serve
+
+    return GphotoCamera(serve, uri.place, delete=bool(options.get("delete", 0)))

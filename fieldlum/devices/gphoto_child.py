@@ -1,0 +1,162 @@
+"""Runs in its own process, beside libgphoto2: opens the camera, sets what it offers, takes a picture, copies it out."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+# What brands call the three settings; the first that a camera has is used.
+WIDGETS = {
+    "shutter": ("shutterspeed", "shutterspeed2", "exptime"),
+    "aperture": ("aperture", "f-number"),
+    "iso": ("iso", "isospeed"),
+}
+RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
+_SAID = {
+    -1: "unspecified error",
+    -3: "out of memory, or its card is full",
+    -7: "input/output error: check the cable",
+    -10: "timeout",
+    -52: "not found on USB",
+    -53: "another program holds it: close it, or run 'gio mount -s gphoto2'",
+    -105: "no camera found: switch it on, set it to PTP, check the cable",
+    -110: "busy",
+    -115: "its card is full",
+}
+_BUSY, _TRIES = -110, 4
+
+
+def serve(pipe: Connection) -> None:
+    """The child's loop, until `close` or the parent's end."""
+    import gphoto2 as gp
+
+    camera: Any = None
+    while True:
+        try:
+            command, arguments = pipe.recv()
+        except (EOFError, OSError):
+            command, arguments = "close", ()
+        try:
+            if command == "open":
+                camera = _open(gp, *arguments)
+                result: Any = _describe(gp, camera)
+            elif command == "set":
+                result = _set(gp, camera, *arguments)
+            elif command == "expose":
+                result = _expose(gp, camera, *arguments)
+            else:
+                if camera is not None:
+                    with suppress(gp.GPhoto2Error):
+                        camera.exit()
+                return
+            pipe.send(("ok", result))
+        except gp.GPhoto2Error as error:
+            pipe.send(("error", _SAID.get(error.code, f"{error.string} ({error.code})")))
+        except (OSError, ValueError) as error:
+            pipe.send(("error", str(error)))
+
+
+def _open(gp: Any, model: str) -> Any:
+    camera = gp.Camera()
+    if model:
+        found = [entry for entry in gp.Camera.autodetect() if model.lower() in entry[0].lower()]
+        if not found:
+            raise ValueError(f"no camera named {model}: there are {[e[0] for e in gp.Camera.autodetect()] or 'none'}")
+        name, port = found[0]
+        abilities, ports = gp.CameraAbilitiesList(), gp.PortInfoList()
+        abilities.load()
+        ports.load()
+        camera.set_abilities(abilities[abilities.lookup_model(name)])
+        camera.set_port_info(ports[ports.lookup_path(port)])
+    camera.init()
+    return camera
+
+
+def _value(gp: Any, camera: Any, name: str) -> Any:
+    try:
+        return camera.get_single_config(name).get_value()
+    except gp.GPhoto2Error:
+        return None
+
+
+def _describe(gp: Any, camera: Any) -> dict[str, Any]:
+    """Model, serial, battery, clock, and for each setting its widget and what it offers."""
+    settings = {}
+    for role, names in WIDGETS.items():
+        for name in names:
+            with suppress(gp.GPhoto2Error):
+                widget = camera.get_single_config(name)
+                if not widget.get_readonly():
+                    settings[role] = (name, list(widget.get_choices()))
+                    break
+    asked = time.time()
+    clock = next((v for n in ("datetimeutc", "datetime") if isinstance(v := _value(gp, camera, n), int)), None)
+    return {
+        "make": str(_value(gp, camera, "manufacturer") or ""),
+        "model": str(_value(gp, camera, "cameramodel") or camera.get_abilities().model),
+        "serial": str(_value(gp, camera, "serialnumber") or "").lstrip("0"),
+        "firmware": str(_value(gp, camera, "deviceversion") or ""),
+        "lens": str(_value(gp, camera, "lensname") or ""),
+        "battery": str(_value(gp, camera, "batterylevel") or ""),
+        "clock_offset_s": None if clock is None else clock - asked,
+        "settings": settings,
+    }
+
+
+def _patiently(gp: Any, work: Any) -> Any:
+    """Do it again while the camera says that it is busy."""
+    for left in reversed(range(_TRIES)):
+        try:
+            return work()
+        except gp.GPhoto2Error as error:
+            if error.code != _BUSY or not left:
+                raise
+            time.sleep(0.5)
+    return None
+
+
+def _set(gp: Any, camera: Any, name: str, text: str) -> str:
+    """Set one of the widget's own choices and return what it shows afterwards.
+
+    A text that is no choice never reaches libgphoto2: it snaps some silently, and dies of others.
+    """
+    widget = camera.get_single_config(name)
+    if text not in list(widget.get_choices()):
+        raise ValueError(f"{name}: {text} is not offered")
+    if widget.get_value() != text:
+        widget.set_value(text)
+        _patiently(gp, lambda: camera.set_single_config(name, widget))
+    return camera.get_single_config(name).get_value()
+
+
+def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> str:
+    """Take a picture and copy it to `target` plus its suffix; of raw and JPEG the raw. Returns the path.
+
+    late_ms: how long to wait for a second file of the same picture.
+    """
+    for _ in range(50):  # events of earlier pictures
+        if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
+            break
+    first = _patiently(gp, lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
+    files = [(first.folder, first.name)]
+    kind, data = camera.wait_for_event(late_ms)
+    while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
+        if kind == gp.GP_EVENT_FILE_ADDED and (data.folder, data.name) not in files:
+            files.append((data.folder, data.name))
+        kind, data = camera.wait_for_event(late_ms)
+    folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
+    shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
+    body = bytes(memoryview(shot.get_data_and_size()))  # `shot` must live until the bytes are copied
+    path = Path(f"{target}{Path(name).suffix.lower()}")
+    with path.open("wb") as file:
+        file.write(body)
+        file.flush()
+        os.fsync(file.fileno())
+    if delete:
+        for folder, name in files:
+            camera.file_delete(folder, name)
+    return str(path)
