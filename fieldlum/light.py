@@ -130,7 +130,7 @@ def one_facade(azimuth_deg: float) -> Facades:
 
 def facades_unknown() -> Facades:
     """Eight directions alike: nothing is known about the room."""
-    return Facades(np.arange(8) * 45.0, np.full(8, 1 / 4))
+    return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
 
 
 def facades_of(room: Room | None) -> Facades:

@@ -1,0 +1,245 @@
+"""From captures to what is solved: pixels in rows, patches as columns, the sky seen through the windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.light import Facades, Features, Light, facades_of, facades_unknown, light_features, one_facade
+from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+Array = NDArray[Any]
+
+CELL_ROWS = CELL_COLUMNS = 23  # cells of the patch descriptor: about 8 x 16 degrees
+MOST_PATCH_CDM2 = 3e4  # for the descriptor only: a sunlit white wall; above it is a window pixel or a disc
+LEAST_CDM2 = 0.1  # below it relative errors mean nothing
+FAINT_SUN_LX = 20.0
+DISC_MARGIN = 2  # pixels around the sun that taking its disc out may have touched
+WINDOW_SHARE = 0.05  # a pixel with less than this share of open sky is treated as a surface
+WINDOW_SCATTER = 0.5  # window pixels follow the sky behind them at least twice as closely as the total light
+
+
+@dataclass(frozen=True, slots=True)
+class Patchwork:
+    """How patch maps become descriptors: cell edges come from the shape, these norms from the training hours."""
+
+    flux_norm: float
+    cells_norm: float
+
+    def add(self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray) -> Features:
+        """`features` with the direct flux in view; patch [n, H, W] cd/m2; open_sky [H, W] marks window pixels."""
+        flux, cells = patch_flux(patch, open_sky)
+        total = light.total_lx
+        return replace(
+            features,
+            flux=flux / total / self.flux_norm,
+            cells=(cells / total[:, None] / self.cells_norm).astype(np.float32),
+        )
+
+
+def _edges(size: int, count: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, size, min(count, size) + 1).astype(int))[:-1]
+
+
+def patch_flux(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> tuple[Array, NDArray[np.float32]]:
+    """Direct flux in view, [n] lx, and by cells over the root of their solid angle, [n, c]."""
+    height, width = patch.shape[1:]
+    rows, columns = _edges(height, CELL_ROWS), _edges(width, CELL_COLUMNS)
+    omega = equirect_solid_angles(height, width).astype(np.float32)
+    areas = np.add.reduceat(np.add.reduceat(omega, rows, axis=0), columns, axis=1)
+    weights = np.where(open_sky, np.float32(0.0), omega)
+    out = np.empty((len(patch), areas.size), np.float32)
+    for t, one in enumerate(patch):
+        lit = np.minimum(one, np.float32(MOST_PATCH_CDM2)) * weights
+        out[t] = np.add.reduceat(np.add.reduceat(lit, rows, axis=0), columns, axis=1).ravel()
+    return np.asarray(out.sum(axis=1), float), np.asarray(out / np.sqrt(areas).ravel(), np.float32)
+
+
+def patchwork_of(patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]) -> Patchwork:
+    """Norms that make the descriptors about one when the sun is in the room (75th percentile over sunny hours)."""
+    flux, cells = patch_flux(patch, open_sky)
+    sunny = light.direct_lx > FAINT_SUN_LX
+    if not sunny.any() or not flux[sunny].any():
+        return Patchwork(1.0, 1.0)
+    direct = light.direct_lx[sunny]
+    size = np.linalg.norm(cells[sunny], axis=1)
+    norms = [float(np.percentile(part / direct, 75)) for part in (flux[sunny], size)]
+    most = [float((part / direct).max()) for part in (flux[sunny], size)]
+    return Patchwork(*(max(norm, 0.1 * top) for norm, top in zip(norms, most, strict=True)))
+
+
+def facades_seen(data: Dataset) -> Facades:
+    """Walls that let the sun in: from the room's windows, else from the sun directions of hours with a patch.
+
+    Without a room, non-negative least squares of the direct flux in view on the cosines to sixteen azimuths.
+    """
+    if data.setup.room is not None and data.setup.room.kind == "box" and data.setup.room.window:
+        return facades_of(data.setup.room)
+    if data.patch_cdm2 is None:
+        return facades_unknown()
+    from scipy.optimize import nnls
+
+    direct = data.light.direct_lx
+    sunny = direct > 1000.0
+    flux = patch_flux(data.patch_cdm2, np.zeros(data.shape, bool))[0]
+    if not (sunny & (flux > 0.0)).any():
+        return facades_unknown()
+    azimuths = np.linspace(0.0, 337.5, 16)
+    candidates = Facades(azimuths, np.ones(16))
+    cosines = np.maximum(data.light.sun_direction[sunny] @ candidates.normals.T, 0.0)
+    share = nnls(cosines, flux[sunny] / direct[sunny])[0]
+    keep = share > 0.1 * share.max()
+    if keep.sum() == 1:
+        return one_facade(float(azimuths[keep][0]))
+    return Facades(azimuths[keep], np.sqrt(share[keep] / share.max()))
+
+
+# ---------------------------------------------------------------------------------------------- window pixels
+
+
+@dataclass(frozen=True, slots=True)
+class OpenSky:
+    """Pixels (of those seen) that show sky through glass: index [k], share [k] of open sky times transmittance."""
+
+    index: NDArray[np.intp]
+    share: NDArray[np.float32]
+    directions: Array  # [k, 3]
+
+    def luminance(self, light: Light) -> NDArray[np.float32]:
+        """The sky behind these pixels, [n, k] cd/m2."""
+        return light.sky_at(self.directions) * self.share
+
+    def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """[H, W]"""
+        flat = np.zeros(int(seen.sum()), bool)
+        flat[self.index] = True
+        out = np.zeros(seen.shape, bool)
+        out[seen] = flat
+        return out
+
+
+def open_sky_from_captures(
+    luminance: NDArray[np.floating], patch: NDArray[np.floating] | None, light: Light, rays: Array
+) -> OpenSky:
+    """Find the window pixels without any geometry: those that follow the Perez sky in their direction.
+
+    luminance, patch: [n, P]; rays [P, 3]. A pixel counts when the logarithm of its ratio to the sky scatters less than
+    half as much as that of its ratio to the total light. Its share is a low quantile of the ratio, so that
+    what is taken off is never more than what was there.
+    """
+    above = np.flatnonzero(rays[:, 2] > 0.0)
+    behind = light.sky_at(rays[above])
+    seen = np.maximum(luminance[:, above], LEAST_CDM2)
+    ratio, plain = np.log(seen / behind), np.log(seen / light.total_lx[:, None].astype(np.float32))
+    if patch is not None:
+        lit = patch[:, above] > 0.3 * seen
+        ratio, plain = np.where(lit, np.nan, ratio), np.where(lit, np.nan, plain)
+        dark = lit.all(axis=0)
+        ratio[:, dark], plain[:, dark] = 0.0, 0.0
+    low, middle, high = np.nanpercentile(ratio, (10, 50, 90), axis=0)
+    spread = np.nanpercentile(plain, 90, axis=0) - np.nanpercentile(plain, 10, axis=0)
+    share = np.exp(low)
+    keep = (high - low < WINDOW_SCATTER * spread) & (share > WINDOW_SHARE) & (middle < np.log(1.2))
+    return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
+
+
+# ---------------------------------------------------------------------------------------------- material
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """Captures as the solver wants them: n hours, P seen pixels.
+
+    weights [P] mean 1; patch is in cd/m2 of this room (a gain found before is in it); sky the known window sky;
+    filled [n, P] marks values that were not seen (where the sun's disc was taken out): they teach nothing.
+    """
+
+    light: Light
+    features: Features
+    luminance: NDArray[np.float32]
+    patch: NDArray[np.float32] | None
+    sky: NDArray[np.float32]
+    filled: NDArray[np.bool_]
+    weights: Array
+    days: NDArray
+    open_sky: OpenSky
+    patchwork: Patchwork | None
+    facades: Facades
+
+    def __getitem__(self, pixels: NDArray[np.intp] | slice) -> Material:
+        """Some of the pixels."""
+        return replace(
+            self,
+            luminance=self.luminance[:, pixels],
+            patch=None if self.patch is None else self.patch[:, pixels],
+            sky=self.sky[:, pixels],
+            filled=self.filled[:, pixels],
+            weights=self.weights[pixels],
+        )
+
+    def with_patch_scaled(self, factor: float) -> Material:
+        assert self.patch is not None
+        return replace(self, patch=self.patch * np.float32(factor))
+
+
+def material_of(data: Dataset, *, with_patch: bool) -> Material:
+    """Flatten the seen pixels, find the windows, describe the light."""
+    height, width = data.shape
+    rays = equirect_rays(height, width, data.heading_deg)[data.seen]
+    luminance = data.luminance_cdm2[:, data.seen]
+    patch = data.patch_cdm2[:, data.seen] if with_patch and data.patch_cdm2 is not None else None
+    open_sky = open_sky_from_captures(luminance, patch, data.light, rays)
+    sky = np.zeros(luminance.shape, np.float32)
+    sky[:, open_sky.index] = open_sky.luminance(data.light)
+    features, patchwork = light_features(data.light), None
+    if patch is not None and data.patch_cdm2 is not None:
+        mask = open_sky.mask(data.seen)
+        patchwork = patchwork_of(data.patch_cdm2, data.light, mask)
+        features = patchwork.add(features, data.patch_cdm2, data.light, mask)
+    return Material(
+        data.light, features, luminance, patch, sky, around_disc(data)[:, data.seen], data.weights[data.seen],
+        data.days, open_sky, patchwork, facades_seen(data) if with_patch else facades_of(data.setup.room),
+    )  # fmt: skip
+
+
+def around_disc(data: Dataset) -> NDArray[np.bool_]:
+    """Pixels from which a visible disc was taken, with a margin of two, [n, H, W]."""
+    height, width = data.shape
+    out = np.zeros((len(data), height, width), bool)
+    hours = np.flatnonzero(data.disc_lx > 0.0)
+    light = data.light
+    row, column = equirect_pixel(
+        light.sun_altitude_deg[hours], light.sun_azimuth_deg[hours], height, width, data.heading_deg
+    )
+    for t, i, j in zip(hours, row.astype(int), column.astype(int), strict=True):
+        rows = np.clip(np.arange(-DISC_MARGIN, DISC_MARGIN + 1) + i, 0, height - 1)
+        columns = (np.arange(-DISC_MARGIN, DISC_MARGIN + 1) + j) % width
+        out[t, rows[:, None], columns] = True
+    return out
+
+
+def pixel_scale(material: Material, gain: float = 1.0) -> Array:
+    """Mean light of each pixel per unit of total light, over the hours without direct sun on it, [P].
+
+    Fewer than three such hours: what there is within the range of the others, else the median of all pixels.
+    """
+    total = material.light.total_lx[:, None]
+    luminance = np.maximum(material.luminance, LEAST_CDM2)
+    direct = material.sky if material.patch is None else material.sky + np.float32(gain) * material.patch
+    unlit = (material.sky <= 0.5 * luminance) & ~material.filled
+    if material.patch is not None:
+        unlit &= gain * material.patch <= 0.3 * luminance
+    logs = np.log(np.maximum(luminance - direct, 0.02 * luminance) / total)
+    count = unlit.sum(axis=0)
+    mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)
+    many, some = count >= 3, count > 0
+    if not many.any():
+        return np.exp(np.where(some, mean, np.median(mean[some]) if some.any() else np.median(logs)))
+    low, middle, high = np.percentile(mean[many], (1, 50, 99))
+    return np.exp(np.where(many, mean, np.where(some, np.clip(mean, low, high), middle)))

@@ -1,0 +1,127 @@
+"""Weighted Bayesian ridge for all pixels at once, and what each held-out day would have been predicted as.
+
+Each pixel minimises  sum_t w_t (y_t - F_t b - C_t g)^2 / noise + |b|^2 + sum_k (g_k - mean_k)^2 / variance_k,
+with features F shared by all pixels and columns C of its own. Everything is closed-form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+CHUNK = 2048  # pixels at a time: bounds the memory of the normal matrices to some 100 MB
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Covariates that each pixel has for itself, values [k, n, P], with a Gaussian prior on their gains, [k]."""
+
+    values: NDArray[np.floating]
+    mean: Array
+    variance: Array
+
+    def __getitem__(self, pixels: slice | NDArray[np.intp]) -> Columns:
+        return Columns(self.values[:, :, pixels], self.mean, self.variance)
+
+
+def no_columns(hours: int, pixels: int) -> Columns:
+    return Columns(np.empty((0, hours, pixels)), np.empty(0), np.empty(0))
+
+
+def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))
+
+
+def pair_products(features: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Products F_a F_b of every hour for a <= b, [n, r (r + 1) / 2], and the indices a and b."""
+    a, b = np.triu_indices(features.shape[1])
+    return features[:, a] * features[:, b], a, b
+
+
+def normal_matrices(
+    features: Array, columns: Columns, target: Array, weights: Array, noise: float, products: tuple | None = None
+) -> tuple[Array, Array]:
+    """(A [P, r + k, r + k], b [P, r + k]) of the normal equations A x = b for the deviations from the prior mean.
+
+    target, weights: [n, P]. The shared block of all pixels is one matrix product of weights and `pair_products`.
+    """
+    count, r, k = target.shape[1], features.shape[1], len(columns.mean)
+    both, i, j = products or pair_products(features)
+    w = np.ascontiguousarray(weights.T) / noise
+    matrix = np.empty((count, r + k, r + k))
+    packed = w @ both
+    matrix[:, i, j] = packed
+    matrix[:, j, i] = packed
+    rest = (target - np.einsum("knp,k->np", columns.values, columns.mean)).T * w
+    right = np.empty((count, r + k))
+    right[:, :r] = rest @ features
+    for a in range(k):
+        weighted = columns.values[a].T * w
+        matrix[:, r + a, :r] = matrix[:, :r, r + a] = weighted @ features
+        right[:, r + a] = (columns.values[a].T * rest).sum(axis=1)
+        for b in range(a, k):
+            cross = (weighted * columns.values[b].T).sum(axis=1)
+            matrix[:, r + a, r + b] = matrix[:, r + b, r + a] = cross
+    prior = np.concatenate((np.ones(r), 1.0 / columns.variance))
+    matrix[:, np.arange(r + k), np.arange(r + k)] += prior
+    return matrix, right
+
+
+def solve(
+    features: Array, columns: Columns, target: Array, weights: Array, noise: float, products: tuple | None = None
+) -> tuple[Array, Array]:
+    """(b [P, r], gains [P, k]) of every pixel."""
+    r = features.shape[1]
+    matrix, right = normal_matrices(features, columns, target, weights, noise, products)
+    found = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    return found[:, :r], found[:, r:] + columns.mean
+
+
+def held_out_days(
+    features: Array, columns: Columns, target: Array, weights: Array, noise: float, days: NDArray
+) -> Array:
+    """What each hour would be predicted as by a fit without its whole day, [n, P].
+
+    With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals without the day are
+    (1 - H_DD)^-1 e_D (block form of the leave-one-out identity): no refit is needed. Features and weights stay.
+    """
+    out = np.empty(target.shape)
+    for part in chunks(target.shape[1], 256):
+        out[:, part] = _held_out(features, columns[part], target[:, part], weights[:, part], noise, days)
+    return out
+
+
+def _held_out(features: Array, columns: Columns, target: Array, weights: Array, noise: float, days: NDArray) -> Array:
+    count = target.shape[1]
+    matrix, right = normal_matrices(features, columns, target, weights, noise)
+    shared = np.broadcast_to(features, (count, *features.shape))
+    design = np.concatenate((shared, columns.values.transpose(2, 1, 0)), axis=2)
+    solved = np.linalg.solve(matrix, np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2))
+    offset = np.einsum("knp,k->pn", columns.values, columns.mean)
+    residual = target.T - offset - np.einsum("pna,pa->pn", design, solved[:, :, 0])
+    w = weights.T / noise
+    out = np.empty((count, len(days)))
+    for day in np.unique(days):
+        rows = np.flatnonzero(days == day)
+        hat = design[:, rows] @ solved[:, :, 1 + rows] * w[:, None, rows]
+        left = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])[:, :, 0]
+        out[:, rows] = target.T[:, rows] - left
+    return out.T
+
+
+def held_out_days_shared(covariance: Array, noise: float, target: Array, days: NDArray) -> Array:
+    """As `held_out_days` for a Gaussian process that all pixels share: covariance [n, n], target [n, P]."""
+    inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
+    solved = inverse @ target
+    out = np.empty(target.shape)
+    for day in np.unique(days):
+        rows = np.flatnonzero(days == day)
+        out[rows] = target[rows] - np.linalg.solve(inverse[np.ix_(rows, rows)], solved[rows])
+    return out

@@ -1,0 +1,120 @@
+"""How far each predicted pixel may be off, calibrated on held-out days."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.models.transport.material import LEAST_CDM2, Material
+from fieldlum.models.transport.recipe import FLOOR_CDM2, HeldOut
+
+Array = NDArray[Any]
+
+LOG10_E = float(np.log10(np.e))
+NORMAL_90 = 1.6449  # 90 % of a normal distribution lie within so many standard deviations
+CLASSES = (0.05, 0.5)  # the sun's share of the light that parts overcast, intermediate and clear hours
+LEAST_SD = 1e-4
+NOVEL = 1.5  # an hour may be so much further from the captures than a held-out day was, and still be trusted
+
+
+def held_out_variance(covariance: Array, noise: float, days: NDArray) -> Array:
+    """Predictive variance of each hour by the others without its day, in units of the kernel, [n]."""
+    inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
+    out = np.empty(len(days))
+    for day in np.unique(days):
+        rows = np.flatnonzero(days == day)
+        out[rows] = np.diagonal(np.linalg.inv(inverse[np.ix_(rows, rows)])) - noise
+    return np.maximum(out, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """inverse [n, n] of (K + noise); novelty that a held-out day had at most; factors on the standard deviation in
+    overcast, intermediate and clear hours [3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out error
+    to its guess."""
+
+    inverse: Array
+    novelty: float
+    factors: Array
+    patch: float
+    mse: float
+
+    def variance(self, cross: Array, own: Array) -> Array:
+        """Predictive variance of hours with covariance `cross` [m, n] to the captures and `own` [m] prior variance."""
+        return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
+
+    def trusted(self, variance: Array) -> NDArray[np.bool_]:
+        return variance <= NOVEL * self.novelty
+
+    def factor(self, beam: Array) -> Array:
+        """[m] of each hour's class, blended between the classes' middles so that nothing jumps."""
+        return np.interp(beam, (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2), self.factors)
+
+
+def log_sd(
+    surface_share: NDArray[np.floating],
+    patch_share: NDArray[np.floating] | float,
+    variance: Array,
+    beam: Array,
+    noise: tuple[NDArray[np.floating], NDArray[np.floating]],
+    patch_sd: float,
+) -> NDArray[np.floating]:
+    """Uncalibrated standard deviation of ln L, [m, P].
+
+    surface_share: unit of the pixel over L; patch_share: patch over L; noise: each pixel's residual sd, and its growth
+    with the sun's share.
+    """
+    kind = surface_share.dtype
+    total = surface_share**2 * variance.astype(kind)[:, None]
+    total += noise[0] ** 2 + (beam.astype(kind)[:, None] * noise[1]) ** 2
+    total += (kind.type(patch_sd) * patch_share) ** 2
+    return np.sqrt(total)
+
+
+def residual_noise(material: Material, fitted: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Residual sd of ln L of each pixel in dull hours, and what the sun adds per unit of its share, [P] each."""
+    error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(material.luminance, FLOOR_CDM2))
+    error = np.where(material.filled, 0.0, error) ** 2
+    beam = material.features.beam
+    dull = beam < 0.3
+    base = error[dull].mean(axis=0) if dull.any() else error.min(axis=0)
+    if dull.all():
+        return np.sqrt(base), np.zeros(error.shape[1])
+    extra = np.maximum(error[~dull] - base, 0.0).mean(axis=0) / (beam[~dull] ** 2).mean()
+    return np.sqrt(base), np.sqrt(extra)
+
+
+def calibrate(
+    material: Material,
+    held: HeldOut,
+    covariance: Array,
+    noise: float,
+    residual: tuple[Array, Array],
+) -> Trust:
+    """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in each class."""
+    variance = held_out_variance(covariance, noise, material.days)
+    unit = material.light.total_lx[:, None] * held.scale
+    seen = np.maximum(held.luminance, LEAST_CDM2)
+    beam = material.features.beam
+    valid = ~material.filled
+    patch_share: NDArray[np.floating] | float = 0.0
+    patch_sd = 0.0
+    error = np.abs(held.error) / LOG10_E
+    if material.patch is not None:
+        patch_share = material.patch / seen
+        lit = (patch_share > 0.3) & valid
+        patch_sd = float(np.quantile(error[lit], 0.9) / NORMAL_90) if lit.sum() > 20 else 0.05
+    sd = np.maximum(log_sd(unit / seen, patch_share, variance, beam, residual, patch_sd), LEAST_SD)
+    ratio = error / sd
+    everywhere = float(np.quantile(ratio[valid], 0.9)) / NORMAL_90
+    factors = np.full(3, everywhere)
+    for k, inside in enumerate((beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])):
+        if inside.sum() >= 5:
+            factors[k] = float(np.quantile(ratio[inside][valid[inside]], 0.9)) / NORMAL_90
+    inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
+    trust = Trust(inverse, float(variance.max()), np.maximum(factors, 1e-3), patch_sd, 1.0)
+    guess = ((sd * LOG10_E * trust.factor(beam)[:, None]) ** 2).mean()
+    return Trust(inverse, trust.novelty, trust.factors, patch_sd, float((held.error[valid] ** 2).mean() / guess))

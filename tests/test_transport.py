@@ -1,0 +1,196 @@
+"""Light transport: closed-form identities, physics that must hold exactly, and harmless files."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldlum import models
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.light import light_at
+from fieldlum.models.data import Dataset
+from fieldlum.models.transport import fit
+from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
+from fieldlum.projection import equirect_rays
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.sky import reinhart_patches
+
+SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+SETUP = SiteFile(SITE, CameraSetup(heading_deg=180.0), Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),)))
+HEIGHT, WIDTH = 16, 32
+
+
+def toy(days: list[int], seed: int = 0) -> Dataset:
+    """A made-up room, exactly linear in sky and sun: surfaces lit from the south, a sun patch, a window."""
+    rng = np.random.default_rng(seed)
+    start = datetime(2027, 1, 1, 16, 30, tzinfo=UTC)
+    times = [start + timedelta(days=d, hours=h) for d in days for h in range(8)]
+    n = len(times)
+    light = light_at(times, SITE, rng.uniform(0, 800, n) * (rng.random(n) < 0.7), rng.uniform(30, 300, n))
+    light = light[light.sun_altitude_deg > 0.0]
+    rays = equirect_rays(HEIGHT, WIDTH, 180.0)
+    patches = reinhart_patches()
+    through = np.maximum(-patches.directions[:, 1], 0.0) * patches.solid_angles_sr
+    side = 0.5 + 0.4 * rays.reshape(-1, 3) @ patches.directions.T
+    sky = light.sky_cdm2 @ (side * through).T * 0.02
+    sun, direct = light.sun_direction, light.direct_lx
+    indirect = (direct * np.maximum(-sun[:, 1], 0.0))[:, None] * (0.01 + 0.005 * (rays.reshape(-1, 3) @ -sun.T).T)
+    patch = np.where(((rays.reshape(-1, 3) + sun[:, None]) ** 2).sum(-1) < 0.15, 0.1 * direct[:, None], 0.0)
+    window = (rays[..., 1] < -0.8) & (rays[..., 2] > 0.1)
+    maps = (sky + np.maximum(indirect, 0.0) + patch).reshape(-1, HEIGHT, WIDTH)
+    maps[:, window] += 0.9 * light.sky_at(rays[window])
+    days_of = np.array([t.date() for t in light.t_utc], "datetime64[D]")
+    return Dataset(
+        light, maps.astype(np.float32), patch.reshape(maps.shape).astype(np.float32), np.zeros(len(light)), 180.0,
+        days_of, tuple(slot_id(t) for t in light.t_utc), SETUP, np.ones((HEIGHT, WIDTH), bool), np.zeros(len(light)),
+    )  # fmt: skip
+
+
+TRAIN, TEST = toy([20, 79, 80, 120, 172, 173, 300, 355]), toy([50, 200], seed=1)
+MODEL = fit(TRAIN)
+
+
+def log_mse(maps: np.ndarray, data: Dataset) -> float:
+    error = np.log10(np.maximum(maps, 1.0)) - np.log10(np.maximum(data.luminance_cdm2, 1.0))
+    return float((error**2 * data.weights).mean())
+
+
+# ---------------------------------------------------------------------------------------------- identities
+
+
+def test_property_closed_form_days_equal_refits() -> None:
+    rng = np.random.default_rng(0)
+    n, count = 14, 5
+    features = rng.standard_normal((n, 4))
+    columns = Columns(rng.random((2, n, count)), np.array([1.0, 1.0]), np.array([0.01, 0.5]))
+    target, weights = rng.random((n, count)) + 1.0, rng.random((n, count)) + 0.5
+    days = np.repeat([0, 1, 2, 3], [1, 5, 4, 4])
+    closed = held_out_days(features, columns, target, weights, 0.1, days)
+    for day in range(4):
+        out, kept = days == day, days != day
+        some = Columns(columns.values[:, kept], columns.mean, columns.variance)
+        b, gains = solve(features[kept], some, target[kept], weights[kept], 0.1)
+        refit = features[out] @ b.T + np.einsum("knp,pk->np", columns.values[:, out], gains)
+        assert np.allclose(closed[out], refit, atol=1e-10)
+
+
+def test_property_closed_form_days_of_the_second_stage_equal_refits() -> None:
+    rng = np.random.default_rng(1)
+    half = rng.standard_normal((12, 12))
+    covariance, target = half @ half.T, rng.standard_normal((12, 3))
+    days = np.repeat([0, 1, 2], 4)
+    closed = held_out_days_shared(covariance, 0.3, target, days)
+    for day in range(3):
+        out, kept = days == day, days != day
+        known = covariance[np.ix_(kept, kept)] + 0.3 * np.eye(8)
+        assert np.allclose(closed[out], covariance[np.ix_(out, kept)] @ np.linalg.solve(known, target[kept]))
+
+
+def test_analytic_ridge_without_prior_is_least_squares() -> None:
+    rng = np.random.default_rng(2)
+    features, truth = rng.standard_normal((30, 3)), rng.standard_normal((4, 3))
+    columns = Columns(rng.random((1, 30, 4)), np.zeros(1), np.array([1e12]))
+    target = features @ truth.T + columns.values[0] * 2.5
+    b, gains = solve(features, columns, target, np.ones_like(target), 1e-9)
+    assert np.allclose(b, truth, atol=1e-6) and np.allclose(gains, 2.5, atol=1e-6)
+
+
+# ---------------------------------------------------------------------------------------------- the model
+
+
+def test_analytic_learns_an_exactly_linear_room() -> None:
+    assert log_mse(MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1e-3
+    assert log_mse(MODEL.predict(TRAIN.light, TRAIN.patch_cdm2).luminance_cdm2, TRAIN) < 2e-4
+
+
+def test_property_twice_the_light_is_twice_the_map() -> None:
+    assert TEST.patch_cdm2 is not None
+    once = MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
+    twice = MODEL.predict(TEST.light.scaled(2.0), 2.0 * TEST.patch_cdm2).luminance_cdm2
+    assert np.allclose(twice, 2.0 * once, rtol=1e-4)
+
+
+def test_property_chunks_do_not_matter() -> None:
+    assert TEST.patch_cdm2 is not None
+    whole = MODEL.predict(TEST.light, TEST.patch_cdm2)
+    parts = [MODEL.predict(TEST.light[i : i + 3], TEST.patch_cdm2[i : i + 3]) for i in range(0, len(TEST), 3)]
+    assert np.allclose(whole.luminance_cdm2, np.concatenate([p.luminance_cdm2 for p in parts]), rtol=1e-4)
+    assert np.allclose(whole.expected_mse, np.concatenate([p.expected_mse for p in parts]), rtol=1e-3)
+
+
+def test_analytic_unknown_gain_is_found_and_costs_little() -> None:
+    assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
+    model = fit(replace(TRAIN, patch_cdm2=TRAIN.patch_cdm2 / 3.7), patch="gain")
+    assert model.patch_scale == pytest.approx(3.7, rel=0.1)
+    assert log_mse(model.predict(TEST.light, TEST.patch_cdm2 / np.float32(3.7)).luminance_cdm2, TEST) < 1e-3
+
+
+def test_contract_no_patch_is_learnt_and_needs_none() -> None:
+    model = fit(TRAIN, patch="none")
+    found = model.predict(TEST.light)
+    assert model.patchwork is None and log_mse(found.luminance_cdm2, TEST) < 0.05
+    with pytest.raises(InputError, match="sun patches"):
+        MODEL.predict(TEST.light)
+
+
+@pytest.mark.parametrize("rows", [[0, 1, 2], [3, 3, 3, 3], list(range(5))])
+@pytest.mark.parametrize("patch", ["absolute", "gain", "none"])
+def test_property_tiny_or_doubled_sets_give_finite_maps(rows: list[int], patch: models.Patch) -> None:
+    data = TRAIN.take(rows)
+    model = fit(data, patch=patch)
+    found = model.predict(TEST.light, None if patch == "none" else TEST.patch_cdm2)
+    assert np.isfinite(found.luminance_cdm2).all() and found.luminance_cdm2.min() > 0.0
+    assert found.log10_sd is not None and np.isfinite(found.log10_sd).all() and np.isfinite(found.expected_mse).all()
+
+
+def test_contract_two_captures_are_not_enough() -> None:
+    with pytest.raises(NotEnoughDataError):
+        fit(TRAIN.take([0, 1]))
+
+
+def test_property_duplicates_change_little() -> None:
+    twice = fit(TRAIN.take([*range(len(TRAIN)), *range(len(TRAIN))]))
+    assert log_mse(twice.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1.5e-3
+
+
+def test_analytic_one_season_is_not_trusted_in_another() -> None:
+    december = fit(toy([350, 352, 354, 356, 358]))
+    found = december.predict(TEST.light, TEST.patch_cdm2)
+    summer = np.array([t.month == 7 for t in TEST.light.t_utc]) & (TEST.light.dni_wm2 > 200)
+    assert summer.any() and not found.trusted[summer].all()
+    assert found.expected_mse[summer].mean() > 3.0 * np.mean(december.held_out_mse)
+
+
+# ---------------------------------------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize("patch", ["absolute", "none"])
+def test_contract_saved_and_loaded_predicts_the_same(tmp_path: Path, patch: models.Patch) -> None:
+    model = fit(TRAIN, patch=patch)
+    models.save(tmp_path / "m", model, TRAIN)
+    again = models.load(tmp_path / "m")
+    given = None if patch == "none" else TEST.patch_cdm2
+    a, b = model.predict(TEST.light, given), again.predict(TEST.light, given)
+    assert np.allclose(a.luminance_cdm2, b.luminance_cdm2, rtol=1e-5)
+    assert a.log10_sd is not None and b.log10_sd is not None and np.allclose(a.log10_sd, b.log10_sd, rtol=1e-4)
+    assert np.array_equal(a.trusted, b.trusted) and again.parameters == model.parameters
+
+
+class _Bomb:
+    def __reduce__(self) -> tuple:
+        return Path.touch, (Path("exploded"),)
+
+
+def test_contract_a_strangers_file_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    models.save(tmp_path / "m", MODEL, TRAIN)
+    with np.load(tmp_path / "m" / "weights.npz") as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    bomb = np.empty(1, object)
+    bomb[0] = _Bomb()
+    np.savez(tmp_path / "m" / "weights.npz", **(arrays | {"projector": bomb}))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError):
+        models.load(tmp_path / "m")
+    assert not (tmp_path / "exploded").exists()
