@@ -100,11 +100,12 @@ def decode_line(line: bytes) -> dict[str, Any] | None:
         return None
 
 
-def append_durably(handle: int, data: bytes) -> None:
+def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
     """Write all of `data` to a file opened with O_APPEND and flush it to the disk before returning."""
     while data:
         data = data[os.write(handle, data) :]
-    os.fdatasync(handle) if hasattr(os, "fdatasync") else os.fsync(handle)
+    if flush:
+        os.fdatasync(handle) if hasattr(os, "fdatasync") else os.fsync(handle)
 
 
 def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
@@ -162,8 +163,9 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
 class Journal:
     """The session's events: appended with a CRC and flushed to disk one by one, by any thread; never rewritten."""
 
-    def __init__(self, session: Session) -> None:
-        self._path = session.journal
+    def __init__(self, session: Session, *, flush: bool = True) -> None:
+        """flush False: survives a kill, but not a power cut; for simulated time."""
+        self._path, self._flush = session.journal, flush
         self._lock = threading.Lock()
         self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
         self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -172,17 +174,17 @@ class Journal:
         """Durable when this returns. Raises OSError on a full disk; half a line is then taken back."""
         data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
         with self._lock:
-            append_whole(self._handle, data)
+            append_whole(self._handle, data, flush=self._flush)
 
     def close(self) -> None:
         os.close(self._handle)
 
 
-def append_whole(handle: int, data: bytes) -> None:
+def append_whole(handle: int, data: bytes, *, flush: bool) -> None:
     """`append_durably`, and back to the length before when the disk has no room for all of it."""
     before = os.fstat(handle).st_size
     try:
-        append_durably(handle, data)
+        append_durably(handle, data, flush=flush)
     except OSError:
         with suppress(OSError):
             os.ftruncate(handle, before)
@@ -232,8 +234,8 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
 class DayFiles:
     """Appends samples to UTC day files, each row durable when `append` returns."""
 
-    def __init__(self, session: Session) -> None:
-        self._folder = session.irradiance
+    def __init__(self, session: Session, *, flush: bool = True) -> None:
+        self._folder, self._flush = session.irradiance, flush
         self._day, self._handle = "", -1
         self.cut_bytes = 0
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -243,7 +245,7 @@ class DayFiles:
         day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
         if day != self._day:
             self._open(day)
-        append_whole(self._handle, encode_sample(sample))
+        append_whole(self._handle, encode_sample(sample), flush=self._flush)
 
     def _open(self, day: str) -> None:
         self.close()
@@ -252,7 +254,7 @@ class DayFiles:
         handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         try:
             if os.fstat(handle).st_size == 0:
-                append_whole(handle, _DAY_HEADER)
+                append_whole(handle, _DAY_HEADER, flush=self._flush)
                 sync_folder(self._folder)
         except OSError:
             os.close(handle)

@@ -25,7 +25,7 @@ from fieldlum.session import Session, create_session, day_files, read_day, read_
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(2.0**-i, 5.6) for i in range(3))
-FAST = Options(log_around_s=60.0, threaded=False, reserve_bytes=4096, watchdog_s=5.0)
+FAST = Options(log_around_s=60.0, threaded=False, flush=False, reserve_bytes=4096, watchdog_s=5.0)
 
 
 def make_session(folder: Path, slots: int = 3, setup: CameraSetup | None = None) -> Session:

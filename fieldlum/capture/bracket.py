@@ -124,11 +124,8 @@ class Bracket:
             lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg), shot.exposure.shutter_s
         )
         doubt = self.check(written, shot.exposure)
-        with written.open("rb+") as file:
-            os.fsync(file.fileno())
         final = folder / f"{shot.stem}{written.suffix}"
-        written.replace(final)
-        sync_folder(folder)
+        _settle(written, final, flush=self.recorder.flush)
         seconds = self.clock.boottime() - boot
         return Frame(shot.index, final.name, shot.exposure, shot.heading_deg, begun, seconds, sha256(final), doubt)
 
@@ -159,6 +156,16 @@ class Bracket:
     def _camera_info(self) -> dict[str, Any]:
         camera = self.camera.get()
         return plain_info(camera.info) if camera is not None else {}
+
+
+def _settle(written: Path, final: Path, *, flush: bool) -> None:
+    """Give a frame its name, on the disk when this returns."""
+    if flush:
+        with written.open("rb+") as file:
+            os.fsync(file.fileno())
+    written.replace(final)
+    if flush:
+        sync_folder(final.parent)
 
 
 class _Away(DeviceError):

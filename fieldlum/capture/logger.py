@@ -59,7 +59,8 @@ class Logger:
         now = self._clock.boottime()
         if now >= self._due:
             # Keep the beat, but never make up for beats that were slept through.
-            self._due = max(self._due + self.every_s, now + 0.5 * self.every_s)
+            kept = self._due + self.every_s
+            self._due = kept if kept > now else now + self.every_s
             self.poll()
 
     def start(self) -> None:

@@ -26,13 +26,15 @@ def disk_is_full(error: BaseException) -> bool:
 class Recorder:
     """Journal and day files of one running capture. Never raises on a full disk: it says so, waits, and tries again."""
 
-    def __init__(self, session: Session, now: Callable[[], datetime], reserve_bytes: int = RESERVE_BYTES) -> None:
-        self._session, self._now, self._reserve_bytes = session, now, reserve_bytes
+    def __init__(
+        self, session: Session, now: Callable[[], datetime], reserve_bytes: int = RESERVE_BYTES, *, flush: bool = True
+    ) -> None:
+        self._now, self._reserve_bytes, self.flush = now, reserve_bytes, flush
         self._reserve = session.root / ".reserve"
         self._lock = threading.RLock()
         self._events: deque[tuple[str, datetime, dict[str, Any]]] = deque()
         self._rows: deque[IrradianceSample] = deque(maxlen=_KEPT_ROWS)
-        self.journal, self.days = Journal(session), DayFiles(session)
+        self.journal, self.days = Journal(session, flush=flush), DayFiles(session, flush=flush)
         self.full, self.rows, self.rows_dropped = False, 0, 0
         self.last_event = ""
         self.refill()

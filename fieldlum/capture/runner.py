@@ -35,11 +35,12 @@ class Options:
     watchdog_s: float = 60.0  # a device that is silent for longer has hung
     on_misses: str = ""  # shell command to run when two slots in a row gave no bracket
     reserve_bytes: int = RESERVE_BYTES
+    flush: bool = True  # False: survives a kill, but not a power cut
     boot: str = ""  # which start of the machine this is; lets a restarted capture see a clock step made in between
 
 
 DEFAULTS = Options()
-FAST_LEAD_S = 60.0
+FAST_LEAD_S = 20.0
 
 
 def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
@@ -51,9 +52,9 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
         return RealClock(), Options(boot=boot_id())
     ledger = fold(read_journal(session))
     slots = owed(session.slots(), ledger)
-    lead = timedelta(seconds=2 * FAST_LEAD_S)
+    lead = timedelta(seconds=60)
     start = ledger.last_utc or (slots[0].t_utc - lead if slots else datetime.now(UTC))
-    return FastClock(start), Options(log_around_s=FAST_LEAD_S, threaded=False)
+    return FastClock(start), Options(log_around_s=FAST_LEAD_S, threaded=False, flush=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +137,7 @@ class _Runner:
         before = fold(read_journal(session))
         self.states = before.slots
         self._resume_time(before)
-        self.recorder = Recorder(session, clock.now, options.reserve_bytes)
+        self.recorder = Recorder(session, clock.now, options.reserve_bytes, flush=options.flush)
         self.camera: Keeper[Camera] | None = None
         self.logger: Logger | None = None
         self.bytes_per_slot = 0.0

@@ -1,0 +1,37 @@
+"""fieldlum pair."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import click
+
+from fieldlum.cli import terminal
+
+
+@click.command("pair")
+@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@click.option("--force", is_flag=True, help="Do it again even where nothing changed.")
+def command(folder: Path, force: bool) -> None:
+    """Match panoramas with irradiance, sun and sun patches.
+
+    \b
+    fieldlum pair office-2027
+    """
+    from fieldlum import irradiance, pair
+    from fieldlum.session import open_session
+
+    session = open_session(folder)
+    with terminal.progress("irradiance") as progress:
+        health = irradiance.run(session, force=force, progress=progress)
+    for warning in health.warnings:
+        terminal.say(f"note: {warning}")
+    with terminal.progress("pair") as progress:
+        pairs = pair.run(session, force=force, progress=progress)
+    usable = sum(p.ok for p in pairs)
+    click.echo(f"{session.pairs}: {usable} of {len(pairs)} panoramas paired, {health.rows} rows of irradiance")
+    for why, count in Counter(p.why for p in pairs if p.why).most_common(5):
+        terminal.say(f"refused {count}: {why}")
+    for caution, count in Counter(c for p in pairs if p.ok for c in p.caution.split("; ") if c).most_common(5):
+        terminal.say(f"caution {count}: {caution}")

@@ -1,0 +1,312 @@
+"""Irradiance: the day files of a session to one quality-checked series, irradiance/clean.csv, and its health."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from enum import IntFlag
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.records import Float, IrradianceSample, Progress, Site, quiet
+from fieldlum.session import Session, day_files, read_day, replacing
+
+Array = NDArray[np.float64]
+
+CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
+MEASURED, DERIVED = "measured", "derived:dirint"
+LOW_SUN_DEG = 5.0  # a 10 W/m2 error of a horizontal reading is over 115 W/m2 of DNI below this
+NIGHT_SUN_DEG = -6.0
+NIGHT_OFFSET_WARN_WM2 = 5.0
+STUCK_S = 600.0  # daylight that does not change by a digit for so long is a dead reading
+_SEGMENT_GAP_S = 1800.0  # DIRINT looks at neighbouring minutes, never across a longer gap
+_RECIPE = 1  # raise it when the arithmetic changes: clean.csv is then made again
+
+
+class Mark(IntFlag):
+    """Why a row must be read with care. After IMPOSSIBLE and STATUS its figures are blank."""
+
+    IMPOSSIBLE = 1  # outside BSRN's physically possible limits
+    EXTREME = 2  # outside BSRN's extremely rare limits
+    CLOSURE = 4  # global is not diffuse + direct, where three instruments say so
+    DIFFUSE = 8  # diffuse above global
+    STUCK = 16  # the same figure for over ten minutes of daylight
+    STATUS = 32  # the instrument reported an error
+    LOW_SUN = 64  # sun under 5 degrees: DNI from horizontal readings is poor
+    GAP = 128  # the first row after a gap
+    DISORDER = 256  # a row that stood later in the file than its time
+    DERIVED = 512  # DNI and DHI are a model's, not an instrument's
+
+
+UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Arrays [n] in order of time; NaN where a component is not known. [W/m2]"""
+
+    t_unix_s: Array
+    ghi_wm2: Array
+    dhi_wm2: Array
+    dni_wm2: Array
+    marks: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.t_unix_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What the person responsible wants to know about the instrument."""
+
+    rows: int
+    broken_lines: int
+    usable: int
+    every_s: float
+    gaps: int
+    longest_gap_s: float
+    night_offset_wm2: float | None  # median of the global with the sun under -6 degrees; never subtracted
+    closure_pass: float | None  # share of testable rows, where direct is measured too
+    marks: dict[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+# ---------------------------------------------------------------------------------------------- checks
+
+
+def poll_period_s(t_unix_s: Array) -> float:
+    """The usual time between two rows."""
+    return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
+
+
+def series_of(samples: Sequence[IrradianceSample]) -> Series:
+    """Samples as arrays in order of time, doubles dropped; STATUS and DISORDER are marked."""
+    t = np.array([s.t_utc.timestamp() for s in samples])
+    ghi, dhi, dni = (np.array([getattr(s, f"{name}_wm2") for s in samples], float) for name in ("ghi", "dhi", "dni"))
+    marks = np.array([_mark_of_status(s.status) for s in samples], np.int64)
+    if len(t) > 1:
+        marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
+    _, keep = np.unique(t, return_index=True)
+    return Series(t[keep], ghi[keep], dhi[keep], dni[keep], marks[keep])
+
+
+def _mark_of_status(status: str) -> Mark:
+    """An instrument's complaint makes its reading unusable; a driver's doubt only asks for care."""
+    if not status:
+        return Mark(0)
+    return Mark.DIFFUSE if status == "total below diffuse" else Mark.STATUS
+
+
+def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
+    """True sun altitude [n] deg and extraterrestrial normal irradiance [n] W/m2, interpolated between whole minutes."""
+    minute = np.floor(t_unix_s / 60.0)
+    grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])
+    times = [datetime.fromtimestamp(t, UTC) for t in grid]
+    altitude, top = sun.position(times, site).altitude_deg, sun.extraterrestrial_wm2(times)
+    return np.interp(t_unix_s, grid, altitude), np.interp(t_unix_s, grid, top)
+
+
+def check(series: Series, altitude: Array, top: Array) -> Series:
+    """Mark what cannot be, and complete GHI, DHI or DNI by closure where two of them are measured.
+
+    altitude, top [n]: of `sky_geometry`.
+    """
+    marks = series.marks.copy()
+    ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
+    for extreme, mark in ((False, Mark.IMPOSSIBLE), (True, Mark.EXTREME)):
+        limits = sun.bsrn_limits(altitude, top, extreme=extreme)
+        for value, (low, high) in zip((ghi, dhi, dni), (limits.ghi_wm2, limits.dhi_wm2, limits.dni_wm2), strict=True):
+            with np.errstate(invalid="ignore"):
+                marks[(value < low) | (value > high)] |= mark
+    with np.errstate(invalid="ignore"):
+        marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
+    marks[_closure_fails(ghi, dhi, dni, altitude)] |= Mark.CLOSURE
+    marks[_stuck(series.t_unix_s, ghi, altitude)] |= Mark.STUCK
+    step = np.diff(series.t_unix_s, prepend=series.t_unix_s[:1])
+    marks[step > 2.5 * poll_period_s(series.t_unix_s)] |= Mark.GAP
+    ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
+    two_level = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
+    marks[two_level & (altitude > 0) & (altitude < LOW_SUN_DEG)] |= Mark.LOW_SUN
+    dni = np.where(two_level, np.minimum(_beam(ghi, dhi, altitude), top), dni)
+    dhi = np.where(np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi), sun.dhi_by_closure(ghi, dni, altitude), dhi)
+    beam = dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
+    ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
+    return Series(series.t_unix_s, ghi, dhi, dni, marks)
+
+
+def _beam(ghi: Array, dhi: Array, altitude: Array) -> Array:
+    """As `sun.dni_by_closure`, but noise may take it below zero: a mean over rows is then without bias."""
+    sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
+    return np.where(altitude > 2.0, (ghi - dhi) / sine, 0.0)
+
+
+def _closure_fails(ghi: Array, dhi: Array, dni: Array, altitude: Array) -> NDArray[np.bool_]:
+    """QCRad: within 8 % above 15 degrees of sun, 15 % below; not testable under 50 W/m2 or with two components only."""
+    ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
+    allowed = np.where(altitude > 15.0, 0.08, 0.15)
+    with np.errstate(invalid="ignore"):
+        return np.isfinite(ratio) & (altitude > -3.0) & (np.abs(ratio - 1.0) > allowed)
+
+
+def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
+    """Rows in a run of equal figures that lasts over ten minutes of daylight."""
+    if len(ghi) < 3:
+        return np.zeros(len(ghi), bool)
+    changes = np.flatnonzero(np.diff(ghi) != 0.0) + 1
+    starts, ends = np.r_[0, changes], np.r_[changes, len(ghi)]
+    long_run = (t_unix_s[ends - 1] - t_unix_s[starts] > STUCK_S) & (ends - starts > 2)
+    out = np.repeat(long_run, ends - starts)
+    return out & (altitude > 2.0) & np.isfinite(ghi)
+
+
+# ---------------------------------------------------------------------------------------------- global alone
+
+
+def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[np.integer]]:
+    """Means by UTC minute: the minutes' centres [m] (unix s), means [m], and each row's minute [n] as an index.
+
+    A minute without a figure stands wherever more than half an hour is missing, so that neighbours are neighbours.
+    """
+    minute = np.floor(t_unix_s / 60.0).astype(np.int64)
+    present, row_minute = np.unique(minute, return_inverse=True)
+    known = np.isfinite(value)
+    count = np.bincount(row_minute[known], minlength=len(present))
+    total = np.bincount(row_minute[known], weights=value[known], minlength=len(present))
+    means = np.divide(total, count, out=np.full(len(present), np.nan), where=count > 0)
+    breaks = np.flatnonzero(np.diff(present) * 60.0 > _SEGMENT_GAP_S)
+    shift = np.searchsorted(breaks, np.arange(len(present)), side="left")
+    centres = np.insert(60.0 * present + 30.0, breaks + 1, 60.0 * present[breaks] + 90.0)
+    return centres, np.insert(means, breaks + 1, np.nan), (np.arange(len(present)) + shift)[row_minute]
+
+
+def derive(series: Series, altitude: Array, site: Site) -> Series:
+    """DNI and DHI of a lone global pyranometer by DIRINT on minute means, shared out to the rows of each minute."""
+    alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
+    if not alone.any():
+        return series
+    centres, ghi_minute, row_minute = minute_means(series.t_unix_s, np.where(alone, series.ghi_wm2, np.nan))
+    times = [datetime.fromtimestamp(t, UTC) for t in centres]
+    dni_minute = sun.dirint_dni(ghi_minute, times, site)
+    beam_share = np.divide(dni_minute, ghi_minute, out=np.zeros_like(ghi_minute), where=np.nan_to_num(ghi_minute) > 1.0)
+    dni = np.where(alone, beam_share[row_minute] * np.maximum(series.ghi_wm2, 0.0), series.dni_wm2)
+    dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
+    marks = series.marks.copy()
+    marks[alone] |= Mark.DERIVED
+    marks[alone & (altitude > 0) & (altitude < LOW_SUN_DEG)] |= Mark.LOW_SUN
+    return Series(series.t_unix_s, series.ghi_wm2, dhi, dni, marks)
+
+
+# ---------------------------------------------------------------------------------------------- health
+
+
+def health(raw: Series, clean: Series, altitude: Array, broken: int) -> Health:
+    """raw and clean: the same rows before and after the checks."""
+    night = raw.ghi_wm2[(altitude < NIGHT_SUN_DEG) & np.isfinite(raw.ghi_wm2)]
+    offset = float(np.median(night)) if len(night) >= 10 else None
+    ratio = sun.closure_ratio(raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
+    testable = np.isfinite(ratio) & (altitude > 0)
+    passed = float(np.mean((clean.marks[testable] & Mark.CLOSURE) == 0)) if testable.any() else None
+    period = poll_period_s(clean.t_unix_s)
+    steps = np.diff(clean.t_unix_s)
+    gaps = steps[steps > 2.5 * period]
+    counts = {mark.name.lower(): int(np.sum((clean.marks & mark) != 0)) for mark in Mark if mark.name}
+    warnings: list[str] = []
+    if offset is not None and abs(offset) > NIGHT_OFFSET_WARN_WM2:
+        warnings.append(f"night offset {offset:+.1f} W/m2: level, clean and ventilate the instrument")
+    if passed is not None and passed < 0.8:
+        warnings.append(
+            f"global = diffuse + direct holds in {100 * passed:.0f} % of the rows only: check clock and tilt"
+        )
+    if broken:
+        warnings.append(f"{broken} broken lines in the day files were skipped")
+    usable = int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum())
+    longest = float(gaps.max()) if len(gaps) else 0.0
+    return Health(
+        len(clean), broken, usable, period, len(gaps), longest, offset, passed,
+        {name: count for name, count in counts.items() if count}, tuple(warnings),
+    )  # fmt: skip
+
+
+# ---------------------------------------------------------------------------------------------- files
+
+
+def mark_text(marks: int) -> str:
+    """``low-sun gap``; empty for a row without fault."""
+    shown = (mark for mark in Mark if marks & mark and mark is not Mark.DERIVED)
+    return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
+
+
+def write_clean(path: Path, series: Series) -> None:
+    """clean.csv, whole or not at all."""
+    import pandas as pd
+
+    texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
+    when = pd.to_datetime(series.t_unix_s, unit="s", utc=True).round("ms")
+    table = pd.DataFrame(
+        {
+            "t_utc": when.strftime("%Y-%m-%dT%H:%M:%S.%f").str[:-3] + "Z",
+            "ghi_wm2": series.ghi_wm2.round(3),
+            "dhi_wm2": series.dhi_wm2.round(3),
+            "dni_wm2": series.dni_wm2.round(3),
+            "source": np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED),
+            "flags": [texts[int(m)] for m in series.marks],
+        },
+        columns=list(CLEAN_COLUMNS),
+    )
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        table.to_csv(file, index=False, lineterminator="\n")
+
+
+def _fingerprint(files: Sequence[Path]) -> dict[str, Any]:
+    return {"recipe": _RECIPE, "files": {path.name: path.stat().st_size for path in files}}
+
+
+def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
+    """Day files to irradiance/clean.csv and irradiance/health.json; kept when nothing was added since.
+
+    Raises NotEnoughDataError when nothing was logged.
+    """
+    files = day_files(session)
+    note, clean = session.irradiance / "health.json", session.irradiance / "clean.csv"
+    inputs = _fingerprint(files)
+    if clean.is_file() and note.is_file() and not force:
+        known = json.loads(note.read_text(encoding="utf-8"))
+        if known.pop("inputs", None) == inputs:
+            return Health(**{**known, "warnings": tuple(known["warnings"])})
+    raw, broken = _read(files, progress)
+    if len(raw) == 0:
+        raise NotEnoughDataError(f"{session.irradiance}: no irradiance was logged; log some, or import a logger file")
+    site = session.site_file().site
+    altitude, top = sky_geometry(raw.t_unix_s, site)
+    series = derive(check(raw, altitude, top), altitude, site)
+    found = health(raw, series, altitude, broken)
+    write_clean(clean, series)
+    with replacing(note, "w", encoding="utf-8") as file:
+        json.dump({**asdict(found), "inputs": inputs}, file, indent=1)
+    return found
+
+
+def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
+    """All day files; one day's samples at a time are held as objects."""
+    days, broken = [], 0
+    for done, path in enumerate(files, start=1):
+        samples, harmed = read_day(path)
+        broken += harmed
+        if samples:
+            days.append(series_of(samples))
+        progress(done, len(files), path.stem)
+    days = days or [series_of([])]
+    return Series(
+        np.concatenate([day.t_unix_s for day in days]),
+        np.concatenate([day.ghi_wm2 for day in days]),
+        np.concatenate([day.dhi_wm2 for day in days]),
+        np.concatenate([day.dni_wm2 for day in days]),
+        np.concatenate([day.marks for day in days]),
+    ), broken

@@ -1,0 +1,221 @@
+"""Pair every panorama with the irradiance of its own seconds, its sun and its sun patch: pairs.csv.
+
+`interval` is about the light outside, `source` about the sun's strength at the lens, `patches` about the room;
+this file is the stage.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from fieldlum import sun
+from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
+from fieldlum.images import read_panorama, write_panorama
+from fieldlum.pair.interval import Outside, outside, read_clean
+from fieldlum.pair.patches import seen_and_patches
+from fieldlum.pair.source import Seen, complete_sun
+from fieldlum.records import Panorama, Progress, SiteFile, SunSource, parse_utc, quiet, utc_text
+from fieldlum.session import Session, replacing, replacing_path
+from fieldlum.sky import direct_normal_illuminance_lx
+
+COLUMNS = (
+    "t_utc", "panorama", "dni_wm2", "dhi_wm2", "ghi_wm2", "source", "sun_altitude_deg", "sun_azimuth_deg",
+    "steadiness", "sunpatch", "sun_in_map", "ok", "why",
+)  # fmt: skip
+_REJECTED = ("reject", "rejected", "failed")
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """One merged bracket: where its picture is, when it was taken, what the merge said of it."""
+
+    slot: str
+    panorama: Path
+    t_open_utc: datetime
+    t_close_utc: datetime
+    verdict: str = ""
+    meter_lx: float | None = None
+    complete: bool = True
+
+    @property
+    def t_utc(self) -> datetime:
+        return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One row of pairs.csv."""
+
+    taken: Taken
+    light: Outside
+    sun_altitude_deg: float  # true
+    sun_azimuth_deg: float
+    sunpatch: str = ""
+    why: str = ""
+    caution: str = ""
+
+    @property
+    def ok(self) -> bool:
+        return not self.why
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"{error}", "JSON as fieldlum writes it", "make it again") from None
+    return table if isinstance(table, dict) else {}
+
+
+def taken_brackets(session: Session) -> list[Taken]:
+    """Every panorama, in order of time; over its capture.json's interval, else half a minute."""
+    found = []
+    for path in sorted(session.panoramas.glob("*.exr")):
+        if path.name.startswith("."):
+            continue
+        note, capture = _json(path.with_suffix(".json")), _json(session.raw / path.stem / "capture.json")
+        try:
+            if "t_open_utc" in capture:
+                opened, closed = parse_utc(capture["t_open_utc"]), parse_utc(capture["t_close_utc"])
+            else:
+                middle = parse_utc(note["t_utc"]) if note.get("t_utc") else parse_utc(path.stem)
+                opened, closed = middle - timedelta(seconds=15), middle + timedelta(seconds=15)
+        except (KeyError, ValueError) as error:
+            raise InputError(path.with_suffix(".json"), f"{error}", "times in UTC", "merge it again") from None
+        meter = capture.get("illuminance_lx")
+        found.append(
+            Taken(
+                path.stem,
+                path,
+                opened,
+                closed,
+                str(note.get("verdict", "")),
+                None if meter is None else float(meter),
+                bool(capture.get("complete", True)),
+            )
+        )
+    return found
+
+
+def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
+    """A row, with the first reason why it may not be used."""
+    why = light.why
+    if taken.verdict.lower().split(":")[0].strip() in _REJECTED:
+        why = f"merge: {taken.verdict}"
+    elif not why and altitude_deg < 0.0:
+        why = "the sun is down"
+    caution = "" if taken.complete else "bracket incomplete"
+    return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=_joined(caution, light.caution))
+
+
+def _joined(*texts: str) -> str:
+    return "; ".join(text for text in texts if text)
+
+
+def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> list[Pair]:
+    """Write pairs.csv (and sunpatches/, and complete the sun of each panorama). Needs irradiance/clean.csv.
+
+    Raises NotEnoughDataError when nothing is merged.
+    """
+    brackets = taken_brackets(session)
+    if not brackets:
+        raise NotEnoughDataError(f"{session.panoramas}: no panorama yet, run: fieldlum merge {session.root}")
+    setup, log = session.site_file(), read_clean(session.irradiance / "clean.csv")
+    places = sun.position([b.t_utc for b in brackets], setup.site)
+    pairs = [
+        judge(b, outside(log, b.t_open_utc, b.t_close_utc), float(altitude), float(azimuth))
+        for b, altitude, azimuth in zip(brackets, places.altitude_deg, places.azimuth_deg, strict=True)
+    ]
+    pairs = _with_suns(session, setup, pairs, force, progress)
+    write_pairs(session.pairs, pairs)
+    return pairs
+
+
+def _with_suns(session: Session, setup: SiteFile, pairs: Sequence[Pair], force: bool, progress: Progress) -> list[Pair]:
+    """Complete the sources, and write the patches of the usable rows where a room is given."""
+    usable = [p for p in pairs if p.ok]
+    full_lx = direct_normal_illuminance_lx(
+        [p.light.dni_wm2 for p in usable],
+        [p.light.dhi_wm2 for p in usable],
+        [p.sun_altitude_deg for p in usable],
+        [p.taken.t_utc for p in usable],
+    )
+    seen = seen_and_patches(
+        session, setup, [(p.taken.slot, p.taken.panorama, p.taken.t_utc) for p in usable], full_lx,
+        force=force, progress=progress,
+    )  # fmt: skip
+    done: dict[str, Pair] = {}
+    for pair, normal_lx, (glimpse, patch) in zip(usable, full_lx, seen, strict=True):
+        done[pair.taken.slot] = replace(
+            pair, sunpatch=patch, caution=_joined(pair.caution, _complete(pair.taken, float(normal_lx), glimpse))
+        )
+    return [done.get(p.taken.slot, p) for p in pairs]
+
+
+def _complete(taken: Taken, full_normal_lx: float, glimpse: Seen) -> str:
+    """Put the completed sun into the panorama and its sidecar; returns a caution."""
+    try:
+        panorama = read_panorama(taken.panorama)
+        source, caution = complete_sun(panorama, full_normal_lx, glimpse, taken.meter_lx)
+        if source is not None and not _same(source, panorama.sun):
+            _rewrite(taken, replace(panorama, sun=source))
+    except FieldlumError as error:
+        return str(error)
+    return caution
+
+
+def _same(a: SunSource, b: SunSource | None) -> bool:
+    """Equal to the digits that the EXR's attribute keeps."""
+    if b is None or a.origin != b.origin:
+        return False
+    off = abs(a.normal_illuminance_lx - b.normal_illuminance_lx)
+    return off <= 1e-4 * a.normal_illuminance_lx and abs(a.visible_fraction - b.visible_fraction) < 1e-3
+
+
+def _rewrite(taken: Taken, panorama: Panorama) -> None:
+    """The picture first, then its sidecar: a kill in between only makes `merge` and `pair` do it again."""
+    with replacing_path(taken.panorama) as path:
+        write_panorama(path, panorama)
+    note = taken.panorama.with_suffix(".json")
+    table = _json(note)
+    if not table:
+        return
+    sun_table = dict(table.get("sun") or {})
+    if panorama.sun is not None:
+        s = panorama.sun
+        sun_table |= {
+            "altitude_deg": s.altitude_deg, "azimuth_deg": s.azimuth_deg, "origin": s.origin, "lower_bound": False,
+            "normal_illuminance_lx": s.normal_illuminance_lx, "visible_fraction": s.visible_fraction,
+        }  # fmt: skip
+    table |= {"sun": sun_table, "size_bytes": taken.panorama.stat().st_size}
+    with replacing(note, "w", encoding="utf-8") as file:
+        json.dump(table, file, indent=1)
+
+
+def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
+    """pairs.csv, whole or not at all; a figure that is not known stays empty."""
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for p in pairs:
+            light = p.light
+            writer.writerow(
+                (
+                    utc_text(p.taken.t_utc), p.taken.panorama.relative_to(path.parent).as_posix(),
+                    _figure(light.dni_wm2), _figure(light.dhi_wm2), _figure(light.ghi_wm2), light.source,
+                    f"{p.sun_altitude_deg:.4f}", f"{p.sun_azimuth_deg:.4f}", f"{light.steadiness:.4f}",
+                    p.sunpatch, 0, int(p.ok), p.why or p.caution,
+                )
+            )  # fmt: skip
+
+
+def _figure(value: float) -> str:
+    return "" if value != value else f"{value:.2f}"

@@ -1,0 +1,135 @@
+"""Irradiance over a bracket's own interval: means, steadiness, and whether the data may be used at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+
+Array = NDArray[np.float64]
+
+MEASURED = "measured"
+UNSTEADY = 0.10  # relative range of the global from which a bracket gets a caution
+TOO_UNSTEADY = 0.50  # and from which it is refused: the frames saw different light
+COARSEST_S = 900.0  # rows further apart than this say nothing about a bracket
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """irradiance/clean.csv as arrays [n] in order of time. [W/m2]"""
+
+    t_unix_s: Array
+    ghi_wm2: Array
+    dhi_wm2: Array
+    dni_wm2: Array
+    source: NDArray[np.object_]
+    flags: NDArray[np.object_]
+
+    @property
+    def every_s(self) -> float:
+        return float(np.median(np.diff(self.t_unix_s))) if len(self.t_unix_s) > 1 else 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """The light outside while a bracket was taken. NaN: not known. why: refused; caution: read with care."""
+
+    ghi_wm2: float = np.nan
+    dhi_wm2: float = np.nan
+    dni_wm2: float = np.nan
+    steadiness: float = 0.0  # (max - min) / mean of the global; 0 is perfectly steady
+    source: str = ""
+    rows: int = 0
+    why: str = ""
+    caution: str = ""
+
+
+def read_clean(path: Path) -> Log:
+    """Raises InputError for a file that is not as `irradiance` writes it."""
+    import pandas as pd
+
+    if not path.is_file():
+        raise InputError(path, "no such file", "quality-checked irradiance", "log or import irradiance, then pair")
+    try:
+        table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
+        when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
+        t = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+        ghi, dhi, dni = (table[f"{name}_wm2"].to_numpy(float) for name in ("ghi", "dhi", "dni"))
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(path, f"{error}", "what fieldlum pair writes", "delete it, it is made again") from None
+    source, flags = (table[name].fillna("").to_numpy(object) for name in ("source", "flags"))
+    return Log(t, ghi, dhi, dni, source, flags)
+
+
+def outside(log: Log, opened: datetime, closed: datetime) -> Outside:
+    """Statistics over [opened, closed]; a bracket shorter than three rows takes in one row more on either side.
+
+    Refused (`why`) when any stretch of the interval is further than two poll periods from a usable row: the last value
+    is never carried on.
+    """
+    start, end = opened.timestamp(), closed.timestamp()
+    every = max(log.every_s, 1.0)
+    usable = np.isfinite(log.dni_wm2) & np.isfinite(log.dhi_wm2)
+    first, last = np.searchsorted(log.t_unix_s, (start - 2.0 * every, end + 2.0 * every))
+    near = slice(max(int(first) - 1, 0), int(last) + 1)
+    t_near = log.t_unix_s[near][usable[near]]
+    stale = _worst_distance_s(t_near, start, end)
+    if every > COARSEST_S:
+        return Outside(why=f"irradiance only every {every:.0f} s")
+    if stale > 2.0 * every + 1.0:
+        return Outside(why=_stale_text(log, near, start, end, stale))
+    inside = usable & (log.t_unix_s >= start) & (log.t_unix_s <= end)
+    if inside.sum() < 3:
+        inside = usable & (log.t_unix_s >= start - every) & (log.t_unix_s <= end + every)
+    return _statistics(log, inside)
+
+
+def _worst_distance_s(t_unix_s: Array, start: float, end: float) -> float:
+    """How far the worst-served moment of [start, end] is from a row; infinite without rows."""
+    if len(t_unix_s) == 0:
+        return float("inf")
+    middles = (t_unix_s[1:] + t_unix_s[:-1]) / 2.0
+    moments = np.r_[start, end, middles[(middles > start) & (middles < end)]]
+    at = np.clip(np.searchsorted(t_unix_s, moments), 1, max(len(t_unix_s) - 1, 1))
+    left, right = t_unix_s[at - 1], t_unix_s[np.minimum(at, len(t_unix_s) - 1)]
+    return float(np.minimum(np.abs(moments - left), np.abs(right - moments)).max())
+
+
+def _stale_text(log: Log, near: slice, start: float, end: float, stale: float) -> str:
+    within = (log.t_unix_s[near] >= start - 60.0) & (log.t_unix_s[near] <= end + 60.0)
+    flags = sorted({word for text in log.flags[near][within] for word in str(text).split()} - {"gap", "low-sun"})
+    if within.any() and flags:
+        return f"irradiance unusable: {' '.join(flags)}"
+    return "no irradiance" if not np.isfinite(stale) else f"no irradiance within {stale:.0f} s"
+
+
+def _statistics(log: Log, rows: NDArray[np.bool_]) -> Outside:
+    ghi, dhi, dni = (value[rows] for value in (log.ghi_wm2, log.dhi_wm2, log.dni_wm2))
+    mean = float(ghi.mean())
+    spread = float(ghi.max() - ghi.min())
+    steadiness = spread / mean if mean > 1.0 else 0.0
+    caution, why = [], ""
+    if steadiness > TOO_UNSTEADY and spread > 10.0:
+        why = f"light changed by {100 * steadiness:.0f} % during the bracket"
+    elif steadiness > UNSTEADY and spread > 10.0:
+        caution.append(f"light changed by {100 * steadiness:.0f} %")
+    words = {word for text in log.flags[rows] for word in str(text).split()}
+    caution += [text for word, text in _CAUTIONS.items() if word in words]
+    derived = [text for text in log.source[rows] if text != MEASURED]
+    return Outside(
+        mean, max(float(dhi.mean()), 0.0), max(float(dni.mean()), 0.0), steadiness, derived[0] if derived else MEASURED,
+        int(rows.sum()), why, "; ".join(caution),
+    )  # fmt: skip
+
+
+_CAUTIONS = {
+    "low-sun": "sun under 5 degrees: DNI from horizontal readings is poor",
+    "closure": "global is not diffuse + direct",
+    "diffuse": "diffuse above global",
+    "extreme": "irradiance outside BSRN's extremely rare limits",
+}

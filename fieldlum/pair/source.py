@@ -1,0 +1,67 @@
+"""The sun as the lens saw it: which of picture, meter, room and DNI says how strong it was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fieldlum.photometry import vertical_illuminance_lx
+from fieldlum.projection import direction
+from fieldlum.records import Panorama, SunSource
+
+OWN = ("nd-frames", "merge", "rendering")  # the picture itself measured the disc
+CLIPPED, METER, DNI = "clipped", "meter", "dni"
+_LEAST_COSINE = 0.2  # a meter that sees the sun more aslant tells little about it
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Of the disc, from the lens, as the room's geometry has it; 1, 1 when no room is given."""
+
+    visible_fraction: float = 1.0
+    transmittance: float = 1.0
+    known: bool = False
+
+
+def complete_sun(
+    panorama: Panorama, full_normal_lx: float, seen: Seen, meter_lx: float | None
+) -> tuple[SunSource | None, str]:
+    """The source beside the map, and a caution when picture and room disagree.
+
+    full_normal_lx: DNI times Perez's direct luminous efficacy, outside the glass. A sun that the picture measured is
+    kept; one that clipped is completed from the meter, else from DNI and the room; one that the picture does not show
+    is never added.
+    """
+    found = panorama.sun
+    if found is None:
+        hidden = seen.known and seen.visible_fraction > 0.5 and full_normal_lx > 20_000.0
+        return None, "the room shows the sun, the picture does not" if hidden else ""
+    if found.origin in OWN:
+        return found, ""
+    bound_lx = found.normal_illuminance_lx if found.origin == CLIPPED else 0.0
+    if seen.known and seen.visible_fraction == 0.0:
+        return found, "the picture shows the sun, the room does not"
+    expected_lx = full_normal_lx * seen.visible_fraction * seen.transmittance
+    by_meter = _by_meter(panorama, found, meter_lx)
+    if by_meter is not None and bound_lx <= by_meter <= 1.5 * full_normal_lx:
+        normal_lx, origin = by_meter, METER
+    elif expected_lx >= bound_lx:
+        normal_lx, origin = expected_lx, DNI
+    else:
+        return found, "DNI gives less sun than the clipped picture"
+    caution = "" if seen.known or origin == METER else "sun from DNI without the glazing: no [room] is given"
+    source = replace(found, normal_illuminance_lx=normal_lx, visible_fraction=seen.visible_fraction, origin=origin)
+    return source, caution
+
+
+def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> float | None:
+    """(measured - image) vertical illuminance at the lens over the cosine of the sun's incidence there. [lx]"""
+    if meter_lx is None:
+        return None
+    ahead = direction(0.0, panorama.heading_deg)
+    cosine = float(np.dot(direction(sun.altitude_deg, sun.azimuth_deg), ahead))
+    if cosine < _LEAST_COSINE:
+        return None
+    image_lx = vertical_illuminance_lx(panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg)
+    return (meter_lx - image_lx) / cosine

@@ -1,0 +1,191 @@
+"""Pair: statistics over a bracket's own interval, refusal of stale data, the sun's strength, pairs.csv."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldlum import irradiance, pair
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.images import read_panorama, write_panorama
+from fieldlum.pair.interval import Log, outside, read_clean
+from fieldlum.pair.source import Seen, complete_sun
+from fieldlum.records import (
+    CameraSetup,
+    IrradianceSample,
+    Panorama,
+    Room,
+    Site,
+    SiteFile,
+    Slot,
+    SunSource,
+    Window,
+    slot_id,
+    utc_text,
+)
+from fieldlum.session import DayFiles, Session, create_session
+
+SITE = Site("office", 47.6, -122.3, "America/Los_Angeles")
+NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
+SOUTH = SunSource(18.9, 178.0, 5000.0, 1.0, "clipped")
+ROOM = Room(window=(Window("south", 0.5, 5.0, 1.0, 2.5),))
+
+
+def log(seconds: np.ndarray, ghi: np.ndarray, every: float = 5.0) -> Log:
+    t = NOON.timestamp() + seconds * every
+    n = len(t)
+    return Log(t, ghi, 0.2 * ghi, 0.9 * ghi, np.array(["measured"] * n, object), np.array([""] * n, object))
+
+
+def test_statistics_come_from_the_interval_alone() -> None:  # analytic
+    k = np.arange(-60.0, 60.0)
+    ghi = np.where((k >= 0) & (k <= 6), 500.0 + 5 * k, 100.0)
+    light = outside(log(k, ghi), NOON, NOON + timedelta(seconds=30))
+    assert (light.ghi_wm2, light.dhi_wm2, light.rows, light.why) == (515.0, 103.0, 7, "")
+    assert light.steadiness == pytest.approx(30.0 / 515.0)
+
+
+def test_a_short_bracket_takes_a_row_on_either_side() -> None:
+    light = outside(
+        log(np.arange(-9.0, 9.0), np.full(18, 400.0)), NOON + timedelta(seconds=1), NOON + timedelta(seconds=3)
+    )
+    assert light.rows == 2 and light.why == ""
+
+
+@pytest.mark.parametrize("missing", [(-1, 7), (2, 6), (-20, 20)])
+def test_stale_data_are_refused(missing: tuple[int, int]) -> None:
+    k = np.arange(-20.0, 20.0)
+    kept = k[(k < missing[0]) | (k > missing[1])]
+    light = outside(log(kept, np.full(len(kept), 400.0)), NOON, NOON + timedelta(seconds=30))
+    assert light.why.startswith("no irradiance") and np.isnan(light.ghi_wm2)
+
+
+def test_blank_figures_are_no_data_and_say_why() -> None:
+    known = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
+    blank = replace(
+        known, ghi_wm2=np.full(40, np.nan), dni_wm2=np.full(40, np.nan), flags=np.array(["status"] * 40, object)
+    )
+    assert outside(blank, NOON, NOON + timedelta(seconds=30)).why == "irradiance unusable: status"
+
+
+def test_coarse_rows_are_refused() -> None:
+    light = outside(log(np.arange(-5.0, 5.0), np.full(10, 400.0), every=3600.0), NOON, NOON + timedelta(seconds=30))
+    assert light.why == "irradiance only every 3600 s"
+
+
+def test_unsteady_light_is_cautioned_then_refused() -> None:
+    k = np.arange(-9.0, 9.0)
+    for rise, ok in ((0.2, True), (0.9, False)):
+        light = outside(log(k, np.where(k < 3, 400.0, 400.0 * (1 + rise))), NOON, NOON + timedelta(seconds=30))
+        assert (light.why == "") is ok and "light changed" in light.caution + light.why
+
+
+def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:
+    return Panorama(np.full((8, 16), level, np.float32), 180.0, t_utc=NOON, sun=sun)
+
+
+def test_a_measured_sun_is_kept_and_a_hidden_one_never_added() -> None:
+    own = replace(SOUTH, origin="nd-frames")
+    assert complete_sun(picture(own), 90_000.0, Seen(1.0, 0.8, True), None) == (own, "")
+    source, caution = complete_sun(picture(None), 90_000.0, Seen(1.0, 0.8, True), None)
+    assert source is None and "the picture does not" in caution
+
+
+def test_a_clipped_sun_comes_from_dni_and_the_room() -> None:  # analytic
+    source, caution = complete_sun(picture(SOUTH), 90_000.0, Seen(0.5, 0.8, True), None)
+    assert source is not None and caution == ""
+    assert (source.origin, source.normal_illuminance_lx, source.visible_fraction) == ("dni", pytest.approx(36_000), 0.5)
+    source, caution = complete_sun(picture(SOUTH), 90_000.0, Seen(), None)
+    assert source is not None and source.normal_illuminance_lx == pytest.approx(90_000) and "no [room]" in caution
+    assert complete_sun(picture(SOUTH), 2_000.0, Seen(1.0, 0.8, True), None)[0] == SOUTH, "a lower bound is kept"
+    assert "the room does not" in complete_sun(picture(SOUTH), 90_000.0, Seen(0.0, 0.0, True), None)[1]
+
+
+def test_a_meter_beside_the_lens_comes_first() -> None:  # analytic: uniform 100 cd/m2 gives pi 100 lx
+    cosine = np.cos(np.radians(18.9)) * np.cos(np.radians(2.0))
+    source, _ = complete_sun(picture(SOUTH), 90_000.0, Seen(1.0, 0.8, True), 100 * np.pi + 60_000.0 * cosine)
+    assert source is not None and source.origin == "meter"
+    assert source.normal_illuminance_lx == pytest.approx(60_000.0, rel=2e-3)
+
+
+def make_session(folder: Path, room: Room | None, hours: int = 2) -> Session:
+    slots = [Slot(NOON + timedelta(hours=i), 18.0, 180.0, ()) for i in range(hours)]
+    session = create_session(folder, SiteFile(SITE, CameraSetup(), room), slots, {})
+    days = DayFiles(session, flush=False)
+    for slot in slots:
+        for i in range(-12, 24):
+            days.append(IrradianceSample(slot.t_utc + timedelta(seconds=5 * i), 280.0 + i % 3, 60.0))
+        _bracket(session, slot.t_utc)
+    days.close()
+    irradiance.run(session)
+    return session
+
+
+def _bracket(session: Session, t_utc: datetime) -> None:
+    name = slot_id(t_utc)
+    folder = session.raw / name
+    folder.mkdir(parents=True)
+    note = {"t_open_utc": utc_text(t_utc), "t_close_utc": utc_text(t_utc + timedelta(seconds=20)), "complete": True}
+    (folder / "capture.json").write_text(json.dumps(note))
+    session.panoramas.mkdir(exist_ok=True)
+    write_panorama(session.panoramas / f"{name}.exr", picture(SOUTH, 50.0))
+    side = {"slot": name, "verdict": "good", "size_bytes": (session.panoramas / f"{name}.exr").stat().st_size}
+    (session.panoramas / f"{name}.json").write_text(json.dumps(side))
+
+
+def rows_of(session: Session) -> list[dict[str, str]]:
+    with session.pairs.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("room", [None, ROOM])
+def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -> None:
+    session = make_session(tmp_path / "s", room)
+    pairs = pair.run(session)
+    rows = rows_of(session)
+    assert tuple(rows[0]) == pair.COLUMNS and [r["ok"] for r in rows] == ["1", "1"] and all(p.ok for p in pairs)
+    assert float(rows[0]["ghi_wm2"]) == pytest.approx(281.0, abs=0.5) and rows[0]["source"] == "measured"
+    beam = float(rows[0]["dni_wm2"]) * np.sin(np.radians(float(rows[0]["sun_altitude_deg"])))
+    assert beam + float(rows[0]["dhi_wm2"]) == pytest.approx(float(rows[0]["ghi_wm2"]), rel=2e-3)
+    found = read_panorama(session.root / rows[0]["panorama"])
+    assert found.sun is not None and found.sun.origin in ("dni", "clipped")
+    side = json.loads((session.panoramas / f"{slot_id(NOON)}.json").read_text())
+    assert side["size_bytes"] == (session.root / rows[0]["panorama"]).stat().st_size, "merge must still know it"
+    assert bool(rows[0]["sunpatch"]) is (room is not None)
+    if room is not None:
+        patch = read_panorama(session.root / rows[0]["sunpatch"])
+        assert patch.luminance_cdm2.shape == found.luminance_cdm2.shape
+        stamp = (session.root / rows[0]["sunpatch"]).stat().st_mtime_ns
+        pair.run(session)
+        assert (session.root / rows[0]["sunpatch"]).stat().st_mtime_ns == stamp, "made once from the same inputs"
+
+
+def test_a_refused_row_stays_in_the_table(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s", None)
+    _bracket(session, NOON + timedelta(hours=5))
+    (session.panoramas / f"{slot_id(NOON)}.json").write_text(json.dumps({"verdict": "reject: drift"}))
+    pair.run(session)
+    rows = rows_of(session)
+    assert [(r["ok"], r["why"]) for r in rows[:1]] == [("0", "merge: reject: drift")]
+    assert rows[1]["ok"] == "1"
+    assert rows[2]["ok"] == "0" and rows[2]["why"].startswith("no irradiance") and rows[2]["dni_wm2"] == ""
+
+
+def test_bad_inputs_are_named(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s", None)
+    clean = session.irradiance / "clean.csv"
+    clean.write_text(clean.read_text().replace("281.0", "hello", 1))
+    with pytest.raises(InputError, match=r"clean\.csv"):
+        pair.run(session)
+    clean.unlink()
+    with pytest.raises(InputError, match="no such file"):
+        read_clean(clean)
+    empty = create_session(tmp_path / "e", SiteFile(SITE), [Slot(NOON, 18.0, 180.0, ())], {})
+    with pytest.raises(NotEnoughDataError, match="no panorama"):
+        pair.run(empty)
