@@ -83,7 +83,8 @@ class Dataset:
 
     def coarse(self, height: int) -> Dataset:
         """The same hours on maps of about that height: means of blocks; unchanged when there is nothing to gain."""
-        factor = next((f for f in range(max(1, self.shape[0] // height), 0, -1) if self.shape[0] % f == 0), 1)
+        divisors = [f for f in range(1, self.shape[0] + 1) if self.shape[0] % f == 0]
+        factor = min(divisors, key=lambda f: abs(math.log(self.shape[0] / f / height)))
         if factor == 1:
             return self
         return replace(

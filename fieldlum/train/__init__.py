@@ -29,6 +29,7 @@ CANDIDATES = ("mean", "nearest", "transport", "dense")
 BASELINES = ("mean", "nearest")
 SLOW = ("dense",)  # no closed form: trained again for each fold, within a share of the budget
 FOLD_SHARE = 0.5  # of the budget; the rest is for the model that is kept
+LEAST_FOLDS = 2
 LEAST_FOLD_S = 60.0  # a dense fold shorter than this says little about the network
 
 
@@ -87,17 +88,24 @@ def evaluate_folds(
     progress: Progress = quiet,
     **more: Any,
 ) -> Trial:
-    """Fit on each fold's teaching rows and compare on the rows held out; budget_s is for all folds together."""
+    """Fit on each fold's teaching rows and compare on the rows held out; budget_s is for all folds together.
+
+    A slow model divides it over the folds; a quick one, once it is spent, leaves the folds that remain (never under
+    two), so that a month of large maps does not hold anybody up.
+    """
     parts: list[Scores] = []
     seconds, taught = 0.0, 0
     share = budget_s / len(folds) if budget_s else None
+    started = time.monotonic()
     for fold in folds:
+        if budget_s and name not in SLOW and len(parts) >= LEAST_FOLDS and time.monotonic() - started > budget_s:
+            break
         fitted, spent = fit_timed(
             name, data.take(fold.teach), patch=patch, seed=seed, budget_s=share, progress=progress, **more
         )
         parts.append(evaluate(fitted, truth(data.take(fold.check), glare=glare), progress=progress))
         seconds, taught = seconds + spent, taught + len(fold.teach)
-    return Trial(name, join(parts), seconds / len(folds), round(taught / len(folds)), len(folds))
+    return Trial(name, join(parts), seconds / len(parts), round(taught / len(parts)), len(parts))
 
 
 def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
@@ -134,10 +142,8 @@ def fit_and_score(
     names = CANDIDATES if model == "auto" else tuple(dict.fromkeys((*BASELINES, model)))
     trials = []
     for name in names:
-        some, limit = tuple(folds), None
-        if name in SLOW:
-            limit = FOLD_SHARE * budget_s
-            some = dense_folds(folds, limit)
+        limit = FOLD_SHARE * budget_s
+        some = dense_folds(folds, limit) if name in SLOW else tuple(folds)
         trials.append(evaluate_folds(name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress))
     choice = choose(trials, data) if model == "auto" else Choice(model, "asked for")
     more = {"checkpoint": checkpoint} if checkpoint is not None and choice.name in SLOW else {}

@@ -14,6 +14,7 @@ from fieldlum.records import Progress, quiet
 from fieldlum.train.folds import day_folds
 
 SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)
+FOLDS = 3
 FEWEST = 12  # captures; under it there is no curve to draw
 COARSE_HEIGHT = 32  # the curve is drawn on maps of about this height: errors rank alike and fits take a moment
 
@@ -38,7 +39,7 @@ def how_many(
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:
         return {}
     small = data.coarse(COARSE_HEIGHT)
-    folds = day_folds(small)
+    folds = day_folds(small, FOLDS)
     curve = []
     for k, share in enumerate(SHARES):
         progress(k, len(SHARES), "learning curve")
