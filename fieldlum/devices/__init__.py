@@ -99,6 +99,7 @@ class IlluminanceMeter(Protocol):
 CAMERAS = {
     "sim": ("fieldlum.devices.simulated", "open_camera"),
     "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
+    "theta": ("fieldlum.devices.theta", "open_camera"),
 }
 PYRANOMETERS = {
     "sim": ("fieldlum.devices.simulated", "open_pyranometer"),

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fieldlum.devices import CameraInfo
 from fieldlum.devices.child import Child, Serve
-from fieldlum.devices.settings import LARGEST_STEP_EV, nearest
+from fieldlum.devices.settings import check_frame, nearest
 from fieldlum.devices.uri import DeviceUri, whole
-from fieldlum.errors import DeviceError, InputError
+from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ class GphotoCamera:
         wait_s = exposure.shutter_s + READOUT_S * self._patience
         path = Path(self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s))
         try:
-            self._compare(path, exposure)
+            check_frame(path, exposure, "gphoto")
         except DeviceError:
             path.unlink(missing_ok=True)
             raise
@@ -92,22 +91,6 @@ class GphotoCamera:
         shown = self._child.ask("set", widget, text, timeout_s=SET_S * self._patience)
         if shown != text:
             raise DeviceError(f"gphoto: {widget} was set to {text}, but the camera shows {shown}: set its dial to M")
-
-    def _compare(self, path: Path, asked: Exposure) -> None:
-        from fieldlum.raw import read_exif
-
-        try:
-            got = read_exif(path).exposure
-        except InputError as error:
-            raise DeviceError(f"gphoto: the frame is unusable: {error}") from None
-        pairs = (
-            ("exposure time", got.shutter_s, asked.shutter_s),
-            ("f-number", got.f_number, asked.f_number),
-            ("ISO", got.iso, asked.iso),
-        )
-        for name, found, wanted in pairs:
-            if abs(math.log2(found / wanted)) > LARGEST_STEP_EV:
-                raise DeviceError(f"gphoto: EXIF says {name} {found:.5g}, asked was {wanted:.5g}: set the camera to M")
 
     def close(self) -> None:
         self._child.close()

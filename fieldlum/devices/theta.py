@@ -1,0 +1,222 @@
+"""A Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``; ``?delete=1`` clears its memory.
+
+Source: Ricoh's THETA Web API v2.1. With file format raw+ (Z1) the DNG of each picture is kept, else the JPEG.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import urllib.error
+import urllib.request
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from fieldlum.devices import CameraInfo
+from fieldlum.devices.settings import check_frame, nearest
+from fieldlum.devices.uri import DeviceUri, whole
+from fieldlum.errors import DeviceError
+from fieldlum.records import Exposure
+
+if TYPE_CHECKING:
+    from fieldlum.devices.clock import Clock
+    from fieldlum.session import Session
+
+ADDRESS = "http://192.168.1.1"  # of the camera's own access point
+READOUT_S, POLL_S = 40.0, 0.3
+BRACKET_SHOTS = (2, 13)  # all models take up to 13; Z1 and V up to 19
+_LARGEST_FILE = 200_000_000
+_MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
+
+
+class ThetaCamera:
+    """Implements `Camera`. `expose_bracket` takes many frames in one go (`_autoBracket`, JPEG)."""
+
+    def __init__(self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0) -> None:
+        self._address, self._clock, self._delete, self._timeout_s = address.rstrip("/"), clock, delete, timeout_s
+        about, state = self._get("/osc/info"), self._post("/osc/state", {}).get("state", {})
+        self._set(_MANUAL)
+        names = ("shutterSpeedSupport", "isoSupport", "apertureSupport", "remainingPictures", "dateTimeZone")
+        options = self._options(*names)
+        self._offers = {
+            "shutter": _numbers(options.get("shutterSpeedSupport")),
+            "iso": _numbers(options.get("isoSupport")),
+            "aperture": _numbers(options.get("apertureSupport")),
+        }
+        level = state.get("batteryLevel")
+        self.info = CameraInfo(
+            "theta",
+            str(about.get("manufacturer", "")),
+            str(about.get("model", "")),
+            str(about.get("serialNumber", "")),
+            str(about.get("firmwareVersion", "")),
+            battery=f"{100 * level:.0f} %" if isinstance(level, int | float) else "",
+            clock_offset_s=self._clock_offset(options.get("dateTimeZone")),
+            frames_left=left if isinstance(left := options.get("remainingPictures"), int) else None,
+        )
+
+    def _clock_offset(self, text: Any) -> float | None:
+        """From ``2027:03:20 15:30:00+00:00``; the camera tells whole seconds."""
+        with suppress(ValueError, TypeError, AttributeError):
+            day, _, clock = text.partition(" ")
+            stamp = datetime.fromisoformat(f"{day.replace(':', '-')}T{clock}")
+            return (stamp - self._clock.now()).total_seconds()
+        return None
+
+    # -------------------------------------------------------------------------------------- pictures
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        """Set, read back, take, fetch, compare with EXIF. Raises DeviceError; the frame is then not kept."""
+        self._refuse_turning(heading_deg)
+        wanted = self._chosen(exposure)
+        self._set({**_MANUAL, **wanted})
+        shown = self._options(*wanted)
+        for name, value in wanted.items():
+            if abs(float(shown.get(name, 0.0)) - value) > 1e-3 * value:
+                raise DeviceError(f"theta: {name} was set to {value:g}, but the camera shows {shown.get(name)}")
+        results = self._command("camera.takePicture", {}, exposure.shutter_s + READOUT_S)
+        urls = [url for name in ("_dngFileUrl", "fileUrl") if isinstance(url := results.get(name), str) and url]
+        if not urls:
+            raise DeviceError("theta: the picture was taken, but the camera names no file")
+        path = self._fetch(urls[0], target, exposure)
+        self._clear(urls)
+        return path
+
+    def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
+        """All frames in one go, in the order asked for. Raises DeviceError; frames fetched by then stay."""
+        low, high = BRACKET_SHOTS
+        if not low <= len(exposures) <= high:
+            raise DeviceError(f"theta: a bracket of {len(exposures)} frames, it takes {low} to {high}")
+        shots = [{"exposureProgram": 1, "whiteBalance": "daylight", **self._chosen(e)} for e in exposures]
+        self._set({**_MANUAL, "_autoBracket": {"_bracketNumber": len(shots), "_bracketParameters": shots}})
+        patience = sum(e.shutter_s for e in exposures) + READOUT_S + 2.0 * len(shots)
+        # The camera tells only how many frames it will take, not their settings: EXIF is the check.
+        urls = self._command("camera.startCapture", {"_mode": "bracket"}, patience).get("fileUrls")
+        if not isinstance(urls, list) or len(urls) != len(shots):
+            raise DeviceError(f"theta: {len(urls) if isinstance(urls, list) else 'no'} files, {len(shots)} were asked")
+        paths = [self._fetch(str(u), t, e) for u, t, e in zip(urls, targets, exposures, strict=True)]
+        self._clear([str(u) for u in urls])
+        return paths
+
+    def _refuse_turning(self, heading_deg: float | None) -> None:
+        if heading_deg is not None:
+            raise DeviceError("theta: this camera has no head that turns: leave headings out of the site file")
+
+    def _chosen(self, exposure: Exposure) -> dict[str, float]:
+        """The camera's own steps. Raises DeviceError when one is over 1/6 EV away."""
+        out = {
+            "shutterSpeed": nearest(exposure.shutter_s, self._offers["shutter"], "theta shutter", "s"),
+            "iso": nearest(exposure.iso, self._offers["iso"], "theta ISO"),
+        }
+        if self._offers["aperture"]:
+            out["aperture"] = nearest(exposure.f_number, self._offers["aperture"], "theta aperture")
+        return out
+
+    def _fetch(self, url: str, target: Path, asked: Exposure) -> Path:
+        parts = urlsplit(url)
+        if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
+            raise DeviceError(f"theta: it names {url}, which is not on {self._address}")
+        path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
+        body = self._http(urllib.request.Request(url), 60.0)
+        with path.open("wb") as file:
+            file.write(body)
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            check_frame(path, asked, "theta")
+        except DeviceError:
+            path.unlink(missing_ok=True)
+            raise
+        return path
+
+    def _clear(self, urls: list[str]) -> None:
+        if self._delete:
+            self._command("camera.delete", {"fileUrls": urls}, self._timeout_s)
+
+    def close(self) -> None:
+        """HTTP keeps nothing open."""
+
+    # -------------------------------------------------------------------------------------- protocol
+
+    def _set(self, options: dict[str, Any]) -> None:
+        self._command("camera.setOptions", {"options": options}, self._timeout_s)
+
+    def _options(self, *names: str) -> dict[str, Any]:
+        results = self._command("camera.getOptions", {"optionNames": list(names)}, self._timeout_s)
+        found = results.get("options")
+        return found if isinstance(found, dict) else {}
+
+    def _command(self, name: str, parameters: dict[str, Any], patience_s: float) -> dict[str, Any]:
+        """Execute and wait until it is done. Raises DeviceError for its error and for its silence."""
+        reply = self._post("/osc/commands/execute", {"name": name, "parameters": parameters})
+        started = self._clock.boottime()
+        while reply.get("state") == "inProgress":
+            if self._clock.boottime() - started > patience_s:
+                raise DeviceError(f"theta: {name} was not done after {patience_s:g} s")
+            self._clock.sleep(POLL_S)
+            reply = self._post("/osc/commands/status", {"id": reply.get("id")})
+        if reply.get("state") != "done":
+            raise DeviceError(f"theta: {name}: {_error_text(reply)}")
+        results = reply.get("results")
+        return results if isinstance(results, dict) else {}
+
+    def _get(self, path: str) -> dict[str, Any]:
+        return _json(self._http(urllib.request.Request(self._address + path), self._timeout_s))
+
+    def _post(self, path: str, body: dict[str, Any]) -> dict[str, Any]:
+        headers = {"Content-Type": "application/json;charset=utf-8", "Accept": "application/json"}
+        request = urllib.request.Request(self._address + path, json.dumps(body).encode(), headers)
+        return _json(self._http(request, self._timeout_s))
+
+    def _http(self, request: urllib.request.Request, timeout_s: float) -> bytes:
+        """Raises DeviceError for all that can go wrong; an error with a JSON body is the camera's own answer."""
+        try:
+            with urllib.request.urlopen(request, timeout=timeout_s) as response:
+                body = response.read(_LARGEST_FILE)
+                length = response.headers.get("Content-Length")
+        except urllib.error.HTTPError as error:
+            with error:
+                body, length = error.read(100_000), None
+            if not body.lstrip().startswith(b"{"):
+                raise DeviceError(f"theta: HTTP {error.code} from {request.full_url}") from None
+        except (OSError, ValueError) as error:
+            why = getattr(error, "reason", error)
+            raise DeviceError(f"theta: {self._address}: {why}: is the computer in its network?") from None
+        if length is not None and length.isdigit() and len(body) != int(length):
+            raise DeviceError(f"theta: {request.full_url} came short: {len(body)} of {length} bytes")
+        return body
+
+
+def _json(body: bytes) -> dict[str, Any]:
+    try:
+        reply = json.loads(body)
+    except ValueError:
+        raise DeviceError(f"theta: an answer that is no JSON: {body[:40]!r}") from None
+    if not isinstance(reply, dict):
+        raise DeviceError(f"theta: an answer that is no JSON object: {body[:40]!r}")
+    return reply
+
+
+def _error_text(reply: dict[str, Any]) -> str:
+    error = reply.get("error")
+    if not isinstance(error, dict):
+        return f"state {reply.get('state')!r}"
+    return f"{error.get('code', 'error')}: {error.get('message', '')}".rstrip(": ")
+
+
+def _numbers(values: Any) -> list[float]:
+    listed = values if isinstance(values, list) else []
+    return [float(v) for v in listed if isinstance(v, int | float) and not isinstance(v, bool) and v > 0]
+
+
+def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
+    """Raises DeviceError for unknown options, or when no Theta answers."""
+    options = uri.read(delete=whole(0, 1))
+    address = uri.place or ADDRESS
+    if urlsplit(address).scheme != "http" or not urlsplit(address).hostname:
+        raise DeviceError(f"{uri.text}: expected an address like theta:{ADDRESS}")
+    return ThetaCamera(address, clock, delete=bool(options.get("delete", 0)))
