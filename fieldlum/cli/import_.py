@@ -1,0 +1,70 @@
+"""fieldlum import."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+from fieldlum.cli import terminal
+
+_SHOWN = 20
+
+
+def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", text.strip())
+    if not found or int(found[2]) > 14 or int(found[3]) > 59:
+        raise click.BadParameter(f"{text} is no UTC offset, write it like -08:00 (or +05:30:12 with seconds)")
+    seconds = int(found[2]) * 3600 + int(found[3]) * 60 + int(found[4] or 0)
+    return float(-seconds if found[1] == "-" else seconds)
+
+
+@click.command("import")
+@click.argument("session_folder", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
+@click.option("--utc-offset", "offset_s", metavar="+HH:MM", callback=_offset_s,
+              help="What the camera's clock shows minus UTC.")  # fmt: skip
+def command(session_folder: Path, folder: Path, offset_s: float | None) -> None:
+    """Bring in a card's folder of frames.
+
+    Frames are grouped into brackets by their exposures and times, and matched to the plan; what matches nothing is
+    listed. The card is left as it is, and can be imported again.
+
+    \b
+    fieldlum import office-2027 /media/card/DCIM --utc-offset -08:00
+    """
+    from fieldlum.capture import adopt
+    from fieldlum.session import open_session
+
+    session = open_session(session_folder)
+    with terminal.progress("import") as progress:
+        report = adopt.run(session, folder, utc_offset_s=offset_s, progress=progress)
+    for line in _summary(report):
+        terminal.say(line)
+    click.echo(
+        f"{session.root}: {report.brackets} brackets with {report.frames} frames"
+        + (f"; {report.known} brackets were there already" if report.known else "")
+    )
+
+
+def _summary(report: object) -> list[str]:
+    from statistics import median
+
+    from fieldlum.capture.adopt import Report
+
+    assert isinstance(report, Report)
+    lines = [f"camera clock: UTC {_hms(offset.seconds)}, {offset.how}" for offset in report.offsets]
+    if report.late_s:
+        lines.append(f"brackets begin {median(report.late_s):+.0f} s from their slots in the median")
+    lines += [f"left out: {text}" for text in report.left_out[:_SHOWN]]
+    if len(report.left_out) > _SHOWN:
+        lines.append(f"left out: {len(report.left_out) - _SHOWN} more")
+    return lines
+
+
+def _hms(seconds: float) -> str:
+    minutes, rest = divmod(round(abs(seconds)), 60)
+    return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (f":{rest:02d}" if rest else "")

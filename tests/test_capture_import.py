@@ -1,0 +1,171 @@
+"""Import: a card's frames become the brackets of the plan, whatever the camera's clock says."""
+
+from __future__ import annotations
+
+import json
+import random
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.capture import adopt
+from fieldlum.capture.group import (
+    CardFrame,
+    Offset,
+    campaigns,
+    find_offset,
+    group_frames,
+    match_groups,
+    refine_offset,
+)
+from fieldlum.capture.state import fold
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.raw import write_jpeg
+from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
+
+DAWN = datetime(2027, 3, 20, 14, 30, tzinfo=UTC)
+LADDER = tuple(Exposure(t, 5.6) for t in (2.0, 1 / 2, 1 / 8, 1 / 30, 1 / 125))
+PLAN = [Slot(DAWN + timedelta(hours=i), 10.0, 120.0, LADDER) for i in range(12)]
+PDT_S = -7 * 3600.0
+
+
+def frames_at(start: datetime, ladder: tuple[Exposure, ...] = LADDER, step: float = 1.0) -> list[CardFrame]:
+    """As a camera's EXIF has them: whole seconds of its own clock."""
+    found, t = [], start
+    for i, exposure in enumerate(ladder):
+        found.append(CardFrame(Path(f"{start:%d%H%M%S}_{i}.dng"), exposure, t.replace(microsecond=0)))
+        t += timedelta(seconds=exposure.shutter_s + step)
+    return found
+
+
+def card(plan: list[Slot], clock_s: float, late_s: float = 0.0, step: float = 1.0) -> list[CardFrame]:
+    shift = timedelta(seconds=clock_s + late_s)
+    return [frame for slot in plan for frame in frames_at(slot.t_utc + shift, step=step)]
+
+
+@given(step=st.floats(0.2, 12.0), clock_h=st.integers(-47, 56), drift=st.integers(-90, 90), seed=st.integers(0, 99))
+@settings(deadline=None, max_examples=40)
+def test_any_camera_clock_is_found_from_a_whole_day(
+    step: float, clock_h: int, drift: int, seed: int
+) -> None:  # property
+    clock_s = 900.0 * clock_h
+    frames = card(PLAN, clock_s + drift, step=step)
+    random.Random(seed).shuffle(frames)
+    groups = group_frames(frames, LADDER)
+    assert [len(g.frames) for g in groups] == [5] * 12
+    offset = find_offset(groups, PLAN, (PDT_S, 0.0))
+    assert offset is not None and offset.seconds == clock_s
+    refined = refine_offset(groups, PLAN, offset)
+    assert refined.seconds == pytest.approx(clock_s + drift, abs=1.5)
+    matches, unmatched = match_groups(groups, PLAN, refined)
+    assert [m.slot for m in matches] == PLAN and not unmatched
+
+
+def test_part_of_a_day_is_taken_for_civil_time_and_says_so() -> None:
+    groups = group_frames(card(PLAN[3:6], PDT_S), LADDER)
+    found = find_offset(groups, PLAN, (PDT_S, 0.0))
+    assert found is not None and found.seconds == PDT_S and "other hours would fit" in found.how
+    assert find_offset(groups, PLAN, ()) is None
+
+
+def test_a_person_with_a_release_is_not_a_clock_error() -> None:
+    rng = np.random.default_rng(1)
+    frames = [f for s in PLAN for f in frames_at(s.t_utc + timedelta(seconds=60 + float(rng.uniform(0, 200))))]
+    groups = group_frames(frames, LADDER)
+    assert refine_offset(groups, PLAN, Offset(0.0, "told")).seconds == 0.0
+
+
+def test_brackets_back_to_back_and_snapshots_are_told_apart() -> None:
+    twice = frames_at(DAWN) + frames_at(DAWN + timedelta(seconds=14))
+    snapshot = [CardFrame(Path("snap.dng"), Exposure(1 / 60, 2.8, 800), DAWN + timedelta(minutes=20))]
+    stray = frames_at(DAWN + timedelta(hours=20))
+    groups = group_frames(twice + snapshot + stray, LADDER)
+    assert [len(g.frames) for g in groups] == [5, 5, 1, 5]
+    matches, unmatched = match_groups(groups, PLAN, Offset(0.0, "told"))
+    assert [m.slot for m in matches] == PLAN[:1] and matches[0].group is groups[0]
+    assert len(unmatched) == 3
+    assert {u.why.split()[0] for u in unmatched} == {"another", "exposures", "no"}
+
+
+def test_an_interrupted_bracket_does_not_swallow_the_next() -> None:
+    frames = frames_at(DAWN, LADDER[:2]) + frames_at(DAWN + timedelta(hours=1), LADDER[2:]) + card(PLAN[2:], 0.0)
+    assert [len(g.frames) for g in group_frames(frames, LADDER)] == [2, 3] + [5] * 10
+
+
+def test_a_filter_and_turned_headings_repeat_exposures() -> None:
+    plan = (*LADDER, Exposure(1 / 125, 5.6, nd="nd3"))
+    setup = CameraSetup(headings=(0.0, 180.0))
+    shot = tuple(Exposure(e.shutter_s, e.f_number) for e in (*plan, *plan))
+    groups = group_frames(frames_at(DAWN, shot), plan, headings=2)
+    assert [len(g.frames) for g in groups] == [12]
+    slot = Slot(DAWN, 10.0, 120.0, plan)
+    assert [adopt.meant(groups[0], i, slot, setup) for i in (0, 5, 6, 11)] == [
+        (plan[0], 0.0), (plan[5], 0.0), (plan[0], 180.0), (plan[5], 180.0)
+    ]  # fmt: skip
+
+
+def test_campaigns_have_clocks_of_their_own() -> None:
+    june = [Slot(s.t_utc + timedelta(days=92), 10.0, 120.0, LADDER) for s in PLAN]
+    parts = campaigns(group_frames(card(PLAN, -8 * 3600.0) + card(june, PDT_S), LADDER))
+    assert [len(p) for p in parts] == [12, 12]
+
+
+# ---------------------------------------------------------------------------------------------- files
+
+
+def write_card(folder: Path, frames: list[CardFrame]) -> None:
+    folder.mkdir(parents=True)
+    for frame in frames:
+        codes = np.full((8, 8, 3), int(frame.exposure.shutter_s * 1000) % 250, np.uint8)
+        naive = frame.t_camera.replace(tzinfo=None)
+        write_jpeg(folder / frame.path.with_suffix(".jpg").name, codes, frame.exposure, t_camera=naive)
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    return create_session(tmp_path / "s", SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), PLAN, {})
+
+
+def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
+    folder = tmp_path / "card" / "DCIM"
+    write_card(folder, card(PLAN[:10], PDT_S, late_s=37.0))
+    (folder / "broken.jpg").write_bytes(b"\xff\xd8 no picture")
+    before = {p: sha256(p) for p in folder.iterdir()}
+    report = adopt.run(session, folder.parent)
+    assert (report.brackets, report.frames, report.known) == (10, 50, 0)
+    assert "broken.jpg" in report.left_out[0]
+    assert report.offsets[0].seconds == pytest.approx(PDT_S + 37, abs=1)
+    assert {p: sha256(p) for p in folder.iterdir()} == before, "the card is not touched"
+    note = json.loads((session.raw / PLAN[0].id / "capture.json").read_text())
+    assert note["complete"] and note["t_open_utc"].startswith("2027-03-20T14:30:0")
+    assert [f["exposure"]["shutter_s"] for f in note["frames"]] == [e.shutter_s for e in LADDER]
+    assert all(sha256(session.raw / PLAN[0].id / f["file"]) == f["sha256"] for f in note["frames"])
+    assert [fold(read_journal(session)).slots[s.id].outcome for s in PLAN[:10]] == ["done"] * 10
+    again = adopt.run(session, folder.parent)
+    assert (again.brackets, again.known) == (0, 10)
+
+
+def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        adopt.run(session, tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no raw or JPEG"):
+        adopt.run(session, tmp_path / "empty")
+    write_card(tmp_path / "other", frames_at(DAWN + timedelta(days=200)))
+    with pytest.raises(NotEnoughDataError, match="matches the plan"):
+        adopt.run(session, tmp_path / "other", utc_offset_s=0.0)
+    with pytest.raises(InputError, match="--utc-offset"):
+        adopt.run(session, tmp_path / "other")
+    assert read_journal(session) == []
+
+
+def test_logger_rows_are_added_once(session: Session) -> None:
+    rows = [IrradianceSample(DAWN + timedelta(minutes=i), 300.0 + i) for i in range(1000)]
+    assert adopt.add_samples(session, rows) == 1000
+    assert adopt.add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), 1.0)]) == 1
+    assert sum(len(read_day(p)[0]) for p in day_files(session)) == 1001
