@@ -63,9 +63,15 @@ def faces(scene: BoxScene) -> list[Face]:
                 a, b = (i for i in range(3) if i != axis)
                 low, high = scene.low[k], scene.high[k]
                 face = Face(k, axis, sign, float(at), (low[a], low[b]), (high[a], high[b]))
-                if not _covered(scene, face):
+                if not (_nobody_sees(scene, face) or _covered(scene, face)):
                     found.append(face)
     return found
+
+
+def _nobody_sees(scene: BoxScene, face: Face) -> bool:
+    """The ground's sides and underside, and the roof."""
+    kind, up = scene.boxes[face.box].kind, face.axis == 2 and face.sign > 0
+    return (kind == "ground" and not up) or (kind == "ceiling" and up)
 
 
 def _covered(scene: BoxScene, face: Face) -> bool:

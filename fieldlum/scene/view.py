@@ -36,6 +36,7 @@ class View:
     box: NDArray[np.int32]
     pixel: NDArray[np.int32]
     weight: Array
+    first_mirrored: int  # samples from here on are mirror images
     sky: NDArray[np.float32]
     plain: NDArray[np.float32]
 
@@ -79,9 +80,9 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
     if len(mirrored):
         seen.append(_mirrored(scene, pixel, eye, rays, panes, share, mirrored))
     position, axis, sign, box, pixels, weight = (np.concatenate(parts) for parts in zip(*seen, strict=True))
-    shape = (height, 2 * height)
+    shape, straight = (height, 2 * height), len(seen[0][0])
     return View(
-        scene, height, heading_deg, position, axis, sign, box, pixels, weight,
+        scene, height, heading_deg, position, axis, sign, box, pixels, weight, straight,
         sky.reshape(shape).astype(np.float32), plain.reshape(shape).astype(np.float32),
     )  # fmt: skip
 

@@ -1,0 +1,215 @@
+"""How much each point of a room owes to each part of the sky and to each piece of surface: Radiance's rcontrib.
+
+Every surface is cut into pieces. One rcontrib run from the pieces' middles and one from the points that the pixels see
+(irradiance mode, one bounce) give sparse coefficients over the same columns: 2305 Reinhart patches of the sky, the open
+plain below the horizon, then the pieces. Interreflection is a sparse fixed point over the pieces, so no bounce is lost.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.records import Progress, quiet
+from fieldlum.scene.geometry import BoxScene
+from fieldlum.scene.radiance import PLAIN_TEXT, SKY_TEXT, Face, faces, octree, rad_text
+from fieldlum.sky import reinhart_patches
+
+Array = NDArray[np.float64]
+SKY_MF = 4
+SKY = len(reinhart_patches(SKY_MF))
+PLAIN = SKY  # column of the open plain
+FIRST_PIECE = SKY + 1
+_POINTS_A_RUN = 1200
+_OFFSET_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """All surfaces cut into rectangles. Arrays over pieces [p]; `first` and `counts` [faces] number them by face."""
+
+    faces: tuple[Face, ...]
+    counts: NDArray[np.int32]  # [faces, 2]
+    first: NDArray[np.int32]
+    middle: Array  # [p, 3]
+    size: Array  # [p, 2]
+    face: NDArray[np.int32]
+    reflectance: Array
+    free: NDArray[np.bool_]  # not buried in another box
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    @property
+    def axis(self) -> NDArray[np.int8]:
+        return np.array([f.axis for f in self.faces], np.int8)[self.face]
+
+    @property
+    def sign(self) -> NDArray[np.int8]:
+        return np.array([f.sign for f in self.faces], np.int8)[self.face]
+
+    def normals(self) -> Array:
+        out = np.zeros((len(self), 3))
+        out[np.arange(len(self)), self.axis] = self.sign
+        return out
+
+    def points(self, n: int) -> tuple[Array, NDArray[np.int32]]:
+        """n x n points in each piece, [p n n, 3], and the piece that each belongs to."""
+        step = (np.arange(n) + 0.5) / n - 0.5
+        a, b = (m.ravel() for m in np.meshgrid(step, step))
+        position = np.repeat(self.middle, n * n, axis=0)
+        others = np.array([f.others for f in self.faces])[self.face].repeat(n * n, axis=0)
+        size = self.size.repeat(n * n, axis=0)
+        rows = np.arange(len(position))
+        for k, offset in enumerate((a, b)):
+            position[rows, others[:, k]] += np.tile(offset, len(self)) * size[:, k]
+        return position, np.arange(len(self)).repeat(n * n).astype(np.int32)
+
+
+def cut(scene: BoxScene, piece_m: float) -> Pieces:
+    """Pieces of about `piece_m` in the room, coarser outside, where they are seen from afar."""
+    visible = tuple(faces(scene))
+    counts = np.array([_count(scene, f, piece_m) for f in visible], np.int32)
+    first = np.concatenate([[0], np.cumsum(counts.prod(axis=1))]).astype(np.int32)
+    middle, size = [], []
+    for f, (na, nb) in zip(visible, counts, strict=True):
+        step = np.array([(f.high_m[0] - f.low_m[0]) / na, (f.high_m[1] - f.low_m[1]) / nb])
+        jb, ja = np.divmod(np.arange(na * nb), na)
+        at = np.empty((na * nb, 3))
+        at[:, f.axis] = f.at_m
+        at[:, f.others[0]] = f.low_m[0] + (ja + 0.5) * step[0]
+        at[:, f.others[1]] = f.low_m[1] + (jb + 0.5) * step[1]
+        middle.append(at)
+        size.append(np.tile(step, (na * nb, 1)))
+    face = np.repeat(np.arange(len(visible)), counts.prod(axis=1)).astype(np.int32)
+    centre = np.concatenate(middle)
+    reflectance = scene.reflectance[np.array([f.box for f in visible])][face]
+    pieces = Pieces(visible, counts, first, centre, np.concatenate(size), face, reflectance, np.ones(len(face), bool))
+    return Pieces(*(getattr(pieces, n) for n in list(Pieces.__dataclass_fields__)[:-1]), free=_free(scene, pieces))
+
+
+def _count(scene: BoxScene, face: Face, piece_m: float) -> tuple[int, int]:
+    spans = np.array(face.high_m) - np.array(face.low_m)
+    kind = scene.boxes[face.box].kind
+    if kind == "ground":
+        step = 4.0
+    elif _in_room(scene, face):
+        step = piece_m
+    else:
+        step = max(piece_m, min(2.0, float(np.sqrt(spans.prod())) / 6))
+    n = np.maximum(np.round(spans / step), 1).astype(int)
+    return int(n[0]), int(n[1])
+
+
+def _in_room(scene: BoxScene, face: Face) -> bool:
+    middle = face.corners().mean(axis=0)
+    middle[face.axis] += face.sign * 0.01
+    low, high = np.array(scene.shell)
+    return bool(((middle > low) & (middle < high)).all())
+
+
+def _free(scene: BoxScene, pieces: Pieces) -> NDArray[np.bool_]:
+    points = pieces.middle + pieces.normals() * _OFFSET_M
+    buried = np.zeros(len(points), bool)
+    for low, high in zip(scene.low, scene.high, strict=True):
+        buried |= ((points > low) & (points < high)).all(axis=1)
+    return ~buried
+
+
+# ---------------------------------------------------------------------------------------------- rcontrib
+
+
+def _bin_file(pieces: Pieces) -> str:
+    """A .cal file with the bin of each face from the hit point."""
+    lines = ["keep(n,x):if(x,if(n-1-x,floor(x),n-1),0);"]
+    names = "Px", "Py", "Pz"
+    for k, (f, (na, nb)) in enumerate(zip(pieces.faces, pieces.counts, strict=True)):
+        terms = [
+            f"keep({n},({names[axis]}-({low:.9g}))*{n / (high - low):.9g})"
+            for axis, low, high, n in zip(f.others, f.low_m, f.high_m, (na, nb), strict=True)
+        ]
+        lines.append(f"b{k}={terms[0]}+{na}*{terms[1]};")
+    return "\n".join(lines)
+
+
+def _command(scene: BoxScene, pieces: Pieces, cal: Path, octree_path: Path, points: bytes, rays: int) -> Any:
+    import pyradiance
+
+    params = ["-h", "-I+", "-ab", "1", "-ad", str(rays), "-as", "0", "-lw", "1e-10", "-lr", "8", "-w-"]
+    run = pyradiance.Rcontrib(points, octree_path, inform="f", outform="f", params=params)
+    north = scene.to_room((0.0, 1.0, 0.0))
+    param = f"MF={SKY_MF},rNx=0,rNy=0,rNz=-1,Ux={north[0]:.9g},Uy={north[1]:.9g},Uz=0"
+    run.add_modifier("skyglow", calfile="reinhartb.cal", nbins=str(SKY), binv="rbin", param=param)
+    run.add_modifier("plainglow", nbins="1", binv="0")
+    for k, n in enumerate(pieces.counts.prod(axis=1)):
+        run.add_modifier(f"f{k}", calfile=str(cal) if k == 0 else None, nbins=str(n), binv=f"b{k}")
+    return run
+
+
+def gather(
+    scene: BoxScene,
+    pieces: Pieces,
+    position: Array,
+    normal: Array,
+    rays: int,
+    *,
+    workers: int | None = None,
+    progress: Progress = quiet,
+    text: str = "",
+) -> Any:
+    """Irradiance at points [m, 3] per luminance of each column: a scipy CSR matrix [m, 2306 + pieces], sums up to pi.
+
+    rays: directions sampled from each point. Raises RuntimeError with Radiance's own words when rcontrib fails.
+    """
+    from scipy.sparse import vstack
+
+    lifted = position + normal * _OFFSET_M
+    stream = np.concatenate((lifted, normal), axis=1).astype("<f4")
+    starts = range(0, len(stream), _POINTS_A_RUN)
+    columns = FIRST_PIECE + len(pieces)
+    with octree(rad_text(scene, pieces.faces), SKY_TEXT, PLAIN_TEXT) as built:
+        cal = built.with_suffix(".cal")
+        cal.write_text(_bin_file(pieces), encoding="ascii")
+
+        def one(start: int) -> Any:
+            part = stream[start : start + _POINTS_A_RUN]
+            answer = _command(scene, pieces, cal, built, part.tobytes(), rays)()
+            return _sparse(answer, len(part), columns)
+
+        parts = []
+        with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, 8)) as pool:
+            for k, part in enumerate(pool.map(one, starts)):
+                parts.append(part)
+                progress(min((k + 1) * _POINTS_A_RUN, len(stream)), len(stream), text)
+    return vstack(parts, format="csr", dtype=np.float32) if parts else _sparse(b"", 0, columns)
+
+
+def _sparse(answer: bytes, rows: int, columns: int) -> Any:
+    """rcontrib's R G B floats, row by row, to CSR; all surfaces are grey, so red stands for all."""
+    from scipy.sparse import csr_matrix
+
+    values = np.frombuffer(answer, "<f4").reshape(rows, columns, 3)[:, :, 0]
+    return csr_matrix(values)
+
+
+def representatives(keys: Sequence[NDArray[np.integer]], position: Array, weight: Array) -> tuple[NDArray, ...]:
+    """One point for each set of equal keys: the member nearest to the set's middle; its row, its summed weight, and
+    the set that each member belongs to."""
+    packed = np.stack(keys, axis=1).astype(np.int64)
+    base = packed.max(axis=0) + 1
+    code = np.zeros(len(packed), np.int64)
+    for k in range(packed.shape[1]):
+        code = code * base[k] + packed[:, k]
+    _, inverse, count = np.unique(code, return_inverse=True, return_counts=True)
+    middle = np.stack([np.bincount(inverse, position[:, k]) for k in range(3)], axis=1) / count[:, None]
+    away = ((position - middle[inverse]) ** 2).sum(axis=1)
+    order = np.lexsort((away, inverse))
+    rows = order[np.concatenate([[0], np.cumsum(count)[:-1]])]
+    return rows, np.bincount(inverse, weight), inverse

@@ -1,0 +1,309 @@
+"""Ground truth of a box room: any hour's luminance map from cached Radiance coefficients."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.errors import InputError
+from fieldlum.light import Light, light_at
+from fieldlum.profiles import plain
+from fieldlum.projection import equirect_rays
+from fieldlum.records import Panorama, Progress, SiteFile, SunSource, quiet
+from fieldlum.scene.patches import disc_visibility
+from fieldlum.scene.points import SunPoints, sun_points
+from fieldlum.scene.view import View, look
+from fieldlum.session import replacing_path
+from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
+
+Array = NDArray[np.float64]
+VERSION = 1  # of the coefficients; a new one makes old caches stale
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """piece_m: size of the surface pieces in the room; rays: directions from each pixel's point and from each piece;
+    smooth_px: radius over which neighbours on one face share their gathered light."""
+
+    piece_m: float
+    pixel_rays: int
+    piece_rays: int
+    smooth_px: int = 2
+
+
+QUALITIES = {
+    "draft": Quality(0.8, 64, 128),
+    "quick": Quality(0.4, 400, 1024),
+    "paper": Quality(0.3, 576, 2048, 3),
+}
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """n moments, without the sun's disc: luminance_cdm2 and patch_cdm2 (direct sun only) [n, H, W]; disc_lx [n] on a
+    plane normal to the sun at the camera; visible_fraction [n] of the disc; light as it was asked for."""
+
+    luminance_cdm2: NDArray[np.float32]
+    patch_cdm2: NDArray[np.float32]
+    disc_lx: Array
+    visible_fraction: Array
+    light: Light
+
+    def __len__(self) -> int:
+        return len(self.luminance_cdm2)
+
+    def source(self, k: int) -> SunSource | None:
+        """The sun as the lens sees it; None where it is hidden or down."""
+        if self.disc_lx[k] <= 0:
+            return None
+        angles = float(self.light.sun_altitude_deg[k]), float(self.light.sun_azimuth_deg[k])
+        return SunSource(*angles, float(self.disc_lx[k]), float(self.visible_fraction[k]), "rendering")
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """A room ready to be shown in any light. Made by `ground_truth`.
+
+    points, pixels: CSR [m, columns] gathered irradiance of the pixels' points, and [H W, m] their part in each pixel
+    (reflectance / pi, glass, smoothing); pieces: CSR [p, columns] of the surface pieces.
+    """
+
+    setup: SiteFile
+    view: View
+    pieces: Pieces
+    from_points: Any
+    to_pixels: Any
+    from_pieces: Any
+
+    @property
+    def height(self) -> int:
+        return self.view.height
+
+    @cached_property
+    def _view_points(self) -> SunPoints:
+        return self.view.sun_points()
+
+    @cached_property
+    def _piece_points(self) -> SunPoints:
+        n = 4
+        position, piece = self.pieces.points(n)
+        axis, sign = self.pieces.axis[piece], self.pieces.sign[piece]
+        weight = np.full(len(piece), 1.0 / n**2)
+        return sun_points(self.view.scene, position, axis, sign, weight, piece, len(self.pieces))
+
+    @cached_property
+    def _sky_rays(self) -> Array:
+        return equirect_rays(self.height, 2 * self.height, self.view.heading_deg).reshape(-1, 3)
+
+    @cached_property
+    def _seen_sky(self) -> NDArray[np.intp]:
+        return np.flatnonzero(self.view.sky.ravel() > 0)
+
+    def render(self, light: Light) -> Rendering:
+        """Maps of all moments of `light` at once; use `maps` for many."""
+        n, pixels = len(light), 2 * self.height**2
+        toward = self.view.scene.to_room(light.sun_direction)
+        direct_lx = light.direct_lx
+        patch = np.zeros((n, pixels), np.float32)
+        sunlit = np.zeros((n, len(self.pieces)), np.float32)
+        for k in np.flatnonzero(direct_lx > 0):
+            patch[k] = self._view_points.direct(toward[k]) * direct_lx[k]
+            sunlit[k] = self._piece_points.direct(toward[k]) * direct_lx[k]
+        columns = self._columns(light, sunlit)
+        out = np.ascontiguousarray((self.to_pixels @ (self.from_points @ columns)).T, np.float32)
+        out += patch
+        seen = self._seen_sky
+        out[:, seen] += light.sky_at(self._sky_rays[seen]) * self.view.sky.ravel()[seen]
+        out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()
+        visible, through = disc_visibility(self.view.scene, toward)
+        shape = (n, self.height, 2 * self.height)
+        return Rendering(out.reshape(shape), patch.reshape(shape), direct_lx * visible * through, visible, light)
+
+    def _columns(self, light: Light, sunlit: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Luminance of every column, [columns, n]: the sky, the plain, and the pieces after all bounces."""
+        reflect = (self.pieces.reflectance / np.pi).astype(np.float32)[:, None]
+        columns = np.zeros((FIRST_PIECE + len(self.pieces), len(light)), np.float32)
+        columns[:SKY] = light.sky_cdm2.T
+        columns[PLAIN] = light.sky.ground_cdm2
+        first = self.from_pieces[:, :FIRST_PIECE] @ columns[:FIRST_PIECE] + sunlit.T
+        bounce = self._bounces
+        pieces = reflect * first
+        for _ in range(40):
+            after = reflect * (first + bounce @ pieces)
+            change = float(np.abs(after - pieces).max(initial=0.0))
+            pieces = after
+            if change <= 1e-4 * float(after.max(initial=1e-9)):
+                break
+        columns[FIRST_PIECE:] = pieces
+        return columns
+
+    @cached_property
+    def _bounces(self) -> Any:
+        return self.from_pieces[:, FIRST_PIECE:].tocsr()
+
+    def maps(
+        self, times_utc: Sequence[datetime], dni_wm2: Any, dhi_wm2: Any, *, chunk: int = 32,
+        progress: Progress = quiet,
+    ) -> Iterator[Rendering]:  # fmt: skip
+        """Renderings of many moments in chunks; the sun stands where SPA puts it at the setup's site."""
+        yield from self.chunks(light_at(times_utc, self.setup.site, dni_wm2, dhi_wm2), chunk=chunk, progress=progress)
+
+    def chunks(self, light: Light, *, chunk: int = 32, progress: Progress = quiet) -> Iterator[Rendering]:
+        for start in range(0, len(light), chunk):
+            progress(start, len(light), "maps")
+            yield self.render(light[slice(start, start + chunk)])
+        progress(len(light), len(light), "maps")
+
+    def panorama(self, t_utc: datetime, dni_wm2: float, dhi_wm2: float) -> Panorama:
+        """One moment as a panorama, the visible sun beside it."""
+        made = self.render(light_at([t_utc], self.setup.site, np.array([dni_wm2]), np.array([dhi_wm2])))
+        return self.as_panorama(made, 0)
+
+    def as_panorama(self, made: Rendering, k: int) -> Panorama:
+        about = {"made_by": "fieldlum simulate", "room": self.setup.site.name}
+        return Panorama(
+            made.luminance_cdm2[k], self.view.heading_deg, t_utc=made.light.t_utc[k], sun=made.source(k),
+            attributes=about,
+        )  # fmt: skip
+
+
+# ---------------------------------------------------------------------------------------------- making and caching
+
+
+def ground_truth(
+    setup: SiteFile,
+    *,
+    height: int = 115,
+    quality: str = "quick",
+    cache: Path | None = None,
+    workers: int | None = None,
+    progress: Progress = quiet,
+) -> GroundTruth:
+    """Radiance coefficients of a box room, made once and kept under `cache` (a folder), found again by their content.
+
+    Raises InputError for a setup without a box room.
+    """
+    room = setup.room
+    if room is None or room.kind != "box":
+        raise InputError(setup.site.name, "no box room", '[room] with kind = "box"', "simulation needs its geometry")
+    how = QUALITIES[quality]
+    heading = setup.camera.heading_deg % 360.0
+    view = look(room, height, heading)
+    pieces = cut(view.scene, how.piece_m)
+    rows, to_pixels, normals = _pixel_points(view, how.smooth_px)
+    key = _key({"room": plain(room), "height": height, "heading": heading, "how": asdict(how), "version": VERSION})
+    folder = cache / f"coefficients-{key}" if cache is not None else None
+    if folder is not None and (folder / "complete").is_file():
+        matrices = [_load(folder, name, FIRST_PIECE + len(pieces)) for name in ("points", "pieces")]
+        return GroundTruth(setup, view, pieces, matrices[0], to_pixels, matrices[1])
+    scene = view.scene
+    total = len(pieces) + len(rows)
+
+    def both(done: int, _all: int, text: str, base: int = 0) -> None:
+        progress(base + done, total, text)
+
+    from_pieces = _gather_pieces(scene, pieces, how, workers, both)
+    from_points = gather(
+        scene, pieces, view.position[rows], normals, how.pixel_rays, workers=workers, text="light on the pixels",
+        progress=lambda done, all_, text: both(done, all_, text, len(pieces)),
+    )  # fmt: skip
+    if folder is not None:
+        _save(folder, "points", from_points)
+        _save(folder, "pieces", from_pieces)
+        with replacing_path(folder / "complete") as path:
+            path.write_text(json.dumps({"key": key, "quality": quality}), encoding="utf-8")
+    return GroundTruth(setup, view, pieces, from_points, to_pixels, from_pieces)
+
+
+def _gather_pieces(scene: Any, pieces: Pieces, how: Quality, workers: int | None, progress: Progress) -> Any:
+    """Rows of buried pieces stay empty."""
+    from scipy.sparse import csr_matrix
+
+    free = np.flatnonzero(pieces.free)
+    found = gather(
+        scene, pieces, pieces.middle[free], pieces.normals()[free], how.piece_rays, workers=workers,
+        text="light between surfaces", progress=progress,
+    )  # fmt: skip
+    spread = csr_matrix((np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free)))
+    return (spread @ found).tocsr()
+
+
+def _pixel_points(view: View, smooth_px: int) -> tuple[NDArray[np.intp], Any, Array]:
+    """Points to gather light at: one for each face in each pixel (and its mirror image). Rows of the view's samples,
+    the matrix [H W, m] that turns their irradiance into luminance, and their normals."""
+    from scipy.sparse import csr_matrix
+
+    face = view.box.astype(np.int64) * 6 + view.axis * 2 + (view.sign > 0)
+    mirrored = np.zeros(len(face), np.int64)
+    mirrored[view.first_mirrored :] = 1
+    weight = view.weight * view.scene.reflectance[view.box] / np.pi
+    rows, total, _ = representatives((view.pixel, face, mirrored), view.position, weight)
+    m = len(rows)
+    direct = csr_matrix(
+        (total.astype(np.float32), (view.pixel[rows], np.arange(m))), (2 * view.height**2, m)
+    )  # fmt: skip
+    normals = np.zeros((m, 3))
+    normals[np.arange(m), view.axis[rows]] = view.sign[rows]
+    share = _neighbours(view.pixel[rows], face[rows] * 2 + mirrored[rows], view.position[rows], view, smooth_px)
+    return rows, (direct @ share).tocsr(), normals
+
+
+def _neighbours(pixel: NDArray[np.int32], face: NDArray[np.int64], position: Array, view: View, radius: int) -> Any:
+    """Averaging [m, m] over points of the same face in pixels within `radius`, less for those further off in space."""
+    from scipy.sparse import coo_matrix, diags
+
+    width = 2 * view.height
+    code = face * (2 * view.height**2) + pixel
+    order = np.argsort(code)
+    known = code[order]
+    row, column = np.divmod(pixel.astype(np.int64), width)
+    reach = np.linalg.norm(position - np.array(view.scene.camera_m), axis=1) * np.pi / view.height
+    parts = []
+    for di in range(-radius, radius + 1):
+        for dj in range(-radius, radius + 1):
+            if di * di + dj * dj > radius * radius + 1:
+                continue
+            other = face * (2 * view.height**2) + (row + di) * width + (column + dj) % width
+            at = np.minimum(np.searchsorted(known, other), len(known) - 1)
+            good = (known[at] == other) & (row + di >= 0) & (row + di < view.height)
+            i, j = np.flatnonzero(good), order[at[good]]
+            away = np.linalg.norm(position[i] - position[j], axis=1) / (reach[i] * max(radius, 1))
+            parts.append((i, j, np.exp(-(away**2))))
+    i, j, value = (np.concatenate(p) for p in zip(*parts, strict=True))
+    share = coo_matrix((value, (i, j)), (len(pixel), len(pixel))).tocsr()
+    return (diags(1 / np.asarray(share.sum(axis=1)).ravel()) @ share).astype(np.float32)
+
+
+def _key(what: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _save(folder: Path, name: str, matrix: Any) -> None:
+    for part in ("data", "indices", "indptr"):
+        with replacing_path(folder / f"{name}-{part}.npy") as path:
+            np.save(path, getattr(matrix, part))
+
+
+def _load(folder: Path, name: str, columns: int) -> Any:
+    """Memory-mapped, so that opening a truth is quick and many processes share it."""
+    from scipy.sparse import csr_matrix
+
+    data, indices, indptr = (
+        np.load(folder / f"{name}-{part}.npy", mmap_mode="r") for part in ("data", "indices", "indptr")
+    )
+    return csr_matrix((data, indices, indptr), (len(indptr) - 1, columns))
+
+
+def night(setup: SiteFile, times_utc: Sequence[datetime]) -> NDArray[np.bool_]:
+    """Moments with the sun's centre below the horizon."""
+    return sun.position(times_utc, setup.site).altitude_deg <= 0

@@ -1,0 +1,179 @@
+"""Ground truth: against plain Radiance, against energy balance, and as a session that can be resumed."""
+
+import csv
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fieldlum import simulate, weather
+from fieldlum.cli import main
+from fieldlum.errors import InputError
+from fieldlum.images import read_panorama
+from fieldlum.light import Light, light_at
+from fieldlum.profiles import load_site, shipped, site_table
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
+from fieldlum.scene import geometry, radiance, view
+from fieldlum.session import open_session
+
+OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
+SMALL = SiteFile(
+    Site("test room", 47.6, -122.3, "America/Los_Angeles"),
+    CameraSetup(heading_deg=180.0),
+    Room(
+        width_m=4, depth_m=5, height_m=3, camera_x_m=2, camera_y_m=2, camera_z_m=1.4,
+        window=(Window("south", left_m=0.5, width_m=3, sill_m=0.8, height_m=1.9, frame_m=0.05, panes=2),),
+    ),
+)  # fmt: skip
+NOON = datetime(2027, 3, 20, 20, 10, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory) -> simulate.GroundTruth:
+    return simulate.ground_truth(SMALL, height=20, quality="draft", cache=tmp_path_factory.mktemp("cache"))
+
+
+def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray) -> np.ndarray:
+    """The same hour by rtrace -ab 5 with gendaylit's sky, without the disc: one ray in each of `pixels`. [cd/m2]"""
+    import pyradiance
+
+    assert setup.room is not None
+    built = geometry.build(setup.room)
+    sky, toward = light.sky, built.to_room(light.sun_direction[0])
+    numbers = [sky.norm_cdm2[0] / 179, sky.ground_cdm2[0] / 179, *sky.shape[0], *toward]
+    text = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(f"{x:.8g}" for x in numbers)
+    for name, side in (("sky", 1), ("ground", -1)):
+        text += f"\nskyfunc glow {name}glow\n0\n0\n4 1 1 1 0\n{name}glow source {name}\n0\n0\n4 0 0 {side} 180"
+    _, rays = view.pixel_rays(height, setup.camera.heading_deg, 1)
+    rays = built.to_room(rays[pixels])
+    stream = np.concatenate((np.broadcast_to(np.array(built.camera_m), rays.shape), rays), axis=1).astype("<f4")
+    options = ["-ab", "5", "-ad", "512", "-as", "128", "-aa", ".2", "-lw", "1e-3", "-dv-", "-w-"]
+    with radiance.octree(radiance.rad_text(built), text, radiance.sun_text(toward, light.direct_lx[0])) as octree:
+        answer = pyradiance.rtrace(
+            stream.tobytes(), octree, header=False, inform="f", outform="f", params=options
+        )  # fmt: skip
+    return np.frombuffer(answer, "<f4").reshape(-1, 3)[:, 0] * 179
+
+
+@pytest.mark.parametrize(("dni", "dhi"), [(0.0, 200.0), (700.0, 100.0)], ids=["overcast", "clear"])
+def test_authority_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: float) -> None:
+    """Radiance rendering the hour in one piece. Draft pieces, few rays, one ray a pixel."""
+    light = light_at([NOON], SMALL.site, np.array([dni]), np.array([dhi]))
+    made = truth.render(light).luminance_cdm2[0].ravel()
+    pixels = np.random.default_rng(1).permutation(len(made))[:200]
+    ratio = made[pixels] / _plain_rtrace(SMALL, light, 20, pixels)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(np.abs(ratio - 1) < 0.2) > 0.8
+
+
+def test_gathered_light_is_complete(truth: simulate.GroundTruth) -> None:
+    """Analytic: under a luminance of 1 everywhere every point receives pi (glass takes its part near the window)."""
+    total = np.asarray(truth.from_points.sum(axis=1)).ravel()
+    assert total.max() < 1.02 * np.pi
+    assert np.median(total) > 0.97 * np.pi
+
+
+def test_linear_in_light(truth: simulate.GroundTruth) -> None:
+    """Property: twice the sky and the sun, twice the picture, the patch and the disc."""
+    light = light_at([NOON], SMALL.site, np.array([600.0]), np.array([100.0]))
+    one, two = truth.render(light), truth.render(light.scaled(2.0))
+    assert two.luminance_cdm2 == pytest.approx(2 * one.luminance_cdm2, rel=1e-4)
+    assert two.disc_lx == pytest.approx(2 * one.disc_lx)
+
+
+def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.GroundTruth) -> None:
+    """The winter sun stands in the window: the map stays under any sunlit surface, its energy is in the source."""
+    t = datetime(2027, 12, 20, 20, 40, tzinfo=UTC)
+    panorama = truth.panorama(t, 600.0, 60.0)
+    assert panorama.sun is not None and panorama.sun.origin == "rendering"
+    assert 20e3 < panorama.sun.normal_illuminance_lx < 60e3
+    assert panorama.luminance_cdm2.max() < 60e3
+    assert truth.panorama(t, 0.0, 60.0).sun is None
+
+
+def test_the_cache_gives_the_same_truth(tmp_path: Path) -> None:
+    a = simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
+    b = simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
+    assert np.array_equal(a.from_points.data, b.from_points.data)
+    assert len(list(tmp_path.glob("coefficients-*"))) == 1
+    assert SMALL.room is not None
+    other = replace(SMALL, room=replace(SMALL.room, reflectance_floor=0.3))
+    simulate.ground_truth(other, height=8, quality="draft", cache=tmp_path)
+    assert len(list(tmp_path.glob("coefficients-*"))) == 2
+    # Cut off while writing: made anew.
+    (next(tmp_path.glob("coefficients-*")) / "complete").unlink()
+    simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
+
+
+def test_a_room_is_needed() -> None:
+    with pytest.raises(InputError, match="box room"):
+        simulate.ground_truth(replace(SMALL, room=None))
+
+
+def test_weather_follows_the_place() -> None:
+    assert "seattle" in simulate.weather_for(OFFICE).name
+    sydney = replace(OFFICE, site=Site("Sydney", -33.9, 151.2, "Australia/Sydney"))
+    assert simulate.weather_for(sydney).synthetic
+
+
+def test_sampled_slots_are_daylight_and_disjoint() -> None:
+    year = weather.shipped_seattle()
+    first = simulate.sample_slots(OFFICE, year, 30, seed=1)
+    second = simulate.sample_slots(OFFICE, year, 30, seed=2, without=[s.t_utc for s in first])
+    assert not {s.t_utc for s in first} & {s.t_utc for s in second}
+    assert all(s.sun_altitude_deg > 0 for s in first)
+    assert [s.t_utc for s in first] == sorted(s.t_utc for s in first)
+
+
+def _toml(path: Path) -> Path:
+    import tomli_w
+
+    path.write_text(tomli_w.dumps(site_table(SMALL)))
+    return path
+
+
+def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
+    out = tmp_path / "session"
+    command = ["simulate", str(_toml(tmp_path / "site.toml")), "--out", str(out), "--size", "16x8"]
+    command += ["--quality", "draft", "--year-sample", "12", "--json"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["rendered"] == 12 and answer["dark"] == 0
+    with (out / "pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12 and all(row["sun_in_map"] == "0" and row["ok"] == "1" for row in rows)
+    panorama = read_panorama(out / rows[3]["panorama"])
+    patch = read_panorama(out / rows[3]["sunpatch"])
+    assert panorama.luminance_cdm2.shape == patch.luminance_cdm2.shape == (8, 16)
+    assert (panorama.luminance_cdm2 >= patch.luminance_cdm2 - 1e-3).all()
+    # A lost picture is made again, the others are kept, and every file is as it was.
+    lost = out / rows[3]["panorama"]
+    before = lost.read_bytes()
+    lost.unlink()
+    again = json.loads(CliRunner().invoke(main, ["simulate", str(out), *command[4:8], "--json"]).stdout)
+    assert (again["rendered"], again["kept"]) == (1, 11)
+    assert lost.read_bytes() == before
+
+
+def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:
+    year = weather.shipped_seattle()
+    session = simulate.make_session(tmp_path / "s", SMALL, simulate.sample_slots(SMALL, year, 2, 1), {"set": "test"})
+    simulate.run(session, year, height=8, quality="draft")
+    with (session.truth / "irradiance.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 48 and rows[0]["ghi_wm2"] == rows[1]["ghi_wm2"]
+    assert open_session(session.root).table()["simulation"]["weather"] == year.name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(["--size", "100x60"], 2), (["--size", "big"], 2), ([], 2), (["--out", "x", "--weather", "nowhere.epw"], 3)],
+)
+def test_exit_codes(tmp_path: Path, arguments: list[str], code: int) -> None:
+    result = CliRunner().invoke(main, ["simulate", str(_toml(tmp_path / "site.toml")), *arguments])
+    assert result.exit_code == code
