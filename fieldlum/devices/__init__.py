@@ -104,6 +104,7 @@ CAMERAS = {
 PYRANOMETERS = {
     "sim": ("fieldlum.devices.simulated", "open_pyranometer"),
     "serial": ("fieldlum.devices.serial_ascii", "open_pyranometer"),
+    "modbus": ("fieldlum.devices.modbus", "open_pyranometer"),
 }
 
 

@@ -61,6 +61,11 @@ class SerialPort:
                 write_timeout=timeout_s, exclusive=True,
             )  # fmt: skip
 
+    @property
+    def handle(self) -> Any:
+        """The pyserial object, for libraries that want one."""
+        return self._port
+
     def drain(self) -> bytes:
         """Take what lies waiting: the rest of a reply that came too late must not be taken for the next one."""
         with told(self.name):

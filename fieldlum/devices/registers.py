@@ -1,0 +1,165 @@
+"""Instruments with registers: what stands where (profiles as data), and what a block of registers means."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from fieldlum.errors import DeviceError, InputError
+from fieldlum.profiles import build, read_toml, shipped
+
+Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
+WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}
+LOWEST_WM2, HIGHEST_WM2 = -200.0, 4000.0  # beyond any sun, cloud edge or night offset: a misread register
+Registers = Mapping[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """Factory settings of the serial line; unit 0: the user must say it."""
+
+    baud: int = 19200
+    bits: int = 8
+    parity: Literal["N", "E", "O"] = "E"
+    stop: int = 1
+    unit: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Registers that are read in one request, and so belong to one moment."""
+
+    start: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One value. power10_register: the value is divided by ten to the power of that register (Kipp & Zonen)."""
+
+    name: str
+    register: int
+    type: Kind = "u16"
+    scale: float = 1.0
+    power10_register: int | None = None
+    words: int = 0  # of a text
+    allow: tuple[int, ...] = ()  # a status word: any other value makes the sample suspect
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterProfile:
+    """calibration/instruments/KIND.toml. 32-bit values have their high word first."""
+
+    kind: str
+    maker: str
+    models: tuple[str, ...]
+    source: str
+    poll: tuple[Block, ...]
+    entry: tuple[Entry, ...]
+    function: Literal[3, 4] = 3  # read holding or input registers: nothing else is ever sent
+    at_open: tuple[Block, ...] = ()
+    largest_request: int = 125
+    line: Line = field(default_factory=Line)
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """values by the entries' names; texts of model, serial and dates; what the status words complain of."""
+
+    values: dict[str, float]
+    texts: dict[str, str]
+    status: str
+
+
+def known_kinds() -> list[str]:
+    return sorted(p.stem for p in (shipped("calibration") / "instruments").glob("*.toml"))
+
+
+def load_register_profile(kind: str) -> RegisterProfile:
+    """By kind, or by the path of an own TOML. Raises InputError for a broken one, DeviceError for an unknown kind."""
+    path = Path(kind)
+    if path.suffix != ".toml":
+        path = shipped("calibration") / "instruments" / f"{kind}.toml"
+    if not path.is_file():
+        raise DeviceError(f"no instrument '{kind}', there are {', '.join(known_kinds())}, or give the path of a TOML")
+    profile = build(RegisterProfile, read_toml(path), str(path))
+    for block in (*profile.poll, *profile.at_open):
+        if not 0 < block.count <= profile.largest_request or not 0 <= block.start <= 65535 - block.count:
+            limit = f"1 to {profile.largest_request} registers in a request"
+            raise InputError(path, f"a block of {block.count} registers at {block.start}", limit)
+    polled = {r for b in profile.poll for r in range(b.start, b.start + b.count)}
+    read = polled | {r for b in profile.at_open for r in range(b.start, b.start + b.count)}
+    for entry in profile.entry:
+        if not set(_span(entry)) <= (polled if entry.name == "irradiance_wm2" else read):
+            raise InputError(path, f"entry '{entry.name}' lies outside the blocks", "a block that holds it", "add it")
+    if "irradiance_wm2" not in {e.name for e in profile.entry}:
+        raise InputError(path, "no entry 'irradiance_wm2'", "one", "add it")
+    return profile
+
+
+def _span(entry: Entry) -> list[int]:
+    """All registers that an entry needs."""
+    count = entry.words if entry.type == "text" else WORDS[entry.type]
+    own = list(range(entry.register, entry.register + count))
+    return own if entry.power10_register is None else [*own, entry.power10_register]
+
+
+def raw_value(kind: str, words: Iterable[int]) -> float:
+    """One number from its registers, high word first."""
+    data = b"".join(struct.pack(">H", w) for w in words)
+    code = {"u16": ">H", "s16": ">h", "u32": ">I", "s32": ">i", "f32": ">f", "date": ">I"}[kind]
+    return float(struct.unpack(code, data)[0])
+
+
+def date_text(number: float) -> str:
+    """20260115 to 2026-01-15; empty for what is no date."""
+    text = f"{number:.0f}"
+    plausible = (
+        len(text) == 8 and "1990" <= text[:4] <= "2100" and "01" <= text[4:6] <= "12" and "01" <= text[6:] <= "31"
+    )
+    return f"{text[:4]}-{text[4:6]}-{text[6:]}" if plausible else ""
+
+
+def _text(words: Iterable[int]) -> str:
+    data = b"".join(struct.pack(">H", w) for w in words)
+    return "".join(c for c in data.decode("ascii", "ignore") if c.isprintable()).strip()
+
+
+def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
+    """The entries whose registers are there. Raises DeviceError for an irradiance that no sun can make."""
+    values: dict[str, float] = {}
+    texts: dict[str, str] = {}
+    complaints = []
+    for entry in profile.entry:
+        if any(r not in registers for r in _span(entry)):
+            continue
+        if entry.type == "text":
+            texts[entry.name] = _text(registers[r] for r in range(entry.register, entry.register + entry.words))
+            continue
+        number = raw_value(entry.type, [registers[entry.register + i] for i in range(WORDS[entry.type])])
+        if entry.type == "date":
+            texts[entry.name] = date_text(number)
+            continue
+        if entry.allow and number not in entry.allow:
+            complaints.append(f"{entry.name}={number:.0f}")
+        if entry.power10_register is not None:
+            number /= 10.0 ** _power(registers[entry.power10_register], profile)
+        values[entry.name] = number * entry.scale
+    irradiance = values.get("irradiance_wm2")
+    if irradiance is not None and not (math.isfinite(irradiance) and LOWEST_WM2 <= irradiance <= HIGHEST_WM2):
+        raise DeviceError(
+            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2, expected {LOWEST_WM2:g} to {HIGHEST_WM2:g}"
+        )
+    return Decoded({k: v for k, v in values.items() if math.isfinite(v)}, texts, " ".join(complaints))
+
+
+def _power(word: int, profile: RegisterProfile) -> int:
+    power = int(raw_value("s16", [word]))
+    if not -1 <= power <= 2:
+        raise DeviceError(f"{profile.maker} {profile.kind}: scale factor {power}, expected -1 to 2")
+    return power
