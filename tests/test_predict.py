@@ -250,6 +250,38 @@ def test_weather_of_another_place_is_refused(model: Path, tmp_path: Path) -> Non
         run(model, path, out=tmp_path / "y")
 
 
+def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> None:
+    path = tmp_path / "w.csv"
+    rows = ["2,29,12.5,100,100", "6,21,10.5,500,100", "6,21,11.5,-4,90", "6,21,12.5,,", "6,21,13.5,400,120"]
+    path.write_text("month,day,hour,dni_wm2,dhi_wm2\n" + "\n".join(rows) + "\n")
+    done = CliRunner().invoke(main, ["predict", str(model), "--weather", str(path), "--out", str(tmp_path / "y")])
+    assert done.exit_code == 0, done.output
+    for said in ("29 February", "negative irradiance", "interpolated"):
+        assert said in done.stderr
+    repairs = " ".join(read_annual(tmp_path / "y").about["weather"]["repairs"])
+    assert "29 February" in repairs
+
+
+@pytest.mark.parametrize("cell", ["-50", "1e9", "x"])
+def test_impossible_irradiance_is_refused(model: Path, tmp_path: Path, cell: str) -> None:
+    path = tmp_path / "w.csv"
+    path.write_text(f"month,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,{cell},100\n")
+    with pytest.raises(InputError, match="line 2"):
+        run(model, path, out=tmp_path / "y")
+
+
+def test_a_wrong_time_zone_is_refused(model: Path, tmp_path: Path) -> None:
+    path = tmp_path / "w.csv"
+    rows = [
+        f"6,{day},{hour + 0.5},{500 if hour < 9 else 0},{100 if hour < 9 else 0}"
+        for day in (20, 21, 22)
+        for hour in range(24)
+    ]
+    path.write_text("month,day,hour,dni_wm2,dhi_wm2\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError):
+        run(model, path, out=tmp_path / "y")
+
+
 def test_weather_without_daylight_is_too_little(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "night.csv"
     path.write_text("month,day,hour,dni_wm2,dhi_wm2\n6,21,0.5,0,0\n6,21,1.5,0,0\n")
