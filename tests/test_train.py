@@ -44,7 +44,7 @@ def trial(name: str, errors: list[float]) -> Trial:
     n = len(errors)
     blank = np.full(n, np.nan)
     scores = Scores(
-        np.array(errors), *(blank,) * 10, trusted=np.ones(n, bool), in_band=blank, slots=DATA.slots[:n]
+        np.array(errors), *(blank,) * 12, trusted=np.ones(n, bool), in_band=blank, slots=DATA.slots[:n]
     )  # fmt: skip
     return Trial(name, scores, 1.0, n, 1)
 

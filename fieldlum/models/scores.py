@@ -43,6 +43,8 @@ class Scores:
     truth2_weighted: NDArray[np.float64]
     dgp_mse: NDArray[np.float64]
     dgp_mae: NDArray[np.float64]
+    dgp_mean: NDArray[np.float64]  # of the truth, over the views
+    dgp_square: NDArray[np.float64]
     rammg_error: NDArray[np.float64]
     rammg_truth: NDArray[np.float64]
     expected_mse: NDArray[np.float64]
@@ -155,7 +157,7 @@ def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64])
     return Scores(
         mse_weighted=e2 @ w / w.sum(), mse=e2.mean(axis=1), error2=e2.sum(axis=1), truth2=t2.sum(axis=1),
         error2_weighted=e2 @ w, truth2_weighted=t2 @ w, dgp_mse=blank.copy(), dgp_mae=blank.copy(),
-        rammg_error=blank.copy(), rammg_truth=blank.copy(), expected_mse=prediction.expected_mse,
+        dgp_mean=blank.copy(), dgp_square=blank.copy(), rammg_error=blank.copy(), rammg_truth=blank.copy(), expected_mse=prediction.expected_mse,
         trusted=prediction.trusted, in_band=in_band, slots=data.slots,
     )  # fmt: skip
 
@@ -168,6 +170,8 @@ def _glare_errors(scores: Scores, prediction: Prediction, part: Dataset, test: T
     difference = _dgp(maps, some, test.views) - test.dgp[rows[asked]]
     scores.dgp_mse[asked] = (difference**2).mean(axis=1)
     scores.dgp_mae[asked] = np.abs(difference).mean(axis=1)
+    scores.dgp_mean[asked] = test.dgp[rows[asked]].mean(axis=1)
+    scores.dgp_square[asked] = (test.dgp[rows[asked]] ** 2).mean(axis=1)
     scores.rammg_truth[asked] = test.rammg[rows[asked]]
     scores.rammg_error[asked] = _rammg(maps, some) - test.rammg[rows[asked]]
 
@@ -204,6 +208,7 @@ def summary(scores: Scores) -> dict[str, Any]:
         "paper_rer": float(np.sqrt(scores.error2.sum() / max(scores.truth2.sum(), 1e-12))),
         "dgp_mse": _mean(scores.dgp_mse),
         "dgp_mae": _mean(scores.dgp_mae),
+        "dgp_r2": _dgp_r2(scores),
         "rammg_mse": _mean(scores.rammg_error**2),
         "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
         "n_test": len(scores),
@@ -213,6 +218,14 @@ def summary(scores: Scores) -> dict[str, Any]:
         "in_90_band": _mean(scores.in_band),
         **_flagging(scores),
     }
+
+
+def _dgp_r2(scores: Scores) -> float | None:
+    """Coefficient of determination over all views of the maps asked for DGP."""
+    error, mean, square = (_mean(v) for v in (scores.dgp_mse, scores.dgp_mean, scores.dgp_square))
+    if error is None or mean is None or square is None or square <= mean**2:
+        return None
+    return 1.0 - error / (square - mean**2)
 
 
 def _flagging(scores: Scores) -> dict[str, float | None]:

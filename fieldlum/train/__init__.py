@@ -20,6 +20,7 @@ from fieldlum.models.scores import Scores, evaluate, join, summary, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.session import replacing
 from fieldlum.train.choice import Choice, Trial, choose
+from fieldlum.train.doubts import doubts
 from fieldlum.train.folds import MOST_FOLDS, Fold, day_folds, one_day_only
 
 if TYPE_CHECKING:
@@ -150,7 +151,8 @@ def fit_and_score(
     fitted, seconds = fit_timed(
         choice.name, data, patch=patch, seed=seed, budget_s=(1.0 - FOLD_SHARE) * budget_s, progress=progress, **more
     )
-    return Result(fitted, tuple(trials), choice, seconds, _notes(data, patch, model, trials))
+    notes = (*_notes(data, patch, model, trials), *doubts(fitted, data))
+    return Result(fitted, tuple(trials), choice, seconds, notes)
 
 
 def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:

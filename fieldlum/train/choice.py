@@ -28,6 +28,11 @@ class Choice:
     reason: str
 
 
+def _size(label: str) -> int:
+    """Of ``NAME``, ``NAME:PATCH`` or ``NAME (folder)``."""
+    return MODELS[label.replace(":", " ").split()[0]].size
+
+
 def choose(trials: list[Trial], data: Dataset) -> Choice:
     """One-standard-error rule, smallest first, over the days that all candidates were asked about.
 
@@ -45,7 +50,7 @@ def choose(trials: list[Trial], data: Dataset) -> Choice:
         means[trial.name], errors[trial.name], days = float(daily.mean()), standard_error(daily), len(unique)
     best = min(means, key=lambda name: means[name])
     allowed = means[best] + float(np.nan_to_num(errors[best]))
-    chosen = next(name for name in sorted(means, key=lambda n: MODELS[n].size) if means[name] <= allowed)
+    chosen = next(name for name in sorted(means, key=_size) if means[name] <= allowed)
     spread = f"{means[best]:.2e} +- {np.nan_to_num(errors[best]):.1e} over {days} held-out days"
     if chosen == best:
         return Choice(chosen, f"{best} is best ({spread}) and nothing smaller is within one standard error")

@@ -1,0 +1,167 @@
+"""Speed against accuracy, how many captures, which days, and where it breaks: one command for any pairs.csv."""
+
+from __future__ import annotations
+
+import csv
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fieldlum.records import Progress, quiet
+from fieldlum.session import replacing, replacing_path
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+DEFAULT_MODELS = ("mean", "nearest", "transport", "dense")
+TABLE = {
+    "name": "model", "log10_mse_weighted": "log10 MSE", "log10_mse_weighted_sd": "sd", "rer_weighted": "RER",
+    "median": "median", "p90": "p90", "worst": "worst", "paper_log10_mse": "paper log10 MSE", "paper_rer": "paper RER",
+    "dgp_mse": "DGP MSE", "dgp_r2": "DGP R2", "rammg_mse": "RAMMG MSE", "rammg_mse_cut": "RAMMG MSE < 500",
+    "n_train": "train", "n_test": "test", "seeds": "seeds", "fit_s": "fit [s]", "predict_s_per_map": "map [s]",
+    "untrusted_share": "not trusted", "in_90_band": "in 90 %", "worst_decile_found": "worst tenth found",
+}  # fmt: skip
+CURVE = {
+    "name": "model", "way": "chosen", "captures": "captures", "log10_mse_weighted": "log10 MSE", "rer_weighted": "RER",
+    "worst": "worst", "fit_s": "fit [s]",
+}  # fmt: skip
+PERIODS = {
+    "period": "period", "name": "model", "captures": "captures", "log10_mse_weighted": "log10 MSE",
+    "paper_log10_mse": "paper log10 MSE", "paper_rer": "paper RER", "dgp_mse": "DGP MSE", "dgp_r2": "DGP R2",
+    "rammg_mse": "RAMMG MSE", "worst": "worst", "untrusted_share": "not trusted",
+}  # fmt: skip
+STRESS = {
+    "regime": "regime", "name": "model", "n_train": "train", "n_test": "test", "log10_mse_weighted": "log10 MSE",
+    "times_normal": "x normal", "expected_mse": "expected", "untrusted_share": "not trusted", "warned": "warned",
+    "told": "told",
+    "wild": "wild maps", "wild_unflagged": "wild unflagged",
+}  # fmt: skip
+
+
+def machine() -> str:
+    """As the tables name it."""
+    return f"{os.cpu_count()} cores, {platform.machine()}"
+
+
+# ---------------------------------------------------------------------------------------------- writing
+
+
+def shown(value: Any) -> str:
+    """A cell of a Markdown table."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3g}" if value != value or 1e-3 <= abs(value) < 1e5 or value == 0 else f"{value:.2e}"
+    return str(value)
+
+
+def markdown(rows: Sequence[dict[str, Any]], columns: dict[str, str]) -> str:
+    """A table of the columns that have any value."""
+    used = [key for key in columns if any(row.get(key) is not None for row in rows)]
+    lines = ["| " + " | ".join(columns[key] for key in used) + " |", "|" + "---|" * len(used)]
+    lines += ["| " + " | ".join(shown(row.get(key)) for key in used) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    names = list(dict.fromkeys(key for row in rows for key in row))
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=names)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _keep(out: Path, name: str, rows: Sequence[dict[str, Any]], chart: Any, *more: Any) -> None:
+    """NAME.csv and NAME.png."""
+    _write_csv(out / f"{name}.csv", rows)
+    with replacing_path(out / f"{name}.png") as path:
+        chart(path, rows, *more)
+
+
+# ---------------------------------------------------------------------------------------------- run
+
+
+def run(
+    data: Dataset,
+    *,
+    test: Dataset | None = None,
+    whole: Dataset | None = None,
+    models: Sequence[str] = DEFAULT_MODELS,
+    seeds: int = 1,
+    budget_min: float = 5.0,
+    with_stress: bool = False,
+    render_hours: int = 1,
+    out: Path,
+    progress: Progress = quiet,
+) -> dict[str, Any]:
+    """Score table, chart, learning curves, collection periods (where a year is at hand) and stress, into `out`.
+
+    test: hours to ask about; without it held-out days of `data`. whole: all hours at hand, to draw seasons from.
+    """
+    from fieldlum.bench import charts, stress
+    from fieldlum.bench.cost import radiance_row
+    from fieldlum.bench.rows import over_seeds, parse_specs, score_table
+    from fieldlum.train.choice import choose
+
+    specs = parse_specs(models)
+    rows, trials = score_table(specs, data, test, seeds=seeds, budget_s=60.0 * budget_min, progress=progress)
+    asked = data if test is None else test
+    chosen = choose(list(trials.values()), asked)
+    table = over_seeds(rows)
+    rendering = radiance_row(asked, render_hours, progress=progress)
+    if rendering:
+        table.append(rendering)
+        rows.append(rendering)
+    _keep(out, "scores", table, charts.speed_accuracy, machine())
+    _write_csv(out / "scores_by_seed.csv", rows)
+    parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
+    parts += _curves(data, test, specs, out, progress)
+    if with_stress:
+        spec = next((s for s in specs if s.name == "transport"), specs[0])
+        found = stress.run(spec, data, asked, _apart(whole, data, asked), progress=progress)
+        _keep(out, "stress", found, charts.stress)
+        parts.append(f"## Stress\n\n{markdown(found, STRESS)}")
+    head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
+    head += f"; test {len(test)} hours of {test.source}.\n\n" if test else "; test: held-out days.\n\n"
+    with replacing(out / "bench.md", "w", encoding="utf-8") as file:
+        file.write(head + "\n".join(parts))
+    return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
+
+
+def _apart(whole: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
+    """All hours at hand but the test's."""
+    import numpy as np
+
+    everything = data if whole is None else whole
+    asked = set(test.slots) if test is not data else set()
+    return everything.take(np.array([slot not in asked for slot in everything.slots]))
+
+
+def _curves(data: Dataset, test: Dataset | None, specs: Sequence[Any], out: Path, progress: Progress) -> list[str]:
+    """Learning curve and collection periods of the quick models."""
+    import numpy as np
+
+    from fieldlum.bench import charts, year
+
+    quick = [spec for spec in specs if spec.name == "transport" and spec.folder is None]
+    parts: list[str] = []
+    if not quick:
+        return parts
+    if test is None and year.is_year(data):
+        order = np.random.default_rng(0).permutation(len(data))
+        held, pool = data.take(np.sort(order[: year.TEST_HOURS])), data.take(np.sort(order[year.TEST_HOURS :]))
+    else:
+        held, pool = test, data
+    if held is not None and len(pool) >= 2 * year.COUNTS[0]:
+        rows = [row for spec in quick for row in year.learning_curve(spec, pool, held, progress=progress)]
+        _keep(out, "learning_curve", rows, charts.learning_curves)
+        parts.append(f"## Captures\n\n{markdown(rows, CURVE)}")
+    if year.is_year(data):
+        rows = [row for spec in quick for row in year.compare_periods(spec, data, progress=progress)]
+        _keep(out, "periods", rows, charts.collection_periods)
+        parts.append(f"## Collection periods\n\n{markdown(rows, PERIODS)}")
+    return parts

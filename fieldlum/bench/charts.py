@@ -1,0 +1,108 @@
+"""Charts of the benchmarks: speed against accuracy, learning curves, collection periods, stress."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PAPER = {"label": "dense, as published (own rendering, GTX 1080 Ti)", "fit_s": 1800.0, "predict_s_per_map": 0.1,
+         "error": 9.54e-3}  # fmt: skip  # Liu et al. 2020, Table 1 and section 5: 30 min, 0.1 s, log10 MSE
+COLOURS = {"mean": "#9aa0a6", "nearest": "#6b7280", "transport": "#0b6e99", "dense": "#c2410c", "Radiance": "#4d7c0f"}
+
+
+def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
+    axes = figure.subplots(1, panels)
+    for axis in np.atleast_1d(axes):
+        axis.grid(True, which="major", color="#e5e7eb", linewidth=0.7)
+        axis.set_axisbelow(True)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    return figure, axes
+
+
+def _colour(name: str) -> str:
+    return next((colour for key, colour in COLOURS.items() if name.startswith(key)), "#111827")
+
+
+def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Numbers of the points that none beats in both, from left to right."""
+    order = sorted(range(len(points)), key=lambda k: points[k])
+    front: list[int] = []
+    for k in order:
+        if not front or points[k][1] < points[front[-1]][1]:
+            front.append(k)
+    return front
+
+
+def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> None:
+    """Two panels: seconds of training, and of one map, against the error (paper mode, as the published point is)."""
+    figure, axes = _figure(11.0, 4.8, 2)
+    for axis, key, label in zip(axes, ("fit_s", "predict_s_per_map"), ("training [s]", "one map [s]"), strict=True):
+        usable = [row for row in rows if row.get(key) and row["paper_log10_mse"] and np.isfinite(row[key])]
+        points = [(row[key], row["paper_log10_mse"]) for row in usable]
+        front = [points[k] for k in pareto(points)]
+        if front:
+            axis.step(*zip(*front, strict=True), where="post", color="#0b6e99", linewidth=1.2, alpha=0.6,
+                      label="Pareto front of the measured")  # fmt: skip
+        for row, point in zip(usable, points, strict=True):
+            hollow = ":none" in row["name"]
+            axis.plot(*point, "o", markersize=8, color=_colour(row["name"]),
+                      markerfacecolor="white" if hollow else _colour(row["name"]))  # fmt: skip
+            axis.annotate(row["name"], point, xytext=(7, 5), textcoords="offset points", fontsize=8)
+        axis.plot(PAPER[key], PAPER["error"], "*", markersize=14, color="#c2410c", markerfacecolor="none",
+                  label=PAPER["label"])  # fmt: skip
+        for row in rows:
+            if row["name"].startswith("Radiance") and key == "predict_s_per_map":
+                axis.axvline(row[key], color=COLOURS["Radiance"], linestyle="--", linewidth=1.2,
+                             label=f"Radiance, one map, measured: {row[key]:.3g} s")  # fmt: skip
+        axis.set(xscale="log", yscale="log", xlabel=label, ylabel="log10 MSE, paper mode")
+        axis.legend(fontsize=7, frameon=False, loc="best")
+    figure.suptitle(f"Speed and accuracy on {machine}", fontsize=11)
+    figure.savefig(path)
+
+
+def learning_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Error against captures, random and greedy, per model."""
+    figure, axis = _figure(6.5, 4.5)
+    for name in dict.fromkeys(row["name"] for row in rows):
+        for way, style in (("random", "o--"), ("greedy", "o-")):
+            mine = [row for row in rows if row["name"] == name and row["way"] == way]
+            axis.plot([r["captures"] for r in mine], [r["log10_mse_weighted"] for r in mine], style,
+                      color=_colour(name), markersize=5, label=f"{name}, {way}")  # fmt: skip
+    axis.set(xscale="log", yscale="log", xlabel="captures", ylabel="log10 MSE, solid-angle weighted")
+    axis.legend(fontsize=8, frameon=False)
+    figure.savefig(path)
+
+
+def collection_periods(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Error of each collection period (the paper's Figures 18 to 22)."""
+    figure, axis = _figure(9.0, 4.2)
+    names = list(dict.fromkeys(row["period"] for row in rows))
+    models = list(dict.fromkeys(row["name"] for row in rows))
+    for k, model in enumerate(models):
+        values = {row["period"]: row["log10_mse_weighted"] for row in rows if row["name"] == model}
+        place = np.arange(len(names)) + (k - (len(models) - 1) / 2) * 0.8 / len(models)
+        axis.bar(place, [values.get(n, np.nan) for n in names], 0.8 / len(models), color=_colour(model), label=model)
+    axis.set_xticks(range(len(names)), names, rotation=45, ha="right")
+    axis.set(yscale="log", ylabel="log10 MSE over the year")
+    axis.legend(fontsize=8, frameon=False)
+    figure.savefig(path)
+
+
+def stress(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """How many times the normal error each regime has; filled where the model said so itself."""
+    figure, axis = _figure(9.0, 0.32 * len(rows) + 1.2)
+    for k, row in enumerate(reversed(rows)):
+        colour = "#0b6e99" if row["told"] else "#c2410c"
+        axis.plot([1.0, row["times_normal"]], [k, k], color=colour, linewidth=1.5)
+        axis.plot(row["times_normal"], k, "o", color=colour, markersize=7)
+    axis.axvline(1.0, color="#6b7280", linewidth=1)
+    axis.set_yticks(range(len(rows)), [row["regime"] for row in reversed(rows)], fontsize=8)
+    axis.set(xscale="log", xlabel="error over the normal case (blue: the model expected it; red: it did not)")
+    figure.savefig(path)

@@ -1,0 +1,129 @@
+"""Rows of the score table: which model, fitted on what, asked about what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import numpy as np
+
+from fieldlum import models
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.models import MODELS, Patch
+from fieldlum.models.data import Dataset
+from fieldlum.models.scores import Truth, evaluate, summary, truth
+from fieldlum.records import Progress, quiet
+from fieldlum.train import evaluate_folds, fit_timed, patch_mode
+from fieldlum.train.choice import Trial
+from fieldlum.train.folds import day_folds
+
+SPREAD = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """``NAME``, ``NAME:PATCH`` or the folder of a model trained before."""
+
+    label: str
+    name: str
+    patch: Patch
+    folder: Path | None = None
+
+
+def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
+    """Raises InputError for what is neither a model's name nor a model folder."""
+    return tuple(_parse_spec(text.strip()) for text in texts if text.strip())
+
+
+def _parse_spec(text: str) -> Spec:
+    name, _, patch = text.partition(":")
+    if name in MODELS and patch in ("", *get_args(Patch)):
+        return Spec(text, name, cast(Patch, patch or "absolute"))
+    folder = Path(text)
+    if (folder / "config.json").is_file():
+        config = models.read_config(folder)
+        patch = config.get("patch", "absolute")
+        return Spec(f"{config['model']}{'' if patch == 'absolute' else ':' + patch} ({folder.name})",
+                    config["model"], patch, folder)  # fmt: skip
+    wanted = f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder"
+    raise InputError("--models", f"'{text}'", wanted)
+
+
+def without_training_hours(test: Dataset, train: Dataset) -> Dataset:
+    """The test hours that were not trained on. Raises NotEnoughDataError when none is left."""
+    known = set(train.slots)
+    fresh = np.array([slot not in known for slot in test.slots])
+    if not fresh.any():
+        raise NotEnoughDataError(f"{test.source}: every test hour is a training hour")
+    return test.take(fresh)
+
+
+def score_row(
+    spec: Spec, data: Dataset, test: Truth | None, *, seed: int, budget_s: float, progress: Progress = quiet
+) -> tuple[dict[str, Any], Trial]:
+    """One model, one seed: fitted on `data` and asked about `test`, or about held-out days when there is none."""
+    patch = patch_mode(data, spec.patch)
+    if test is None:
+        if spec.folder is not None:
+            raise InputError("--models", f"the trained model {spec.label}", "--test TEST.csv beside it")
+        folds = day_folds(data)
+        trial = evaluate_folds(spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s, progress=progress)
+    else:
+        fitted, seconds, count = _fitted(spec, data, patch, seed, budget_s, progress)
+        trial = Trial(spec.name, evaluate(fitted, test, progress=progress), seconds, count, 0)
+    row = {
+        "name": spec.label, "fit_s": trial.fit_s, "n_train": trial.n_train, "seed": seed, "patch": patch,
+        **summary(trial.scores),
+    }  # fmt: skip
+    return row, replace(trial, name=spec.label)
+
+
+def _fitted(
+    spec: Spec, data: Dataset, patch: Patch, seed: int, budget_s: float, progress: Progress
+) -> tuple[models.Fitted, float, int]:
+    if spec.folder is None:
+        fitted, seconds = fit_timed(spec.name, data, patch=patch, seed=seed, budget_s=budget_s, progress=progress)
+        return fitted, seconds, len(data)
+    config = models.read_config(spec.folder)
+    seconds = float(config.get("dense_training", {}).get("seconds", float("nan")))
+    return models.load(spec.folder), seconds, len(config["training"]["slots"])
+
+
+def score_table(
+    specs: Sequence[Spec],
+    data: Dataset,
+    test: Dataset | None,
+    *,
+    seeds: int = 1,
+    budget_s: float = 300.0,
+    progress: Progress = quiet,
+) -> tuple[list[dict[str, Any]], dict[str, Trial]]:
+    """Rows of all models and seeds, and each model's first trial. Models without chance in them run once."""
+    asked = None if test is None else truth(without_training_hours(test, data))
+    rows: list[dict[str, Any]] = []
+    trials: dict[str, Trial] = {}
+    for k, spec in enumerate(specs):
+        progress(k, len(specs), spec.label)
+        many = seeds if spec.name not in ("mean", "nearest") and spec.folder is None else 1
+        for seed in range(many):
+            row, trial = score_row(spec, data, asked, seed=seed, budget_s=budget_s, progress=progress)
+            rows.append(row)
+            trials.setdefault(spec.label, trial)
+    return rows, trials
+
+
+def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row a model: the first seed's, with mean and standard deviation over seeds where there are several."""
+    out = []
+    for name in dict.fromkeys(row["name"] for row in rows):
+        mine = [row for row in rows if row["name"] == name]
+        row = dict(mine[0], seeds=len(mine))
+        for key in SPREAD:
+            values = [r[key] for r in mine if r[key] is not None]
+            row[f"{key}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
+            row[key] = float(np.mean(values)) if values else None
+        row["fit_s"] = float(np.mean([r["fit_s"] for r in mine]))
+        out.append(row)
+    return out

@@ -1,0 +1,242 @@
+"""The regimes where methods fail: each one's error beside the normal case, and whether the tool itself said so.
+
+A regime changes the training data, the test data, or both, from a normal case of its own kind. "Told" means that the
+training warned (`train.doubts`), or the model expected at least a third of the error that came, or did not trust most
+of the hours that went wrong. A wild map is one that is off by over a factor of 1.6 (log10 MSE over 0.04); none may be
+trusted and expected to be good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.bench.rows import Spec
+from fieldlum.light import Light
+from fieldlum.models.data import Dataset
+from fieldlum.models.scores import Scores, evaluate, truth
+from fieldlum.records import Progress, quiet
+from fieldlum.train import fit_timed, patch_mode
+from fieldlum.train.doubts import doubts
+
+FEWEST = 8  # hours on either side that a regime needs
+WILD_MSE = 0.04
+TOLD_SHARE = 1.0 / 3.0
+SUNNY_WM2 = 120.0
+OVERCAST_SHARE = 0.2  # of the sun in DNI + DHI
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A regime made of data: what is trained on, what is asked; and the normal case it stands beside."""
+
+    name: str
+    train: Dataset
+    test: Dataset
+    normal: str = "normal"
+    seed: int = 0
+
+
+# ---------------------------------------------------------------------------------------------- changing data
+
+
+def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
+    """The same maps under other irradiance or another sun; a sky known otherwise is forgotten."""
+    return replace(data, light=replace(data.light, perez=None, **columns))
+
+
+def turned(data: Dataset, degrees: float) -> Dataset:
+    """As if north were off by so much."""
+    return _patched(with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0))
+
+
+def late(data: Dataset, minutes: float) -> Dataset:
+    """As if the clock were off by so much: the sun moves on by what SPA says."""
+    site, step = data.setup.site, timedelta(minutes=minutes)
+    now = sun.position(data.light.t_utc, site)
+    then = sun.position([t + step for t in data.light.t_utc], site)
+    return _patched(
+        with_light(
+            data,
+            sun_altitude_deg=data.light.sun_altitude_deg + then.altitude_deg - now.altitude_deg,
+            sun_azimuth_deg=(data.light.sun_azimuth_deg + then.azimuth_deg - now.azimuth_deg) % 360.0,
+        )
+    )
+
+
+def _patched(data: Dataset) -> Dataset:
+    """Sun patches made anew from [room] for the sun that is believed in."""
+    from fieldlum.scene import sun_patches
+
+    if data.setup.room is None or data.patch_cdm2 is None:
+        return data
+    made = sun_patches(
+        data.setup.room, data.setup, data.light.sun_direction, data.light.direct_lx, height=data.shape[0],
+        heading_deg=data.heading_deg,
+    )  # fmt: skip
+    return replace(data, patch_cdm2=made.luminance_cdm2)
+
+
+def shifted(data: Dataset, pixels: int) -> Dataset:
+    """Sun patches off by so many pixels to the right."""
+    assert data.patch_cdm2 is not None
+    return replace(data, patch_cdm2=np.roll(data.patch_cdm2, pixels, axis=2))
+
+
+def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
+    factor = np.exp(share * np.random.default_rng(seed).standard_normal(data.luminance_cdm2.shape, np.float32))
+    return replace(data, luminance_cdm2=data.luminance_cdm2 * factor)
+
+
+def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
+    rng, light = np.random.default_rng(seed), data.light
+    dni, dhi = (values * np.exp(share * rng.standard_normal(len(data))) for values in (light.dni_wm2, light.dhi_wm2))
+    return with_light(data, dni_wm2=dni, dhi_wm2=dhi)
+
+
+def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
+    """Broken clouds: the DNI of the moment is off by so much, the global horizontal is kept."""
+    light = data.light
+    rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
+    total = light.dni_wm2 * rise + light.dhi_wm2
+    dni = light.dni_wm2 * np.exp(share * np.random.default_rng(seed).standard_normal(len(data)))
+    dni = np.minimum(dni, 0.97 * total / rise)
+    return with_light(data, dni_wm2=dni, dhi_wm2=np.maximum(total - dni * rise, 1.0))
+
+
+def from_global(data: Dataset) -> Dataset:
+    """DNI and DHI derived from the global horizontal alone, by Erbs (lone hours: DIRINT wants a series)."""
+    from pvlib.irradiance import erbs
+
+    light = data.light
+    zenith = 90.0 - light.sun_altitude_deg
+    total = light.dni_wm2 * np.maximum(np.cos(np.radians(zenith)), 0.0) + light.dhi_wm2
+    day = np.array([t.timetuple().tm_yday for t in light.t_utc])
+    found = erbs(total, np.minimum(zenith, 88.0), day)
+    dni, dhi = (np.nan_to_num(np.asarray(found[name], float)) for name in ("dni", "dhi"))
+    return with_light(data, dni_wm2=np.clip(dni, 0.0, 1100.0), dhi_wm2=np.maximum(dhi, 1.0))
+
+
+def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
+    """In whole days of about that share a blind was down: two fifths of the light, and no sun patch in the picture."""
+    days = np.unique(data.days)
+    down = np.random.default_rng(seed).permutation(days)[: max(1, round(share * len(days)))]
+    rows = np.isin(data.days, down)
+    maps = data.luminance_cdm2.copy()
+    if data.patch_cdm2 is not None:
+        maps[rows] = np.maximum(maps[rows] - data.patch_cdm2[rows], 0.02 * maps[rows])
+    maps[rows] *= np.float32(0.4)
+    return replace(data, luminance_cdm2=maps)
+
+
+# ---------------------------------------------------------------------------------------------- regimes
+
+
+def _sun_share(light: Light) -> NDArray[np.float64]:
+    return light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
+
+
+def _months(data: Dataset) -> NDArray[np.int64]:
+    return np.array([day.astype(object).month for day in data.days])
+
+
+def cases(data: Dataset, test: Dataset, whole: Dataset, *, seeds: int = 5) -> Iterator[Case]:
+    """All regimes that the data can show; `whole` is everything at hand to draw seasons from, without the test."""
+    yield Case("normal", data, test)
+    for seed in range(1, seeds):
+        yield Case(f"another seed ({seed})", data, test, seed=seed)
+    low = (test.light.sun_altitude_deg < 10.0) & (test.light.dni_wm2 > 20.0)
+    yield from _asked("sun disc in view", data, test, test.disc_lx > 0.0)
+    yield from _asked("low sun, under 10 degrees", data, test, low)
+    yield from _seasons(whole, test)
+    yield Case("every capture twice", data.take(np.repeat(np.arange(len(data)), 2)), test)
+    yield Case("pixel noise 5 %", noisy_pixels(data, 0.05, 1), test)
+    yield Case("irradiance noise 5 %", noisy_irradiance(data, 0.05, 2), test)
+    yield Case("mixed sky: DNI off by 30 %, global kept", disagreeing(data, 0.3, 3), test)
+    yield Case("DNI derived from global", from_global(data), test)
+    yield Case("blind down in a third of the days", blind_moved(data, 1 / 3, 4), test)
+    if data.patch_cdm2 is not None:
+        for pixels in (1, 2):
+            yield Case(f"sun patch off by {pixels} px", shifted(data, pixels), shifted(test, pixels))
+    if data.setup.room is not None and data.patch_cdm2 is not None:
+        yield from _geometry(data, test)
+
+
+def _asked(name: str, data: Dataset, test: Dataset, rows: NDArray[np.bool_]) -> Iterator[Case]:
+    if rows.sum() >= FEWEST:
+        yield Case(name, data, test.take(rows))
+
+
+def _seasons(whole: Dataset, test: Dataset) -> Iterator[Case]:
+    share, asked, months = _sun_share(whole.light), _months(test), _months(whole)
+    days = whole.days.astype("datetime64[D]").astype(int)
+    first = days[months == 3].min() if (months == 3).any() else days.min()
+    pairs = {
+        "overcast captures only, clear test": (share < OVERCAST_SHARE, _sun_share(test.light) > 0.6),
+        "December captures only, June test": (months == 12, asked == 6),
+        "one week of captures": ((days >= first) & (days < first + 7), np.ones(len(test), bool)),
+        "two weeks of captures": ((days >= first) & (days < first + 14), np.ones(len(test), bool)),
+    }
+    for name, (teach, check) in pairs.items():
+        if teach.sum() >= FEWEST and check.sum() >= FEWEST:
+            yield Case(name, whole.take(teach), test.take(check))
+
+
+def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
+    """North and clock, with patches made from [room]: beside a normal case whose patches are made so too."""
+    base = "normal, patches from [room]"
+    yield Case(base, _patched(data), _patched(test), base)
+    for degrees in (0.2, 0.5, 1.0, 2.0):
+        yield Case(f"north off by {degrees:g} degrees", turned(data, degrees), turned(test, degrees), base)
+    for minutes in (5, 15):
+        yield Case(f"clock off by {minutes} min", late(data, minutes), late(test, minutes), base)
+
+
+# ---------------------------------------------------------------------------------------------- answers
+
+
+def run(
+    spec: Spec, data: Dataset, test: Dataset, whole: Dataset, *, budget_s: float = 60.0, progress: Progress = quiet
+) -> list[dict[str, Any]]:
+    """One row a regime, with the ratio to its normal case."""
+    rows: list[dict[str, Any]] = []
+    normal: dict[str, float] = {}
+    for case in cases(data, test, whole):
+        progress(len(rows), 0, case.name)
+        fitted, seconds = fit_timed(
+            spec.name, case.train, patch=patch_mode(case.train, spec.patch), seed=case.seed, budget_s=budget_s
+        )
+        warned = bool(doubts(fitted, case.train))
+        row = _row(case, evaluate(fitted, truth(case.test, glare=False)), seconds, warned)
+        normal.setdefault(case.name, row["log10_mse_weighted"])
+        row["times_normal"] = row["log10_mse_weighted"] / normal[case.normal]
+        rows.append({"name": spec.label, **row})
+    return rows
+
+
+def _row(case: Case, scores: Scores, seconds: float, warned: bool) -> dict[str, Any]:
+    error, expected = scores.mse_weighted, scores.expected_mse
+    bad = error > max(WILD_MSE, 4.0 * float(np.median(error)))
+    wild = error > WILD_MSE
+    feared = warned | ~scores.trusted | (np.nan_to_num(expected) > TOLD_SHARE * error)
+    known = np.isfinite(expected).all()
+    told = float(expected.mean()) > TOLD_SHARE * float(error.mean()) if known else False
+    told = (
+        told
+        or warned
+        or (bad.any() and bool((~scores.trusted)[bad].mean() > 0.5))
+        or bool((~scores.trusted).mean() > 0.5)
+    )
+    return {
+        "regime": case.name, "n_train": len(case.train), "n_test": len(scores), "fit_s": seconds,
+        "log10_mse_weighted": float(error.mean()), "median": float(np.median(error)), "worst": float(error.max()),
+        "expected_mse": float(expected.mean()) if known else None,
+        "untrusted_share": float((~scores.trusted).mean()), "warned": warned, "told": bool(told),
+        "wild": int(wild.sum()), "wild_unflagged": int((wild & ~feared).sum()), "beside": case.normal,
+    }  # fmt: skip

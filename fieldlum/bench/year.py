@@ -1,0 +1,102 @@
+"""What a number of captures, and a choice of days, is worth: learning curves and collection periods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import date
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.bench.rows import Spec
+from fieldlum.models.data import Dataset
+from fieldlum.models.scores import evaluate, summary, truth
+from fieldlum.records import Progress, quiet
+from fieldlum.train import fit_timed, patch_mode
+from fieldlum.train.captures import order_of_use
+
+COUNTS = (25, 50, 100, 200, 500, 1000)
+TEST_HOURS = 300
+MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+FEWEST_HOURS = 20
+YEAR_HOURS = 1000  # from so many hours on, spread over so many months, a year is at hand
+YEAR_MONTHS = 10
+
+
+def is_year(data: Dataset) -> bool:
+    months = data.days.astype("datetime64[M]").astype(int) % 12
+    return len(data) >= YEAR_HOURS and len(np.unique(months)) >= YEAR_MONTHS
+
+
+def learning_curve(
+    spec: Spec, data: Dataset, test: Dataset, *, seed: int = 0, progress: Progress = quiet
+) -> list[dict[str, Any]]:
+    """Error on `test` of a model trained on N captures: drawn at random, and in the order of use (greedy)."""
+    patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
+    counts = [n for n in COUNTS if n < len(data)] + [len(data)] * (len(data) <= COUNTS[-1])
+    shuffled = np.random.default_rng(seed).permutation(len(data))
+    rows = []
+    for way, order in (("random", shuffled), ("greedy", order_of_use(data))):
+        for k, count in enumerate(counts):
+            progress(k, len(counts), f"{way} {count}")
+            fitted, seconds = fit_timed(
+                spec.name, data.take(np.sort(order[:count])), patch=patch, seed=seed, budget_s=None
+            )
+            found = summary(evaluate(fitted, asked))
+            rows.append({"name": spec.label, "way": way, "captures": count, "fit_s": seconds} | _figures(found))
+    return rows
+
+
+def _figures(found: dict[str, Any]) -> dict[str, Any]:
+    keys = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse", "worst")
+    return {key: found[key] for key in keys} | {"n_test": found["n_test"], "untrusted_share": found["untrusted_share"]}
+
+
+# ---------------------------------------------------------------------------------------------- periods
+
+
+def _dates(data: Dataset) -> list[date]:
+    return [day.astype(object) for day in data.days]
+
+
+def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDArray[np.bool_]:
+    """Hours within `days` days of (month, day) of any year."""
+    inside = np.zeros(len(data), bool)
+    for k, day in enumerate(_dates(data)):
+        inside[k] = any(abs((day - date(day.year, month, d)).days) <= days for month, d in events)
+    return inside
+
+
+def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
+    """The paper's collection periods that the data hold: months, weeks in March, 9, 12 and 4 days."""
+    march, june, september, december = (3, 20), (6, 21), (9, 22), (12, 21)
+    months = np.array([day.month for day in _dates(data)])
+    named: dict[str, NDArray[np.bool_]] = {name: months == k for k, name in enumerate(MONTHS, start=1)}
+    named["1 week"] = _around(data, [march], 3)
+    named["2 weeks"] = _around(data, [march], 6)
+    named["9 days"] = _around(data, [march, june, december], 1)
+    named["12 days"] = _around(data, [march, june, september, december], 1)
+    named["4 days"] = _around(data, [march, june, september, december], 0)
+    return {name: rows for name, rows in named.items() if rows.sum() >= FEWEST_HOURS}
+
+
+def compare_periods(spec: Spec, data: Dataset, *, seed: int = 0, progress: Progress = quiet) -> list[dict[str, Any]]:
+    """Train on each period, ask about hours drawn once from the whole year and left out of every training."""
+    order = np.random.default_rng(seed).permutation(len(data))
+    in_test = np.zeros(len(data), bool)
+    in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True
+    asked = truth(data.take(in_test))
+    patch = patch_mode(data, spec.patch)
+    rows = []
+    chosen = periods(data)
+    for k, (name, inside) in enumerate(chosen.items()):
+        progress(k, len(chosen), name)
+        train = data.take(inside & ~in_test)
+        fitted, seconds = fit_timed(spec.name, train, patch=patch, seed=seed, budget_s=None)
+        found = summary(evaluate(fitted, asked))
+        rows.append(
+            {"period": name, "name": spec.label, "captures": len(train), "fit_s": seconds, "dgp_r2": found["dgp_r2"]}
+            | _figures(found)
+        )
+    return rows

@@ -1,0 +1,58 @@
+"""`fieldlum bench`: speed against accuracy on any pairs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.terminal import emit_json, progress, say
+
+
+@click.command()
+@click.argument("pairs", type=click.Path(path_type=Path))
+@click.option("--test", type=click.Path(path_type=Path), help="Pairs to ask about; without it, held-out days.")
+@click.option("--pool", type=click.Path(path_type=Path), help="Pairs of other seasons, for --stress.")
+@click.option("--site", type=click.Path(path_type=Path), help="SITE.toml, where no session and no site.toml is near.")
+@click.option(
+    "--models", default="mean,nearest,transport,dense", show_default=True,
+    help="Names, NAME:none or NAME:gain, or folders of trained models, parted by commas.",
+)  # fmt: skip
+@click.option("--seeds", default=1, show_default=True, type=click.IntRange(min=1))
+@click.option("--budget", default=5.0, show_default=True, type=click.FloatRange(min=0, min_open=True),
+              help="Minutes of training for the dense network.")  # fmt: skip
+@click.option("--stress", is_flag=True, help="The regimes where methods fail, beside the normal case.")
+@click.option("--render", default=1, show_default=True, type=click.IntRange(min=0),
+              help="Hours to render with Radiance for the cost row; needs a [room].")  # fmt: skip
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of tables and charts.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    pairs: Path, test: Path | None, pool: Path | None, site: Path | None, models: str, seeds: int, budget: float,
+    stress: bool, render: int, out: Path, as_json: bool,
+) -> None:  # fmt: skip
+    """Chart speed against accuracy of the models.
+
+    Writes bench.md, scores.csv and .png, and where the data allow learning_curve, periods and stress.
+
+    \b
+    Example:
+      fieldlum bench 9d.csv --test test.csv --models transport,transport:none,dense --out bench-9d
+      fieldlum bench my-session --stress --out bench
+    """
+    from fieldlum.bench import run
+    from fieldlum.models.data import load_pairs
+
+    with progress("reading pictures") as show:
+        data = load_pairs(pairs, site, progress=show)
+        asked = load_pairs(test, site, progress=show) if test else None
+        whole = load_pairs(pool, site, progress=show) if pool else None
+    with progress("benchmark") as show:
+        answer = run(
+            data, test=asked, whole=whole, models=models.split(","), seeds=seeds, budget_min=budget,
+            with_stress=stress, render_hours=render, out=out, progress=show,
+        )  # fmt: skip
+    if as_json:
+        emit_json(answer)
+    else:
+        click.echo((out / "bench.md").read_text(encoding="utf-8"))
+    say(f"tables and charts in {out}")

@@ -1,0 +1,121 @@
+"""Benchmarks: tables, charts, stress, and what counts as flagged."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from learning_room import dataset, write_pairs
+
+from fieldlum import models
+from fieldlum.bench import charts, markdown, stress, year
+from fieldlum.bench.rows import over_seeds, parse_specs, without_training_hours
+from fieldlum.cli import main
+from fieldlum.errors import InputError, NotEnoughDataError
+
+DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-12-21")
+DATA = dataset(DAYS, height=8)
+TEST = dataset(("2027-04-02", "2027-06-25"), seed=1, height=8)
+
+
+def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
+    for name, data in (("train", DATA), ("test", TEST)):
+        (tmp_path / name).mkdir()
+        write_pairs(tmp_path / name, data)
+    out = tmp_path / "out"
+    asked = ["bench", str(tmp_path / "train/pairs.csv"), "--test", str(tmp_path / "test/pairs.csv")]
+    options = ["--models", "mean,nearest,transport,transport:none", "--out", str(out), "--json"]
+    result = CliRunner().invoke(main, [*asked, *options])
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert [row["name"] for row in answer["models"]] == ["mean", "nearest", "transport", "transport:none"]
+    assert answer["chosen"] in {row["name"] for row in answer["models"]}
+    with (out / "scores.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 4
+    assert (out / "scores.png").stat().st_size > 10_000
+    assert "| transport:none |" in (out / "bench.md").read_text()
+    bad = CliRunner().invoke(main, [*asked, "--models", "magic", "--out", str(out)])
+    assert bad.exit_code == 3 and "'magic'" in bad.stderr
+
+
+def test_specs_name_models_patches_and_folders(tmp_path: Path) -> None:
+    models.save(tmp_path / "kept", models.fit("mean", DATA), DATA, patch="absolute")
+    found = parse_specs(["dense", "transport:gain", str(tmp_path / "kept")])
+    assert [(s.label, s.name, s.patch) for s in found] == [
+        ("dense", "dense", "absolute"), ("transport:gain", "transport", "gain"), ("mean (kept)", "mean", "absolute"),
+    ]  # fmt: skip
+    with pytest.raises(InputError):
+        parse_specs(["transport:half"])
+
+
+def test_training_hours_are_never_asked() -> None:
+    mixed = DATA.take(range(10))
+    assert len(without_training_hours(DATA, mixed)) == len(DATA) - 10
+    with pytest.raises(NotEnoughDataError):
+        without_training_hours(mixed, DATA)
+
+
+def test_the_front_holds_what_nothing_beats() -> None:
+    """analytic: (3, 3) is beaten by (2, 2)."""
+    points = [(3.0, 3.0), (1.0, 5.0), (2.0, 2.0), (9.0, 1.0), (9.5, 1.5)]
+    assert charts.pareto(points) == [1, 2, 3]
+
+
+def test_seeds_become_mean_and_spread() -> None:
+    """analytic: 1 and 3 have mean 2 and standard deviation sqrt 2."""
+    keys = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
+    rows = [dict.fromkeys(keys, v) | {"name": "dense", "fit_s": v, "seed": s} for s, v in enumerate((1.0, 3.0))]
+    (row,) = over_seeds(rows)
+    assert row["log10_mse_weighted"] == 2.0 and row["seeds"] == 2
+    assert row["log10_mse_weighted_sd"] == pytest.approx(2**0.5)
+
+
+def test_markdown_leaves_empty_columns_out() -> None:
+    text = markdown([{"a": 1.5e-5, "b": None, "c": True}], {"a": "A", "b": "B", "c": "C"})
+    assert text == "| A | C |\n|---|---|\n| 1.50e-05 | yes |\n"
+
+
+def test_stress_rows_stand_beside_their_normal_case() -> None:
+    spec = parse_specs(["nearest"])[0]
+    rows = stress.run(spec, DATA, TEST, DATA)
+    by_name = {row["regime"]: row for row in rows}
+    assert by_name["normal"]["times_normal"] == 1.0
+    for name in ("every capture twice", "pixel noise 5 %", "irradiance noise 5 %", "sun patch off by 2 px"):
+        assert np.isfinite(by_name[name]["log10_mse_weighted"])
+    assert by_name["every capture twice"]["times_normal"] == pytest.approx(1.0, abs=1e-6)
+    assert by_name["sun patch off by 2 px"]["times_normal"] > 1.0
+
+
+def test_transport_does_not_fail_unseen_in_any_regime() -> None:
+    """No wild map may pass that the model trusted and expected to be good, whatever was done to the captures."""
+    rows = stress.run(parse_specs(["transport"])[0], DATA, TEST, DATA)
+    assert all(np.isfinite(row["log10_mse_weighted"]) for row in rows)
+    assert {row["regime"]: row["wild_unflagged"] for row in rows if row["wild_unflagged"]} == {}
+
+
+def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
+    """analytic: 15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4 degrees of azimuth."""
+    turned = stress.turned(TEST, 2.0)
+    np.testing.assert_allclose((turned.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0, 2.0, atol=1e-9)
+    late = stress.late(TEST, 15.0)
+    moved = (late.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0
+    assert (moved > 1.5).all() and (moved < 12.0).all()
+
+
+def test_irradiance_changes_keep_what_they_say_they_keep() -> None:
+    light = DATA.light
+    rise = np.sin(np.radians(light.sun_altitude_deg))
+    for changed in (stress.disagreeing(DATA, 0.3, 1), stress.from_global(DATA)):
+        total = changed.light.dni_wm2 * rise + changed.light.dhi_wm2
+        np.testing.assert_allclose(total, light.dni_wm2 * rise + light.dhi_wm2, rtol=0.02, atol=2.0)
+        assert np.abs(changed.light.dni_wm2 - light.dni_wm2).max() > 20.0
+
+
+def test_periods_are_the_papers() -> None:
+    found = year.periods(DATA)
+    assert set(found) <= {*year.MONTHS, "1 week", "2 weeks", "9 days", "12 days", "4 days"}
+    march = found["9 days"]
+    assert {str(day) for day in np.unique(DATA.days[march])} == set(DAYS)
+    assert not year.is_year(DATA)
