@@ -1,0 +1,46 @@
+"""`fieldlum demo`: the whole job on simulated captures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.terminal import progress, say
+from fieldlum.records import Progress
+
+
+@contextmanager
+def _shown(name: str) -> Iterator[Progress]:
+    say(f"-- {name}")
+    with progress(name) as bar:
+        yield bar
+
+
+@click.command()
+@click.argument("folder", default="fieldlum-demo", type=click.Path(path_type=Path))
+@click.option(
+    "--preset", type=click.Choice(["quick", "paper"]), default="quick", show_default=True,
+    help="quick: 230 x 115, a short training. paper: 460 x 230, half an hour of training.",
+)  # fmt: skip
+@click.option("--seed", default=1, show_default=True, type=click.IntRange(0))
+def command(folder: Path, preset: str, seed: int) -> None:
+    """Do the whole job on simulated captures.
+
+    Nine days of brackets in the paper's office, rendered by Radiance: plan, capture, merge, pair, train, predict, glare
+    and report. Run it again after an interruption: it goes on where it stopped.
+
+    \b
+    Example:
+      fieldlum demo my-demo
+    """
+    from fieldlum.demo import run
+
+    outcome = run(folder, preset=preset, seed=seed, show=_shown)
+    for name, value, remark in outcome.figures:
+        click.echo(f"{name:18} {value:>16}  {remark}")
+    total = sum(outcome.seconds.values())
+    say("; ".join(f"{name} {seconds:.0f} s" for name, seconds in outcome.seconds.items()) + f"; in all {total:.0f} s")
+    click.echo(f"report: {outcome.report}")

@@ -1,0 +1,158 @@
+"""The whole job on simulated captures: one real session, every stage's own `run`, and at the end the truth.
+
+Radiance renders the paper's office at every planned hour; a simulated camera photographs it into raw brackets, a
+simulated SPN1 is read over a pseudo-terminal; from there on nothing knows that it is a simulation. What was merged,
+paired and predicted is then held against the rendered truth.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fieldlum.profiles import load_site, shipped
+from fieldlum.records import Progress
+from fieldlum.session import Session, open_session, replacing
+
+if TYPE_CHECKING:
+    pass
+
+MODEL = "auto"
+WEATHER = "seattle_dni_dhi.csv"
+YEAR = 2027
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    height: int  # of the panoramas; they are twice as wide
+    quality: str  # of the rendered truth
+    budget_min: float  # for the dense network
+
+
+PRESETS = {"quick": Preset(115, "quick", 0.5), "paper": Preset(230, "paper", 30.0)}
+
+Show = Callable[[str], Any]
+"""Called with a stage's name; gives a context manager that yields a Progress."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the demo found. seconds: stage to time; figures: name, value, remark."""
+
+    report: Path
+    seconds: dict[str, float]
+    figures: tuple[tuple[str, str, str], ...]
+
+
+def prepare(folder: Path) -> Session:
+    """The session of the nine days of the paper's office; an earlier demo in `folder` is taken up again."""
+    from fieldlum import plan
+
+    if (folder / "session.toml").is_file():
+        return open_session(folder)
+    setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    session, _ = plan.run(setup, plan.Request("9-day", today=date(YEAR, 1, 1)), folder)
+    return session
+
+
+def capture(session: Session, seed: int, progress: Progress) -> None:
+    """Brackets and irradiance of all owed slots, on a clock that jumps from slot to slot."""
+    from fieldlum import capture as stage
+    from fieldlum.capture.runner import Live
+    from fieldlum.capture.verify import doubts
+
+    def watch(live: Live) -> None:
+        progress(live.done, live.planned, live.next_slot)
+
+    clock, options = stage.prepare(session, fast=True)
+    place = f"sim:office?seed={seed}"
+    stage.run(session, place, place, clock=clock, options=options, watch=watch, check=doubts)
+
+
+def merged_against_truth(session: Session) -> tuple[float, float, int]:
+    """Median error, share of unflagged pixels within 5 %, and the number of maps; over all merged panoramas."""
+    from fieldlum.images import read_panorama
+
+    medians, within = [], []
+    for path in sorted(session.panoramas.glob("*.exr")):
+        truth_path = session.truth / path.name
+        if not truth_path.is_file():
+            continue
+        merged, truth = read_panorama(path), read_panorama(truth_path)
+        good = np.ones(merged.luminance_cdm2.shape, bool) if merged.flags is None else merged.flags == 0
+        good &= truth.luminance_cdm2 > 0
+        error = np.abs(merged.luminance_cdm2[good] / truth.luminance_cdm2[good] - 1.0)
+        medians.append(float(np.median(error)))
+        within.append(float((error < 0.05).mean()))
+    return float(np.median(medians)), float(np.mean(within)), len(medians)
+
+
+def irradiance_against_truth(session: Session) -> tuple[float, float]:
+    """Root-mean-square error of paired DNI and DHI against the simulator's own, sun above 10 degrees. [W/m2]"""
+    from fieldlum.report.captured import read_csv
+
+    truth = {row["t_utc"][:13]: row for row in read_csv(session.truth / "irradiance.csv")}
+    errors = [
+        (float(row["dni_wm2"]) - float(known["dni_wm2"]), float(row["dhi_wm2"]) - float(known["dhi_wm2"]))
+        for row in read_csv(session.pairs)
+        if row["ok"] == "1" and float(row["sun_altitude_deg"]) > 10 and (known := truth.get(row["t_utc"][:13]))
+    ]
+    dni, dhi = np.sqrt(np.mean(np.square(errors), axis=0))
+    return float(dni), float(dhi)
+
+
+def _figures(session: Session, scores: dict[str, Any], annual: Any) -> tuple[tuple[str, str, str], ...]:
+    median, within, maps = merged_against_truth(session)
+    dni, dhi = irradiance_against_truth(session)
+    chosen = next(row for row in scores["models"] if row["name"] == scores["chosen"])
+    best = min(annual.about["protection"], key=lambda row: row["dgp_exceeded"])
+    return (
+        ("merged luminance", f"{100 * median:.2f} %", f"median error against the truth, {maps} brackets"),
+        ("", f"{100 * within:.1f} %", "of the unflagged pixels within 5 % of the truth"),
+        ("paired DNI, DHI", f"{dni:.1f}, {dhi:.1f} W/m²", "rms error against the truth, sun above 10°"),
+        ("model chosen", scores["chosen"], f"fitted in {chosen['fit_s']:.1f} s, on {chosen['n_train']} captures"),
+        ("its error", f"{chosen['log10_mse_weighted']:.2e}", "log10 MSE on held-out days, solid-angle weighted"),
+        ("a year", f"{len(annual)} hours", f"predicted at {annual.about['width']} x {annual.about['height']}"),
+        ("best view", f"{best['azimuth_deg']:.0f}°", best["sentence"]),
+    )
+
+
+def run(folder: Path, *, preset: str = "quick", seed: int = 1, show: Show, workers: int = 2) -> Outcome:
+    """Do the whole job in `folder`; each stage is skipped where it is done already."""
+    from fieldlum import irradiance, merge, pair, predict, report, simulate, train
+    from fieldlum.models.data import load_pairs
+
+    how, weather = PRESETS[preset], shipped("capture_plans") / WEATHER
+    seconds: dict[str, float] = {}
+
+    def stage(name: str, work: Callable[[Progress], Any]) -> Any:
+        started = time.monotonic()
+        with show(name) as progress:
+            answer = work(progress)
+        seconds[name] = round(time.monotonic() - started, 1)
+        return answer
+
+    session = stage("plan", lambda _: prepare(folder))
+    year = simulate.weather_for(session.site_file(), weather)
+    render = {"height": how.height, "quality": how.quality, "workers": workers}
+    stage("render the room", lambda p: simulate.run(session, year, progress=p, **render))
+    stage("capture", lambda p: capture(session, seed, p))
+    stage("merge", lambda p: merge.run(session, workers=workers, height=how.height, progress=p))
+    stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
+    model = session.models / MODEL
+    data = load_pairs(session)
+    teach = {"budget_min": how.budget_min, "seed": seed, "out": model}
+    scores = stage("train", lambda p: train.run(data, MODEL, progress=p, **teach))
+    annual, _ = stage("predict a year", lambda p: predict.run(model, weather, seed=seed, progress=p))
+    page = stage("report", lambda p: report.run(session, progress=p))
+    outcome = Outcome(page, seconds, _figures(session, scores, annual))
+    with replacing(folder / "demo.json", "w", encoding="utf-8") as file:
+        json.dump({"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores}, file, indent=1)
+    return outcome

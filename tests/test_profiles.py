@@ -1,0 +1,88 @@
+"""Strict TOML: what is misspelt, impossible or missing is said; what is right comes back the same."""
+
+from pathlib import Path
+
+import pytest
+
+from fieldlum.errors import InputError
+from fieldlum.profiles import (
+    bracket_exposures,
+    find_camera_profile,
+    load_camera_profile,
+    load_site,
+    save_profile,
+    shipped,
+    site_from_table,
+    site_table,
+)
+
+PLACE = {"name": "here", "latitude_deg": 47.6, "longitude_deg": -122.3, "timezone": "America/Los_Angeles"}
+
+
+def _site(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "site.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"latitude_deg": 147.0}, "latitude_deg = 147"),
+        ({"longitude_deg": 190.0}, "longitude_deg = 190"),
+        ({"timezone": "America/Seatle"}, "unknown time zone 'America/Seatle'"),
+        ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg', did you mean 'latitude_deg'"),
+        ({"latitude_deg": "north"}, "'north', expected a number"),
+        ({"latitude_deg": True}, "expected a number"),
+    ],
+)
+def test_a_bad_site_is_refused_with_the_finding(change: dict, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        site_from_table({"site": {**PLACE, **change}}, "site.toml")
+
+
+def test_a_site_without_a_place_says_what_is_missing() -> None:
+    with pytest.raises(InputError, match="no 'latitude_deg'"):
+        site_from_table({"site": {"name": "x", "longitude_deg": 0.0}}, "site.toml")
+
+
+def test_what_is_no_toml_names_the_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="line 2"):
+        load_site(_site(tmp_path, "[site]\nname = \n"))
+    with pytest.raises(InputError, match=r"gone\.toml"):
+        load_site(tmp_path / "gone.toml")
+
+
+def test_only_the_site_is_required() -> None:
+    setup = site_from_table({"site": PLACE}, "x")
+    assert setup.room is None and setup.camera.heading_deg == 180.0
+
+
+@pytest.mark.parametrize("path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda p: p.stem)
+def test_every_shipped_site_loads_and_round_trips(path: Path) -> None:
+    setup = load_site(path)
+    assert site_from_table(site_table(setup), "again") == setup
+
+
+@pytest.mark.parametrize(
+    "path", sorted(p for p in shipped("calibration").glob("*.toml") if "[camera]" in p.read_text("utf-8")),
+    ids=lambda p: p.stem,
+)  # fmt: skip
+def test_every_shipped_camera_loads_and_round_trips(path: Path, tmp_path: Path) -> None:
+    profile = load_camera_profile(path)
+    assert bracket_exposures(profile.bracket)
+    save_profile(tmp_path / "copy.toml", profile)
+    assert load_camera_profile(tmp_path / "copy.toml") == profile
+
+
+def test_a_misspelt_profile_key_is_refused(tmp_path: Path) -> None:
+    text = find_camera_profile("").read_text("utf-8").replace("gain_e_per_dn", "gian_e_per_dn")
+    path = tmp_path / "camera.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="did you mean 'gain_e_per_dn'"):
+        load_camera_profile(path)
+
+
+def test_an_unknown_profile_lists_what_there_is() -> None:
+    with pytest.raises(InputError, match="sim-dual-fisheye"):
+        find_camera_profile("nikon-z99")
