@@ -5,7 +5,9 @@
     theta:http://192.168.1.1              a Ricoh Theta
     replay:FOLDER                         frames that were taken before
     serial:/dev/serial/by-id/...?kind=spn1
+    serial:/dev/serial/by-id/...?kind=ascii&profile=arduino-json
     modbus:/dev/serial/by-id/...?kind=smp&unit=1
+    cl200a:/dev/serial/by-id/...          an illuminance meter
 
 An option that a driver does not know is a DeviceError naming it. Drivers only ever ask instruments; none writes to one.
 """
@@ -101,6 +103,9 @@ CAMERAS = {
     "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
     "theta": ("fieldlum.devices.theta", "open_camera"),
 }
+METERS = {
+    "cl200a": ("fieldlum.devices.cl200a", "open_meter"),
+}
 PYRANOMETERS = {
     "sim": ("fieldlum.devices.simulated", "open_pyranometer"),
     "serial": ("fieldlum.devices.serial_ascii", "open_pyranometer"),
@@ -125,3 +130,9 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
     """`session` matters to the simulator only: its truth. Raises DeviceError as `open_camera`."""
     asked = parse_uri(uri)
     return _driver(asked, PYRANOMETERS, "pyranometer")(asked, clock=clock, session=session)
+
+
+def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
+    """An illuminance meter beside the lens: ``cl200a:/dev/serial/by-id/...``. Raises DeviceError."""
+    asked = parse_uri(uri)
+    return _driver(asked, METERS, "illuminance meter")(asked, clock=clock)

@@ -1,4 +1,4 @@
-"""Instruments that talk in lines: ``serial:PLACE?kind=spn1``."""
+"""``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``; PLACE is a device file or usb=VID:PID:SERIAL."""
 
 from __future__ import annotations
 
@@ -17,9 +17,23 @@ def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = 
     """Raises DeviceError for unknown options, a port that is not there, or an instrument that does not answer."""
     if not uri.place:
         raise DeviceError(f"{uri.text}: no port, expected something like serial:/dev/serial/by-id/NAME?kind=spn1")
-    options = uri.read(kind=one_of("spn1"), baud=whole(300, 921600), timeout=number(0.1, 60.0))
+    kind = one_of("spn1", "ascii")
+    if uri.options.get("kind") == "ascii":
+        return _open_lines(uri, clock)
+    options = uri.read(kind=kind, baud=whole(300, 921600), timeout=number(0.1, 60.0))
     if "kind" not in options:
-        raise DeviceError(f"{uri.text}: no kind, add ?kind=spn1")
+        raise DeviceError(f"{uri.text}: no kind, add ?kind=spn1 or ?kind=ascii&profile=NAME")
     from fieldlum.devices.serial_spn1 import Spn1
 
     return Spn1(uri.place, clock, baud=options.get("baud", 9600), timeout_s=options.get("timeout", 2.0))
+
+
+def _open_lines(uri: DeviceUri, clock: Clock) -> Pyranometer:
+    from fieldlum.devices.ascii_lines import load_ascii_profile
+    from fieldlum.devices.serial_lines import LineInstrument
+
+    options = uri.read(kind=str, profile=str, silence=number(0.1, 600.0))
+    if "profile" not in options:
+        raise DeviceError(f"{uri.text}: no profile, add &profile=NAME or the path of a TOML")
+    profile = load_ascii_profile(options["profile"])
+    return LineInstrument(uri.place, profile, clock, silence_s=options.get("silence"))

@@ -1,0 +1,175 @@
+"""Instruments that send a line now and then (Arduino rigs, loggers): what a line means, as data and pure functions.
+
+A profile says the form: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json` (one object a line). A
+line that does not fit in every part gives no number; it is counted, not guessed at.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
+from fieldlum.errors import DeviceError, InputError
+from fieldlum.profiles import build, read_toml, shipped
+from fieldlum.records import IrradianceSample
+
+_NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
+_LONGEST = 1000
+_LIMITS = {"temperature_c": (-60.0, 150.0)}
+
+
+@dataclass(frozen=True, slots=True)
+class AsciiLine:
+    """The serial line. Opening it restarts most Arduinos: their silence after that is waited out."""
+
+    baud: int = 9600
+    bits: int = 8
+    parity: Literal["N", "E", "O"] = "N"
+    stop: int = 1
+    silence_s: float = 5.0  # without a line for this long the instrument counts as dead
+
+
+@dataclass(frozen=True, slots=True)
+class AsciiField:
+    """quantity = scale * number + offset. decimals: exactly so many, so that a line cut short is noticed."""
+
+    quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
+    key: str
+    scale: float = 1.0
+    offset: float = 0.0
+    decimals: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AsciiProfile:
+    """calibration/instruments/ascii/NAME.toml or an own file."""
+
+    name: str
+    form: Literal["regex", "key-value", "json"]
+    entry: tuple[AsciiField, ...]
+    pattern: str = ""  # of a regex; groups are named as the entries' keys
+    checksum: Literal["none", "xor"] = "none"  # xor: the line ends in * and two hexadecimal digits, as NMEA's do
+    model: str = ""
+    serial: str = ""
+    calibration_date: str = ""
+    line: AsciiLine = field(default_factory=AsciiLine)
+
+
+def load_ascii_profile(name: str) -> AsciiProfile:
+    """By the name of a shipped profile or by path. Raises InputError, or DeviceError for an unknown name."""
+    folder = shipped("calibration") / "instruments" / "ascii"
+    path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+        raise DeviceError(f"no profile of lines '{name}', there are {known}, or give the path of a TOML")
+    profile = build(AsciiProfile, read_toml(path), str(path))
+    quantities = [e.quantity for e in profile.entry]
+    if not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(quantities) or len(set(quantities)) != len(quantities):
+        raise InputError(path, f"entries for {', '.join(quantities) or 'nothing'}", "an irradiance, each quantity once")
+    if profile.form == "regex":
+        try:
+            groups = set(re.compile(profile.pattern, re.ASCII).groupindex)
+        except re.error as error:
+            raise InputError(path, f"pattern: {error}", "a regular expression with named groups") from None
+        if missing := {e.key for e in profile.entry} - groups:
+            raise InputError(
+                path, f"no group named {', '.join(sorted(missing))}", "one in the pattern", "(?P<name>...)"
+            )
+    return profile
+
+
+def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
+    """Quantities of one whole line, its end mark included. Raises DeviceError for everything that does not fit."""
+    text = _whole_text(line)
+    if profile.checksum == "xor":
+        text = _without_checksum(text)
+    found = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](profile, text)
+    values = {e.quantity: e.scale * _number(found[e.key], e, text) + e.offset for e in profile.entry}
+    for quantity, value in values.items():
+        low, high = _LIMITS.get(quantity, (LOWEST_WM2, HIGHEST_WM2))
+        if not low <= value <= high:
+            raise DeviceError(f"line {text[:60]!r}: {quantity} {value:g}, expected {low:g} to {high:g}")
+    return values
+
+
+def _whole_text(line: bytes) -> str:
+    if not line.endswith(b"\n") or len(line) > _LONGEST:
+        raise DeviceError(f"line {line[:60]!r} has no end")
+    body = line.rstrip(b"\r\n")
+    if not body.isascii() or any(c < 32 and c != 9 for c in body):
+        raise DeviceError(f"line {line[:60]!r} holds bytes that are no text")
+    return body.decode("ascii")
+
+
+def _without_checksum(text: str) -> str:
+    body, star, digits = text.rpartition("*")
+    total = 0
+    for character in body.removeprefix("$"):
+        total ^= ord(character)
+    if not star or not re.fullmatch(r"[0-9A-Fa-f]{2}", digits) or int(digits, 16) != total:
+        raise DeviceError(f"line {text[:60]!r}: its checksum is not *{total:02X}")
+    return body
+
+
+def _by_regex(profile: AsciiProfile, text: str) -> dict[str, Any]:
+    match = re.fullmatch(profile.pattern, text, re.ASCII)
+    if match is None:
+        raise DeviceError(f"line {text[:60]!r} does not fit the pattern")
+    return match.groupdict()
+
+
+def _by_keys(profile: AsciiProfile, text: str) -> dict[str, Any]:
+    """Every word must be key=value, no key twice, no key of the profile missing."""
+    found: dict[str, Any] = {}
+    for word in re.split(r"[,;\s]+", text.strip(" \t,;")):
+        key, equals, value = word.partition("=")
+        if not equals or not key or key in found:
+            raise DeviceError(f"line {text[:60]!r}: {word!r} is no key=value, or its key stands there twice")
+        found[key] = value
+    return _having(profile, found, text)
+
+
+def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len({key for key, _ in pairs}) != len(pairs):
+            raise ValueError("a key twice")
+        return dict(pairs)
+
+    try:
+        # Numbers stay texts, so that their decimals can be counted.
+        found = json.loads(text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str)
+    except (ValueError, RecursionError):
+        raise DeviceError(f"line {text[:60]!r} is no JSON object") from None
+    if not isinstance(found, dict):
+        raise DeviceError(f"line {text[:60]!r} is no JSON object")
+    return _having(profile, found, text)
+
+
+def _having(profile: AsciiProfile, found: dict[str, Any], text: str) -> dict[str, Any]:
+    if missing := [e.key for e in profile.entry if e.key not in found]:
+        raise DeviceError(f"line {text[:60]!r} lacks {', '.join(missing)}")
+    return found
+
+
+def _number(value: Any, entry: AsciiField, text: str) -> float:
+    match = _NUMBER.fullmatch(value.strip()) if isinstance(value, str) else None
+    if match is None or (entry.decimals is not None and len(match[1] or "") != entry.decimals):
+        wanted = "a number" if entry.decimals is None else f"a number with {entry.decimals} decimals"
+        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}, expected {wanted}")
+    number = float(match[0])
+    if not math.isfinite(number):
+        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}")
+    return number
+
+
+def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> IrradianceSample:
+    """A sample of the quantities there are."""
+    ghi, dhi, dni = values.get("ghi_wm2"), values.get("dhi_wm2"), values.get("dni_wm2")
+    return IrradianceSample(t_utc, ghi, dhi, dni, values.get("temperature_c"), raw=raw)

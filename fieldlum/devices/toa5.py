@@ -1,0 +1,143 @@
+"""Campbell Scientific TOA5 tables: a logger's file to irradiance samples.
+
+Four header lines (environment, names, units, processing), then quoted times WITHOUT a time zone, a record number and
+numbers, "NAN" where there is none. Source: help.campbellsci.com, TOA5. The logger's UTC offset must be told.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+
+from fieldlum.devices.ascii_lines import sample_of
+from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
+from fieldlum.errors import InputError
+from fieldlum.records import IrradianceSample
+
+_TIME = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,6})?")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?")
+_UNITS = ("W/M^2", "W/M2", "W.M-2", "WM-2", "W/M²", "WATTS/METER^2")
+# Names by which loggers' programs call the columns; compared without digits, underlines and case.
+_USUAL = {
+    "ghi_wm2": ("ghi", "global", "slrw", "slrwavg", "solarwm", "total", "ghiavg", "globalavg"),
+    "dhi_wm2": ("dhi", "diffuse", "dhiavg", "diffuseavg"),
+    "dni_wm2": ("dni", "direct", "dniavg", "directavg", "directnormal"),
+    "temperature_c": ("ptempc", "airtc", "airtcavg", "bodytemp", "ptempcavg"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Toa5:
+    """samples in the file's order; broken: the lines left out, with the reason; gaps in the record numbers."""
+
+    samples: tuple[IrradianceSample, ...]
+    station: str
+    model: str
+    serial: str
+    broken: tuple[str, ...]
+    missing_records: int
+
+
+def is_toa5(text: str) -> bool:
+    return text.startswith(('"TOA5",', "TOA5,"))
+
+
+def parse_toa5(
+    text: str, utc_offset: timedelta, columns: Mapping[str, str] | None = None, *, source: str | Path = "TOA5"
+) -> Toa5:
+    """columns: quantity (ghi_wm2 ...) to column name, else the usual names. utc_offset: the logger's clock minus UTC.
+
+    A row that is cut, or whose time or number is no such thing, is left out and listed. Raises InputError for what is
+    no TOA5 table, has no such column, or has another unit than W/m2.
+    """
+    lines = text.split("\n")
+    if not is_toa5(text) or len(lines) < 4:
+        raise InputError(source, "no TOA5 header", "a Campbell Scientific TOA5 table", "convert it with LoggerNet")
+    try:
+        about, names, units = (next(csv.reader([line.rstrip("\r")], strict=True)) for line in lines[:3])
+    except (csv.Error, StopIteration):
+        raise InputError(source, "a broken TOA5 header", "four header lines", "copy the file again") from None
+    if "TIMESTAMP" not in names or len(units) != len(names):
+        raise InputError(source, f"columns {', '.join(names)[:80]}", "a column TIMESTAMP, and a unit for each", "")
+    chosen = _columns(names, units, columns, source)
+    samples: list[IrradianceSample] = []
+    broken: list[str] = []
+    records: list[int] = []
+    for number, line in enumerate(lines[4:], start=5):
+        if not line.strip():
+            continue
+        try:
+            if number == len(lines):
+                raise ValueError("the line has no end")
+            row = next(csv.reader([line.rstrip("\r")], strict=True))
+            if len(row) != len(names):
+                raise ValueError(f"{len(row)} values, expected {len(names)}")
+            samples.append(_sample(row, names, chosen, utc_offset))
+        except (ValueError, csv.Error, OverflowError) as error:
+            broken.append(f"line {number}: {error}")
+            continue
+        if "RECORD" in names and (record := row[names.index("RECORD")]).isdecimal():
+            records.append(int(record))
+    missing = sum(b - a - 1 for a, b in pairwise(records) if 1 < b - a < 1_000_000)
+    station, model, serial = (*about[1:4], "", "", "")[:3]
+    return Toa5(tuple(samples), station, model, serial, tuple(broken), missing)
+
+
+def _columns(names: list[str], units: list[str], asked: Mapping[str, str] | None, source: str | Path) -> dict[str, int]:
+    """Quantity to column number."""
+    found: dict[str, int] = {}
+    for quantity, usual in _USUAL.items():
+        if asked is not None:
+            matches = [i for i, name in enumerate(names) if name == asked.get(quantity)]
+        else:
+            matches = [i for i, name in enumerate(names) if re.sub(r"[^a-z]", "", name.lower()) in usual]
+        if len(matches) > 1:
+            several = ", ".join(names[i] for i in matches)
+            raise InputError(source, f"columns {several} for {quantity}", "one", "name the column to use")
+        if matches:
+            found[quantity] = matches[0]
+    if asked is not None and (lost := [name for q, name in asked.items() if q not in found]):
+        raise InputError(source, f"no column {', '.join(lost)}", f"one of {', '.join(names)}", "check the name")
+    for quantity, i in found.items():
+        if quantity.endswith("_wm2") and units[i].upper().replace(" ", "") not in _UNITS:
+            raise InputError(source, f"{names[i]} in '{units[i]}'", "W/m^2", "name a column in W/m^2")
+    if not any(q.endswith("_wm2") for q in found):
+        raise InputError(source, f"columns {', '.join(names)[:120]}", "one of irradiance", "name the column to use")
+    return found
+
+
+def _sample(row: list[str], names: list[str], chosen: dict[str, int], utc_offset: timedelta) -> IrradianceSample:
+    stamp = row[names.index("TIMESTAMP")]
+    if not _TIME.fullmatch(stamp):
+        raise ValueError(f"time {stamp[:30]!r}")
+    t_utc = datetime.fromisoformat(stamp).replace(tzinfo=UTC) - utc_offset
+    values: dict[str, float | None] = {}
+    for quantity, i in chosen.items():
+        values[quantity] = _number(row[i], quantity)
+    raw = ",".join(row[i] for i in sorted(chosen.values()))
+    return sample_of(t_utc, values, raw)
+
+
+def _number(text: str, quantity: str) -> float | None:
+    if text.upper() in ("NAN", "-NAN", "INF", "-INF"):
+        return None
+    if not _NUMBER.fullmatch(text):
+        raise ValueError(f"{quantity} is {text[:30]!r}, expected a number")
+    value = float(text)
+    if quantity.endswith("_wm2") and not LOWEST_WM2 <= value <= HIGHEST_WM2:
+        raise ValueError(f"{quantity} is {text[:30]}, expected {LOWEST_WM2:g} to {HIGHEST_WM2:g}")
+    return value
+
+
+def read_toa5(path: Path, utc_offset: timedelta, columns: Mapping[str, str] | None = None) -> Toa5:
+    """As `parse_toa5`, from a file. Raises InputError."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig", "replace")
+    except OSError as error:
+        raise InputError(path, error.strerror or str(error), "a readable file") from None
+    return parse_toa5(text, utc_offset, columns, source=path)

@@ -1,0 +1,265 @@
+"""devices: ASCII lines, TOA5 tables and the CL-200A: transcripts, damage, and the drivers on ptys."""
+
+import json
+import os
+import tty
+from collections.abc import Iterator
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.devices import open_meter, open_pyranometer
+from fieldlum.devices.ascii_lines import AsciiField, AsciiProfile, load_ascii_profile, parse_line
+from fieldlum.devices.cl200a import EXT_ON, HOLD, MEASURE, PC_MODE, READ_EVXY, Cl200a, bcc, frame, parse_answer, unframe
+from fieldlum.devices.clock import FastClock
+from fieldlum.devices.serial_lines import LineInstrument
+from fieldlum.devices.simulated.spn1 import PtyInstrument
+from fieldlum.devices.toa5 import parse_toa5, read_toa5
+from fieldlum.errors import DeviceError, InputError
+
+START = datetime(2027, 3, 20, 15, tzinfo=UTC)
+CLOCK = FastClock(START)
+
+
+def nmea(body: str) -> bytes:
+    total = 0
+    for character in body.removeprefix("$"):
+        total ^= ord(character)
+    return f"{body}*{total:02X}\r\n".encode()
+
+
+# ------------------------------------------------------------------------------------------ what a line means
+
+
+def test_shipped_profiles_read_their_own_example() -> None:
+    keys = load_ascii_profile("arduino-keys")
+    found = parse_line(keys, nmea("$G=812.4 D=104.9 T=24.1"))
+    assert found == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1}
+    assert parse_line(load_ascii_profile("arduino-json"), b'{"G": 812.4, "T": 24}\n')["temperature_c"] == 24.0
+    assert parse_line(load_ascii_profile("millivolts"), b"G_mV=9.876\n")["ghi_wm2"] == pytest.approx(790.08)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"G_mV=9.876", b"G_mV=9.87\n", b"G_mV=9,876\n", b"G_mV=\n", b"G_mV=nan\n", b"G_mV=inf\n", b"=9.876\n", b"\n",
+        b"G_mV=9.876 G_mV=1.000\n", b"mV=9.876\n", b"G_mV=9.876\x00\n", b"\xffG_mV=9.876\n", b"G_mV=9.876 x\n",
+        b"G_mV=99999.876\n", b"G_mV=1_0.876\n", b"G_mV=0x1.876\n", b"x" * 2000 + b"\n",
+    ],
+)  # fmt: skip
+def test_contract_broken_key_lines(line: bytes) -> None:
+    with pytest.raises(DeviceError, match="line"):
+        parse_line(load_ascii_profile("millivolts"), line)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b'{"G": 812.4}\n', b'{"G": 812.4, "T": 24', b'{"G": "x", "T": 2}\n', b'{"G": NaN, "T": 2}\n', b"[1, 2]\n",
+        b'{"G": true, "T": 2}\n', b'{"G": 1, "G": 2, "T": 2}\n', b'{"G": {"G": 1}, "T": 2}\n', b'{"G": 1e9, "T": 2}\n',
+        b"[" * 900 + b"\n", b'{"G": Infinity, "T": 2}\n', b'{"G": 1, "T": 2} {"G": 1, "T": 2}\n',
+    ],
+)  # fmt: skip
+def test_contract_broken_json_lines(line: bytes) -> None:
+    with pytest.raises(DeviceError, match="line"):
+        parse_line(load_ascii_profile("arduino-json"), line)
+
+
+GOOD = nmea("$G=812.4 D=104.9 T=24.1")
+KEYS = load_ascii_profile("arduino-keys")
+
+
+@settings(deadline=None, max_examples=400)
+@given(st.integers(0, len(GOOD) - 1), st.binary(max_size=2), st.integers(0, 2))
+def test_property_one_damage_under_a_checksum_gives_no_other_number(at: int, put: bytes, cut: int) -> None:
+    with suppress(DeviceError):
+        values = parse_line(KEYS, GOOD[:at] + put + GOOD[at + cut :])
+        assert values == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1} or len(put) == cut == 2
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.floats(-150, 3900), st.floats(-50, 80))
+def test_property_what_is_printed_is_read(ghi: float, warm: float) -> None:
+    line = json.dumps({"n": 1, "T": round(warm, 2), "G": round(ghi, 3)}).encode() + b"\n"
+    if b"e-" not in line:
+        found = parse_line(load_ascii_profile("arduino-json"), line)
+        assert found["ghi_wm2"] == round(ghi, 3) and found["temperature_c"] == round(warm, 2)
+
+
+def test_contract_profiles_are_checked(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="no profile of lines 'x', there are arduino-json"):
+        load_ascii_profile("x")
+    own = tmp_path / "own.toml"
+    for text, said in (
+        ('name="a"\nform="regex"\npattern="("\nentry=[{quantity="ghi_wm2",key="g"}]', "pattern:"),
+        ('name="a"\nform="regex"\npattern="(?P<x>1)"\nentry=[{quantity="ghi_wm2",key="g"}]', "no group named g"),
+        ('name="a"\nform="json"\nentry=[{quantity="temperature_c",key="g"}]', "an irradiance"),
+        ('name="a"\nform="json"\nentry=[{quantity="ghi",key="g"}]', "'ghi'"),
+    ):
+        own.write_text(text)
+        with pytest.raises(InputError, match=said):
+            load_ascii_profile(str(own))
+
+
+# ------------------------------------------------------------------------------------------ a talking instrument
+
+
+@pytest.fixture
+def talker() -> Iterator[tuple[int, str]]:
+    """A pty; what the test writes to the handle is what the instrument says."""
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    yield ours, os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_newest_whole_line_counts_and_the_rest_waits(talker: tuple[int, str]) -> None:
+    ours, port = talker
+    device = open_pyranometer(f"serial:{port}?kind=ascii&profile=arduino-json&silence=0.3", clock=CLOCK)
+    assert isinstance(device, LineInstrument) and device.info.gives == ("ghi",)
+    os.write(ours, b'4}\n{"G": 1, "T": 2}\nboot\n{"G": 3, "T": 2}\n{"G": 5')
+    assert device.read().ghi_wm2 == 3.0 and device.ignored == 1
+    os.write(ours, b'00, "T": 2}\n')
+    sample = device.read()
+    assert (sample.ghi_wm2, sample.raw, sample.t_utc) == (500.0, '{"G": 500, "T": 2}', START)
+    device.close()
+
+
+def test_contract_silence_and_noise(talker: tuple[int, str]) -> None:
+    ours, port = talker
+    device = LineInstrument(port, load_ascii_profile("millivolts"), CLOCK, silence_s=0.15)
+    with pytest.raises(DeviceError, match="is silent"):
+        device.read()
+    os.write(ours, b"\n\xf0\x81\xfe\n")
+    with pytest.raises(DeviceError, match="holds bytes that are no text"):
+        device.read()
+    device.close()
+
+
+# ------------------------------------------------------------------------------------------ TOA5
+
+TOA5 = (
+    '"TOA5","Roof","CR1000X","12345","CR1000X.Std.05","CPU:sun.CR1X","9","Table1"\n'
+    '"TIMESTAMP","RECORD","GHI_Avg","DHI_Avg","PTemp_C"\n"TS","RN","W/m^2","W/m^2","Deg C"\n"","","Avg","Avg","Smp"\n'
+    '"2027-03-20 08:00:00",100,512.3,88.1,21.5\n"2027-03-20 08:01:00",101,"NAN",88.2,21.5\n'
+    '"2027-03-20 08:02:00",104,515.0,88.4,21.6\n'
+)
+
+
+def test_authority_toa5_table(tmp_path: Path) -> None:
+    (tmp_path / "t.dat").write_text(TOA5)
+    table = read_toa5(tmp_path / "t.dat", timedelta(hours=-8))
+    assert (table.station, table.model, table.serial) == ("Roof", "CR1000X", "12345")
+    first, second, third = table.samples
+    assert first.t_utc == datetime(2027, 3, 20, 16, 0, tzinfo=UTC)
+    assert (first.ghi_wm2, first.dhi_wm2, first.temperature_c) == (512.3, 88.1, 21.5)
+    assert second.ghi_wm2 is None and second.dhi_wm2 == 88.2
+    assert third.ghi_wm2 == 515.0 and table.missing_records == 2 and not table.broken
+
+
+def test_contract_toa5_damage() -> None:
+    broken = TOA5 + '"2027-03-20 08:03:00",105,5#5.0,88.4,21.6\n"2027-03-20 08:0",1,1,1,1\n"2027-03-20 08:04:00",106,51'
+    table = parse_toa5(broken, timedelta())
+    assert len(table.samples) == 3 and len(table.broken) == 3
+    assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "no end" in table.broken[2]
+    for text, said in (
+        ("TIMESTAMP,GHI\n", "no TOA5 header"),
+        (TOA5.replace("GHI_Avg", "Volt").replace("DHI_Avg", "Amp"), "one of irradiance"),
+        (TOA5.replace("W/m^2", "mV"), "GHI_Avg in 'mV'"),
+        (TOA5.replace("DHI_Avg", "GHI_2_Avg"), "columns GHI_Avg, GHI_2_Avg for ghi_wm2"),
+    ):
+        with pytest.raises(InputError, match=said):
+            parse_toa5(text, timedelta())
+    named = parse_toa5(TOA5, timedelta(), {"dni_wm2": "GHI_Avg"})
+    assert named.samples[0].dni_wm2 == 512.3 and named.samples[0].ghi_wm2 is None
+    with pytest.raises(InputError, match="no column Nope"):
+        parse_toa5(TOA5, timedelta(), {"ghi_wm2": "Nope"})
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.integers(0, len(TOA5) - 1), st.text(max_size=3), st.integers(0, 3))
+def test_property_damaged_toa5_reads_or_is_refused(at: int, put: str, cut: int) -> None:
+    with suppress(InputError):
+        parse_toa5(TOA5[:at] + put + TOA5[at + cut :], timedelta())
+
+
+# ------------------------------------------------------------------------------------------ CL-200A
+
+
+def test_authority_check_digits() -> None:
+    # Konica Minolta CS-A32T technical note.
+    digits = {PC_MODE: b"13", HOLD: b"02", EXT_ON: b"06", MEASURE: b"04", READ_EVXY: b"02"}
+    assert {command: bcc(command) for command in digits} == digits
+    assert frame(b"00021200") == b"\x0200021200\x0302\r\n"
+
+
+def answer(status: bytes = b"    ", values: bytes = b"+12343+ 3130+ 3290") -> bytes:
+    return frame(b"0002" + status + values)
+
+
+def test_analytic_values() -> None:
+    found = parse_answer(answer())
+    assert found.illuminance_lx == pytest.approx(123.4)
+    assert (found.x, found.y, found.low_battery) == (pytest.approx(0.0313), pytest.approx(0.0329), False)
+    assert parse_answer(answer(b"   1")).low_battery
+
+
+@pytest.mark.parametrize(
+    ("reply", "said"),
+    [
+        (answer(b" 1  "), "head was switched off"),
+        (answer(b" 4  "), "has not measured yet"),
+        (answer(b" 5  "), "over its range"),
+        (answer(b"  6 "), "changes its range"),
+        (answer(values=b"+99999+ 3130+ 3290"), "out of its range"),
+        (answer()[:-1], "right check digits"),
+        (answer().replace(b"+1234", b"+1235"), "right check digits"),
+        (frame(b"0054    "), "without values"),
+        (b"", "right check digits"),
+    ],
+)
+def test_contract_errors_of_the_meter(reply: bytes, said: str) -> None:
+    with pytest.raises(DeviceError, match=said):
+        parse_answer(reply)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.integers(0, len(answer()) - 1), st.integers(1, 255))
+def test_property_one_wrong_byte_is_always_noticed(at: int, flip: int) -> None:
+    reply = bytearray(answer())
+    reply[at] ^= flip
+    with pytest.raises(DeviceError):
+        parse_answer(bytes(reply))
+
+
+def test_the_driver_on_a_pty() -> None:
+    asked: list[bytes] = []
+    replies = [answer(b"  6 "), answer(values=b"+45674+33300+33400")]
+
+    def meter(data: bytes) -> bytes:
+        out = b""
+        for one in data.splitlines(keepends=True):
+            asked.append(body := unframe(one).encode())
+            mute = body in (HOLD, MEASURE)
+            out += b"" if mute else replies.pop(0) if body == READ_EVXY else frame(body[:4] + b"    ")
+        return out
+
+    instrument = PtyInstrument(meter)
+    device = open_meter(f"cl200a:{instrument.port}?parity=N", clock=CLOCK)
+    assert device.read().illuminance_lx == pytest.approx(4567.0)
+    assert asked[:3] == [PC_MODE, HOLD, EXT_ON] and asked.count(MEASURE) == 2
+    device.close()
+    instrument.unplug()
+    with pytest.raises(DeviceError, match="/dev/"):
+        Cl200a(instrument.port, CLOCK.sleep, parity="N")
+
+
+def test_regex_profile_by_hand() -> None:
+    profile = AsciiProfile("x", "regex", (AsciiField("ghi_wm2", "g", 2.0, 1.0),), pattern=r"I(?P<g>\d+)")
+    assert parse_line(profile, b"I12\r\n") == {"ghi_wm2": 25.0}
