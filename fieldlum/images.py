@@ -193,7 +193,7 @@ def read_panorama(path: Path) -> Panorama:
     """
     if not path.is_file():
         raise InputError(path, "no such file", "a panorama .exr or .hdr")
-    panorama = _read_exr(path) if path.suffix.lower() == ".exr" else _read_hdr_panorama(path)
+    panorama = read_exr(path)[0] if path.suffix.lower() == ".exr" else _read_hdr_panorama(path)
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
         raise InputError(path, f"{width} x {height} pixels", "a panorama twice as wide as high")
@@ -206,7 +206,11 @@ def _read_hdr_panorama(path: Path) -> Panorama:
     return Panorama(image.luminance_cdm2, heading, rgb=image.rgb)
 
 
-def _read_exr(path: Path) -> Panorama:
+def read_exr(path: Path) -> tuple[Panorama, str]:
+    """Any luminance .exr of ours, a fisheye too, and its view: ``equirect``, Radiance's view options, or "".
+
+    Raises InputError for what is no EXR, is broken, or has no channel Y.
+    """
     import OpenEXR
 
     with path.open("rb") as file:  # OpenEXR prints to stderr by itself: keep it from seeing what is no EXR at all
@@ -224,9 +228,11 @@ def _read_exr(path: Path) -> Panorama:
         heading = float(header.get("heading_deg", 180.0))
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
+        own = {k.removeprefix("fieldlum:"): str(v) for k, v in header.items() if k.startswith("fieldlum:")}
+        view = str(header.get("view", ""))
     except (ValueError, TypeError) as error:
         raise InputError(path, f"attribute {error}", "heading_deg, t_utc and sun as fieldlum writes them") from None
     rgb = np.stack([pixels[c] for c in "RGB"], axis=-1) if all(c in pixels for c in "RGB") else None
     flags = pixels["flags"].astype(np.uint16) if "flags" in pixels else None
-    own = {k.removeprefix("fieldlum:"): str(v) for k, v in header.items() if k.startswith("fieldlum:")}
-    return Panorama(pixels["Y"], heading, pixels.get("u"), flags, t_utc, sun, rgb, own)
+    panorama = Panorama(pixels["Y"], heading, pixels.get("u"), flags, t_utc, sun, rgb, own)
+    return panorama, view

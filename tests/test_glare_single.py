@@ -17,7 +17,7 @@ from fieldlum.glare.pictures import parse_view, read_picture
 from fieldlum.glare.single import picture_glare
 from fieldlum.images import write_panorama, write_radiance_hdr
 from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Panorama, SunSource
+from fieldlum.records import Flag, Panorama, SunSource
 
 SOUTH = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 
@@ -120,6 +120,32 @@ def test_view_directions() -> None:
     view = parse_view("-vta -vp 1 2 3 -vd 1 0 0 -vu 0 0 1 -vh 180 -vv 180 -vo 0 -va 0", Path("x"))
     assert view.azimuth_deg == pytest.approx(90.0)
     assert view.altitude_deg == pytest.approx(0.0)
+
+
+def test_a_merged_fisheye_faces_its_heading_and_keeps_its_sun(tmp_path: Path) -> None:
+    path = tmp_path / "f.exr"
+    pixels = np.full((200, 200), 100.0, np.float32)
+    flags = np.zeros((200, 200), np.uint16)
+    corner = np.hypot(*(np.mgrid[:200, :200] - 99.5)) > 100
+    pixels[corner], flags[corner] = np.nan, Flag.OUTSIDE_LENS
+    sun = SunSource(20.0, 140.0, 3e4)
+    write_panorama(path, Panorama(pixels, 150.0, flags=flags, sun=sun), view="-vta -vv 186 -vh 186")
+    answer = picture_glare(path)
+    assert answer["views"][0]["azimuth_deg"] == pytest.approx(150.0)
+    cosine = np.cos(np.radians(20)) * np.cos(np.radians(10))
+    assert answer["views"][0]["ev_lx"] == pytest.approx(100 * np.pi + 3e4 * cosine, rel=0.01)
+
+
+def test_directions_that_no_lens_saw_are_said(tmp_path: Path, maps: np.ndarray) -> None:
+    path = tmp_path / "p.exr"
+    flags = np.zeros(maps.shape, np.uint16)
+    flags[-9:] = Flag.OUTSIDE_LENS
+    pixels = np.where(flags > 0, np.nan, maps).astype(np.float32)
+    write_panorama(path, Panorama(pixels, 180.0, flags=flags))
+    assert "seen by no lens" in picture_glare(path)["warnings"][0]
+    write_panorama(path, Panorama(pixels, 180.0))
+    with pytest.raises(InputError, match="no numbers"):
+        picture_glare(path)
 
 
 # ---------------------------------------------------------------------------------------------- contrast

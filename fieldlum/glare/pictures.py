@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.images import read_panorama, read_radiance_hdr
-from fieldlum.projection import equirect_rays, equirect_solid_angles
-from fieldlum.records import Float, Panorama
+from fieldlum.images import read_exr, read_panorama, read_radiance_hdr
+from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.records import Flag, Float, Panorama, SunSource
 
 HOW = "write VIEW= -vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180 (a 180-degree fisheye that looks south)"
 HOW_PANORAMA = "or FIELDLUM_VIEW= equirect heading_deg=180 for a panorama"
@@ -55,62 +55,65 @@ def read_picture(path: Path) -> Picture:
     """A .hdr or .exr picture as a panorama. Raises InputError for a missing or contradictory VIEW."""
     if not path.is_file():
         raise InputError(path, "no such file", "a luminance picture .hdr or .exr")
-    pixels, text, heading = _read_hdr(path) if path.suffix.lower() != ".exr" else _read_exr(path)
+    found = _read_exr(path) if path.suffix.lower() == ".exr" else _read_hdr(path)
+    pixels, text = found.luminance_cdm2, found.view
     height, width = pixels.shape
-    if heading is not None:
+    if found.panorama:
         if text:
             raise InputError(path, f"a panorama and VIEW= {text}", "one of the two", "take one of the two lines out")
         return Picture(read_panorama(path), None, 2.0 * np.pi)
     if not text:
         raise InputError(path, "no VIEW", "where the picture looks", f"{HOW}, {HOW_PANORAMA}")
-    view = parse_view(text, path)
+    view = parse_view(text, path, found.heading_deg)
     _check_shape(view, height, width, path)
     luminance, covered = to_panorama(pixels, view)
-    return Picture(Panorama(luminance, view.azimuth_deg), view, covered)
+    return Picture(Panorama(luminance, view.azimuth_deg, sun=found.sun), view, covered)
 
 
-def _read_hdr(path: Path) -> tuple[Float, str, float | None]:
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A picture as it stands: view is Radiance's words; heading_deg is where it faces when those do not say it."""
+
+    luminance_cdm2: Float
+    view: str
+    panorama: bool
+    heading_deg: float = 0.0
+    sun: SunSource | None = None
+
+
+def _read_hdr(path: Path) -> _Found:
     image = read_radiance_hdr(path)
     views = [line[5:].strip() for line in image.header if line.startswith("VIEW=")]
     types = {word for text in views for word in text.split() if word.startswith("-vt")}
     if len(types) > 1:
         raise InputError(path, f"views {', '.join(sorted(types))}", "one VIEW", "keep the line that is true")
-    return image.luminance_cdm2, image.view, image.heading_deg
+    return _Found(image.luminance_cdm2, image.view, image.heading_deg is not None)
 
 
-def _read_exr(path: Path) -> tuple[Float, str, float | None]:
-    import OpenEXR
-
-    with path.open("rb") as file:
-        if file.read(4) != b"\x76\x2f\x31\x01":
-            raise InputError(path, "no OpenEXR file", "a picture .exr", "check what wrote it")
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as exr:
-            header, channels = dict(exr.header()), exr.channels()
-            if "Y" not in channels:
-                raise InputError(path, f"channels {', '.join(channels)}", "a channel Y in cd/m2", "use fieldlum merge")
-            pixels = np.array(channels["Y"].pixels, np.float32)
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(path, f"broken EXR ({error})".replace("\n", " "), "a whole file", "copy it again") from None
-    view = str(header.get("view", ""))
-    if view == "equirect":
-        return pixels, "", float(header.get("heading_deg", 180.0))
-    return pixels, view.removeprefix("VIEW=").strip(), None
+def _read_exr(path: Path) -> _Found:
+    """Pixels that no lens saw are 0."""
+    picture, view = read_exr(path)
+    pixels = np.asarray(picture.luminance_cdm2, np.float32)
+    if picture.flags is not None:
+        pixels = np.where(picture.flags & Flag.OUTSIDE_LENS > 0, np.float32(0.0), pixels)
+    words = "" if view == "equirect" else view.removeprefix("VIEW=").strip()
+    return _Found(pixels, words, view == "equirect", picture.heading_deg, picture.sun)
 
 
 # ---------------------------------------------------------------------------------------------- VIEW
 
 
-def parse_view(text: str, source: Path) -> View:
-    """Radiance's view options. Raises InputError for a type or an angle that cannot be."""
+def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> View:
+    """Radiance's view options; without -vd the view is level and faces `heading_deg` (Radiance's own default is north).
+
+    Raises InputError for a type or an angle that cannot be.
+    """
     options = _options(text, source)
     kind = options.get("vt", "")
     if kind not in VIEW_TYPES:
         shown = f"view type -vt{kind}" if kind else "a VIEW without a type"
         raise InputError(source, shown, "-vta, -vth, -vts or -vtv", HOW)
-    forward = _vector(options.get("vd", "0 1 0"), "-vd", source)
+    forward = _vector(options["vd"], "-vd", source) if "vd" in options else direction(0.0, heading_deg)
     up = _vector(options.get("vu", "0 0 1"), "-vu", source)
     if abs(float(forward @ up)) > 0.9999:
         raise InputError(

@@ -18,7 +18,7 @@ from fieldlum.glare.pictures import Picture, read_picture
 from fieldlum.glare.reference import reference_glare
 from fieldlum.glare.sources import group_pixels, widen
 from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.records import Flag, Float, SunSource, utc_text
+from fieldlum.records import Flag, Float, Panorama, SunSource, utc_text
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 DISC_CDM2 = 1e6  # no matt surface and no sky is that bright
@@ -36,7 +36,7 @@ def picture_glare(path: Path, azimuths_deg: Sequence[float] = (), *, reference: 
     picture = read_picture(path)
     panorama = picture.panorama
     azimuths = _azimuths(picture, azimuths_deg, path)
-    maps, warnings = _sound(panorama.luminance_cdm2, path)
+    maps, warnings = _sound(panorama, path)
     warnings += _warnings(picture)
     maps, sun = take_out_sun(maps, panorama.heading_deg, panorama.sun)
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
@@ -109,14 +109,19 @@ def _azimuths(picture: Picture, asked: Sequence[float], path: Path) -> np.ndarra
     return np.array([view.azimuth_deg])
 
 
-def _sound(luminance_cdm2: Float, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Negative values are noise and count as 0; what is no number is refused."""
-    bad = int((~np.isfinite(luminance_cdm2)).sum())
+def _sound(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
+    """Negative values are noise and count as 0, and so does what no lens saw; what else is no number is refused."""
+    pixels, said = np.asarray(panorama.luminance_cdm2, np.float32), []
+    if panorama.flags is not None and (outside := panorama.flags & Flag.OUTSIDE_LENS > 0).any():
+        pixels = np.where(outside, np.float32(0.0), pixels)
+        said.append(f"{100 * outside.mean():.0f} % of the panorama was seen by no lens and counts as dark")
+    bad = int((~np.isfinite(pixels)).sum())
     if bad:
         raise InputError(path, f"{bad} pixels that are no numbers", "cd/m2 everywhere", "merge or render it again")
-    dark = int((luminance_cdm2 < 0).sum())
-    said = [f"{dark} pixels below 0 cd/m2 count as 0"] if dark else []
-    return np.maximum(luminance_cdm2, 0.0).astype(np.float32), said
+    dark = int((pixels < 0).sum())
+    if dark:
+        said.append(f"{dark} pixels below 0 cd/m2 count as 0")
+    return np.maximum(pixels, 0.0), said
 
 
 def _warnings(picture: Picture) -> list[str]:
