@@ -77,6 +77,29 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
         torch.testing.assert_close(mine, parameter.grad, rtol=1e-3, atol=1e-5)
 
 
+def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """analytic: sums of S and of its gradient over two ranks are those of one."""
+    shape = Shape(**SMALL)
+    torch.manual_seed(1)
+    net = Net(shape)
+    base = dense.canvas(np.zeros((8, 16)), 180.0)
+    pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
+    numbers = torch.randperm(len(pixels))[:333]
+
+    def parts_and_gradient(ranks: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+        net.zero_grad()
+        monkeypatch.setattr(dense_training, "world", lambda: len(ranks))
+        monkeypatch.setattr(dense_training, "_sum_over_ranks", lambda tensor: tensor)
+        total = torch.zeros(3, dtype=torch.float64)
+        for mine in ranks:
+            monkeypatch.setattr(dense_training, "rank", lambda mine=mine: mine)
+            total += dense_training._loss_parts(net, pixels, numbers, 50, half=False, learn=True)
+        return total, torch.cat([p.grad.reshape(-1).clone() for p in net.parameters() if p.grad is not None])
+
+    one, two = parts_and_gradient((0,)), parts_and_gradient((0, 1))
+    torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
+
+
 def test_the_network_learns_a_tiny_set_by_heart() -> None:
     one = DATA.take(np.array([2]))  # a lone image validates itself
     plan = Plan("short", steps=400, batch_pixels=128)

@@ -89,6 +89,15 @@ def _sum_over_ranks(tensor: Tensor) -> Tensor:
     return tensor
 
 
+def _agreed(value: float) -> float:
+    """Rank 0's clock and speed hold for all: ranks that disagree about the end would wait for each other for ever."""
+    if world() == 1:
+        return value
+    shared = torch.tensor([value], dtype=torch.float64, device=pick_device())
+    dist.broadcast(shared, 0)
+    return float(shared.item())
+
+
 # ---------------------------------------------------------------------------------------------- pixels
 
 
@@ -148,8 +157,9 @@ def _loss_parts(net: Net, pixels: Pixels, numbers: Tensor, micro: int, half: boo
             squares = (weight * error.square()).sum()
         if learn:
             squares.backward()
-        parts += torch.tensor([squares.item(), (weight * target.square()).sum().item(), len(mine)], dtype=torch.float64)
-    return _sum_over_ranks(parts)
+        target2 = (weight * target.square()).sum()
+        parts += torch.tensor([squares.item(), target2.item(), len(mine)], dtype=torch.float64)
+    return _sum_over_ranks(parts.to(pixels.target.device)).cpu()
 
 
 def loss_value(parts: Tensor) -> float:
@@ -196,16 +206,26 @@ def _epoch_batches(pixels: Pixels, plan: Plan, run: Run, shape: Shape, seed: int
     generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
     device, per_image = pixels.target.device, len(pixels.seen)
     if plan.schedule == "short":
+        images = max(1, round(plan.batch_pixels / per_image))
         for _ in range(-(-plan.steps // SHORT_EPOCHS)):
-            yield torch.randint(len(pixels), (plan.batch_pixels,), generator=generator).to(device)
+            if shape.form == "cnn":
+                group = torch.randint(pixels.target.shape[0], (images,), generator=generator)
+                yield _whole_images(group, per_image).to(device)
+            else:
+                yield torch.randint(len(pixels), (plan.batch_pixels,), generator=generator).to(device)
         return
     images = STAGES[run.stage]
     if shape.form == "cnn":
         for group in torch.randperm(pixels.target.shape[0], generator=generator).split(images):
-            yield (group[:, None] * per_image + torch.arange(per_image)).reshape(-1).to(device)
+            yield _whole_images(group, per_image).to(device)
         return
     for numbers in torch.randperm(len(pixels), generator=generator).split(images * per_image):
         yield numbers.to(device)
+
+
+def _whole_images(group: Tensor, per_image: int) -> Tensor:
+    """Numbers of all pixels of a group of images."""
+    return (group[:, None] * per_image + torch.arange(per_image)).reshape(-1)
 
 
 def _short_rate(plan: Plan, run: Run, budget_s: float | None) -> float:
@@ -274,7 +294,7 @@ def train(
             optimiser.param_groups[0]["lr"] = rate
             loss = _step(net, optimiser, pixels, batch, plan.micro_pixels, half)
             run.step += 1
-            run.elapsed_s = before_s + time.monotonic() - started
+            run.elapsed_s = _agreed(before_s + time.monotonic() - started)
             progress(*_how_far(run, plan, budget_s), f"loss {loss:.4f}  best {run.best:.4f}")
             if not math.isfinite(loss):
                 run.skipped += 1
@@ -345,7 +365,7 @@ def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> 
     micro = 8192 if pixels.target.device.type == "cpu" else 131_072
     if budget_s is None:
         return Plan(micro_pixels=micro)
-    speed = _pixels_per_second(net, pixels, micro, half)
+    speed = _agreed(_pixels_per_second(net, pixels, micro, half))
     affordable = speed * budget_s
     if affordable >= Plan().epochs * len(pixels):
         return Plan(micro_pixels=micro)
