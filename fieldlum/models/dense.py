@@ -9,6 +9,7 @@ This file holds the network and what goes in and out; `dense_training` holds the
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -167,7 +168,10 @@ def scene_inputs(canvas: Canvas, hours: Hours, hour: Tensor, pixel: Tensor) -> T
 
 
 def pick_device() -> torch.device:
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    """The card of this process (torchrun numbers them), else the processor."""
+    if not torch.cuda.is_available():
+        return torch.device("cpu")
+    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
 
 
 class DenseFitted:

@@ -157,8 +157,8 @@ def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64])
     return Scores(
         mse_weighted=e2 @ w / w.sum(), mse=e2.mean(axis=1), error2=e2.sum(axis=1), truth2=t2.sum(axis=1),
         error2_weighted=e2 @ w, truth2_weighted=t2 @ w, dgp_mse=blank.copy(), dgp_mae=blank.copy(),
-        dgp_mean=blank.copy(), dgp_square=blank.copy(), rammg_error=blank.copy(), rammg_truth=blank.copy(), expected_mse=prediction.expected_mse,
-        trusted=prediction.trusted, in_band=in_band, slots=data.slots,
+        dgp_mean=blank.copy(), dgp_square=blank.copy(), rammg_error=blank.copy(), rammg_truth=blank.copy(),
+        expected_mse=prediction.expected_mse, trusted=prediction.trusted, in_band=in_band, slots=data.slots,
     )  # fmt: skip
 
 
