@@ -61,13 +61,14 @@ def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray
 
 @pytest.mark.parametrize(("dni", "dhi"), [(0.0, 200.0), (700.0, 100.0)], ids=["overcast", "clear"])
 def test_authority_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: float) -> None:
-    """Radiance rendering the hour in one piece. Draft pieces, few rays, one ray a pixel."""
+    """Radiance rendering the hour in one piece. Draft pieces and pixels of 9 degrees with one ray each; rtrace
+    itself moves by 10 % here between -aa .2 and -aa 0, and stands on either side of us."""
     light = light_at([NOON], SMALL.site, np.array([dni]), np.array([dhi]))
     made = truth.render(light).luminance_cdm2[0].ravel()
     pixels = np.random.default_rng(1).permutation(len(made))[:200]
     ratio = made[pixels] / _plain_rtrace(SMALL, light, 20, pixels)
-    assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
-    assert np.mean(np.abs(ratio - 1) < 0.2) > 0.8
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.08)
+    assert np.mean(np.abs(ratio - 1) < 0.2) > 0.75
 
 
 def test_gathered_light_is_complete(truth: simulate.GroundTruth) -> None:

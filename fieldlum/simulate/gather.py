@@ -11,6 +11,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,48 +30,48 @@ PLAIN = SKY  # column of the open plain
 FIRST_PIECE = SKY + 1
 _POINTS_A_RUN = 1200
 _OFFSET_M = 1e-3
+_SUB = 4  # squared: sample points of direct sun in a piece
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """All surfaces cut into rectangles. Arrays over pieces [p]; `first` and `counts` [faces] number them by face."""
+    """All surfaces cut into rectangles, numbered by `first` and `counts` [faces] within their faces.
+
+    Arrays over pieces [p]: face; reflectance; middle [p, 3] of what is not buried in another box (NaN: all is). Sample
+    points for direct sun: position [q, 3], piece [q] and share [q] of the piece's open part.
+    """
 
     faces: tuple[Face, ...]
     counts: NDArray[np.int32]  # [faces, 2]
     first: NDArray[np.int32]
-    middle: Array  # [p, 3]
-    size: Array  # [p, 2]
     face: NDArray[np.int32]
     reflectance: Array
-    free: NDArray[np.bool_]  # not buried in another box
+    middle: Array
+    position: Array
+    piece: NDArray[np.int32]
+    share: Array
 
     def __len__(self) -> int:
         return len(self.face)
 
     @property
+    def free(self) -> NDArray[np.intp]:
+        """Pieces of which anything is seen."""
+        return np.flatnonzero(np.isfinite(self.middle[:, 0]))
+
+    @cached_property
     def axis(self) -> NDArray[np.int8]:
         return np.array([f.axis for f in self.faces], np.int8)[self.face]
 
-    @property
+    @cached_property
     def sign(self) -> NDArray[np.int8]:
         return np.array([f.sign for f in self.faces], np.int8)[self.face]
 
+    @cached_property
     def normals(self) -> Array:
         out = np.zeros((len(self), 3))
         out[np.arange(len(self)), self.axis] = self.sign
         return out
-
-    def points(self, n: int) -> tuple[Array, NDArray[np.int32]]:
-        """n x n points in each piece, [p n n, 3], and the piece that each belongs to."""
-        step = (np.arange(n) + 0.5) / n - 0.5
-        a, b = (m.ravel() for m in np.meshgrid(step, step))
-        position = np.repeat(self.middle, n * n, axis=0)
-        others = np.array([f.others for f in self.faces])[self.face].repeat(n * n, axis=0)
-        size = self.size.repeat(n * n, axis=0)
-        rows = np.arange(len(position))
-        for k, offset in enumerate((a, b)):
-            position[rows, others[:, k]] += np.tile(offset, len(self)) * size[:, k]
-        return position, np.arange(len(self)).repeat(n * n).astype(np.int32)
 
 
 def cut(scene: BoxScene, piece_m: float) -> Pieces:
@@ -78,21 +79,32 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     visible = tuple(faces(scene))
     counts = np.array([_count(scene, f, piece_m) for f in visible], np.int32)
     first = np.concatenate([[0], np.cumsum(counts.prod(axis=1))]).astype(np.int32)
-    middle, size = [], []
-    for f, (na, nb) in zip(visible, counts, strict=True):
-        step = np.array([(f.high_m[0] - f.low_m[0]) / na, (f.high_m[1] - f.low_m[1]) / nb])
-        jb, ja = np.divmod(np.arange(na * nb), na)
-        at = np.empty((na * nb, 3))
-        at[:, f.axis] = f.at_m
-        at[:, f.others[0]] = f.low_m[0] + (ja + 0.5) * step[0]
-        at[:, f.others[1]] = f.low_m[1] + (jb + 0.5) * step[1]
-        middle.append(at)
-        size.append(np.tile(step, (na * nb, 1)))
     face = np.repeat(np.arange(len(visible)), counts.prod(axis=1)).astype(np.int32)
-    centre = np.concatenate(middle)
+    position = np.concatenate([_grid(f, na, nb) for f, (na, nb) in zip(visible, counts, strict=True)])
+    piece = np.arange(len(face)).repeat(_SUB**2).astype(np.int32)
+    sides = np.array([(f.axis, f.sign) for f in visible])[face[piece]]
+    probe = position.copy()
+    probe[np.arange(len(probe)), sides[:, 0]] += sides[:, 1] * _OFFSET_M
+    buried = np.zeros(len(probe), bool)
+    for low, high in zip(scene.low, scene.high, strict=True):
+        buried |= ((probe > low) & (probe < high)).all(axis=1)
+    position, piece = position[~buried], piece[~buried]
+    count = np.bincount(piece, minlength=len(face))
+    with np.errstate(invalid="ignore"):
+        middle = np.stack([np.bincount(piece, position[:, k], len(face)) / count for k in range(3)], axis=1)
     reflectance = scene.reflectance[np.array([f.box for f in visible])][face]
-    pieces = Pieces(visible, counts, first, centre, np.concatenate(size), face, reflectance, np.ones(len(face), bool))
-    return Pieces(*(getattr(pieces, n) for n in list(Pieces.__dataclass_fields__)[:-1]), free=_free(scene, pieces))
+    return Pieces(visible, counts, first, face, reflectance, middle, position, piece, 1.0 / count[piece])
+
+
+def _grid(face: Face, na: int, nb: int) -> Array:
+    """_SUB x _SUB points in each piece of a face, piece by piece, [na nb _SUB _SUB, 3]."""
+    step = (np.arange(_SUB) + 0.5) / _SUB
+    jb, ja, sb, sa = (m.ravel() for m in np.meshgrid(np.arange(nb), np.arange(na), step, step, indexing="ij"))
+    out = np.empty((len(ja), 3))
+    out[:, face.axis] = face.at_m
+    out[:, face.others[0]] = face.low_m[0] + (ja + sa) / na * (face.high_m[0] - face.low_m[0])
+    out[:, face.others[1]] = face.low_m[1] + (jb + sb) / nb * (face.high_m[1] - face.low_m[1])
+    return out
 
 
 def _count(scene: BoxScene, face: Face, piece_m: float) -> tuple[int, int]:
@@ -113,14 +125,6 @@ def _in_room(scene: BoxScene, face: Face) -> bool:
     middle[face.axis] += face.sign * 0.01
     low, high = np.array(scene.shell)
     return bool(((middle > low) & (middle < high)).all())
-
-
-def _free(scene: BoxScene, pieces: Pieces) -> NDArray[np.bool_]:
-    points = pieces.middle + pieces.normals() * _OFFSET_M
-    buried = np.zeros(len(points), bool)
-    for low, high in zip(scene.low, scene.high, strict=True):
-        buried |= ((points > low) & (points < high)).all(axis=1)
-    return ~buried
 
 
 # ---------------------------------------------------------------------------------------------- rcontrib

@@ -27,7 +27,7 @@ from fieldlum.session import replacing_path
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
 
 Array = NDArray[np.float64]
-VERSION = 1  # of the coefficients; a new one makes old caches stale
+VERSION = 2  # of the coefficients; a new one makes old caches stale
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +95,9 @@ class GroundTruth:
 
     @cached_property
     def _piece_points(self) -> SunPoints:
-        n = 4
-        position, piece = self.pieces.points(n)
-        axis, sign = self.pieces.axis[piece], self.pieces.sign[piece]
-        weight = np.full(len(piece), 1.0 / n**2)
-        return sun_points(self.view.scene, position, axis, sign, weight, piece, len(self.pieces))
+        p = self.pieces
+        axis, sign = p.axis[p.piece], p.sign[p.piece]
+        return sun_points(self.view.scene, p.position, axis, sign, p.share, p.piece, len(p))
 
     @cached_property
     def _sky_rays(self) -> Array:
@@ -135,17 +133,29 @@ class GroundTruth:
         columns = np.zeros((FIRST_PIECE + len(self.pieces), len(light)), np.float32)
         columns[:SKY] = light.sky_cdm2.T
         columns[PLAIN] = light.sky.ground_cdm2
-        first = self.from_pieces[:, :FIRST_PIECE] @ columns[:FIRST_PIECE] + sunlit.T
-        bounce = self._bounces
+        first = self._outdoors @ columns[:FIRST_PIECE] + sunlit.T
         pieces = reflect * first
-        for _ in range(40):
-            after = reflect * (first + bounce @ pieces)
-            change = float(np.abs(after - pieces).max(initial=0.0))
-            pieces = after
-            if change <= 1e-4 * float(after.max(initial=1e-9)):
-                break
+        for _ in range(self._passes):
+            pieces = reflect * (first + self._bounces @ pieces)
         columns[FIRST_PIECE:] = pieces
         return columns
+
+    @cached_property
+    def _passes(self) -> int:
+        """Bounces after which an evenly lit room changes by less than 1e-4: the same for every hour, so that an hour
+        does not depend on its company."""
+        reflect = (self.pieces.reflectance / np.pi).astype(np.float32)
+        pieces = reflect
+        for k in range(1, 60):
+            after = reflect * (1 + self._bounces @ pieces)
+            if float((after - pieces).max()) < 1e-4 * float(after.mean()):
+                return k
+            pieces = after
+        return 60
+
+    @cached_property
+    def _outdoors(self) -> Any:
+        return self.from_pieces[:, :FIRST_PIECE].tocsr()
 
     @cached_property
     def _bounces(self) -> Any:
@@ -229,9 +239,9 @@ def _gather_pieces(scene: Any, pieces: Pieces, how: Quality, workers: int | None
     """Rows of buried pieces stay empty."""
     from scipy.sparse import csr_matrix
 
-    free = np.flatnonzero(pieces.free)
+    free = pieces.free
     found = gather(
-        scene, pieces, pieces.middle[free], pieces.normals()[free], how.piece_rays, workers=workers,
+        scene, pieces, pieces.middle[free], pieces.normals[free], how.piece_rays, workers=workers,
         text="light between surfaces", progress=progress,
     )  # fmt: skip
     spread = csr_matrix((np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free)))
