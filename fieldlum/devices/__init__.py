@@ -102,6 +102,7 @@ CAMERAS = {
     "sim": ("fieldlum.devices.simulated", "open_camera"),
     "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
     "theta": ("fieldlum.devices.theta", "open_camera"),
+    "replay": ("fieldlum.devices.replay", "open_camera"),
 }
 METERS = {
     "cl200a": ("fieldlum.devices.cl200a", "open_meter"),

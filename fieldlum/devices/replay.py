@@ -1,0 +1,93 @@
+"""Frames that were taken before, as a camera: ``replay:FOLDER``. For rehearsals, and to see what a capture would do.
+
+Each frame of the folder is given once, in the order of the camera's clock, to the first exposure that it fits.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fieldlum.devices import CameraInfo
+from fieldlum.devices.settings import LARGEST_STEP_EV
+from fieldlum.devices.uri import DeviceUri
+from fieldlum.errors import DeviceError, InputError
+from fieldlum.raw import FrameInfo, read_exif
+from fieldlum.records import Exposure
+
+if TYPE_CHECKING:
+    from fieldlum.devices.clock import Clock
+    from fieldlum.session import Session
+
+_NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", ".md"}
+
+
+def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
+    """All frames under a folder, by the camera's clock and name. Raises DeviceError when there is none.
+
+    A file that is no frame, or tells no exposure, is passed over.
+    """
+    found = []
+    for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.name[0] != "."):
+        if path.suffix.lower() not in _NO_FRAMES:
+            try:
+                found.append((path, read_exif(path)))
+            except InputError:
+                continue
+    if not found:
+        raise DeviceError(f"replay: no frames in {folder}")
+    return sorted(found, key=lambda one: (_order(one[1].t_camera), str(one[0])))
+
+
+def _order(t_camera: datetime | None) -> datetime:
+    """Naive camera times are only compared with each other."""
+    late = datetime.max.replace(tzinfo=UTC)
+    return late if t_camera is None else t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
+
+
+def fits(found: Exposure, asked: Exposure) -> bool:
+    """The same within 1/6 EV in each setting, and the same filter where the file names one."""
+    pairs = ((found.shutter_s, asked.shutter_s), (found.f_number, asked.f_number), (found.iso, asked.iso))
+    near = all(abs(math.log2(a / b)) <= LARGEST_STEP_EV for a, b in pairs)
+    return near and found.nd in ("", asked.nd)
+
+
+class ReplayCamera:
+    """Implements `Camera`."""
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self._clock = clock
+        self._left = frames_of(folder)
+        first = self._left[0][1]
+        self._make, self._model = first.make, first.model
+
+    @property
+    def info(self) -> CameraInfo:
+        return CameraInfo("replay", self._make, self._model, frames_left=len(self._left))
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        """Copy the next frame that fits. Raises DeviceError when none is left."""
+        for i, (path, info) in enumerate(self._left):
+            if fits(info.exposure, exposure):
+                del self._left[i]
+                written = target.with_name(f"{target.name}{path.suffix.lower()}")
+                shutil.copyfile(path, written)
+                self._clock.sleep(exposure.shutter_s)
+                return written
+        shown = f"{exposure.shutter_s:.5g} s f/{exposure.f_number:g} ISO {exposure.iso:g}"
+        raise DeviceError(f"replay: no frame of {shown} is left, {len(self._left)} others are")
+
+    def close(self) -> None:
+        self._left = []
+
+
+def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ReplayCamera:
+    """Raises DeviceError for a folder that is not there or holds no frames."""
+    uri.read()
+    folder = Path(uri.place)
+    if not uri.place or not folder.is_dir():
+        raise DeviceError(f"{uri.text}: no such folder, expected replay:FOLDER")
+    return ReplayCamera(folder, clock)
