@@ -1,0 +1,77 @@
+"""Readings in, profiles out."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from fieldlum import __version__
+from fieldlum.errors import InputError
+from fieldlum.profiles import CameraProfile, Provenance, save_profile
+from fieldlum.session import sha256
+
+
+def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Rows of a csv with a header; columns are numbers but `file` and `panorama`, which are paths beside the csv.
+
+    An empty cell is None. Raises InputError naming line and column.
+    """
+    try:
+        lines = [
+            line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()[:1] not in ("", "#")
+        ]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, str(error), "a csv of readings") from None
+    rows = csv.DictReader(lines)
+    names = [name.strip() for name in rows.fieldnames or []]
+    for name in needed:
+        if name not in names:
+            raise InputError(path, f"no column {name}", f"columns {', '.join([*needed, *also])}")
+    for name in names:
+        if name not in (*needed, *also):
+            raise InputError(path, f"unknown column {name}", f"columns {', '.join([*needed, *also])}")
+    rows.fieldnames = names
+    found = [{n: _cell(path, number, n, row[n]) for n in names} for number, row in enumerate(rows, start=2)]
+    if not found:
+        raise InputError(path, "no readings", "one a line")
+    return found
+
+
+def _cell(path: Path, number: int, name: str, text: str | None) -> Any:
+    text = (text or "").strip()
+    if not text:
+        return None
+    if name in ("file", "panorama"):
+        return path.parent / text
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{path}:{number}", f"{name} is '{text}'", "a number") from None
+
+
+def needed(row: dict[str, Any], name: str, path: Path) -> Any:
+    """A cell that must not be empty."""
+    if row.get(name) is None:
+        raise InputError(path, f"an empty {name}", "a value in every line")
+    return row[name]
+
+
+def keep(
+    out: Path, profile: CameraProfile, frames: Iterable[Path], lines: Sequence[str], today: date, **changed: Any
+) -> CameraProfile:
+    """Write the profile with `changed` tables, the hashes of what it was fitted from, and a line for every fit."""
+    hashes = tuple(sorted({sha256(path) for path in frames}))
+    before = profile.provenance
+    provenance = Provenance(
+        before.source,
+        f"fieldlum {__version__} calibrate",
+        tuple(dict.fromkeys((*before.frames_sha256, *hashes))),
+        (*before.log, *(f"{today.isoformat()} {line}" for line in lines)),
+    )
+    new = replace(profile, camera=replace(profile.camera, date=today.isoformat()), provenance=provenance, **changed)
+    save_profile(out, new)
+    return new

@@ -1,0 +1,163 @@
+"""JPEG response: from codes to linear light, with the exposures held fixed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.calibrate.frames import JPEG, true_shutter_s
+from fieldlum.calibrate.order import Candidate, Choice, choose, folds
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.photometry import fit_response, response_table
+from fieldlum.profiles import CameraProfile, Response
+from fieldlum.raw import read_jpeg
+
+PLACES = 500  # a bracket
+LOW, HIGH = 27, 228  # codes that count for the residual, and later carry weight
+FLAT = 3.0  # codes: a place's neighbours differ by at most this in a frame that holds it
+NEGLIGIBLE = 0.002  # of light
+SMOOTH = (3000.0, 300.0, 30.0, 3.0)
+TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """codes [places, frames, 3], 0 where a bracket has no such exposure; log_exposure [frames]; bracket [places]."""
+
+    codes: NDArray[np.uint8]
+    log_exposure: NDArray[np.float64]
+    bracket: NDArray[np.intp]
+    frames: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    response: Response
+    residual: tuple[float, float, float]  # rms of ln z of each colour, held-out
+    choice: Choice
+
+
+def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
+    """A folder is a bracket; files by themselves make one together. Raises InputError for what holds no JPEG."""
+    single = [path for path in paths if path.is_file()]
+    found = [single] if single else []
+    for folder in (path for path in paths if not path.is_file()):
+        frames = sorted(p for p in folder.glob("*") if p.suffix.lower() in JPEG)
+        if not frames:
+            raise InputError(folder, "no JPEG frames", "a folder that holds one bracket")
+        found.append(frames)
+    return found
+
+
+def sample(brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.random.Generator) -> Places:
+    """The same flat places of every frame of a bracket, spread over its brightnesses, pooled over the brackets.
+
+    Raises InputError for a bracket of mixed apertures or fewer than three exposures.
+    """
+    parts, exposures = [], []
+    for paths in brackets:
+        frames = [read_jpeg(path) for path in paths]
+        if len({frame.codes.shape for frame in frames}) > 1 or len({f.exposure.f_number for f in frames}) > 1:
+            raise InputError(paths[0].parent, "frames of several sizes or apertures", "one bracket of one camera")
+        log_e = [np.log(true_shutter_s(f.exposure, profile) * f.exposure.iso) for f in frames]
+        if len({round(e, 3) for e in log_e}) < 3:
+            raise InputError(paths[0].parent, f"{len(paths)} frames", "a bracket of at least three exposures")
+        exposures.append(np.array(log_e))
+        parts.append(_flat_places(np.stack([frame.codes for frame in frames]), profile, rng))
+    grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
+    pooled = np.zeros((sum(len(part) for part in parts), len(grid), 3), np.uint8)
+    bracket, row = np.repeat(np.arange(len(parts)), [len(part) for part in parts]), 0
+    for part, log_e in zip(parts, exposures, strict=True):
+        pooled[row : row + len(part), np.searchsorted(grid, np.round(log_e, 4))] = part
+        row += len(part)
+    return Places(pooled, grid, bracket, tuple(path for paths in brackets for path in paths))
+
+
+def _flat_places(codes: NDArray[np.uint8], profile: CameraProfile, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """[places, frames, 3]: means of 3 x 3 blocks without an edge in them, inside the lens circles."""
+    frames, h, w, _ = codes.shape
+    h, w = h // 3 * 3, w // 3 * 3
+    blocks = codes[:, :h, :w].reshape(frames, h // 3, 3, w // 3, 3, 3)
+    holds = (blocks >= LOW) & (blocks <= HIGH)
+    spread = np.where(holds.all(axis=(2, 4, 5)), np.ptp(blocks[..., 1], axis=(2, 4)), 0)  # green
+    y, x = np.mgrid[: h // 3, : w // 3] * 3 + 1.5
+    inside = np.zeros(x.shape, bool)
+    for lens in profile.lens:
+        inside |= np.hypot(x - lens.centre_px[0], y - lens.centre_px[1]) < 0.95 * lens.radius_px
+    useful = holds.all(axis=(2, 4, 5)).sum(axis=0) >= 2
+    flat = np.flatnonzero(((spread.max(axis=0) <= 3 * FLAT) & inside & useful).ravel())
+    if len(flat) < 50:
+        raise NotEnoughDataError(f"{len(flat)} flat places seen by two frames: the bracket's steps are too wide")
+    brightness = blocks[..., 1].mean(axis=(0, 2, 4)).ravel()[flat]
+    order = flat[np.argsort(brightness + rng.uniform(0, 1e-3, len(flat)))]
+    chosen = order[np.linspace(0, len(order) - 1, min(PLACES, len(order))).astype(int)]
+    means = np.rint(blocks.mean(axis=(2, 4))).astype(np.uint8)
+    return means.reshape(frames, -1, 3)[:, chosen].transpose(1, 0, 2)
+
+
+# ---------------------------------------------------------------------------------------------- fit
+
+
+def residuals(table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[places]: mean square of ln(z / exposure) about each place's own mean, over codes that count; NaN: under two."""
+    counts = (codes >= LOW) & (codes <= HIGH)
+    light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
+    n = counts.sum(axis=1)
+    mean = light.sum(axis=1) / np.maximum(n, 1)
+    square = (np.where(counts, light - mean[:, None], 0.0) ** 2).sum(axis=1)
+    return np.divide(square, n - 1, out=np.full(len(n), np.nan), where=n >= 2)
+
+
+def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDArray[np.float64]]:
+    return [fit_response(places.codes[rows, :, c], places.log_exposure, smooth=smooth)[0] for c in range(3)]
+
+
+def fit(places: Places) -> Fit:
+    """Standard curves first, then monotone tables from stiff to supple; chosen on held-out places.
+
+    Whole brackets are held out where there are three or more, else every eighth of the places.
+    """
+    groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8
+    simple = {"linear": response_table("linear"), "srgb": response_table("srgb")}
+    candidates = [Candidate(name, 0, _pooled(places, lambda rows, t=t: [t] * 3, groups)) for name, t in simple.items()]
+    for size, smooth in enumerate(SMOOTH, start=1):
+        errors = _pooled(places, lambda rows, s=smooth: _tables(places, rows, s), groups)
+        candidates.append(Candidate(f"table of stiffness {smooth:g}", size, errors))
+    choice = choose("response", candidates, "% of light", negligible=NEGLIGIBLE)
+    if choice.index < len(simple):
+        response, tables = Response(kind=("linear", "srgb")[choice.index]), [list(simple.values())[choice.index]] * 3
+    else:
+        tables = _tables(places, np.ones(len(places.codes), bool), SMOOTH[choice.index - len(simple)])
+        red, green, blue = (tuple(round(float(z), 7) for z in t) for t in tables)
+        response = Response("table", red, green, blue)
+    rms = [
+        float(np.sqrt(np.nanmean(residuals(t, places.codes[..., c], places.log_exposure))))
+        for c, t in enumerate(tables)
+    ]
+    u = float(np.sqrt(candidates[choice.index].errors.mean()))
+    return Fit(_with_u(response, u), (rms[0], rms[1], rms[2]), choice)
+
+
+def _with_u(response: Response, u: float) -> Response:
+    return replace(response, low_code=LOW, high_code=HIGH, u_rel=round(max(u, 0.001), 5))
+
+
+def _pooled(places: Places, tables_of: TablesOf, groups: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Held-out squared errors, averaged over colours, of the places that two frames see."""
+    errors = np.full(len(places.codes), np.nan)
+    for held in folds(groups):
+        tables = tables_of(~held)
+        by_colour = [residuals(t, places.codes[held, :, c], places.log_exposure) for c, t in enumerate(tables)]
+        stacked = np.stack(by_colour)
+        seen = np.isfinite(stacked)
+        errors[held] = np.where(
+            seen.any(axis=0), np.where(seen, stacked, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan
+        )
+    sound = errors[np.isfinite(errors)]
+    if len(sound) < 20:
+        raise NotEnoughDataError(f"{len(sound)} places seen well by two frames are too few for a response")
+    return sound

@@ -1,0 +1,206 @@
+"""Vignetting: an even polynomial that only ever falls towards the edge, no larger than the readings ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.calibrate.frames import geometry_of, linear_frame, nearest_lens, relative_angle
+from fieldlum.calibrate.keep import needed, read_table
+from fieldlum.calibrate.order import Candidate, Choice, choose, folds
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.photometry import check_vignetting, vignetting_at
+from fieldlum.profiles import CameraProfile, Lens, Vignetting
+from fieldlum.projection import angle_of_radius
+
+Array = NDArray[Any]
+ORDERS = (0, 2, 4, 6, 8)
+BINS = 60
+LEAST = 5
+RISING = 0.03  # a plain parabola that rises by more than this to the edge is a wrong sign
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Readings [n]: angle over half the full angle, value in any unit, relative uncertainty, and what may be held out
+    together (the same angle)."""
+
+    r: Array
+    value: Array
+    u_rel: Array
+    f_number: float
+    lens: int
+    frames: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    coefficients: tuple[float, ...]  # powers of r, c_0 = 1
+    level: float  # the value on the axis
+    u_rel: float
+    residual_rel: Array
+    choice: Choice
+
+
+# ---------------------------------------------------------------------------------------------- readings
+
+
+def from_table(path: Path, profile: CameraProfile) -> Samples:
+    """Readings from a csv: angle_deg, value; or file, x_px, y_px of one patch seen at many angles.
+
+    Optional: radius_px of the patch (12), reference (a meter's reading at that time, to take out a drifting lamp),
+    u_rel, f_number.
+    """
+    head = path.read_text(encoding="utf-8-sig").splitlines()[0] if path.is_file() else ""
+    if "angle_deg" in head:
+        rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
+        half = profile.lens[0].full_angle_deg / 2
+        r = np.array([abs(needed(row, "angle_deg", path)) / half for row in rows])
+        value = np.array([needed(row, "value", path) / (row.get("reference") or 1.0) for row in rows])
+        u = np.array([row.get("u_rel") or 0.005 for row in rows])
+        return Samples(r, value, u, rows[0].get("f_number") or profile.bracket.f_number, 0, (path,))
+    rows = read_table(path, ("file", "x_px", "y_px"), ("radius_px", "reference"))
+    return _from_patches(path, rows, profile)
+
+
+def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> Samples:
+    weights = np.array(profile.colour.y_from_rgb)
+    lens = nearest_lens(profile, needed(rows[0], "x_px", path), needed(rows[0], "y_px", path))
+    r, value, u, f_numbers = [], [], [], set()
+    for row in rows:
+        x, y = needed(row, "x_px", path), needed(row, "y_px", path)
+        frame = linear_frame(needed(row, "file", path), profile)
+        patch = frame.patch(x, y, row.get("radius_px") or 12.0)
+        r.append(relative_angle(profile.lens[lens], x, y))
+        value.append(float(patch.rgb @ weights) / (row.get("reference") or 1.0))
+        u.append(float(np.hypot(patch.u_rel, 0.002)))
+        f_numbers.add(frame.exposure.f_number)
+    if len(f_numbers) > 1:
+        raise InputError(path, f"apertures {sorted(f_numbers)}", "one aperture a fit", "make one table for each")
+    return Samples(np.array(r), np.array(value), np.array(u), f_numbers.pop(), lens, tuple(row["file"] for row in rows))
+
+
+def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
+    """Frames of an evenly lit field (a sphere, a diffuser over the lens): medians of BINS rings."""
+    geometry, rings = geometry_of(profile.lens[lens]), []
+    weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
+    for path in paths:
+        frame = linear_frame(path, profile)
+        h, w = frame.bad.shape
+        y, x = (np.mgrid[:h, :w] + 0.5) * frame.step
+        radius = np.hypot(x - geometry.centre_px[0], y - geometry.centre_px[1]) / geometry.radius_px
+        r = angle_of_radius(geometry, radius) / geometry.half_angle_rad
+        rings += _rings(r, frame.rgb @ weights, ~frame.bad & (radius < 0.99))
+        f_numbers.add(frame.exposure.f_number)
+    if len(f_numbers) > 1:
+        raise InputError(paths[0], f"apertures {sorted(f_numbers)}", "one aperture a fit")
+    if not rings:
+        raise InputError(
+            paths[0], "nothing that is neither full nor dark", "a frame exposed to the middle of its range"
+        )
+    found = np.array(rings)
+    return Samples(found[:, 0], found[:, 1], found[:, 2], f_numbers.pop(), lens, tuple(paths))
+
+
+def _rings(r: Array, value: Array, good: NDArray[np.bool_]) -> list[tuple[float, float, float]]:
+    ring = np.minimum((r * BINS).astype(int), BINS - 1)
+    found = []
+    for number in range(BINS):
+        inside = value[good & (ring == number)]
+        if len(inside) >= 20:
+            spread = 1.4826 * float(np.median(np.abs(inside - np.median(inside)))) / np.sqrt(len(inside))
+            middle = float(np.median(inside))
+            found.append(((number + 0.5) / BINS, middle, float(np.hypot(1.25 * spread / middle, 0.001))))
+    return found
+
+
+# ---------------------------------------------------------------------------------------------- fit
+
+
+def _design(r: Array, order: int) -> Array:
+    return np.stack([r**power for power in range(0, order + 1, 2)], axis=1)
+
+
+def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
+    """Least squares of level * V(r) in even powers with V' <= 0 all the way to the edge."""
+    from scipy.optimize import LinearConstraint, minimize
+
+    scale = float(np.median(value))
+    a, b = _design(r, order) / (u_rel * value / scale)[:, None], 1.0 / u_rel
+    theta = np.linalg.lstsq(a, b, rcond=None)[0]
+    if order == 0:
+        return theta * scale
+    grid = np.linspace(0.02, 1.0, 50)
+    slope = np.stack([power * grid ** (power - 1) if power else 0 * grid for power in range(0, order + 1, 2)], axis=1)
+    if (slope @ theta).max() > 1e-9:
+        hessian, gradient = a.T @ a, a.T @ b
+        size = float(np.trace(hessian))
+        found = minimize(
+            lambda t: 0.5 * (t @ hessian @ t - 2 * t @ gradient) / size,
+            np.array([1.0] + [0.0] * (len(theta) - 1)),
+            jac=lambda t: (hessian @ t - gradient) / size,
+            constraints=[LinearConstraint(slope, -np.inf, 0.0)],
+            method="SLSQP",
+            options={"maxiter": 400, "ftol": 1e-15},
+        )
+        theta = found.x
+    return theta * scale
+
+
+def fit(samples: Samples) -> Fit:
+    """Raises NotEnoughDataError under five readings, InputError for a curve that rises towards the edge."""
+    r, value, u = samples.r, samples.value, samples.u_rel
+    if len(r) < LEAST or r.max() < 0.5:
+        raise NotEnoughDataError(
+            f"{len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle are too few"
+        )
+    if not (np.isfinite(value).all() and (value > 0).all()):
+        raise InputError(samples.frames[0], "readings that are not positive", "linear values above zero")
+    _refuse_rising(samples)
+    groups = np.unique(np.round(r, 3), return_inverse=True)[1]
+    orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
+    candidates = [
+        Candidate(f"order {o}" if o else "no loss", o // 2, _held_out(r, value, u, groups, o)) for o in orders
+    ]
+    choice = choose(f"vignetting f/{samples.f_number:g}", candidates)
+    theta = _falling(r, value, u, orders[choice.index])
+    even = theta / theta[0]
+    coefficients = [0.0] * (2 * len(even) - 1)
+    coefficients[::2] = even.tolist()
+    residual = value / (theta[0] * vignetting_at(tuple(coefficients), r)) - 1.0
+    wrong = check_vignetting(tuple(coefficients))
+    if wrong:
+        raise InputError(samples.frames[0], wrong, "a loss towards the edge")
+    u_rel = float(np.sqrt(candidates[choice.index].errors.mean()))
+    return Fit(tuple(coefficients), float(theta[0]), max(u_rel, 0.001), residual, choice)
+
+
+def _held_out(r: Array, value: Array, u: Array, groups: NDArray[np.integer], order: int) -> Array:
+    errors = np.zeros(len(r))
+    for held in folds(groups):
+        theta = _falling(r[~held], value[~held], u[~held], order)
+        errors[held] = (value[held] / (_design(r[held], order) @ theta) - 1.0) ** 2
+    return errors
+
+
+def _refuse_rising(samples: Samples) -> None:
+    """The classic wrong sign: the correction in place of the loss, which would darken where it should brighten."""
+    a = _design(samples.r, 2) / (samples.u_rel * samples.value)[:, None]
+    theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
+    rise = float(theta[1] / theta[0])
+    if rise > RISING:
+        found = f"values that rise by {100 * rise:.0f} % from the axis to the edge"
+        remedy = "give readings, not correction factors, of one patch that is lit alike in all frames"
+        raise InputError(samples.frames[0], found, "a loss towards the edge", remedy)
+
+
+def with_curve(lens: Lens, f_number: float, found: Fit) -> Lens:
+    """The lens with this aperture's curve in place of an older one."""
+    others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
+    curve = Vignetting(f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5))
+    return replace(lens, vignetting=tuple(sorted((*others, curve), key=lambda v: v.f_number)))
