@@ -5,21 +5,31 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.projection import direction, equirect_rays, row_solid_angles
+from fieldlum.projection import direction
 from fieldlum.records import Float, SunSource
 
-_FINE = 4  # sub-rows and sub-columns where the plane cuts through a pixel
+_ROWS = 128  # a coarser map is divided further, so that the plane's edge is drawn finely enough
+
+
+def _ray_integrals(height: int, width: int, heading_deg: float) -> NDArray[np.float64]:
+    """Integral of the unit vector over each pixel's solid angle, exact, [H, W, 3]. [sr]"""
+    edges = np.linspace(0.0, np.pi, height + 1)
+    level = np.diff(edges / 2 - np.sin(2 * edges) / 4)  # of sin^2
+    upward = np.diff(np.sin(edges) ** 2 / 2)  # of sin cos
+    turn = np.radians(heading_deg) + (np.linspace(0.0, 1.0, width + 1) - 0.5) * 2 * np.pi
+    east, north, step = np.diff(-np.cos(turn)), np.diff(np.sin(turn)), 2 * np.pi / width
+    parts = (level[:, None] * east, level[:, None] * north, np.repeat(upward[:, None] * step, width, axis=1))
+    return np.stack(parts, axis=-1)
 
 
 def _cosine_weights(height: int, width: int, heading_deg: float, normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """cos(angle to the normal), 0 behind the plane, averaged over the pixels that the plane cuts, [H, W]."""
-    cosine = equirect_rays(height, width, heading_deg) @ normal
-    cut = np.abs(cosine) < 1.5 * np.pi / height
-    if cut.any():
-        fine = np.maximum(equirect_rays(height * _FINE, width * _FINE, heading_deg) @ normal, 0.0)
-        mean = fine.reshape(height, _FINE, width, _FINE).mean(axis=(1, 3))
-        return np.where(cut, mean, np.maximum(cosine, 0.0))
-    return np.maximum(cosine, 0.0)
+    """Integral of cos(angle to the normal) in front of the plane over each pixel, [H, W]. [sr]
+
+    Exact but for the sub-pixels that the plane cuts, which count as their mean, or not at all.
+    """
+    fine = max(2, -(-_ROWS // height))
+    inside = np.maximum(_ray_integrals(height * fine, width * fine, heading_deg) @ normal, 0.0)
+    return inside.reshape(height, fine, width, fine).sum(axis=(1, 3))
 
 
 def illuminance_lx(
@@ -36,8 +46,7 @@ def illuminance_lx(
     values = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = values.shape
     normal = direction(normal_altitude_deg, normal_azimuth_deg)
-    weights = _cosine_weights(height, width, heading_deg, normal) * row_solid_angles(height, width)[:, None]
-    total = float((values * weights).sum())
+    total = float((values * _cosine_weights(height, width, heading_deg, normal)).sum())
     if sun is not None:
         cosine = float(direction(sun.altitude_deg, sun.azimuth_deg) @ normal)
         total += sun.normal_illuminance_lx * max(cosine, 0.0)

@@ -1,9 +1,9 @@
 """From a sensor to a grid of directions by one sparse matrix that conserves flux.
 
-Each target pixel is sampled finely, every sample falls into the nearest sensor pixel of its colour, and the samples'
-solid angles are the weights. So a uniform field stays uniform exactly, a point source keeps its energy, and a colour is
-taken from its own pixels of the mosaic: nothing is demosaicked. The same matrix carries values, variances (its square)
-and flags.
+Each target pixel is sampled finely; a sample is shared among the four nearest sensor pixels of its colour (bilinear on
+that colour's own lattice, so that every sensor pixel gives away its own solid angle), and the samples' solid angles are
+the weights. So a uniform field stays uniform exactly, a point source keeps its energy, and a colour is taken from its
+own pixels of the mosaic: nothing is demosaicked. The same matrix carries values, variances (its square) and flags.
 """
 
 from collections.abc import Iterator
@@ -19,6 +19,8 @@ from fieldlum.projection.panorama import direction, equirect_solid_angles
 
 _BLOCK_SAMPLES = 2_000_000
 _EDGE_RAD = 0.12  # target pixels further outside the lens than this are not even looked at
+_SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}  # of a colour's pixels [px]
+_STEP = 1.1  # of that spacing, between samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,23 +113,29 @@ class Resampler:
     shape: tuple[int, int]
 
 
-def _nearest(cfa: str, colour: str, x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[Any, Any]:
-    """Column and row of the nearest sensor pixel of a colour. cfa "" is a sensor that sees all colours everywhere."""
-    column, row = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
-    places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour]
-    if len(places) == 1:
-        (r0, c0) = places[0]
-        return (
-            2 * np.floor((x - (c0 - 0.5)) / 2).astype(np.int32) + c0,
-            2 * np.floor((y - (r0 - 0.5)) / 2).astype(np.int32) + r0,
-        )
-    if len(places) == 2:  # green: a quincunx, whose cells are diamonds
-        own = ((row + column) & 1) == (sum(places[0]) & 1)
-        dx, dy = x - column - np.float32(0.5), y - row - np.float32(0.5)
-        sideways = np.abs(dx) > np.abs(dy)
-        column = column + np.where(~own & sideways, np.sign(dx), 0).astype(np.int32)
-        row = row + np.where(~own & ~sideways, np.sign(dy), 0).astype(np.int32)
-    return column, row
+def _shared(
+    cfa: str, colour: str, x: NDArray[np.float32], y: NDArray[np.float32]
+) -> Iterator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]]:
+    """Column, row and share of the four pixels of a colour around each place. cfa "": all colours everywhere."""
+    places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour] or [(0, 0)]
+    row0, column0 = places[0]
+    across, down = x - np.float32(0.5), y - np.float32(0.5)  # whole numbers at pixel centres
+    diagonal = len(places) == 2  # green: a lattice at 45 degrees
+    parity, step = (row0 + column0) & 1, 2 if cfa else 1
+    if diagonal:
+        u, v = (across + down - parity) / 2, (across - down - parity) / 2
+    else:
+        u, v = (across - column0) / step, (down - row0) / step
+    i, j = np.floor(u).astype(np.int32), np.floor(v).astype(np.int32)
+    du, dv = (u - i).astype(np.float32), (v - j).astype(np.float32)
+    for a in (0, 1):
+        for b in (0, 1):
+            share = (du if a else 1 - du) * (dv if b else 1 - dv)
+            p, q = i + np.int32(a), j + np.int32(b)
+            if diagonal:
+                yield p + q + np.int32(parity), p - q, share
+            else:
+                yield p * np.int32(step) + np.int32(column0), q * np.int32(step) + np.int32(row0), share
 
 
 def _blocks(target: Target, sub: int) -> Iterator[tuple[int, int]]:
@@ -176,55 +184,55 @@ def _between(
     return np.asarray(left[:, :, None] + (right - left)[:, :, None] * offset, np.float32)
 
 
-def samples_per_pixel(target: Target, lens: LensGeometry) -> int:
-    """Sub-samples along one edge of a target pixel: 1.5 a sensor pixel, 4 to 24."""
-    sensor_px = lens.radius_px / lens.half_angle_rad * target.pixel_rad
-    return int(np.clip(np.ceil(1.5 * sensor_px), 4, 24))
+def samples_per_pixel(target: Target, lens: LensGeometry, colour: str = "") -> int:
+    """Sub-samples along one edge of a target pixel, so that no sensor pixel of the colour falls between them."""
+    densest = lens.radius_px * max(1.0 / np.sin(min(lens.half_angle_rad, np.pi / 2)), 1.0 / lens.half_angle_rad)
+    return int(np.clip(np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour])), 3, 24))
 
 
 @lru_cache(maxsize=24)
-def resampler(
-    target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str = "", sub: int | None = None
-) -> Resampler:
+def resampler(target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str = "") -> Resampler:
     """Build (once, then cached) the matrices from a sensor [h, w] seen through `lens` to `target`.
 
     cfa: four letters row by row, or "" for a sensor with all colours everywhere (one matrix, named "").
     """
+    matrices, share, angle = {}, np.zeros(0), np.zeros(0)
+    for colour in sorted(set(cfa)) or [""]:
+        matrices[colour], share, angle = _matrix(target, lens, sensor_shape, cfa, colour)
+    return Resampler(matrices, np.minimum(share, 1.0).astype(np.float32), angle.astype(np.float32), target.shape)
+
+
+def _matrix(
+    target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str, colour: str
+) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
+    """One colour's matrix, coverage and mean angle."""
     from scipy import sparse
 
-    sub = sub or samples_per_pixel(target, lens)
+    sub = samples_per_pixel(target, lens, colour)
     width = target.shape[1]
-    colours = sorted(set(cfa)) or [""]
-    parts: dict[str, list[Any]] = {c: [] for c in colours}
-    coverage, angles = [], []
-    limit = lens.radius_px**2
     sensor_h, sensor_w = sensor_shape
+    margin = 1.5 if cfa else 0.75  # so that none of the four neighbours lies outside the circle
+    limit = (lens.radius_px - margin) ** 2
+    blocks, coverage, angles = [], [], []
     for first, last in _blocks(target, sub):
         x, y, weight, pixel = _samples(target, lens, first, last, sub)
         n = (last - first) * width
-        centre_x, centre_y = lens.centre_px
-        r2 = (x - np.float32(centre_x)) ** 2 + (y - np.float32(centre_y)) ** 2
-        seen = (r2 <= limit) & (x >= 0) & (y >= 0) & (x < sensor_w) & (y < sensor_h) & (weight > 0)
-        total = _full_weight(target, first, last)
+        r2 = (x - np.float32(lens.centre_px[0])) ** 2 + (y - np.float32(lens.centre_px[1])) ** 2
+        seen = (r2 <= limit) & (x >= margin) & (y >= margin) & (x < sensor_w - margin) & (y < sensor_h - margin)
+        seen &= weight > 0
         x, y, r2, weight, pixel = x[seen], y[seen], r2[seen], weight[seen], pixel[seen]
         inside = np.bincount(pixel, weight, n)
-        coverage.append(np.divide(inside, total * _samples_of(target, sub), out=np.zeros(n), where=total > 0))
+        total = _full_weight(target, first, last) * _samples_of(target, sub)
+        coverage.append(np.divide(inside, total, out=np.zeros(n), where=total > 0))
         angle = angle_of_radius(lens, np.sqrt(r2) / lens.radius_px)
-        mean = np.divide(np.bincount(pixel, weight * angle, n), inside, out=np.zeros(n), where=inside > 0)
-        angles.append(mean)
-        share = (weight / inside[pixel].astype(np.float32)).astype(np.float32)
-        for colour in colours:
-            column, row = _nearest(cfa, colour, x, y)
-            _keep_on_sensor(column, row, sensor_shape, cfa, colour)
-            index = row * np.int32(sensor_w) + column
-            parts[colour].append(sparse.coo_array((share, (pixel, index)), shape=(n, sensor_h * sensor_w)).tocsr())
-    matrices = {c: sparse.vstack(blocks, format="csr") for c, blocks in parts.items()}
-    return Resampler(
-        matrices,
-        np.minimum(np.concatenate(coverage), 1.0).astype(np.float32),
-        np.concatenate(angles).astype(np.float32),
-        target.shape,
-    )
+        angles.append(np.divide(np.bincount(pixel, weight * angle, n), inside, out=np.zeros(n), where=inside > 0))
+        weight /= inside[pixel].astype(np.float32)
+        corners = list(_shared(cfa, colour, x, y))
+        index = np.concatenate([row * np.int32(sensor_w) + column for column, row, _ in corners])
+        share = np.concatenate([weight * part for _, _, part in corners])
+        entries = (share, (np.tile(pixel, 4), index))
+        blocks.append(sparse.coo_array(entries, shape=(n, sensor_h * sensor_w)).tocsr())
+    return sparse.vstack(blocks, format="csr"), np.concatenate(coverage), np.concatenate(angles)
 
 
 def _samples_of(target: Target, sub: int) -> int:
@@ -243,13 +251,3 @@ def _full_weight(target: Target, first: int, last: int) -> NDArray[np.float64]:
     columns = np.arange(width * 4) / 4 + 1 / 8
     weight = target.weight(np.arange(first * 4, last * 4) / 4 + 1 / 8, columns)
     return weight.reshape(last - first, 4, width, 4).mean(axis=(1, 3)).ravel()
-
-
-def _keep_on_sensor(
-    column: NDArray[np.int32], row: NDArray[np.int32], shape: tuple[int, int], cfa: str, colour: str
-) -> None:
-    """Move, in place, what fell beyond the sensor's edge to the last pixel of the same colour."""
-    for index, size in ((column, shape[1]), (row, shape[0])):
-        index[index < 0] += 2 if cfa else 0
-        index[index >= size] -= 2 if cfa else 0
-        np.clip(index, 0, size - 1, out=index)
