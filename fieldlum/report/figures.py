@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
-from matplotlib.colors import LogNorm, TwoSlopeNorm
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -87,23 +87,25 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
     """Rows of measured, predicted and their log10 difference, as the paper's Figures 9 and 23. Inputs [n, H, W]."""
     n = len(measured)
     with rc_context(_STYLE):
-        figure = Figure(figsize=(12.0, 2.15 * n + 0.5), layout="constrained")
-        grid = figure.subplots(n, 3, squeeze=False)
-        norm, spread = LogNorm(*LUMINANCE_RANGE_CDM2), TwoSlopeNorm(0.0, -0.3, 0.3)
+        figure = Figure(figsize=(12.0, 2.0 * n + 0.9))
+        grid = figure.add_gridspec(n + 1, 3, height_ratios=[*[1.0] * n, 0.07], hspace=0.12, wspace=0.09)
+        norm, spread = LogNorm(*LUMINANCE_RANGE_CDM2), Normalize(-np.log10(2.0), np.log10(2.0))
         shown = error = None
-        for i, row in enumerate(grid):
+        for i in range(n):
+            row = [figure.add_subplot(grid[i, k]) for k in range(3)]
             difference = np.log10(np.maximum(predicted[i], 1.0)) - np.log10(np.maximum(measured[i], 1.0))
             shown = row[0].imshow(np.clip(measured[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno")
             row[1].imshow(np.clip(predicted[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno")
             error = row[2].imshow(difference, norm=spread, cmap="RdBu_r")
             row[0].set_ylabel(labels[i], fontsize=8)
-            for axes in row:
+            for axes, title in zip(row, ("measured", "predicted", "predicted over measured"), strict=True):
                 axes.set(xticks=[], yticks=[])
-        for axes, title in zip(grid[0], ("measured", "predicted", "predicted over measured"), strict=True):
-            axes.set_title(title, fontsize=10)
+                if i == 0:
+                    axes.set_title(title, fontsize=10)
         if shown is not None and error is not None:
-            figure.colorbar(shown, ax=grid[:, :2], location="bottom", shrink=0.5, label="cd/m²")
-            bar = figure.colorbar(error, ax=grid[:, 2], location="bottom", shrink=0.8)
+            below = figure.add_subplot(grid[n, :2])
+            figure.colorbar(shown, cax=below, orientation="horizontal", label="cd/m²")
+            bar = figure.colorbar(error, cax=figure.add_subplot(grid[n, 2]), orientation="horizontal")
             bar.set_ticks([np.log10(f) for f in (0.5, 0.8, 1.0, 1.25, 2.0)], labels=["÷2", "÷1.25", "1", "×1.25", "×2"])
         return _png(figure)
 

@@ -1,0 +1,122 @@
+"""The report: one file, no link outside, readable by a screen reader, and working in a real browser."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from learning_room import SETUP, dataset, write_pairs
+
+from fieldlum import models, predict, report
+from fieldlum.cli import main
+from fieldlum.records import Exposure, Slot
+from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
+from fieldlum.session import Session, create_session
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+def _weather(path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    lines = ["month,day,hour,dni_wm2,dhi_wm2"]
+    for month in (3, 6):
+        for day in (20, 21, 22):
+            for hour in range(24):
+                up = 6 <= hour < 18
+                lines.append(f"{month},{day},{hour + 0.5},{700 * up * rng.random():.0f},{150 * up:.0f}")
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """A whole session of made-up numbers: plan, pairs, a model and a few predicted days."""
+    root = tmp_path_factory.mktemp("s") / "office"
+    data = dataset(("2027-03-20", "2027-03-21", "2027-06-21", "2027-06-22"), height=16)
+    slots = [
+        Slot(t, float(data.light.sun_altitude_deg[k]), float(data.light.sun_azimuth_deg[k]), (Exposure(0.01, 5.6),))
+        for k, t in enumerate(data.light.t_utc)
+    ]
+    made = create_session(root, SETUP, slots, {"set": "test"})
+    write_pairs(root, data)
+    folder = made.models / "transport"
+    models.save(folder, models.fit("transport", data), data, patch="absolute", seed=0)
+    # This room has no [room]: the year is predicted without known patches.
+    models.save(folder, models.fit("transport", data, patch="none"), data, patch="none", seed=0)
+    predict.run(folder, _weather(root / "w.csv"))
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(session: Session) -> Path:
+    return report.run(session)
+
+
+def test_contract_the_page_is_one_file_without_a_link_outside(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert page.stat().st_size < 15e6
+    assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", text)
+    assert "http://" not in re.sub(r"http://www\.w3\.org|http://purl\.org|http://creativecommons\.org", "", text)
+    assert (page.parent / "report.json").is_file()
+
+
+def test_contract_every_picture_has_words(page: Path) -> None:
+    text = page.read_text("utf-8")
+    pictures = re.findall(r"<img [^>]*>", text)
+    assert pictures and all(re.search(r'alt="[^"]{10,}"', tag) for tag in pictures)
+    assert text.count('role="img"') == len(re.findall(r'role="img" aria-label="[^"]{10,}"', text))
+    assert '<html lang="en">' in text
+
+
+def test_the_first_screen_answers_in_words(page: Path) -> None:
+    answer = re.search(r'<p class="answer">(.*?)</p>', page.read_text("utf-8"))
+    assert answer and answer[1].startswith("Sit facing ")
+
+
+def test_names_are_escaped(session: Session, tmp_path: Path) -> None:
+    from fieldlum.report.page import Page, render
+
+    text = render(Page("<script>alert(1)</script>", "a", "b", (), (), "f"))
+    assert "<script>alert(1)" not in text
+
+
+def test_command_names_the_page_and_refuses_what_is_no_session(session: Session, tmp_path: Path) -> None:
+    shown = CliRunner().invoke(main, ["report", str(session.root), "--out", str(tmp_path / "r")])
+    assert shown.exit_code == 0 and shown.stdout.strip().endswith("index.html")
+    assert CliRunner().invoke(main, ["report", str(tmp_path)]).exit_code == 3
+
+
+def test_a_session_without_pairs_has_nothing_to_report(tmp_path: Path) -> None:
+    create_session(tmp_path / "s", SETUP, [], {})
+    shown = CliRunner().invoke(main, ["report", str(tmp_path / "s")])
+    assert shown.exit_code == 5 and "nothing paired yet" in shown.output
+
+
+def test_the_heat_map_holds_what_it_was_given() -> None:
+    grid = day_hour_grid(np.array([1, 365]), np.array([0, 23]), np.array([[0.2], [0.5]]), 365)
+    assert np.isfinite(grid).sum() == 2
+    layer = Quantity("DGP", "", grid, 0.001, (0.35,), ("#000000", "#ffffff"), (True, False), 2)
+    found = heat_map([layer], ["S"], 2027, "alt", 0)
+    import base64
+    import json
+
+    cells = np.frombuffer(base64.b64decode(json.loads(found.json)["quantities"][0]["grids"][0]), "<u2")
+    assert cells[0] == 200 and cells[364 * 24 + 23] == 500 and (cells == NOTHING).sum() == 365 * 24 - 2
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+def test_contract_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
+    """From file://; the script ran (it fills the legend), and nothing was written to the console as an error."""
+    assert BROWSER is not None
+    flags = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+             "--disable-background-networking", "--disable-component-update", "--disable-sync",
+             f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--dump-dom")  # fmt: skip
+    shown = subprocess.run([BROWSER, *flags, page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
+    legend = re.search(r'id="legend"[^>]*>(.*?)</div>', shown.stdout, re.DOTALL)
+    assert legend and "0.35" in legend[1]
+    assert "Uncaught" not in shown.stderr
