@@ -188,3 +188,21 @@ def test_sim_uri_opens_the_whole_chain() -> None:
         open_pyranometer("sim:cave", clock=clock)
     with pytest.raises(DeviceError, match="no kind"):
         open_pyranometer("serial:/dev/ttyUSB0", clock=clock)
+
+
+def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) -> None:
+    from serial.tools.list_ports_common import ListPortInfo
+
+    from fieldlum.devices.serial_port import resolve
+
+    def plugged(device: str) -> list[ListPortInfo]:
+        port = ListPortInfo(device)
+        port.vid, port.pid, port.serial_number = 0x0403, 0x6001, "FT9Z"
+        return [ListPortInfo("/dev/ttyS0"), port]
+
+    for device in ("/dev/ttyUSB0", "/dev/ttyUSB1"):
+        monkeypatch.setattr("serial.tools.list_ports.comports", lambda device=device: plugged(device))
+        assert resolve("usb=0403:6001") == resolve("usb=0403:6001:ft9z") == device
+    with pytest.raises(DeviceError, match=r"not plugged in; USB ports there are: 0403:6001:ft9z"):
+        resolve("usb=0403:6015")
+    assert resolve("COM3") == "COM3"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -33,7 +32,6 @@ class Spn1:
     ) -> None:
         self._clock, self._close_too = clock, close_too
         self._port = SerialPort(place, baud=baud, timeout_s=timeout_s)
-        self._last_answer = float("-inf")
         try:
             self._status = self._ask_status()
         except DeviceError:
@@ -56,7 +54,6 @@ class Spn1:
         if not reply:
             raise DeviceError(f"{self._port.name}: SPN1 is awake, but silent")
         reading = parse_reading(reply)
-        self._last_answer = time.monotonic()
         # Seen in the field at dawn; the instrument's own noise is below 3 W/m2.
         doubt = "total below diffuse" if reading.total_wm2 < reading.diffuse_wm2 - 3.0 else ""
         text = reply.decode("ascii").strip()

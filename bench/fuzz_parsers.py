@@ -1,0 +1,226 @@
+"""Damaged lines against every instrument parser: what is refused, what is read, what slips through.
+
+    python bench/fuzz_parsers.py [--lines 15000] [--seed 1]
+
+Hypothesis makes a whole line of each kind and damages it: cuts it, loses, adds or changes bytes, joins two halves, or
+puts noise in its place. Prints a Markdown table. Exits with 1 when a parser raised something else than the tool's own
+errors, refused a whole line, or read another number under a CRC. (The exclusive or of one byte misses one in 256 of
+the damages to several bytes: no parser can do better on such a line.)
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from datetime import timedelta
+from typing import Any, NamedTuple
+
+import minimalmodbus
+import serial
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+from fieldlum.devices import ascii_lines, cl200a, registers, spn1, toa5
+from fieldlum.errors import FieldlumError
+
+WATTS, CELSIUS = st.integers(0, 14000), st.integers(-300, 600)  # tenths
+
+
+class Parser(NamedTuple):
+    name: str
+    check: str  # what guards a line: "" when nothing but its form does
+    lines: st.SearchStrategy[bytes]
+    read: Callable[[bytes], Any]
+
+
+class _Reply(serial.Serial):
+    """A port whose answer is given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.is_open, self.answer = True, b""
+
+    def reset_input_buffer(self) -> None:
+        pass
+
+    def reset_output_buffer(self) -> None:
+        pass
+
+    def write(self, data: Any, /) -> int:
+        return len(data)
+
+    def read(self, size: int = 1, /) -> bytes:
+        return self.answer[:size]
+
+
+def modbus() -> Parser:
+    profile, port = registers.load_register_profile("smp"), _Reply()
+    client = minimalmodbus.Instrument(port, 1)
+    minimalmodbus._calculate_minimum_silent_period = lambda baud: 0.0  # the wire's silence, not ours to wait for
+
+    def line(tenths: int, warm: int, status: int) -> bytes:
+        words = [1, status, 1, tenths, tenths, 0, warm & 0xFFFF, 234]
+        body = bytes([1, 4, 16]) + b"".join(w.to_bytes(2, "big") for w in words)
+        return body + _crc16(body)
+
+    def read(data: bytes) -> Any:
+        port.answer = data
+        try:
+            words = client.read_registers(2, 8, 4)
+        except (minimalmodbus.ModbusException, OSError) as error:
+            raise FieldlumError(str(error)) from None  # as the driver turns it into a DeviceError
+        return registers.decode(profile, dict(enumerate(words, start=2)))
+
+    return Parser("Modbus RTU (SMP)", "CRC-16", st.builds(line, WATTS, CELSIUS, st.just(0)), read)
+
+
+def _crc16(data: bytes) -> bytes:
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
+    return crc.to_bytes(2, "little")
+
+
+def _nmea(body: str) -> bytes:
+    total = 0
+    for character in body.removeprefix("$"):
+        total ^= ord(character)
+    return f"{body}*{total:02X}\r\n".encode()
+
+
+TOA5_HEAD = (
+    b'"TOA5","Roof","CR1000X","12345","OS","prog","9","T"\r\n"TIMESTAMP","RECORD","GHI_Avg","DHI_Avg","PTemp_C"\r\n'
+    b'"TS","RN","W/m^2","W/m^2","Deg C"\r\n"","","Avg","Avg","Smp"\r\n'
+)
+
+
+def _toa5_row(data: bytes) -> Any:
+    table = toa5.parse_toa5((TOA5_HEAD + data).decode("utf-8", "replace"), timedelta(hours=-8))
+    if len(table.samples) != 1 or table.broken:
+        raise FieldlumError("left out")
+    return table.samples
+
+
+def parsers() -> list[Parser]:
+    keys, words, js = (ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "millivolts", "arduino-json"))
+    tenths = st.tuples(WATTS, WATTS, CELSIUS)
+    return [
+        Parser(
+            "SPN1 reading", "", st.builds(lambda a, b: b"S%6.1f,%6.1f,1\r" % (a / 10, b / 10), WATTS, WATTS),
+            spn1.parse_reading,
+        ),
+        Parser(
+            "SPN1 status", "", st.builds(lambda n: b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\rA%d\r" % n, WATTS),
+            spn1.parse_status,
+        ),
+        modbus(),
+        Parser(
+            "ASCII pattern", "XOR",
+            tenths.map(lambda v: _nmea(f"$G={v[0] / 10:.1f} D={v[1] / 10:.1f} T={v[2] / 10:.1f}")),
+            lambda d: ascii_lines.parse_line(keys, d),
+        ),
+        Parser(
+            "ASCII key=value", "", st.integers(0, 20000).map(lambda v: b"G_mV=%.3f\n" % (v / 1000)),
+            lambda d: ascii_lines.parse_line(words, d),
+        ),
+        Parser(
+            "ASCII JSON", "", tenths.map(lambda v: json.dumps({"G": v[0] / 10, "T": v[2] / 10}).encode() + b"\n"),
+            lambda d: ascii_lines.parse_line(js, d),
+        ),
+        Parser(
+            "TOA5 row", "",
+            tenths.map(lambda v: b'"2027-03-20 08:00:00",100,%.1f,%.1f,%.1f\r\n' % tuple(x / 10 for x in v)), _toa5_row,
+        ),
+        Parser(
+            "CL-200A", "XOR", st.integers(100, 9999).map(lambda v: cl200a.frame(b"0002    +%04d4+33300+33400" % v)),
+            cl200a.parse_answer,
+        ),
+    ]  # fmt: skip
+
+
+@st.composite
+def damaged(draw: Any, lines: st.SearchStrategy[bytes]) -> tuple[str, bytes, bytes]:
+    """Kind of damage, the whole line, the line as it came."""
+    line = draw(lines)
+    kind = draw(st.sampled_from(["whole", "cut", "lost", "added", "changed", "joined", "noise"]))
+    at, size = draw(st.integers(0, len(line) - 1)), draw(st.integers(1, 3))
+    if kind == "cut":
+        return kind, line, line[:at]
+    if kind == "lost":
+        return kind, line, line[:at] + line[at + size :]
+    if kind == "added":
+        return kind, line, line[:at] + draw(st.binary(min_size=1, max_size=3)) + line[at:]
+    if kind == "changed":
+        return kind, line, line[:at] + draw(st.binary(min_size=1, max_size=1)) + line[at + 1 :]
+    if kind == "joined":
+        other = draw(lines)
+        came = line[: max(at, 1)] + other[draw(st.integers(1, len(line) - 1)) :]
+        return kind, other if came == other else line, came
+    return kind, line, line if kind == "whole" else draw(st.binary(max_size=60))
+
+
+def fuzz(parser: Parser, lines: int, number: int) -> Counter[str]:
+    found: Counter[str] = Counter()
+
+    @seed(number)
+    @settings(
+        max_examples=lines,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(damaged(parser.lines))
+    def one(case: tuple[str, bytes, bytes]) -> None:
+        kind, line, came = case
+        kind = "whole" if came == line else kind
+        found["whole" if kind == "whole" else "damaged"] += 1
+        try:
+            value = parser.read(came)
+        except FieldlumError:
+            found["whole refused" if kind == "whole" else "refused"] += 1
+            return
+        except Exception as error:  # what this script looks for
+            found["other exceptions"] += 1
+            print(f"{parser.name}: {type(error).__name__} {error} of {came!r}", file=sys.stderr)
+            return
+        if kind != "whole":
+            same = value == parser.read(line)
+            found["read the same" if same else "read otherwise"] += 1
+            found[f"by {kind}"] += not same
+
+    one()
+    return found
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    asked.add_argument("--lines", type=int, default=15_000)
+    asked.add_argument("--seed", type=int, default=1)
+    options = asked.parse_args()
+    start, total, bad = time.monotonic(), 0, False
+    print(
+        "| parser | guard | whole | refused | damaged | refused | read the same | read otherwise | other exceptions |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for parser in parsers():
+        f = fuzz(parser, options.lines, options.seed)
+        total += f["whole"] + f["damaged"]
+        bad |= bool(f["whole refused"] or f["other exceptions"] or (parser.check == "CRC-16" and f["read otherwise"]))
+        by = ", ".join(f"{kind[3:]} {f[kind]}" for kind in sorted(f) if kind.startswith("by ") and f[kind])
+        names = ("whole", "whole refused", "damaged", "refused", "read the same")
+        row = [parser.name, parser.check or "form only", *(str(f[name]) for name in names)]
+        row += [f"{f['read otherwise']} ({by})" if by else "0", str(f["other exceptions"])]
+        print("| " + " | ".join(row) + " |", flush=True)
+    print(f"\n{total} lines, seed {options.seed}, {time.monotonic() - start:.0f} s")
+    sys.exit(int(bad))
+
+
+if __name__ == "__main__":
+    main()
