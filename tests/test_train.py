@@ -46,7 +46,7 @@ def trial(name: str, errors: list[float]) -> Trial:
     scores = Scores(
         np.array(errors), *(blank,) * 12, trusted=np.ones(n, bool), in_band=blank, slots=DATA.slots[:n]
     )  # fmt: skip
-    return Trial(name, scores, 1.0, n, 1)
+    return Trial(name, scores, 1.0, 1.0, n, 1)
 
 
 def test_the_smallest_model_within_one_standard_error_is_chosen() -> None:

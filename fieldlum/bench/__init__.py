@@ -20,12 +20,13 @@ TABLE = {
     "name": "model", "log10_mse_weighted": "log10 MSE", "log10_mse_weighted_sd": "sd", "rer_weighted": "RER",
     "median": "median", "p90": "p90", "worst": "worst", "paper_log10_mse": "paper log10 MSE", "paper_rer": "paper RER",
     "dgp_mse": "DGP MSE", "dgp_r2": "DGP R2", "rammg_mse": "RAMMG MSE", "rammg_mse_cut": "RAMMG MSE < 500",
-    "n_train": "train", "n_test": "test", "seeds": "seeds", "fit_s": "fit [s]", "predict_s_per_map": "map [s]",
+    "n_train": "train", "n_test": "test", "seeds": "seeds", "fit_s": "fit [s]",
+    "fit_cpu_s": "fit [CPU s]", "predict_s_per_map": "map [s]",
     "untrusted_share": "not trusted", "in_90_band": "in 90 %", "worst_decile_found": "worst tenth found",
 }  # fmt: skip
 CURVE = {
     "name": "model", "way": "chosen", "captures": "captures", "log10_mse_weighted": "log10 MSE", "rer_weighted": "RER",
-    "worst": "worst", "fit_s": "fit [s]",
+    "worst": "worst", "fit_cpu_s": "fit [CPU s]",
 }  # fmt: skip
 PERIODS = {
     "period": "period", "name": "model", "captures": "captures", "log10_mse_weighted": "log10 MSE",

@@ -48,6 +48,6 @@ def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> di
         ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
     )
     return {
-        "name": "Radiance -ab 4", "fit_s": None, "predict_s_per_map": float(np.mean(seconds)), "n_train": 0,
-        "n_test": len(seconds), "seed": None, **blank,
+        "name": "Radiance -ab 4", "fit_s": None, "fit_cpu_s": None, "n_train": 0,
+        "predict_s_per_map": float(np.mean(seconds)), "n_test": len(seconds), "seed": None, **blank,
     }  # fmt: skip

@@ -15,7 +15,7 @@ from fieldlum.models import MODELS, Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Truth, evaluate, summary, truth
 from fieldlum.records import Progress, quiet
-from fieldlum.train import evaluate_folds, fit_timed, patch_mode
+from fieldlum.train import Spent, evaluate_folds, fit_timed, patch_mode
 from fieldlum.train.choice import Trial
 from fieldlum.train.folds import day_folds
 
@@ -71,10 +71,11 @@ def score_row(
         folds = day_folds(data)
         trial = evaluate_folds(spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s, progress=progress)
     else:
-        fitted, seconds, count = _fitted(spec, data, patch, seed, budget_s, progress)
-        trial = Trial(spec.name, evaluate(fitted, test, progress=progress), seconds, count, 0)
+        fitted, spent, count = _fitted(spec, data, patch, seed, budget_s, progress)
+        trial = Trial(spec.name, evaluate(fitted, test, progress=progress), *spent, count, 0)
     row = {
-        "name": spec.label, "fit_s": trial.fit_s, "n_train": trial.n_train, "seed": seed, "patch": patch,
+        "name": spec.label, "fit_s": trial.fit_s, "fit_cpu_s": trial.fit_cpu_s, "n_train": trial.n_train,
+        "seed": seed, "patch": patch,
         **summary(trial.scores),
     }  # fmt: skip
     return row, replace(trial, name=spec.label)
@@ -82,13 +83,14 @@ def score_row(
 
 def _fitted(
     spec: Spec, data: Dataset, patch: Patch, seed: int, budget_s: float, progress: Progress
-) -> tuple[models.Fitted, float, int]:
+) -> tuple[models.Fitted, Spent, int]:
     if spec.folder is None:
-        fitted, seconds = fit_timed(spec.name, data, patch=patch, seed=seed, budget_s=budget_s, progress=progress)
-        return fitted, seconds, len(data)
+        fitted, spent = fit_timed(spec.name, data, patch=patch, seed=seed, budget_s=budget_s, progress=progress)
+        return fitted, spent, len(data)
     config = models.read_config(spec.folder)
-    seconds = float(config.get("dense_training", {}).get("seconds", float("nan")))
-    return models.load(spec.folder), seconds, len(config["training"]["slots"])
+    about = config.get("dense_training", {})
+    spent = Spent(*(float(about.get(name, float("nan"))) for name in ("seconds", "cpu_seconds")))
+    return models.load(spec.folder), spent, len(config["training"]["slots"])
 
 
 def score_table(
@@ -124,6 +126,6 @@ def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             values = [r[key] for r in mine if r[key] is not None]
             row[f"{key}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
             row[key] = float(np.mean(values)) if values else None
-        row["fit_s"] = float(np.mean([r["fit_s"] for r in mine]))
+        row |= {key: float(np.mean([r[key] for r in mine])) for key in ("fit_s", "fit_cpu_s")}
         out.append(row)
     return out

@@ -209,18 +209,18 @@ def run(
     normal: dict[str, float] = {}
     for case in cases(data, test, whole):
         progress(len(rows), 0, case.name)
-        fitted, seconds = fit_timed(
+        fitted, spent = fit_timed(
             spec.name, case.train, patch=patch_mode(case.train, spec.patch), seed=case.seed, budget_s=budget_s
         )
         warned = bool(doubts(fitted, case.train))
-        row = _row(case, evaluate(fitted, truth(case.test, glare=False)), seconds, warned)
+        row = _row(case, evaluate(fitted, truth(case.test, glare=False)), spent.cpu_s, warned)
         normal.setdefault(case.name, row["log10_mse_weighted"])
         row["times_normal"] = row["log10_mse_weighted"] / normal[case.normal]
         rows.append({"name": spec.label, **row})
     return rows
 
 
-def _row(case: Case, scores: Scores, seconds: float, warned: bool) -> dict[str, Any]:
+def _row(case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> dict[str, Any]:
     error, expected = scores.mse_weighted, scores.expected_mse
     bad = error > max(WILD_MSE, 4.0 * float(np.median(error)))
     wild = error > WILD_MSE
@@ -234,7 +234,7 @@ def _row(case: Case, scores: Scores, seconds: float, warned: bool) -> dict[str, 
         or bool((~scores.trusted).mean() > 0.5)
     )
     return {
-        "regime": case.name, "n_train": len(case.train), "n_test": len(scores), "fit_s": seconds,
+        "regime": case.name, "n_train": len(case.train), "n_test": len(scores), "fit_cpu_s": fit_cpu_s,
         "log10_mse_weighted": float(error.mean()), "median": float(np.median(error)), "worst": float(error.max()),
         "expected_mse": float(expected.mean()) if known else None,
         "untrusted_share": float((~scores.trusted).mean()), "warned": warned, "told": bool(told),

@@ -40,11 +40,11 @@ def learning_curve(
     for way, order in (("random", shuffled), ("greedy", order_of_use(data))):
         for k, count in enumerate(counts):
             progress(k, len(counts), f"{way} {count}")
-            fitted, seconds = fit_timed(
+            fitted, spent = fit_timed(
                 spec.name, data.take(np.sort(order[:count])), patch=patch, seed=seed, budget_s=None
             )
             found = summary(evaluate(fitted, asked))
-            rows.append({"name": spec.label, "way": way, "captures": count, "fit_s": seconds} | _figures(found))
+            rows.append({"name": spec.label, "way": way, "captures": count, "fit_cpu_s": spent.cpu_s} | _figures(found))
     return rows
 
 
@@ -93,10 +93,16 @@ def compare_periods(spec: Spec, data: Dataset, *, seed: int = 0, progress: Progr
     for k, (name, inside) in enumerate(chosen.items()):
         progress(k, len(chosen), name)
         train = data.take(inside & ~in_test)
-        fitted, seconds = fit_timed(spec.name, train, patch=patch, seed=seed, budget_s=None)
+        fitted, spent = fit_timed(spec.name, train, patch=patch, seed=seed, budget_s=None)
         found = summary(evaluate(fitted, asked))
         rows.append(
-            {"period": name, "name": spec.label, "captures": len(train), "fit_s": seconds, "dgp_r2": found["dgp_r2"]}
+            {
+                "period": name,
+                "name": spec.label,
+                "captures": len(train),
+                "fit_cpu_s": spent.cpu_s,
+                "dgp_r2": found["dgp_r2"],
+            }
             | _figures(found)
         )
     return rows

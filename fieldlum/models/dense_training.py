@@ -198,6 +198,7 @@ class Run:
     rate: float = 1e-3
     best: float = math.inf
     elapsed_s: float = 0.0
+    cpu_s: float = 0.0
     skipped: int = 0
 
 
@@ -266,7 +267,7 @@ def train(
     plan None: the paper's schedule when it fits in the budget, else a short one measured to fit. checkpoint: written
     after each epoch; when it is there already, training goes on from it. stop_after_epochs ends early as a kill would.
     """
-    started = time.monotonic()
+    started, cpu_started = time.monotonic(), time.process_time()
     device = pick_device()
     _join_world(device)
     half = bfloat16_pays(device) if bfloat16 is None else bfloat16
@@ -286,7 +287,7 @@ def train(
     if checkpoint is not None and checkpoint.is_file():
         plan, best_weights = _restore(checkpoint, net, optimiser, run, shape)
     numbers = _exam_numbers(len(exam), plan, seed).to(device)
-    first_epoch, before_s = run.epoch, run.elapsed_s
+    first_epoch, before_s, before_cpu_s = run.epoch, run.elapsed_s, run.cpu_s
     while not _finished(run, plan, budget_s):
         loss = math.nan
         for batch in _epoch_batches(pixels, plan, run, shape, seed):
@@ -308,6 +309,7 @@ def train(
             run.best = score
             best_weights = {name: value.clone() for name, value in net.state_dict().items()}
         run.epoch += 1
+        run.cpu_s = before_cpu_s + time.process_time() - cpu_started
         if plan.schedule == "paper":
             _paper_rate(run, improved)
         if checkpoint is not None and rank() == 0:
@@ -317,6 +319,7 @@ def train(
     net.load_state_dict(best_weights)
     about = {
         "schedule": plan.schedule, "epochs": run.epoch, "steps": run.step, "seconds": round(run.elapsed_s, 1),
+        "cpu_seconds": round(run.cpu_s, 1),
         "pixels_seen_per_pixel": round(_passes(run, plan, pixels), 2), "best_validation_loss": run.best,
         "skipped_updates": run.skipped, "seed": seed, "device": device.type, "bfloat16": half, "plan": asdict(plan),
         "validation_slots": [data.slots[i] for i in check],

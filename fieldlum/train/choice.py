@@ -17,7 +17,8 @@ class Trial:
 
     name: str
     scores: Scores
-    fit_s: float  # mean of its folds
+    fit_s: float  # mean of its folds, by the clock
+    fit_cpu_s: float
     n_train: int  # mean of its folds
     folds: int
 
