@@ -45,9 +45,9 @@ class Protection:
         value, name = self.dgp_exceeded[i], self.classes[i]
         said = "no class" if name == NO_CLASS else f"class {name}"
         if self.low is None or self.high is None:
-            return f"{said} (DGP {value:.2f} exceeded in 5 % of occupied hours); the model gives no uncertainty"
+            return f"{said} (DGP {value:.3f} exceeded in 5 % of occupied hours); the model gives no uncertainty"
         between = (
-            f"DGP exceeded in 5 % of occupied hours: {value:.2f}, between {self.low[i]:.2f} and {self.high[i]:.2f}"
+            f"DGP exceeded in 5 % of occupied hours: {value:.3f}, between {self.low[i]:.3f} and {self.high[i]:.3f}"
         )
         return f"{said} ({between})" if self.certain[i] else f"cannot tell yet: {said} is likeliest ({between})"
 
