@@ -118,12 +118,13 @@ def _sample(row: list[str], names: list[str], chosen: dict[str, int], utc_offset
     t_utc = datetime.fromisoformat(stamp).replace(tzinfo=UTC) - utc_offset
     values: dict[str, float | None] = {}
     for quantity, i in chosen.items():
-        values[quantity] = _number(row[i], quantity)
+        values[quantity] = number_of(row[i], quantity)
     raw = ",".join(row[i] for i in sorted(chosen.values()))
     return sample_of(t_utc, values, raw)
 
 
-def _number(text: str, quantity: str) -> float | None:
+def number_of(text: str, quantity: str) -> float | None:
+    """A logger's number; None for its NAN. Raises ValueError for what is none, or no irradiance that can be."""
     if text.upper() in ("NAN", "-NAN", "INF", "-INF"):
         return None
     if not _NUMBER.fullmatch(text):

@@ -1,0 +1,104 @@
+"""Files of data loggers to irradiance samples: Campbell TOA5, plain CSV, and fieldlum's own day files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from fieldlum.devices.ascii_lines import sample_of
+from fieldlum.devices.toa5 import is_toa5, number_of, parse_toa5
+from fieldlum.errors import InputError
+from fieldlum.records import IrradianceSample
+from fieldlum.session import DAY_COLUMNS, read_day
+
+QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
+_TIMES = ("t_utc", "time", "timestamp")
+
+
+@dataclass(frozen=True, slots=True)
+class LoggerFile:
+    """samples by time; left_out: lines that could not be read, with the reason; about: what the file says it is."""
+
+    samples: tuple[IrradianceSample, ...]
+    left_out: tuple[str, ...]
+    about: str
+
+
+def read_logger_file(
+    path: Path, utc_offset: timedelta | None = None, columns: Mapping[str, str] | None = None
+) -> LoggerFile:
+    """utc_offset: the logger's clock minus UTC, for files whose times have no zone.
+
+    Raises InputError for what is no such file, for times without a zone and without utc_offset, and for a file of
+    which nothing can be read.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8-sig", "replace")
+    except OSError as error:
+        raise InputError(path, error.strerror or str(error), "a logger's file") from None
+    if is_toa5(text):
+        if utc_offset is None:
+            raise _no_zone(path)
+        table = parse_toa5(text, utc_offset, columns, source=path)
+        left_out = table.broken
+        if table.missing_records:
+            left_out += (f"{table.missing_records} record numbers are missing",)
+        found = LoggerFile(table.samples, left_out, f"TOA5 of {table.station}, {table.model} {table.serial}".strip())
+    elif text.startswith(",".join(DAY_COLUMNS)):
+        samples, broken = read_day(path)
+        found = LoggerFile(tuple(samples), (f"{broken} broken rows",) if broken else (), "a day file of fieldlum")
+    else:
+        found = _read_csv(path, text, utc_offset, columns)
+    if not found.samples:
+        why = found.left_out[0] if found.left_out else "it holds no rows"
+        raise InputError(path, f"nothing could be read: {why}", "rows of irradiance", "check the file")
+    return LoggerFile(tuple(sorted(found.samples, key=lambda s: s.t_utc)), found.left_out, found.about)
+
+
+def _no_zone(path: Path) -> InputError:
+    return InputError(path, "times without a time zone", "the logger's offset from UTC", "give --utc-offset +HH:MM")
+
+
+def _read_csv(path: Path, text: str, utc_offset: timedelta | None, columns: Mapping[str, str] | None) -> LoggerFile:
+    """A header with a time (t_utc, time or timestamp) and at least one irradiance."""
+    rows = csv.reader(text.splitlines())
+    try:
+        names = [name.strip() for name in next(rows)]
+    except (StopIteration, csv.Error):
+        raise InputError(path, "no header", "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2") from None
+    lower = [name.lower() for name in names]
+    when = next((lower.index(name) for name in _TIMES if name in lower), None)
+    wanted = columns or {name: name for name in QUANTITIES}
+    chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
+    if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
+        shown = ", ".join(names)[:120]
+        raise InputError(path, f"columns {shown}", "t_utc and ghi_wm2, dhi_wm2 or dni_wm2", "rename them in its header")
+    samples, left_out = [], []
+    try:
+        for row in rows:
+            try:
+                if row:
+                    samples.append(_sample(path, row, names, when, chosen, utc_offset))
+            except ValueError as error:
+                left_out.append(f"line {rows.line_num}: {error}")
+    except csv.Error as error:
+        left_out.append(f"line {rows.line_num} and all after it: {error}")
+    return LoggerFile(tuple(samples), tuple(left_out), "CSV")
+
+
+def _sample(
+    path: Path, row: list[str], names: list[str], when: int, chosen: dict[str, int], utc_offset: timedelta | None
+) -> IrradianceSample:
+    """Raises ValueError for a broken row."""
+    if len(row) != len(names):
+        raise ValueError(f"{len(row)} values, expected {len(names)}")
+    t = datetime.fromisoformat(row[when].strip())
+    if t.tzinfo is None:
+        if utc_offset is None:
+            raise _no_zone(path)
+        t = t.replace(tzinfo=UTC) - utc_offset
+    values = {q: number_of(row[i].strip(), q) if row[i].strip() else None for q, i in chosen.items()}
+    return sample_of(t.astimezone(UTC), values, ",".join(row[i] for i in sorted(chosen.values())))

@@ -1,0 +1,63 @@
+"""devices: what loggers leave behind, brought into a session."""
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from fieldlum.cli import main
+from fieldlum.devices.logger_files import read_logger_file
+from fieldlum.errors import InputError
+from fieldlum.records import Exposure, Site, SiteFile, Slot
+from fieldlum.session import create_session, day_files, open_session, read_day
+
+TOA5 = (
+    '"TOA5","Roof","CR1000X","12345","OS","prog","9","T"\n"TIMESTAMP","RECORD","GHI_Avg"\n"TS","RN","W/m^2"\n'
+    '"","","Avg"\n"2027-03-20 08:00:00",100,512.3\n"2027-03-20 08:01:00",102,513.1\n'
+)
+CSV = "t_utc,ghi_wm2,dhi_wm2,note\n2027-03-20T16:01:00Z,510,88.5,a\n2027-03-20T08:00:00-08:00,509.5,,b\nx,1,2,c\n"
+
+
+def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
+    (tmp_path / "a.dat").write_text(TOA5)
+    (tmp_path / "b.csv").write_text(CSV)
+    toa5 = read_logger_file(tmp_path / "a.dat", timedelta(hours=-8))
+    plain = read_logger_file(tmp_path / "b.csv")
+    assert toa5.samples[0].t_utc == plain.samples[0].t_utc == datetime(2027, 3, 20, 16, tzinfo=UTC)
+    assert (plain.samples[0].ghi_wm2, plain.samples[0].dhi_wm2) == (509.5, None)
+    assert toa5.about == "TOA5 of Roof, CR1000X 12345" and toa5.left_out == ("1 record numbers are missing",)
+    assert len(plain.left_out) == 1 and plain.left_out[0].startswith("line 4")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TOA5, "times without a time zone"),
+        (CSV.replace("Z", ""), "times without a time zone"),
+        ("t_utc,volts\n1,2\n", "columns t_utc, volts"),
+        ("t_utc,ghi_wm2\n2027-03-20T16:00:00Z,many\n", "nothing could be read: line 2: ghi_wm2 is 'many'"),
+        ("", "no header"),
+        ("\0\0\0", "columns"),
+    ],
+)
+def test_contract_bad_files_are_told(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "f.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_logger_file(tmp_path / "f.csv")
+    with pytest.raises(InputError, match="No such file"):
+        read_logger_file(tmp_path / "none.csv")
+
+
+def test_import_puts_them_into_day_files_once(tmp_path: Path) -> None:
+    slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
+    create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {"set": "test"})
+    (tmp_path / "a.dat").write_text(TOA5)
+    asked = ["import", str(tmp_path / "s"), "--irradiance", str(tmp_path / "a.dat"), "--utc-offset", "-08:00"]
+    for _ in range(2):
+        done = CliRunner().invoke(main, asked)
+        assert done.exit_code == 0, done.output
+        assert "2 rows, 2027-03-20T16:00:00Z to 2027-03-20T16:01:00Z" in done.output
+    samples, broken = read_day(day_files(open_session(tmp_path / "s"))[0])
+    assert [s.ghi_wm2 for s in samples] == [512.3, 513.1] and not broken
+    assert CliRunner().invoke(main, ["import", str(tmp_path / "s")]).exit_code == 2
