@@ -36,7 +36,7 @@ class Keeper(Generic[D]):
 
     @property
     def state(self) -> str:
-        return "ok" if self._device is not None else ("lost" if self._lost_at is not None else "closed")
+        return "lost" if self._lost_at is not None else "ok" if self._device is not None else "closed"
 
     def get(self) -> D | None:
         """The open device, or None while it is away; tries to open it when a try is due."""
@@ -45,12 +45,6 @@ class Keeper(Generic[D]):
                 self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
             except Exception as error:  # termios.error, SerialException, a driver's defect: none may stop the capture
                 self.lost(error)
-            else:
-                if self._lost_at is not None:
-                    self._tell(
-                        "device-back", device=self.name, after_s=round(self._clock.boottime() - self._lost_at, 1)
-                    )
-                self._lost_at, self._pause_s = None, FIRST_PAUSE_S
         return self._device
 
     def insist(self) -> D:
@@ -64,7 +58,11 @@ class Keeper(Generic[D]):
         device = self.get()
         if device is None:
             raise DeviceError(f"{self.name} is away")
-        return guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
+        result = guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
+        if self._lost_at is not None:  # not before it has worked: a full card opens well, and fails again at once
+            self._tell("device-back", device=self.name, after_s=round(self._clock.boottime() - self._lost_at, 1))
+            self._lost_at, self._pause_s = None, FIRST_PAUSE_S
+        return result
 
     def lost(self, error: BaseException) -> None:
         """Drop the device and try again later: 1, 2, 4 ... 30 s."""
