@@ -150,17 +150,23 @@ def fit_and_score(
     if not folds:
         raise NotEnoughDataError(f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check")
     names = CANDIDATES if model == "auto" else tuple(dict.fromkeys((*BASELINES, model)))
-    trials = []
+    trials: list[Trial] = []
+    left_out: list[str] = []
     for name in names:
         limit = FOLD_SHARE * budget_s
         some = dense_folds(folds, limit) if name in SLOW else tuple(folds)
-        trials.append(evaluate_folds(name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress))
+        try:
+            trials.append(evaluate_folds(name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress))
+        except NotEnoughDataError as error:
+            if model == name:
+                raise
+            left_out.append(f"{name} was not tried: {error}")
     choice = choose(trials, data) if model == "auto" else Choice(model, "asked for")
     more = {"checkpoint": checkpoint} if checkpoint is not None and choice.name in SLOW else {}
     fitted, spent = fit_timed(
         choice.name, data, patch=patch, seed=seed, budget_s=(1.0 - FOLD_SHARE) * budget_s, progress=progress, **more
     )
-    notes = (*_notes(data, patch, model, trials), *doubts(fitted, data))
+    notes = (*_notes(data, patch, model, trials), *left_out, *doubts(fitted, data))
     return Result(fitted, tuple(trials), choice, spent.wall_s, notes)
 
 
