@@ -1,0 +1,56 @@
+"""The office's score table: every set against the same test hours, one machine, one run.
+
+    python bench/office_tables.py FOLDER OUT.csv [--sets k200,9d,...] [--models ...] [--dense ROOT]
+
+FOLDER is what office_seattle.py wrote. --dense ROOT adds the networks trained before in ROOT/<set>. Rows are added to
+OUT.csv as they come, so that a run that was cut off has what it had.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any
+
+from fieldlum.bench import TABLE, markdown
+from fieldlum.bench.rows import parse_specs, score_row, without_training_hours
+from fieldlum.models.data import load_pairs
+from fieldlum.models.scores import truth
+
+COLUMNS = ("set", *TABLE)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--sets", default="k200,9d,12d,4d,mar")
+    parser.add_argument("--models", default="mean,nearest,transport,transport:none")
+    parser.add_argument("--dense", type=Path)
+    asked = parser.parse_args()
+    test = load_pairs(asked.folder / "test.csv")
+    rows: list[dict[str, Any]] = []
+    for name in asked.sets.split(","):
+        data = load_pairs(asked.folder / f"{name}.csv")
+        known = truth(without_training_hours(test, data))
+        trained = [str(asked.dense / name)] if asked.dense and (asked.dense / name / "config.json").is_file() else []
+        for spec in parse_specs([*asked.models.split(","), *trained]):
+            row = {"set": name} | score_row(spec, data, known, seed=0, budget_s=60.0)[0]
+            rows.append(row)
+            _add(asked.out, row)
+            print(markdown([row], {"set": "set", **TABLE}).splitlines()[-1], flush=True)
+    print(markdown(rows, {"set": "set", **TABLE}))
+
+
+def _add(path: Path, row: dict[str, Any]) -> None:
+    new = not path.exists()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=COLUMNS, extrasaction="ignore")
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+if __name__ == "__main__":
+    main()
