@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
-from fieldlum.scene.trace import EPSILON_M, blocked
+from fieldlum.scene.trace import EPSILON_M, blocked, may_block
 
 Array = NDArray[np.float64]
 _TILE = 64  # points in a tile; a tile is culled as a whole by its bounding box
@@ -74,8 +74,8 @@ class SunPoints:
         behind = (p[:, o.axis] - o.inner_m) * o.outward > -2 * EPSILON_M  # within the wall: the opening is convex
         ahead = (o.pane_m - p[:, o.axis]) * o.outward > 0  # not beyond the pane
         good = ahead & passes(o.outer_m) & (behind | passes(o.inner_m))
-        rows, p = rows[good], p[good]
-        return rows[~self._shaded(p, toward, "frame", "obstruction")]
+        rows = rows[good]
+        return rows[~self._shaded(rows, toward, "frame", "obstruction")]
 
     def _near(self, o: Opening, toward: Array) -> NDArray[np.intp]:
         """Points of all tiles whose bounding box can see the opening's outer end along the sun's direction."""
@@ -99,16 +99,24 @@ class SunPoints:
         p = self.position[rows]
         low, high = np.array(self.scene.shell)
         own = ((p > low) & (p < high)).all(axis=1)  # outer reveals and frames: the walls themselves shade them
-        dark = self._shaded(p, toward, "obstruction")
+        dark = self._shaded(rows, toward, "obstruction")
         dark[~own] |= blocked(low[None], high[None], p[~own], toward)
-        dark[own] |= self._shaded(p[own], toward, "wall", "ceiling", "floor", "frame")
+        dark[own] |= self._shaded(rows[own], toward, "wall", "ceiling", "floor", "frame")
         return rows[~dark]
 
-    def _shaded(self, points: NDArray[np.float32], toward: Array, *kinds: str) -> NDArray[np.bool_]:
+    def _shaded(self, rows: NDArray[np.intp], toward: Array, *kinds: str) -> NDArray[np.bool_]:
+        """Which of the points some box of these kinds hides from the sun; whole tiles are ruled out first."""
+        out = np.zeros(len(rows), bool)
         which = self.scene.of_kind(*kinds)
-        if not which or not len(points):
-            return np.zeros(len(points), bool)
-        return blocked(self.scene.low[which], self.scene.high[which], points, toward)
+        if not which or not len(rows):
+            return out
+        low, high = self.scene.low[which], self.scene.high[which]
+        tiles, tile = np.unique(rows // _TILE, return_inverse=True)
+        possible = may_block(low, high, self.tile_low[tiles], self.tile_high[tiles], toward)
+        for k in np.flatnonzero(possible.any(axis=0)):
+            near = np.flatnonzero(possible[tile, k] & ~out)
+            out[near] = blocked(low[k : k + 1], high[k : k + 1], self.position[rows[near]], toward)
+        return out
 
 
 def _rows_of(tiles: NDArray[np.bool_], count: int) -> NDArray[np.intp]:

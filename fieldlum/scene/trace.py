@@ -99,3 +99,15 @@ def blocked(low: Array, high: Array, points: NDArray[np.floating], toward: Array
         last = np.minimum(np.minimum(leave[:, 0], leave[:, 1]), leave[:, 2])
         out |= (first < last) & (last > EPSILON_M)
     return out
+
+
+def may_block(
+    low: Array, high: Array, tile_low: NDArray[np.floating], tile_high: NDArray[np.floating], toward: Array
+) -> NDArray[np.bool_]:
+    """Which boxes [b, 3] could stand between any point of which tiles [t, 3] and the light: [t, b], never too few."""
+    d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
+    near, far = np.where(d > 0, low, high) / d, np.where(d > 0, high, low) / d
+    ends = np.stack((tile_low / d, tile_high / d))
+    least, most = ends.min(axis=0)[:, None, :], ends.max(axis=0)[:, None, :]
+    enter, leave = (near - most).max(axis=2), (far - least).min(axis=2)
+    return (enter < leave) & (leave > 0)
