@@ -153,7 +153,8 @@ class Features:
     """What the kernel looks at, per unit of total light.
 
     sky [n, P] root-solid-angle weighted luminances; beam [n] the sun's share; direction [n, 3] of the sun; flux [n] and
-    cells [n, c] the direct sun that falls into view, whole and by cells, where patches are known.
+    cells [n, c] the direct sun that falls into view, whole and by cells, where patches are known; bounced [n, k] what a
+    coarse model of the room makes of the sun, where there is one.
     """
 
     sky: NDArray[np.float32]
@@ -161,6 +162,7 @@ class Features:
     direction: Array
     flux: Array | None = None
     cells: NDArray[np.float32] | None = None
+    bounced: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -172,6 +174,7 @@ class Features:
             self.direction[rows],
             None if self.flux is None else self.flux[rows],
             None if self.cells is None else self.cells[rows],
+            None if self.bounced is None else self.bounced[rows],
         )
 
 
@@ -197,6 +200,7 @@ class Kernel:
     flux_width: float = 0.8
     cells: float = 0.5
     around: float = 0.0  # sun reflected by upright surfaces that may face any way
+    bounced: float = 5.0  # what a coarse model of the room makes of the sun
 
     def __call__(self, a: Features, b: Features) -> Array:
         """Covariance matrix [len(a), len(b)]."""
@@ -212,6 +216,8 @@ class Kernel:
             k += np.outer(a.flux, b.flux) * smooth
         if a.cells is not None and b.cells is not None:
             k += self.cells * (a.cells @ b.cells.T)
+        if a.bounced is not None and b.bounced is not None:
+            k += self.bounced * (a.bounced @ b.bounced.T)
         return k
 
     def diagonal(self, a: Features) -> Array:
@@ -225,6 +231,8 @@ class Kernel:
             k += a.flux**2 * (1.0 + self.constant)
         if a.cells is not None:
             k += self.cells * np.einsum("ij,ij->i", a.cells, a.cells)
+        if a.bounced is not None:
+            k += self.bounced * np.einsum("ij,ij->i", a.bounced, a.bounced)
         return k
 
 

@@ -12,13 +12,22 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
+from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.sky import reinhart_patches
 
 SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
-SETUP = SiteFile(SITE, CameraSetup(heading_deg=180.0), Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),)))
+SETUP = SiteFile(SITE, CameraSetup(heading_deg=180.0))
+ROOM = Room(
+    width_m=4.0,
+    depth_m=4.0,
+    height_m=3.0,
+    camera_y_m=2.0,
+    camera_x_m=2.0,
+    window=(Window("south", 0.5, 3.0, 0.9, 1.8),),
+)
 HEIGHT, WIDTH = 16, 32
 
 
@@ -161,6 +170,22 @@ def test_analytic_one_season_is_not_trusted_in_another() -> None:
     summer = np.array([t.month == 7 for t in TEST.light.t_utc]) & (TEST.light.dni_wm2 > 200)
     assert summer.any() and not found.trusted[summer].all()
     assert found.expected_mse[summer].mean() > 3.0 * np.mean(december.held_out_mse)
+
+
+def test_property_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None:
+    with_room = replace(TRAIN, setup=replace(SETUP, room=ROOM))
+    model = fit(with_room)
+    assert len(model.table) == 2 * len(MODEL.table)
+    physics = physics_of(with_room.setup, TRAIN.light)
+    assert physics is not None
+    once, twice = physics.features(TEST.light), physics.features(TEST.light.scaled(2.0))
+    assert np.allclose(once, twice, atol=1e-5)  # per unit of total light
+    assert not once[TEST.light.dni_wm2 == 0].any() and once.any()
+    assert log_mse(model.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1.5e-3
+    kept = model if model.physics is not None else replace(model, physics=None)
+    models.save(tmp_path / "m", kept, with_room)
+    again = models.load(tmp_path / "m").predict(TEST.light, TEST.patch_cdm2)
+    assert np.allclose(again.luminance_cdm2, kept.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, rtol=1e-4)
 
 
 # ---------------------------------------------------------------------------------------------- files

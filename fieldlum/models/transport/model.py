@@ -13,6 +13,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Facades, Features, Kernel, Light, light_features
 from fieldlum.models import Patch, Prediction
 from fieldlum.models.transport.material import LEAST_CDM2, Material, OpenSky, Patchwork, material_of
+from fieldlum.models.transport.physics import Physics, physics_of
 from fieldlum.models.transport.recipe import (
     Basis,
     HeldOut,
@@ -20,12 +21,14 @@ from fieldlum.models.transport.recipe import (
     Recipe,
     basis_of,
     choose,
+    day_standard_error,
     find_patch_gain,
     fit_pixels,
     second_covariance,
 )
 from fieldlum.models.transport.trust import LOG10_E, Trust, calibrate, log_sd, residual_noise
-from fieldlum.records import Progress, quiet
+from fieldlum.profiles import build, plain
+from fieldlum.records import Progress, Room, quiet
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -39,6 +42,7 @@ SAMPLE = 600  # pixels that choose the recipe, drawn by solid angle
 CHOOSING_RANK = 40
 HOURS_AT_ONCE = 64
 LEAST_HOURS = 3
+PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece")
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class Transport:
     open_sky: OpenSky
     patchwork: Patchwork | None
     patch_scale: float
+    physics: Physics | None
     noise_dull: NDArray[np.floating]
     noise_sun: NDArray[np.floating]
     trust: Trust
@@ -98,6 +103,8 @@ class Transport:
     def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
         """What the kernel looks at in these hours."""
         features = light_features(light)
+        if self.physics is not None:
+            features = replace(features, bounced=self.physics.features(light))
         if self.patchwork is None or patch is None:
             return features
         return self.patchwork.add(features, patch, light, self.open_sky.mask(self.seen))
@@ -150,6 +157,7 @@ class Transport:
                 "kernel": kernel,
                 "recipe": asdict(self.recipe),
                 "patch_scale": self.patch_scale,
+                "room": None if self.physics is None else plain(self.physics.room),
                 "patchwork": None if self.patchwork is None else asdict(self.patchwork),
                 "trust": {name: getattr(self.trust, name) for name in ("novelty", "patch", "mse")},
                 "tried": list(self.table),
@@ -169,6 +177,9 @@ class Transport:
                 arrays[f"train_{f.name}"] = value
         light = self.train_light
         arrays["train_sun"] = np.stack((light.sun_altitude_deg, light.sun_azimuth_deg))
+        if self.physics is not None:
+            arrays |= {f"physics_{name}": getattr(self.physics, name) for name in PHYSICS_ARRAYS}
+            arrays["physics_norm"] = np.array(self.physics.norm)
         if self.held_out_mse is not None:
             arrays["held_out_mse"] = self.held_out_mse
         return config, arrays
@@ -182,6 +193,11 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
     nothing = np.zeros(len(altitude))
     times = (sun.datetime(2000, 1, 1, tzinfo=sun.UTC),) * len(altitude)
     train = Features(*(arrays.get(f"train_{f.name}") for f in fields(Features)))  # pyright: ignore[reportArgumentType]
+    physics = None
+    if own["room"] is not None:
+        room = build(Room, own["room"], "the model's room")
+        given = {name: arrays[f"physics_{name}"] for name in PHYSICS_ARRAYS}
+        physics = Physics(room, **given, norm=float(arrays["physics_norm"]))
     trust = Trust(arrays["trust_inverse"], factors=arrays["trust_factors"], **own["trust"])
     return Transport(
         shape=arrays["seen"].shape,  # pyright: ignore[reportArgumentType]
@@ -195,6 +211,7 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
         open_sky=OpenSky(*(arrays[f"sky_{f.name}"] for f in fields(OpenSky))),
         patchwork=None if own["patchwork"] is None else Patchwork(**own["patchwork"]),
         patch_scale=float(own["patch_scale"]),
+        physics=physics,
         noise_dull=arrays["noise_dull"],
         noise_sun=arrays["noise_sun"],
         trust=trust,
@@ -250,15 +267,28 @@ def fit(
     if patch == "gain":
         scale = find_patch_gain(material, kernel)
         material = material.with_patch_scaled(scale)
-    covariance = kernel(material.features, material.features)
+    recipes = recipes_for(patch, declination_range_deg(data) < ONE_SEASON_DEG)
+    progress(5, 100, "light between surfaces")
+    physics = physics_of(data.setup, data.light)
     progress(10, 100, "choosing by held-out days")
     drawn = _sample(material, seed)
-    recipes = recipes_for(patch, declination_range_deg(data) < ONE_SEASON_DEG)
+    covariance = kernel(material.features, material.features)
     recipe, held, table = choose(drawn, basis_of(covariance, CHOOSING_RANK), recipes)
+    if physics is not None:
+        features = replace(material.features, bounced=physics.features(data.light))
+        with_room = kernel(features, features)
+        second = choose(drawn, basis_of(with_room, CHOOSING_RANK), recipes)
+        table = [*table, *second[2]]
+        worse = second[1].per_hour - held.per_hour
+        if worse.mean() <= day_standard_error(worse, data.days):
+            material, covariance = replace(material, features=features), with_room
+            recipe, held = second[:2]
+        else:
+            physics = None
     basis = basis_of(covariance, recipe.rank)
     pixels = fit_pixels(material, basis, recipe, lambda done, total: progress(20 + 70 * done // total, 100, "fitting"))
     progress(90, 100, "calibrating uncertainty")
-    return _finish(data, material, kernel, covariance, basis, recipe, pixels, held, drawn, scale, table, seed)
+    return _finish(data, material, kernel, covariance, basis, recipe, pixels, held, drawn, scale, table, seed, physics)
 
 
 def _sample(material: Material, seed: int) -> Material:
@@ -269,13 +299,14 @@ def _sample(material: Material, seed: int) -> Material:
 
 def _finish(
     data: Dataset, material: Material, kernel: Kernel, covariance: Array, basis: Basis, recipe: Recipe, pixels: Pixels,
-    held: HeldOut, drawn: Material, scale: float, table: list, seed: int,
+    held: HeldOut, drawn: Material, scale: float, table: list, seed: int, physics: Physics | None,
 ) -> Transport:  # fmt: skip
     count = len(material.weights)
     model = Transport(
         shape=data.shape, seen=data.seen, heading_deg=data.heading_deg, kernel=kernel, train=material.features,
         train_light=data.light, projector=basis.projector, pixels=pixels, open_sky=material.open_sky,
-        patchwork=material.patchwork, patch_scale=scale, noise_dull=np.zeros(count), noise_sun=np.zeros(count),
+        patchwork=material.patchwork, patch_scale=scale, physics=physics,
+        noise_dull=np.zeros(count), noise_sun=np.zeros(count),
         trust=Trust(np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))), 0.0, np.ones(3), 0.0, 1.0),
         recipe=recipe, held_out_mse=held.per_hour,
         table=tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in table),
