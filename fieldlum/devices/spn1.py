@@ -14,6 +14,7 @@ from fieldlum.errors import DeviceError
 AWAKE = b"\xaf"
 LARGEST_WM2 = 2500.0  # the instrument's range ends at 2000
 _READING = re.compile(rb"S?(?=.{6},)( *\d{1,4}\.\d),(?=.{6},)( *\d{1,4}\.\d),([01])\r")  # tttt.t,dddd.d,s
+_STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
 
@@ -47,8 +48,13 @@ def parse_reading(reply: bytes) -> Spn1Reading:
 
 
 def parse_status(reply: bytes) -> Spn1Status:
-    """Reply to I: firmware, units, radio and serial number in CR lines. Raises DeviceError for other units."""
-    text = reply.decode("ascii", "replace").replace("\r", "\n")
+    """Reply to I: firmware, units, radio and serial number in CR lines.
+
+    Raises DeviceError for what is no such reply, and for an instrument that is set to other units.
+    """
+    if not (_STATUS_REPLY.fullmatch(reply) and b"SPN1 " in reply):
+        raise DeviceError(f"SPN1 said {reply[:40]!r}, expected lines about itself")
+    text = reply.decode("ascii").replace("\r", "\n")
     units = re.search(r"Units: *(\S+)", text)
     if units and units[1].upper().replace("^", "") not in ("W.M-2", "W/M2"):
         raise DeviceError(f"SPN1 is set to {units[1]}, expected W.m-2: set it with Delta-T's own program")
