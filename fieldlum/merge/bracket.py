@@ -29,7 +29,7 @@ from fieldlum.photometry import RatioFit
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.projection.resample import Target
-from fieldlum.records import Flag, Panorama, Progress, quiet
+from fieldlum.records import Flag, Panorama, Progress, quiet, utc_text
 from fieldlum.session import exposure_text
 
 RESIDUAL_WARN_PERCENT = 3.0
@@ -86,7 +86,7 @@ def merge_sensor(
     ratios = fit_bracket(pairs if wanted else [], [u for _, u in times])
     store.correct(ratios.correction)
     left = neighbours(pairs, ratios.correction)
-    u_ratio = float(np.sqrt(np.mean(ratios.u_log**2)))
+    u_ratio = float(np.median(ratios.u_log))
     if not wanted and left:
         u_ratio = max(float(np.median([abs(n.residual_percent) for n in left])) / 100, 1e-3)
     shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
@@ -159,6 +159,7 @@ def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) ->
         {
             "file": shot.path.name,
             "heading_deg": shot.heading_deg,
+            "t_utc": utc_text(shot.t_utc) if shot.t_utc else "",
             "exposure": exposure_text(shot.exposure),
             "correction": round(float(c), 6),
             "u_percent": round(float(100 * u), 4),
@@ -170,7 +171,7 @@ def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) ->
     return {
         "frames": frames,
         "neighbours": [asdict(n) for n in left],
-        "residual_percent": max((abs(n.residual_percent) for n in left), default=None),
+        "residual_percent": float(max(abs(n.residual_percent) for n in left)) if left else None,
         "clipped_percent": share(Flag.CLIPPED_HIGH),
         "bloom_percent": share(Flag.BLOOM),
         "motion_percent": share(Flag.MOTION),
@@ -189,8 +190,8 @@ def verdict(quality: dict[str, Any]) -> str:
         said.append("no two frames overlap")
     elif worst > RESIDUAL_WARN_PERCENT:
         said.append(f"neighbouring frames disagree by {worst:.1f} %")
-    if quality["clipped_percent"] > 0.05:
-        said.append(f"clipped in every frame: {quality['clipped_percent']:.2f} % of the view")
+    if quality["clipped_percent"] > 0:
+        said.append(f"clipped in every frame: {quality['clipped_percent']:.2g} % of the view")
     if quality["motion_percent"] > 2.0:
         said.append(f"motion in {quality['motion_percent']:.1f} % of the view")
     if quality["below_noise_percent"] > 5.0:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Flag, Progress, quiet
 
+_READABLE_SNR = 5.0  # below it a frame says nothing about a pixel that the others lost
 _STRIP = 1 << 17  # elements worked on at a time: what stays in a core's cache
 
 Strip = NDArray[np.float32]
@@ -39,8 +40,12 @@ class Signal(Protocol):
         """Counts that are far enough from saturation to predict from."""
         ...
 
+    def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+        """Counts below saturation itself, and their variance."""
+        ...
+
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """The luminance above which this frame saturates, broadcastable."""
+        """The luminance from which this frame's counts are no longer readable, broadcastable."""
         ...
 
     def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:
@@ -139,9 +144,10 @@ def merge_signals(
 ) -> Merged:
     """Merge frames of one `shape`, given as loaders that are called once a pass, in the order given.
 
-    Callers sort the frames, so that the order of files never matters. u_ratio is the relative disagreement between
-    frames that is no motion. A pixel that saturates everywhere gets its lower bound and CLIPPED_HIGH; one that is only
-    next to such a pixel gets the shortest frame's value and BLOOM.
+    Callers sort the frames, most exposed first, so that the order of files never matters. u_ratio is the relative
+    disagreement between frames that is no motion. A pixel that saturates everywhere gets its lower bound and
+    CLIPPED_HIGH; one that is only next to such a pixel gets the value of the most exposed frame that can be read there,
+    and BLOOM.
     """
     done, total = [0], len(frames) * (passes + 1)
 
@@ -157,7 +163,7 @@ def merge_signals(
         sums = _weigh(frames, value, last and len(frames) > 1, last and nd, tick)
         for a, b in _strips(shape):
             _settle(sums, value, variance, flags, slice(a, b), len(frames), u_ratio, motion_sigma, last)
-    _fill_from_shortest(frames, value, variance, flags)
+    _fill_lost(frames, value, variance, flags)
     return Merged(value, variance, flags)
 
 
@@ -190,25 +196,26 @@ def _settle(
     value[at] = mean
 
 
-def _fill_from_shortest(
-    frames: Sequence[Callable[[], Signal]], value: Strip, variance: Strip, flags: NDArray[np.uint8]
-) -> None:
-    """Where every frame was left out: the least exposed frame's own value (BLOOM), or a lower bound (CLIPPED_HIGH)."""
-    if np.isfinite(value).all():
-        return
-    signal = min((load() for load in frames), key=lambda s: float(np.mean(s.per_cdm2)))
-    bound_all = np.broadcast_to(signal.largest_cdm2(), value.shape)
-    per_all = np.broadcast_to(signal.per_cdm2, value.shape)
-    for a, b in _strips(value.shape):
-        lost = ~np.isfinite(value[a:b])
-        if not lost.any():
-            continue
-        counts, _ = signal.strip(a, b)
-        own = (counts / per_all[a:b])[lost]
-        bound = bound_all[a:b][lost]
-        clipped = own >= bound
-        weight = signal.weight((counts / per_all[a:b]).astype(np.float32))[lost]
-        u2 = 1.0 / np.maximum(weight * per_all[a:b][lost], 1e-30)
-        value[a:b][lost] = np.where(clipped, bound, own)
-        variance[a:b][lost] = np.where(clipped, bound**2, np.minimum(u2, bound**2))
-        flags[a:b][lost] |= np.where(clipped, np.uint8(Flag.CLIPPED_HIGH), np.uint8(Flag.BLOOM))
+def _fill_lost(frames: Sequence[Callable[[], Signal]], value: Strip, variance: Strip, flags: NDArray[np.uint8]) -> None:
+    """Where every frame was left out: the most exposed readable frame's value, or a lower bound."""
+    lost = ~np.isfinite(value)
+    strips = [(a, b) for a, b in _strips(value.shape) if lost[a:b].any()]
+    bound = np.zeros(value.shape, np.float32) if strips else value
+    for load in frames if strips else ():
+        signal = load()
+        per, largest = (np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.largest_cdm2()))
+        for a, b in strips:
+            counts, _ = signal.strip(a, b)
+            readable, spread = signal.readable(counts)
+            own = lost[a:b] & readable & (counts > _READABLE_SNR * np.sqrt(spread))
+            value[a:b][own] = (counts / per[a:b])[own]
+            variance[a:b][own] = (spread / per[a:b] ** 2)[own]
+            flags[a:b][own] |= np.uint8(Flag.BLOOM)
+            lost[a:b] &= ~own
+            full = lost[a:b] & ~readable
+            bound[a:b][full] = np.maximum(bound[a:b], largest[a:b])[full]
+    for a, b in strips:
+        rest = lost[a:b]
+        value[a:b][rest] = bound[a:b][rest]
+        variance[a:b][rest] = bound[a:b][rest] ** 2
+        flags[a:b][rest] |= np.uint8(Flag.CLIPPED_HIGH)

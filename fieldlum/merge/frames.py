@@ -24,6 +24,7 @@ _GATE = 0.97  # of the saturation, for predictions; noise is added to it
 _FULL = 0.99  # of the saturation: a count that is taken for saturated
 _SIGMA_CODE = 0.6  # codes: noise of a JPEG pixel beside its quantisation (sensor, compression)
 _Z_STEPS = 1 << 14
+_TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
 _COLOUR = {"R": 0, "G": 1, "B": 2}
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 
@@ -220,6 +221,10 @@ class RawSignal:
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
         return counts < self.limit
 
+    def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+        variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(self.noise_dn2)
+        return counts < self.limit, variance.astype(np.float32)
+
     def largest_cdm2(self) -> NDArray[np.float32]:
         return self._limit_cdm2
 
@@ -308,7 +313,7 @@ class JpegSignal:
 
     @cached_property
     def _top(self) -> int:
-        return 250 if self.bright_end else self.high_code
+        return _TOP_CODE if self.bright_end else self.high_code
 
     @cached_property
     def _weight_of_z(self) -> NDArray[np.float32]:
@@ -331,9 +336,9 @@ class JpegSignal:
         part = self.codes[first:last]
         linear = np.asarray(cv2.LUT(part, self.z_of_code.reshape(1, 256, 3)), np.float32)
         a, b = max(first - 2, 0), min(last + 2, len(self.codes))
-        if self.codes[a:b].max(initial=0) < 252:
+        if self.codes[a:b].max(initial=0) <= _TOP_CODE:
             return linear, None
-        full = (self.codes[a:b].max(axis=2) >= 252).view(np.uint8)
+        full = (self.codes[a:b].max(axis=2) > _TOP_CODE).view(np.uint8)
         wide = cv2.dilate(full, np.ones((5, 5), np.uint8))[first - a : last - a].view(np.bool_)
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
@@ -350,8 +355,16 @@ class JpegSignal:
         low = -1.0 if self.dark_end else self.z_of_code[self.low_code]
         return (counts >= low) & (counts <= self.z_of_code[self._top])
 
+    def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+        variance = np.empty_like(counts)
+        for c in range(3):
+            curve = self.z_of_code[:, c].astype(np.float64)
+            slope = np.maximum(np.gradient(curve), 1e-6)
+            variance[..., c] = np.interp(counts[..., c], curve, slope**2 * (_SIGMA_CODE**2 + 1 / 12))
+        return counts <= self.z_of_code[_TOP_CODE], variance
+
     def largest_cdm2(self) -> NDArray[np.float32]:
-        return np.asarray(self.z_of_code[self._top] / self.per_cdm2, np.float32)
+        return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
         at = _spread(len(self.codes), rows)

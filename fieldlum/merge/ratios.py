@@ -71,7 +71,9 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
     """What is left between frames next to each other once `correction` is applied."""
     delta = np.log(correction)
     return [
-        Neighbours(p.long, p.short, 100 * (p.log_ratio - (delta[p.short] - delta[p.long])), 100 * p.u_log, p.pixels)
+        Neighbours(
+            p.long, p.short, float(100 * (p.log_ratio - delta[p.short] + delta[p.long])), 100 * p.u_log, p.pixels
+        )
         for p in pairs
         if p.short == p.long + 1
     ]

@@ -20,6 +20,8 @@ from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
 from fieldlum.merge.disc import take_out_sun
 from fieldlum.merge.frames import Shot, shots_of_slot
+from fieldlum.merge.survey import write_survey
+from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, quiet, utc_text
 from fieldlum.session import Session, replacing, replacing_path, sha256
@@ -85,18 +87,23 @@ def _done_before(session: Session, slot: str, digest: str) -> dict[str, Any] | N
         return None
 
 
-def _slot_time(session: Session, slot: str, shots: list[Shot]) -> datetime:
+def _capture_note(session: Session, slot: str) -> dict[str, Any]:
+    """capture.json, or nothing."""
+    try:
+        table = json.loads((session.raw / slot / "capture.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return table if isinstance(table, dict) else {}
+
+
+def _slot_time(note: dict[str, Any], slot: str, shots: list[Shot]) -> datetime:
     """The middle of the bracket: capture.json's interval, else the frames' times, else the slot's own."""
-    note = session.raw / slot / "capture.json"
-    if note.is_file():
-        try:
-            table = json.loads(note.read_text(encoding="utf-8"))
-            opened, closed = parse_utc(table["t_open_utc"]), parse_utc(table["t_close_utc"])
-            return opened + (closed - opened) / 2
-        except (ValueError, KeyError, TypeError):
-            pass
-    times = [s.t_utc for s in shots if s.t_utc is not None]
-    return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
+    try:
+        opened, closed = parse_utc(note["t_open_utc"]), parse_utc(note["t_close_utc"])
+        return opened + (closed - opened) / 2
+    except (ValueError, KeyError, TypeError):
+        times = [s.t_utc for s in shots if s.t_utc is not None]
+        return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
 
 
 def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
@@ -111,10 +118,15 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
             [s.path for s in shots], job.profile, height=job.height, heading_deg=job.setup.heading_deg,
             shots=shots, fit=job.fit, progress=progress,
         )  # fmt: skip
-        panorama = replace(result.panorama, t_utc=_slot_time(job.session, job.slot, shots))
+        note = _capture_note(job.session, job.slot)
+        panorama = replace(result.panorama, t_utc=_slot_time(note, job.slot, shots))
         panorama = take_out_sun(panorama, job.site)
-        _write(job, replace(result, panorama=panorama), recipe)
-        return Verdict(job.slot, "merged", result.verdict, result.quality)
+        ev = vertical_illuminance_lx(panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun)
+        quality = {**result.quality, "vertical_illuminance_lx": ev}
+        whole = note.get("complete", True)
+        said = result.verdict if whole else f"incomplete bracket; {result.verdict}"
+        _write(job, replace(result, panorama=panorama, quality=quality, verdict=said), recipe)
+        return Verdict(job.slot, "merged", said, quality)
     except (FieldlumError, OSError) as error:
         return Verdict(job.slot, "failed", str(error), {})
 
@@ -199,7 +211,7 @@ def run(
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
-    """Merge every slot of the session that is not merged yet from the same frames and profile.
+    """Merge every slot of the session that is not merged yet from the same frames and profile; then survey them all.
 
     Raises NotEnoughDataError when nothing was captured; InputError when every bracket failed.
     """
@@ -216,6 +228,8 @@ def run(
         verdicts.append(verdict)
         progress(done, len(jobs), f"{verdict.slot}: {verdict.text}"[:60])
     verdicts.sort(key=lambda v: v.slot)
+    if any(v.state == "merged" for v in verdicts) or not (session.panoramas / "quality.csv").is_file():
+        write_survey(session)
     if all(v.state == "failed" for v in verdicts):
         raise InputError(session.raw, f"no bracket could be merged; {verdicts[0].text}", remedy="see each bracket")
     return verdicts
