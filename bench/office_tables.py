@@ -1,6 +1,6 @@
 """The office's score table: every set against the same test hours, one machine, one run.
 
-    python bench/office_tables.py FOLDER OUT.csv [--sets k200,9d,...] [--models ...] [--dense ROOT]
+    python bench/office_tables.py FOLDER OUT.csv [--sets k200,9d,...] [--models ...] [--dense ROOT] [--test NAME]
 
 FOLDER is what office_seattle.py wrote. --dense ROOT adds the networks trained before in ROOT/<set>. Rows are added to
 OUT.csv as they come, so that a run that was cut off has what it had.
@@ -28,8 +28,9 @@ def main() -> None:
     parser.add_argument("--sets", default="k200,9d,12d,4d,mar")
     parser.add_argument("--models", default="mean,nearest,transport,transport:none")
     parser.add_argument("--dense", type=Path)
+    parser.add_argument("--test", default="test", help="name of the test set's csv")
     asked = parser.parse_args()
-    test = load_pairs(asked.folder / "test.csv")
+    test = load_pairs(asked.folder / f"{asked.test}.csv")
     rows: list[dict[str, Any]] = []
     for name in asked.sets.split(","):
         data = load_pairs(asked.folder / f"{name}.csv")
