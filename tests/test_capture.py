@@ -304,3 +304,58 @@ def test_threaded_log_runs_beside(tmp_path: Path) -> None:
     )  # fmt: skip
     samples = [s for path in day_files(session) for s in read_day(path)[0]]
     assert len(samples) >= 3 and fold(read_journal(session)).slots[slots[0].id].outcome == "done"
+
+
+def test_a_meter_reads_before_and_after_and_may_fail(site: Field) -> None:
+    readings = iter([100.0, 110.0, DeviceError("no light"), 90.0, *[95.0] * 20])
+
+    class Meter:
+        info = SimpleNamespace(kind="tiny")
+
+        def read(self) -> Any:
+            value = next(readings)
+            if isinstance(value, DeviceError):
+                raise value
+            return SimpleNamespace(illuminance_lx=value)
+
+        def close(self) -> None: ...
+
+    site.run(open_met=Meter)
+    notes = [json.loads(p.read_text()) for p in sorted(site.session.raw.glob("*/capture.json"))]
+    assert [n["illuminance_lx"] for n in notes] == [105.0, 90.0, 95.0]
+    assert site.outcomes() == ["done"] * 3
+
+
+def test_a_bracket_that_clips_all_over_is_told_at_once(site: Field) -> None:
+    looked: list[str] = []
+
+    def clipped(path: Path) -> str:
+        looked.append(path.name)
+        return "97 % of the shortest frame is clipped"
+
+    site.run(
+        check_shortest=clipped, check=lambda path, exposure: "ISO 200 instead of 100" if exposure.shutter_s == 1 else ""
+    )
+    done = [e for e in read_journal(site.session) if e["event"] == "done"]
+    assert looked == ["02_0.25s.dng"] * 3
+    assert "00_1s.dng: ISO 200" in done[0]["why"] and "97 %" in done[0]["why"]
+
+
+def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
+    import numpy as np
+
+    from fieldlum.capture.verify import bracket_doubts, doubts
+    from fieldlum.raw import write_dng, write_jpeg
+
+    asked = Exposure(1 / 250, 5.6)
+    grey, white = np.full((16, 16, 3), 90, np.uint8), np.full((16, 16, 3), 255, np.uint8)
+    write_jpeg(tmp_path / "a.jpg", grey, asked)
+    write_jpeg(tmp_path / "b.jpg", white, Exposure(1 / 200, 5.6))
+    assert doubts(tmp_path / "a.jpg", asked) == "" == bracket_doubts(tmp_path / "a.jpg")
+    assert "shutter 0.005 instead of 0.004" in doubts(tmp_path / "b.jpg", asked)
+    assert bracket_doubts(tmp_path / "b.jpg").startswith("100 % of the shortest frame")
+    counts = np.full((48, 48), 16383, np.uint16)
+    write_dng(tmp_path / "c.dng", counts, asked, black_dn=(64.0,) * 4, white_dn=16383.0)
+    assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(tmp_path / "c.dng")
+    (tmp_path / "d.dng").write_bytes((tmp_path / "c.dng").read_bytes()[:300])
+    assert doubts(tmp_path / "d.dng", asked) or bracket_doubts(tmp_path / "d.dng")

@@ -169,3 +169,25 @@ def test_logger_rows_are_added_once(session: Session) -> None:
     assert adopt.add_samples(session, rows) == 1000
     assert adopt.add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), 1.0)]) == 1
     assert sum(len(read_day(p)[0]) for p in day_files(session)) == 1001
+
+
+def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -> None:
+    from click.testing import CliRunner
+
+    from fieldlum.cli import main
+
+    head = '"TOA5","sky","CR1000","1","OS","prog","1","Table"\n'
+    head += '"TIMESTAMP","RECORD","GHI","DHI"\n"TS","RN","W/m^2","W/m^2"\n'
+    rows = "".join(f'"2027-03-20 06:{30 + i}:00",{i},{300 + i}.5,60.1\n' for i in range(20))
+    path = tmp_path / "sky.dat"
+    path.write_text(head + '"","","Avg","Avg"\n' + rows + '"2027-03-20 06:50:00",20,"NAN')
+    words = ["import", str(session.root), "--irradiance", str(path)]
+    refused = CliRunner().invoke(main, words)
+    assert refused.exit_code == 3 and "--utc-offset" in refused.output
+    done = CliRunner().invoke(main, [*words, "--utc-offset", "-08:00"])
+    assert done.exit_code == 0 and "20 rows of irradiance" in done.output and "left out" in done.output
+    samples = read_day(day_files(session)[0])[0]
+    assert samples[0].t_utc == DAWN and samples[0].ghi_wm2 == 300.5
+    assert CliRunner().invoke(main, ["import", str(session.root)]).exit_code == 2
+    assert CliRunner().invoke(main, [*words, "--utc-offset", "8"]).exit_code == 2
+    assert CliRunner().invoke(main, ["import", str(tmp_path), str(tmp_path)]).exit_code == 3

@@ -25,6 +25,7 @@ from fieldlum.capture.group import (
     true_time,
 )
 from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
+from fieldlum.devices.logger_files import read_logger_file
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.raw import read_exif
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Progress, SiteFile, Slot, quiet, utc_text
@@ -124,18 +125,26 @@ def run(
     session: Session,
     folder: Path | None,
     *,
-    samples: Iterable[IrradianceSample] = (),
+    logger: Path | None = None,
     utc_offset_s: float | None = None,
     progress: Progress = quiet,
 ) -> Report:
-    """Copy what matches the plan into raw/ and the journal; add logger rows to the day files. Can be run again.
+    """Copy what matches the plan into raw/ and the journal; add a logger's rows to the day files. Can be run again.
 
-    Raises InputError for a folder without frames or an ambiguous camera clock, NotEnoughDataError when nothing
-    matched. The card is never changed.
+    utc_offset_s: what the clocks of camera and logger show minus UTC; None: the camera's is fitted to the plan.
+    Raises InputError for a folder without frames or an ambiguous clock, NotEnoughDataError when nothing matched. Card
+    and file are never changed.
     """
     with sole_user(session, "capture"):
         report = Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
-        return replace(report, rows=add_samples(session, samples))
+        if logger is None:
+            return report
+        offset = None if utc_offset_s is None else timedelta(seconds=utc_offset_s)
+        found = read_logger_file(logger, offset)
+        return replace(
+            report, rows=add_samples(session, found.samples),
+            left_out=(*report.left_out, *(f"{logger}: {text}" for text in found.left_out)),
+        )  # fmt: skip
 
 
 def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, progress: Progress) -> Report:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from fieldlum.capture.keeper import Keeper, plain_info
 from fieldlum.capture.recorder import Recorder, disk_is_full
 from fieldlum.capture.state import Frame, SlotState, frame_fields
 from fieldlum.capture.steady import SteadyClock
-from fieldlum.devices import Camera
+from fieldlum.devices import Camera, IlluminanceMeter
 from fieldlum.errors import DeviceError
 from fieldlum.records import CameraSetup, Exposure, Slot, utc_text
 from fieldlum.session import Session, replacing, sha256, sync_folder
@@ -55,7 +55,9 @@ class Bracket:
     recorder: Recorder
     clock: SteadyClock
     check: Check
+    check_shortest: Callable[[Path], str]
     between: Callable[[Frame | None], None]
+    meter: Keeper[IlluminanceMeter] | None = None
 
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
         """Go on from `state` until done; after a failure try again while a new start is still in the slot's window."""
@@ -67,6 +69,8 @@ class Bracket:
             state = self._start(slot, 1)
         while True:
             state = self._not_too_old(slot, folder, state)
+            if not state.frames:
+                state = self._read_meter(slot, state)
             have = {frame.index for frame in state.frames}
             missing = [shot for shot in wanted if shot.index not in have]
             if not missing:
@@ -84,7 +88,7 @@ class Bracket:
                 continue
             if not self.recorder.tell("frame", slot=slot.id, frame=frame_fields(frame)):
                 return self.abort(slot, state, "disk full")
-            state = SlotState("started", state.attempt, (*state.frames, frame))
+            state = replace(state, frames=(*state.frames, frame))
             self.between(frame)
 
     def resumable(self, slot: Slot, state: SlotState) -> bool:
@@ -138,10 +142,25 @@ class Bracket:
         return False
 
     def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
+        state = self._read_meter(slot, state)
         doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
+        darkest = min(state.frames, key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2))
+        doubts += [f"{darkest.file}: {text}" for text in (self.check_shortest(folder / darkest.file),) if text]
         write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
         self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why="; ".join(doubts))
-        return SlotState("done", state.attempt, state.frames, "; ".join(doubts))
+        return replace(state, outcome="done", why="; ".join(doubts))
+
+    def _read_meter(self, slot: Slot, state: SlotState) -> SlotState:
+        """Illuminance at the lens, before and after the frames; a meter that fails costs nothing else."""
+        if self.meter is None or self.meter.get() is None:
+            return state
+        try:
+            reading = self.meter.call(lambda meter: meter.read())
+        except Exception as error:  # as with the other devices
+            self.meter.lost(error)
+            return state
+        self.recorder.tell("illuminance", slot=slot.id, illuminance_lx=reading.illuminance_lx)
+        return replace(state, illuminance_lx=(*state.illuminance_lx, reading.illuminance_lx))
 
     def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
         """Close a slot that will not be finished; the frames there are stay, marked as incomplete."""
@@ -151,7 +170,7 @@ class Bracket:
         if state.frames and not self.recorder.full:
             write_capture(folder, slot, state, self.setup, self._camera_info(), complete=False)
         self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
-        return SlotState("aborted", state.attempt, state.frames, why)
+        return replace(state, outcome="aborted", why=why)
 
     def _camera_info(self) -> dict[str, Any]:
         camera = self.camera.get()
@@ -187,6 +206,7 @@ def write_capture(
         "profile": setup.profile,
         "heading_deg": setup.heading_deg,
         "camera": camera,
+        **({"illuminance_lx": sum(state.illuminance_lx) / len(state.illuminance_lx)} if state.illuminance_lx else {}),
         "frames": [frame_fields(frame) for frame in frames],
     }
     with replacing(folder / "capture.json", "w", encoding="utf-8") as file:

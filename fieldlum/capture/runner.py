@@ -19,7 +19,7 @@ from fieldlum.capture.logger import Logger
 from fieldlum.capture.recorder import RESERVE_BYTES, Recorder
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
-from fieldlum.devices import Camera, Pyranometer, open_camera, open_pyranometer
+from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import Clock, FastClock, RealClock
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure, Slot, parse_utc
@@ -92,6 +92,11 @@ def no_check(path: Path, exposure: Exposure) -> str:
     return ""
 
 
+def no_shortest_check(path: Path) -> str:
+    """Finds nothing wrong."""
+    return ""
+
+
 def run(
     session: Session,
     camera_uri: str,
@@ -101,17 +106,20 @@ def run(
     options: Options = DEFAULTS,
     watch: Watch = unwatched,
     check: Check = no_check,
+    check_shortest: Callable[[Path], str] = no_shortest_check,
+    meter_uri: str = "",
     trusted: Callable[[], bool] = synchronised,
     open_cam: Callable[[], Camera] | None = None,
     open_pyr: Callable[[], Pyranometer] | None = None,
+    open_met: Callable[[], IlluminanceMeter] | None = None,
 ) -> Ledger:
     """Take all brackets that are owed; returns when the plan is settled.
 
     Raises DeviceError when a device does not open at the start (a person is still there then), InputError for a
-    session that another capture holds. `open_cam`, `open_pyr` replace what the URIs open.
+    session that another capture holds. `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
     """
     with sole_user(session, "capture"):
-        runner = _Runner(session, SteadyClock(clock, trusted, options.boot), options, watch, check)
+        runner = _Runner(session, SteadyClock(clock, trusted, options.boot), options, watch, check, check_shortest)
         try:
             runner.open(
                 open_cam or (lambda: open_camera(camera_uri, clock=clock, session=session)),
@@ -121,7 +129,8 @@ def run(
                     if pyranometer_uri
                     else None
                 ),
-                {"camera": camera_uri, "pyranometer": pyranometer_uri},
+                open_met or ((lambda: open_meter(meter_uri, clock=clock)) if meter_uri else None),
+                {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri},
             )
             runner.work()
         finally:
@@ -130,8 +139,12 @@ def run(
 
 
 class _Runner:
-    def __init__(self, session: Session, clock: SteadyClock, options: Options, watch: Watch, check: Check) -> None:
-        self.session, self.clock, self.options, self.watch, self.check = session, clock, options, watch, check
+    def __init__(
+        self, session: Session, clock: SteadyClock, options: Options, watch: Watch, check: Check,
+        check_shortest: Callable[[Path], str],
+    ) -> None:  # fmt: skip
+        self.session, self.clock, self.options, self.watch = session, clock, options, watch
+        self.check, self.check_shortest = check, check_shortest
         self.setup = session.site_file()
         self.slots = session.slots()
         before = fold(read_journal(session))
@@ -140,6 +153,7 @@ class _Runner:
         self.recorder = Recorder(session, clock.now, options.reserve_bytes, flush=options.flush)
         self.camera: Keeper[Camera] | None = None
         self.logger: Logger | None = None
+        self.meter: Keeper[IlluminanceMeter] | None = None
         self.bytes_per_slot = 0.0
         self.last_frame = ""
         self._misses_in_a_row = 0
@@ -155,9 +169,10 @@ class _Runner:
             )
 
     def open(
-        self, open_cam: Callable[[], Camera], open_pyr: Callable[[], Pyranometer] | None, uris: dict[str, str]
-    ) -> None:
-        """Open both devices, or say now what is missing."""
+        self, open_cam: Callable[[], Camera], open_pyr: Callable[[], Pyranometer] | None,
+        open_met: Callable[[], IlluminanceMeter] | None, uris: dict[str, str],
+    ) -> None:  # fmt: skip
+        """Open all devices, or say now what is missing."""
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
         about = {"uris": uris}
@@ -166,6 +181,9 @@ class _Runner:
             keeper = Keeper("pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s)
             about["pyranometer"] = plain_info(keeper.insist().info)
             self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
+        if open_met is not None:
+            self.meter = Keeper("meter", open_met, self.clock, self.recorder.tell, options.watchdog_s)
+            about["meter"] = plain_info(self.meter.insist().info)
         self.recorder.tell(
             "open",
             **self.clock.mark(),
@@ -182,7 +200,15 @@ class _Runner:
     def work(self) -> None:
         assert self.camera is not None
         bracket = Bracket(
-            self.session, self.setup.camera, self.camera, self.recorder, self.clock, self.check, self._between
+            self.session,
+            self.setup.camera,
+            self.camera,
+            self.recorder,
+            self.clock,
+            self.check,
+            self.check_shortest,
+            self._between,
+            self.meter,
         )
         grace = timedelta(seconds=self.options.grace_s)
         for slot in owed(self.slots, Ledger(dict(self.states))):
@@ -285,6 +311,8 @@ class _Runner:
     def close(self) -> None:
         if self.logger is not None:
             self.logger.close()
+        if self.meter is not None:
+            self.meter.close()
         if self.camera is not None:
             self.camera.close()
             self.recorder.tell("close", state=self._state)

@@ -32,6 +32,7 @@ class SlotState:
     attempt: int = 1
     frames: tuple[Frame, ...] = ()
     why: str = ""
+    illuminance_lx: tuple[float, ...] = ()  # readings of a meter at the lens, during the bracket
 
 
 @dataclass(slots=True)
@@ -99,6 +100,8 @@ def _step(state: SlotState, kind: str, event: dict[str, Any]) -> SlotState:
         frame = frame_from(event["frame"])
         others = tuple(f for f in state.frames if f.index != frame.index)
         return replace(state, frames=(*others, frame))
+    if kind == "illuminance":
+        return replace(state, illuminance_lx=(*state.illuminance_lx, float(event["illuminance_lx"])))
     if kind in ("done", "missed", "aborted"):
         return replace(state, outcome=kind, why=event.get("why", ""))
     return state

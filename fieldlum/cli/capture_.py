@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 @click.option("--status-json", type=click.Path(path_type=Path), help="Keep this file up to date for remote watching.")
 @click.option("--on-misses", metavar="COMMAND", default="", help="Run this when two slots in a row gave no bracket.")
 def command(
-    folder: Path, camera: str | None, pyranometer: str | None, clock: str, grace_s: float, log_every_s: float,
-    status_json: Path | None, on_misses: str,
+    folder: Path, camera: str | None, pyranometer: str | None, meter: str | None, clock: str, grace_s: float,
+    log_every_s: float, status_json: Path | None, on_misses: str,
 ) -> None:  # fmt: skip
     """Take the planned brackets and log irradiance beside.
 
@@ -39,17 +39,25 @@ def command(
     fieldlum capture office-2027 --camera gphoto: --pyranometer serial:/dev/ttyUSB0?kind=spn1
     """
     from fieldlum import capture
-    from fieldlum.capture.verify import doubts
+    from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
     from fieldlum.session import open_session
 
     session = open_session(folder)
-    camera_uri, pyranometer_uri = _devices(session, camera, pyranometer)
+    camera_uri, pyranometer_uri, meter_uri = _devices(session, camera, pyranometer, meter)
     ticking, options = capture.prepare(session, fast=clock == "fast")
     options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
     with shown(session.site_file().site, status_json) as watch:
         ledger = capture.run(
-            session, camera_uri, pyranometer_uri, clock=ticking, options=options, watch=watch, check=doubts
+            session,
+            camera_uri,
+            pyranometer_uri,
+            clock=ticking,
+            options=options,
+            watch=watch,
+            check=doubts,
+            check_shortest=bracket_doubts,
+            meter_uri=meter_uri,
         )
     outcomes = [state.outcome for state in ledger.slots.values()]
     click.echo(
@@ -58,7 +66,7 @@ def command(
     )
 
 
-def _devices(session: Session, camera: str | None, pyranometer: str | None) -> tuple[str, str]:
+def _devices(session: Session, camera: str | None, pyranometer: str | None, meter: str | None) -> tuple[str, str, str]:
     """What the command line names, else what the last capture of this session used."""
     known = session.table().get("devices", {}).get("uris", {})
     camera_uri = camera if camera is not None else known.get("camera", "")
@@ -68,4 +76,4 @@ def _devices(session: Session, camera: str | None, pyranometer: str | None) -> t
         pyranometer = known.get("pyranometer", "")
         if not pyranometer:
             terminal.say("note: no --pyranometer: irradiance is not logged here")
-    return camera_uri, pyranometer or ""
+    return camera_uri, pyranometer or "", known.get("meter", "") if meter is None else meter

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.records import utc_text
-
-if TYPE_CHECKING:
-    from fieldlum.devices.logger_files import LoggerFile
 
 _SHOWN = 20
 
@@ -30,46 +25,32 @@ def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) 
 @click.command("import")
 @click.argument("session_folder", metavar="SESSION", type=click.Path(path_type=Path))
 @click.argument("folder", metavar="[FOLDER]", required=False, type=click.Path(path_type=Path))
-@click.option("--irradiance", "loggers", metavar="FILE", multiple=True, type=click.Path(path_type=Path),
-              help="A logger's file: TOA5 or CSV.")  # fmt: skip
+@click.option("--irradiance", "logger", type=click.Path(path_type=Path), help="A logger's file: Campbell TOA5 or CSV.")
 @click.option("--utc-offset", "offset_s", metavar="+HH:MM", callback=_offset_s,
-              help="What the clocks of camera and logger show minus UTC.")  # fmt: skip
-def command(session_folder: Path, folder: Path | None, loggers: tuple[Path, ...], offset_s: float | None) -> None:
-    """Bring in a card's folder of frames, and logger files.
+              help="What camera and logger clocks show minus UTC.")  # fmt: skip
+def command(session_folder: Path, folder: Path | None, logger: Path | None, offset_s: float | None) -> None:
+    """Bring in a card's folder, and a logger's file.
 
     Frames are grouped into brackets by their exposures and times, and matched to the plan; what matches nothing is
     listed. The card is left as it is, and can be imported again.
 
     \b
-    fieldlum import office-2027 /media/card/DCIM --utc-offset -08:00
-    fieldlum import office-2027 --irradiance roof.dat --utc-offset -08:00
+    fieldlum import office-2027 /media/card/DCIM --irradiance CR1000_sky.dat --utc-offset -08:00
     """
-    from datetime import timedelta
-
+    if folder is None and logger is None:
+        raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
     from fieldlum.capture import adopt
-    from fieldlum.devices.logger_files import read_logger_file
     from fieldlum.session import open_session
 
-    if folder is None and not loggers:
-        raise click.UsageError("nothing to import: name a FOLDER of frames, or --irradiance FILE")
     session = open_session(session_folder)
-    offset = None if offset_s is None else timedelta(seconds=offset_s)
-    files = [read_logger_file(path, offset) for path in loggers]
-    samples = [sample for file in files for sample in file.samples]
     with terminal.progress("import") as progress:
-        report = adopt.run(session, folder, samples=samples, utc_offset_s=offset_s, progress=progress)
-    for line in [*_summary(report), *(_of_logger(path, file) for path, file in zip(loggers, files, strict=True))]:
+        report = adopt.run(session, folder, logger=logger, utc_offset_s=offset_s, progress=progress)
+    for line in _summary(report):
         terminal.say(line)
     click.echo(
-        f"{session.root}: {report.brackets} brackets with {report.frames} frames"
+        f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} rows of irradiance"
         + (f"; {report.known} brackets were there already" if report.known else "")
     )
-
-
-def _of_logger(path: Path, file: LoggerFile) -> str:
-    span = f"{utc_text(file.samples[0].t_utc)} to {utc_text(file.samples[-1].t_utc)}"
-    left_out = f"; left out: {len(file.left_out)} ({file.left_out[0]})" if file.left_out else ""
-    return f"{path}: {file.about}, {len(file.samples)} rows, {span}{left_out}"
 
 
 def _summary(report: object) -> list[str]:
