@@ -40,6 +40,12 @@ def _heading(room: Room) -> float:
     return room.wall_azimuth_deg
 
 
+@pytest.mark.parametrize("path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_rooms_can_be(path: Path) -> None:
+    room = load_site(path).room
+    assert room is not None and geometry.build(room).openings
+
+
 def test_patch_on_the_floor_by_hand() -> None:
     """Analytic: sun from due south at 45 degrees; window z 1 to 2.5, x 1 to 3, wall .25 m thick.
 
