@@ -31,6 +31,7 @@ BASELINES = ("mean", "nearest")
 SLOW = ("dense",)  # no closed form: trained again for each fold, within a share of the budget
 FOLD_SHARE = 0.5  # of the budget; the rest is for the model that is kept
 LEAST_FOLDS = 2
+QUICK_S = 300.0  # all folds of a quick model, unless they take longer than this: the budget is for the slow ones
 LEAST_FOLD_S = 60.0  # a dense fold shorter than this says little about the network
 
 
@@ -153,7 +154,7 @@ def fit_and_score(
     trials: list[Trial] = []
     left_out: list[str] = []
     for name in names:
-        limit = FOLD_SHARE * budget_s
+        limit = FOLD_SHARE * budget_s if name in SLOW else max(FOLD_SHARE * budget_s, QUICK_S)
         some = dense_folds(folds, limit) if name in SLOW else tuple(folds)
         try:
             trials.append(evaluate_folds(name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress))
