@@ -67,6 +67,9 @@ KINDS = {
 }
 
 
+LINE = ("garbage on the line", "partial lines", "instrument silent")
+
+
 @dataclass(frozen=True)
 class Fault:
     kind: str
@@ -188,38 +191,41 @@ class World:
         self.ballast = folder / "ballast"
         self.instrument: PtyInstrument | None = None
         self.child = Child("camera", serve_camera)
+        self.of_kind = {kind: [f for f in faults if f.kind == kind] for kind in KINDS}
+        self.moments = sorted({f.t_utc for f in faults} | {f.t_utc + timedelta(seconds=f.seconds) for f in faults})
+        self.quiet_until = datetime.min.replace(tzinfo=UTC)
+        self.line: Fault | None = None
         clock.world = self
         self.happen(clock)
 
     def active(self, kind: str) -> Fault | None:
         now = self.clock.true_utc
-        return next((f for f in self.faults if f.kind.startswith(kind) and f.covers(now)), None)
+        return next((f for f in self.of_kind[kind] if f.covers(now)), None)
 
-    def fired(self, kind: str) -> bool:
-        """Whether a fault of this kind, due by now, strikes at this very moment; each does once."""
+    def fired(self, kind: str) -> Fault | None:
+        """The fault of this kind, due by now, that strikes at this very moment; each does once."""
         now = self.clock.true_utc
-        for i, fault in enumerate(self.faults):
-            if fault.kind.startswith(kind) and fault.t_utc <= now and not self.shared.struck(i):
+        for fault in self.of_kind[kind]:
+            if fault.t_utc > now:
+                break
+            i = self.faults.index(fault)
+            if not self.shared.struck(i):
                 self.shared.strike(i)
-                return now < fault.t_utc + timedelta(minutes=30) or fault.kind.startswith("wall")
-        return False
+                return fault
+        return None
 
     def happen(self, clock: MonthClock) -> None:
+        if clock.true_utc < self.quiet_until:
+            return
         if self.fired("wall clock set 1 h forward"):
             clock.step(3600.0)
         if self.fired("wall clock set 1 h back"):
             clock.step(-3600.0)
-        if self.fired("laptop"):
-            clock.suspend(
-                next(
-                    f.seconds
-                    for f in reversed(self.faults)
-                    if f.kind.startswith("laptop") and f.t_utc <= clock.true_utc
-                )
-            )
+        if nap := self.fired("laptop suspended"):
+            clock.suspend(nap.seconds)
         if self.fired("kill -9 of the capture"):
             os.kill(os.getpid(), signal.SIGKILL)
-        unplugged = self.active("serial") is not None
+        unplugged = self.active("serial unplugged, back under a new name") is not None
         if unplugged and self.instrument is not None:
             self.instrument.unplug()
             self.instrument = None
@@ -228,11 +234,14 @@ class World:
             self.instrument = PtyInstrument(self.answer)
             self.link.unlink(missing_ok=True)
             self.link.symlink_to(self.instrument.port)
-        full = self.active("disk") is not None
+        full = self.active("disk full") is not None
         if full and not self.ballast.exists():
             self.fill()
         if not full:
             self.ballast.unlink(missing_ok=True)
+        self.line = next((f for kind in LINE for f in (self.active(kind),) if f), None)
+        now = clock.true_utc
+        self.quiet_until = next((t for t in self.moments if t > now), datetime.max.replace(tzinfo=UTC))
 
     def fill(self) -> None:
         with self.ballast.open("wb") as file:
@@ -247,7 +256,7 @@ class World:
         out = b""
         for byte in data:
             command = bytes([byte])
-            if self.active("instrument"):
+            if self.line is not None and self.line.kind == "instrument silent":
                 continue
             if command == b"R":
                 out += b"\xaf"
@@ -259,15 +268,15 @@ class World:
         return out
 
     def harmed(self, line: bytes) -> bytes:
+        if self.line is None:
+            return line
         rng = random.Random(self.clock.true_utc.timestamp())
-        if self.active("garbage"):
-            at = rng.randrange(len(line))
-            # Any byte but a digit: a digit in another's place cannot be told in a protocol without a checksum.
-            noise = bytes(b for b in rng.sample(range(256), 12) if not 48 <= b <= 57)[:1]
-            return line[:at] + noise + line[at + rng.randrange(2) :]
-        if self.active("partial"):
-            return line[: rng.randrange(len(line))]
-        return line
+        at = rng.randrange(len(line))
+        if self.line.kind == "partial lines":
+            return line[:at]
+        # Any byte but a digit: a digit in another's place cannot be told in a protocol without a checksum.
+        noise = bytes(b for b in rng.sample(range(256), 12) if not 48 <= b <= 57)[:1]
+        return line[:at] + noise + line[at + rng.randrange(2) :]
 
     # the camera
 
@@ -276,9 +285,11 @@ class World:
         return CameraInfo("bench", model="one month")
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        how = "hang" if self.fired("camera hangs") else "crash" if self.fired("camera driver") else "ok"
-        how = "killed" if self.fired("kill -9 of the camera") else how
-        how = "card full" if self.active("card") else "switched off" if self.active("camera switched") else how
+        how = "ok"
+        for kind, word in (("camera hangs", "hang"), ("camera driver crashes (SIGSEGV)", "crash"),
+                           ("kill -9 of the camera's process", "killed")):  # fmt: skip
+            how = word if how == "ok" and self.fired(kind) else how
+        how = "card full" if self.active("card full") else "switched off" if self.active("camera switched off") else how
         path = target.with_name(f"{target.name}.raw")
         text = f"{target.parent.name} {exposure} {self.clock.true_utc}"
         answer = self.child.ask("expose", str(path), text, how, timeout_s=30.0 if how != "hang" else HANG_S)

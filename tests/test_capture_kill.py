@@ -112,7 +112,7 @@ def kill_until_done(
         session = sessions[-1]
         child = start(lambda session=session: work(session))
         if kills >= KILLS:
-            assert ended(child, 60.0)
+            assert ended(child, 300.0)
             return sessions
         if ended(child, rng.uniform(0.0, whole_s / 3)):
             sessions.append(fresh(len(sessions)))
@@ -125,7 +125,7 @@ def kill_until_done(
 
 def timed(work: Callable[[Session], None], session: Session) -> float:
     begun = time.monotonic()
-    assert ended(start(lambda: work(session)), 60.0)
+    assert ended(start(lambda: work(session)), 300.0)
     return time.monotonic() - begun
 
 
@@ -209,11 +209,11 @@ def test_the_command_itself_goes_on_after_a_kill(tmp_path: Path) -> None:
     words = [sys.executable, "-c", "from fieldlum.cli import main; main()", "capture", str(session.root)]
     words += ["--camera", "sim:office?seed=1", "--pyranometer", "sim:office?seed=1", "--clock", "fast"]
     child = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    until = time.monotonic() + 60.0
+    until = time.monotonic() + 300.0
     while not any(e["event"] == "frame" for e in read_journal(session)) and time.monotonic() < until:
         time.sleep(0.005)
     child.kill()
     child.wait()
-    done = subprocess.run([*words[:5], "--clock", "fast"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([*words[:5], "--clock", "fast"], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0 and "2 brackets, 0 missed, 0 aborted" in done.stdout, done.stderr
     assert len(frames_of(session)) == 8
