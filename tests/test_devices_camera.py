@@ -81,7 +81,7 @@ def test_analytic_saturates_below_the_tag(tmp_path: Path) -> None:
 
 def test_analytic_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-dual-fisheye")
-    for altitude, azimuth in ((20.0, 200.0), (-35.0, 130.0), (10.0, 20.0), (60.0, 300.0)):
+    for altitude, azimuth in ((20.0, 200.0), (-35.0, 130.0), (10.0, 20.0)):
         panorama = uniform(0.01, height=180)
         i, j = projection.equirect_pixel(altitude, azimuth, 180, 360, 180.0)
         panorama.luminance_cdm2[int(i), int(j)] = 2000.0

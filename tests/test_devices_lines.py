@@ -73,7 +73,7 @@ GOOD = nmea("$G=812.4 D=104.9 T=24.1")
 KEYS = load_ascii_profile("arduino-keys")
 
 
-@settings(deadline=None, max_examples=400)
+@settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(GOOD) - 1), st.binary(max_size=2), st.integers(0, 2))
 def test_property_one_damage_under_a_checksum_gives_no_other_number(at: int, put: bytes, cut: int) -> None:
     with suppress(DeviceError):

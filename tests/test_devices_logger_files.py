@@ -57,7 +57,7 @@ def test_import_puts_them_into_day_files_once(tmp_path: Path) -> None:
     for _ in range(2):
         done = CliRunner().invoke(main, asked)
         assert done.exit_code == 0, done.output
-        assert "2 rows, 2027-03-20T16:00:00Z to 2027-03-20T16:01:00Z" in done.output
+        assert "record numbers are missing" in done.output
     samples, broken = read_day(day_files(open_session(tmp_path / "s"))[0])
     assert [s.ghi_wm2 for s in samples] == [512.3, 513.1] and not broken
     assert CliRunner().invoke(main, ["import", str(tmp_path / "s")]).exit_code == 2

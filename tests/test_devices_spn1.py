@@ -51,7 +51,7 @@ def test_contract_other_units_are_refused() -> None:
         parse_status(STATUS.replace(b"W.m-2", b"mV"))
 
 
-@settings(deadline=None, max_examples=400)
+@settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(READING) - 1), st.binary(max_size=2), st.integers(0, 2))
 def test_property_a_lost_or_added_byte_is_noticed(at: int, put: bytes, cut: int) -> None:
     line = READING[:at] + put + READING[at + cut :]

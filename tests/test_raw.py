@@ -99,7 +99,7 @@ def test_contract_a_missing_file(tmp_path: Path) -> None:
             read(tmp_path / "none.dng")
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_property_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject) -> None:
     suffix, read = data.draw(st.sampled_from([(".dng", read_mosaic), (".jpg", read_jpeg)]))

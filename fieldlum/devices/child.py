@@ -43,7 +43,7 @@ class Child:
                     raise DeviceError(f"{self._name}: '{command}' hung for {timeout_s:g} s; its process was killed")
                 kind, result = pipe.recv()
             except (EOFError, OSError):
-                code = self._kill()
+                code = self._kill(grace_s=5.0)  # it is ending by itself: let it tell how
                 why = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
                 raise DeviceError(f"{self._name}: the driver crashed in '{command}' ({why})") from None
         if kind == "error":
@@ -61,14 +61,14 @@ class Child:
             self._pipe, self.starts = ours, self.starts + 1
         return self._pipe
 
-    def _kill(self) -> int | None:
+    def _kill(self, grace_s: float = 0.1) -> int | None:
         """Ends the process for good; its exit code."""
         if self._pipe is not None:
             self._pipe.close()
             self._pipe = None
         if self._process is None:
             return None
-        self._process.join(0.2)
+        self._process.join(grace_s)
         if self._process.is_alive():
             self._process.kill()
         self._process.join(5.0)

@@ -39,15 +39,21 @@ def choose(role: str, asked: float, choices: list[str]) -> str:
 class GphotoCamera:
     """Implements `Camera`, with libgphoto2 in a child process under a watchdog.
 
-    After a hang or a crash the next call starts the child anew. `patience` scales all time-outs; `late_file_s` is how
-    long the second file of a raw and JPEG pair may take.
+    After a hang or a crash the next call starts the child anew. readout_s: patience beyond the shutter time;
+    late_file_s: how long the second file of a raw and JPEG pair may take.
     """
 
     def __init__(
-        self, serve: Serve, model: str = "", *, delete: bool = False, patience: float = 1.0, late_file_s: float = 0.15
+        self,
+        serve: Serve,
+        model: str = "",
+        *,
+        delete: bool = False,
+        readout_s: float = READOUT_S,
+        late_file_s: float = 0.15,
     ) -> None:
         self._child = Child("gphoto", serve)
-        self._model, self._delete, self._patience, self._late_ms = model, delete, patience, round(1000 * late_file_s)
+        self._model, self._delete, self._readout_s, self._late_ms = model, delete, readout_s, round(1000 * late_file_s)
         self._about: dict[str, Any] = {}
         try:
             self._open()
@@ -56,7 +62,7 @@ class GphotoCamera:
             raise
 
     def _open(self) -> None:
-        self._about = self._child.ask("open", self._model, timeout_s=OPEN_S * self._patience)
+        self._about = self._child.ask("open", self._model, timeout_s=OPEN_S)
         self._opened_at_start = self._child.starts
         if "shutter" not in self._about["settings"]:
             raise DeviceError("gphoto: the camera offers no shutter times: set its dial to M")
@@ -74,7 +80,7 @@ class GphotoCamera:
             self._open()
         for role, asked in (("aperture", exposure.f_number), ("iso", exposure.iso), ("shutter", exposure.shutter_s)):
             self._set(role, asked)
-        wait_s = exposure.shutter_s + READOUT_S * self._patience
+        wait_s = exposure.shutter_s + self._readout_s
         path = Path(self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s))
         try:
             check_frame(path, exposure, "gphoto")
@@ -88,7 +94,7 @@ class GphotoCamera:
             return
         widget, choices = self._about["settings"][role]
         text = choose(role, asked, choices)
-        shown = self._child.ask("set", widget, text, timeout_s=SET_S * self._patience)
+        shown = self._child.ask("set", widget, text, timeout_s=SET_S)
         if shown != text:
             raise DeviceError(f"gphoto: {widget} was set to {text}, but the camera shows {shown}: set its dial to M")
 
