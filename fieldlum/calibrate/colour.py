@@ -123,14 +123,15 @@ def find_chart(frame: LinearFrame) -> NDArray[np.float64]:
 # ---------------------------------------------------------------------------------------------- fit
 
 
-def prior_of(colours: Colours, profile: CameraProfile) -> tuple[Array, str]:
-    """The luminance row of the frames' own matrix (camera to XYZ), in the size of the profile's; else the profile's."""
+def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
+    """The profile's coefficients, and the luminance row of the frames' own matrix (camera to XYZ), of the same size."""
     of_profile = np.array(profile.colour.y_from_rgb)
-    if colours.matrix is None:
-        return of_profile, "the profile's coefficients"
-    row = np.linalg.inv(colours.matrix)[1]
-    grey = colours.rgb.mean(axis=0)
-    return row * float(of_profile @ grey) / float(row @ grey), "the file's colour matrix"
+    found: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]
+    if colours.matrix is not None:
+        row = np.linalg.inv(colours.matrix)[1]
+        grey = colours.rgb.mean(axis=0)
+        found.append((row * float(of_profile @ grey) / float(row @ grey), "the file's colour matrix"))
+    return found
 
 
 def fit(colours: Colours, profile: CameraProfile) -> Fit:
@@ -145,15 +146,20 @@ def fit(colours: Colours, profile: CameraProfile) -> Fit:
         raise NotEnoughDataError(f"{n} readings are too few for three coefficients: take at least {LEAST} colours")
     if not ((colours.y > 0).all() and (colours.rgb[:, 1] > 0).all()):
         raise InputError(colours.frames[0], "readings or patches that are not positive", "colours that the frame holds")
-    prior, said = prior_of(colours, profile)
-    pulls: list[tuple[float, str]] = [(np.inf, said), *PULLS]
     rows, each = np.arange(n), range(n)
-    candidates = []
-    for size, (pull, name) in enumerate(pulls):
+
+    def candidate(prior: Array, pull: float, name: str, size: int) -> Candidate:
         errors = [(_predict(_solve(colours, prior, pull, rows != i), colours, i) - 1.0) ** 2 for i in each]
-        candidates.append(Candidate(name, size, np.array(errors)))
+        return Candidate(name, size, np.array(errors))
+
+    starts = priors(colours, profile)
+    candidates = [candidate(start, np.inf, name, 0) for start, name in starts]
+    prior = starts[int(np.argmin([c.errors.mean() for c in candidates]))][0]
+    models = [(start, np.inf) for start, _ in starts] + [(prior, pull) for pull, _ in PULLS]
+    candidates += [candidate(prior, pull, name, size) for size, (pull, name) in enumerate(PULLS, start=1)]
     choice = choose("colour", candidates)
-    raw = _solve(colours, prior, pulls[choice.index][0], rows >= 0)
+    prior, pull = models[choice.index]
+    raw = _solve(colours, prior, pull, rows >= 0)
     grey = (colours.rgb / (colours.rgb @ prior)[:, None]).mean(axis=0)
     scale = float(raw @ grey) / float(prior @ grey)
     a = raw / scale

@@ -155,7 +155,7 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
     counts = read_mosaic(path).counts.astype(np.float32)
     rows, columns = (n // 2 * 2 for n in counts.shape)
     cell = counts[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
-    cell = np.repeat(np.repeat(cell, 2, axis=0), 2, axis=1)
+    cell = cv2.resize(cell, (columns, rows), interpolation=cv2.INTER_LINEAR)
     low, high = np.percentile(cell, [1, 99.5])
     return (255 * np.clip((cell - low) / max(high - low, 1e-6), 0, 1) ** (1 / 2.2)).astype(np.uint8)
 
@@ -236,7 +236,7 @@ def circle(picture: NDArray[np.uint8]) -> Circle:
     The edge is where the brightness passes half of that just inside. Raises InputError when there is no circle.
     """
     from skimage.feature import canny
-    from skimage.transform import hough_circle, hough_circle_peaks, resize
+    from skimage.transform import hough_circle, resize
 
     h, w = picture.shape
     step = max(max(h, w) / 240, 1.0)  # coarse: the edge is refined at full size
@@ -244,18 +244,19 @@ def circle(picture: NDArray[np.uint8]) -> Circle:
     edges = canny(small, sigma=2.0)
     short, long = sorted(small.shape)
     radii = np.arange(int(0.2 * short), int(0.62 * long), 1)
+    if not edges.any():
+        raise InputError("circle", "no edge in the picture", "a bright frame with the whole circle in it")
     votes = hough_circle(edges, radii, full_output=False)
-    _, x, y, r = hough_circle_peaks(votes, radii, total_num_peaks=1)
-    if not len(r):
-        raise InputError("circle", "no circle in the picture", "a bright frame with the whole circle in it")
-    return _refined(picture, float((x[0] + 0.5) * step), float((y[0] + 0.5) * step), float(r[0] * step))
+    best, y, x = np.unravel_index(int(votes.argmax()), votes.shape)
+    return _refined(picture, float(x + 0.5) * step, float(y + 0.5) * step, float(radii[best]) * step)
 
 
 def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle:
     from scipy.ndimage import gaussian_filter, map_coordinates
     from scipy.optimize import least_squares
 
-    smooth = gaussian_filter(picture.astype(np.float32), 1.0)
+    light = (picture.astype(np.float32) / 255) ** 2.2  # half of the light, not half of the code, marks the edge
+    smooth = 255 * gaussian_filter(light, 1.0)
     turn = np.arange(EDGE_DIRECTIONS) * 2 * np.pi / EDGE_DIRECTIONS
     out = np.arange(0.9 * r, 1.1 * r, 0.25)
     columns, rows = x + np.outer(np.cos(turn), out) - 0.5, y + np.outer(np.sin(turn), out) - 0.5
@@ -285,7 +286,8 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
         raise InputError("shift", f"pictures of {before.shape} and {after.shape}", "two frames of one camera")
     window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
     pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]
-    (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50)
+    # Without normalisation: with it the mosaic's own pattern, which does not move, outvotes the scene.
+    (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=None)
     return -float(right), -float(down)
 
 

@@ -95,7 +95,10 @@ def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
     session = open_session(target)
     weather = _weather(weather_file, session.site_file().site)
     if weather is None:
-        raise click.UsageError("what an hour teaches depends on the climate: give a weather year with --weather FILE")
+        from fieldlum.weather import synthetic_weather
+
+        weather = synthetic_weather(session.site_file().site)
+        terminal.say("note: no --weather: clear skies with random clouds stand in for the climate of this place")
     answer = coming.run(session, weather, datetime.now(UTC))
     return coming.as_table(answer), coming.sentences(answer, session.site_file().site)
 

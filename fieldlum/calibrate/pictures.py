@@ -1,0 +1,150 @@
+"""One picture a fit: readings, curve, and what is left over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.photometry import response_table, vignetting_at
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fieldlum.calibrate import colour, lens, response, scale, vignette
+
+INK, POINT, CURVE = "#1d2733", "#c4441c", "#1f5fa8"
+
+
+def _two(title: str, shares: tuple[float, float] = (3, 2)) -> tuple[Figure, Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.4, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=shares)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK)
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(labelsize=8, colors=INK)
+    return figure, left, right
+
+
+def save(figure: Figure, path: Path) -> None:
+    """PNG, SVG or PDF by its suffix; appears whole or not at all."""
+    from fieldlum.session import replacing_path
+
+    with replacing_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+
+
+def _plain_log(axes: Any) -> None:
+    """Logarithmic axes that are labelled 1, 2, 5, 10 and so on."""
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> None:
+    axes.axhline(0, color=CURVE, linewidth=1)
+    axes.plot(x, 100 * residual, "o", color=POINT, markersize=3.5)
+    axes.set(xlabel=label, ylabel="reading less fit [%]")
+
+
+def of_response(places: response.Places, found: response.Fit) -> Figure:
+    figure, left, right = _two(f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %")
+    r = found.response
+    tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
+    for c, (table, name) in enumerate(zip(tables, ("#c0392b", "#1a7f5a", "#1f5fa8"), strict=True)):
+        codes, counts = (
+            places.codes[..., c],
+            (places.codes[..., c] >= r.low_code) & (places.codes[..., c] <= r.high_code),
+        )
+        left.plot(np.arange(1, 256), np.maximum(table[1:], 1e-5), color=name, linewidth=1.3)
+        light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure, np.nan)
+        n = counts.sum(axis=1)
+        mean = np.nansum(light, axis=1) / np.maximum(n, 1)
+        off = (light - mean[:, None])[counts & (n >= 2)[:, None]]
+        right.plot(codes[counts & (n >= 2)[:, None]], 100 * off, ",", color=name, alpha=0.5)
+    left.axvspan(r.low_code, r.high_code, color="#f5e3bf", alpha=0.5, linewidth=0)
+    left.set(xlabel="code", ylabel="linear light z", yscale="log", xlim=(0, 255), ylim=(1e-4, 1.3))
+    right.set(xlabel="code", ylabel="place's light less its mean [%]", ylim=(-15, 15))
+    return figure
+
+
+def of_vignette(samples: vignette.Samples, found: vignette.Fit, half_angle_deg: float) -> Figure:
+    figure, left, right = _two(f"vignetting at f/{samples.f_number:g}; held-out rms {100 * found.u_rel:.2g} %")
+    r = np.linspace(0, 1, 200)
+    left.plot(
+        samples.r * half_angle_deg, samples.value / found.level, "o", color=POINT, markersize=3.5, label="readings"
+    )
+    left.plot(r * half_angle_deg, vignetting_at(found.coefficients, r), color=CURVE, linewidth=1.4, label="fit")
+    left.set(xlabel="angle from the optical axis [deg]", ylabel="transmission relative to the axis", ylim=(0, 1.1))
+    left.legend(frameon=False, fontsize=8)
+    _percent(right, samples.r * half_angle_deg, found.residual_rel, "angle [deg]")
+    return figure
+
+
+def of_scale(readings: list[scale.Reading], found: scale.Fit) -> Figure:
+    figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
+    meter, image = np.array([r.meter for r in readings]), np.array([r.image for r in readings]) * found.factor
+    for kind, mark in (("spot", "o"), ("illuminance", "s")):
+        rows = np.array([r.kind == kind for r in readings])
+        if rows.any():
+            unit = "cd/m2" if kind == "spot" else "lx"
+            left.loglog(meter[rows], image[rows], mark, color=POINT, markersize=4.5, label=f"{kind} [{unit}]")
+    ends = np.array([min(meter.min(), image.min()) * 0.8, max(meter.max(), image.max()) * 1.25])
+    left.loglog(ends, ends, color=CURVE, linewidth=1)
+    left.set(xlabel="meter", ylabel="picture, corrected")
+    _plain_log(left)
+    left.legend(frameon=False, fontsize=8)
+    _percent(right, np.arange(1, len(readings) + 1), found.residual, "reading")
+    return figure
+
+
+def of_lens(targets: lens.Targets, found: lens.Fit) -> Figure:
+    figure, left, right = _two(
+        f"lens, {found.lens.mapping}; held-out rms {found.rms_px:.2g} px ({found.rms_deg:.2g} deg)"
+    )
+    turn = np.linspace(0, 2 * np.pi, 200)
+    (x, y), r = found.lens.centre_px, found.lens.radius_px
+    left.plot(x + r * np.cos(turn), y + r * np.sin(turn), color=CURVE, linewidth=1.2)
+    left.plot([x], [y], "+", color=CURVE)
+    left.scatter(targets.x_px, targets.y_px, s=10, color=POINT, linewidths=0)
+    left.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
+    left.invert_yaxis()
+    right.plot(np.hypot(targets.x_px - x, targets.y_px - y) / r, found.residual_px, "o", color=POINT, markersize=3.5)
+    right.set(xlabel="distance from the centre / radius", ylabel="miss [px]", ylim=(0, None))
+    return figure
+
+
+def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.2, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    axes.imshow(picture, cmap="gray")
+    turn = np.linspace(0, 2 * np.pi, 400)
+    (x, y), r = found.centre_px, found.radius_px
+    axes.plot(x - 0.5 + r * np.cos(turn), y - 0.5 + r * np.sin(turn), color=POINT, linewidth=1.2)
+    axes.plot([x - 0.5], [y - 0.5], "+", color=POINT)
+    axes.set_title(
+        f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {found.u_px:.2f} px", fontsize=9, loc="left"
+    )
+    return figure
+
+
+def of_colour(colours: colour.Colours, found: colour.Fit) -> Figure:
+    figure, left, right = _two(f"colour to luminance; held-out rms {100 * found.u_rel:.2g} %")
+    new = colours.rgb @ np.array(found.y_from_rgb) * found.scale
+    shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
+    left.scatter(colours.y, new, s=60, c=shown, edgecolors=INK, linewidths=0.5)
+    ends = np.array([colours.y.min() * 0.8, colours.y.max() * 1.25])
+    left.plot(ends, ends, color=CURVE, linewidth=1)
+    left.set(xlabel="reading, or chart [%]", ylabel="picture, at the readings' scale", xscale="log", yscale="log")
+    _plain_log(left)
+    _percent(right, np.arange(1, len(new) + 1), -found.residual, "patch")
+    return figure
