@@ -71,7 +71,7 @@ def _settings(session: Session, found: Found) -> Section:
         rows += [(f"weather: {key}", str(value)) for key, value in _flat(found.annual.about["weather"])]
     keep = ("model", "patch", "seed", "software", "training")
     rows += [(f"model: {key}", str(value)[:400]) for key, value in found.config.items() if key in keep]
-    return Section("settings", "Settings and versions", "", (), (Table(("setting", "value"), tuple(rows)),))
+    return Section("settings", "Settings and versions", "", (), (Table(("setting", "value"), tuple(rows), words=True),))
 
 
 def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:

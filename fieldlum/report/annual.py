@@ -78,6 +78,8 @@ def answer(annual: Annual) -> tuple[str, str]:
 
 def _class_words(row: dict[str, Any]) -> str:
     words = f"{CLASS_WORDS[row['class']]} from glare"
+    if row["low"] is None:
+        return f"{words}, with a confidence that this model cannot give"
     return words if row["certain"] else f"{words} is likeliest, but the captures do not settle it yet"
 
 
@@ -92,7 +94,7 @@ def polar(annual: Annual) -> Figure:
         polar_svg(azimuths, exceeded, *bounds),
         f"Polar plot, north up, of the DGP exceeded in 5 % of occupied hours by view direction: {spoken}.",
         "The DGP that is exceeded in 5 % of the occupied hours, by view direction; rings are the limits 0.35, 0.40, "
-        f"0.45.{band} Towards the middle is better.",
+        f"0.45.{band} Towards the middle is better; above 0.60 is drawn at the rim.",
     )
 
 

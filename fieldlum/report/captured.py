@@ -85,17 +85,18 @@ def section(session: Session, site: Site, pairs: PairTable, year_dni: NDArray, y
         ),
         "The light that was sampled",
     )
-    return Section("captured", "What was captured", _sentence(session, pairs), (domain,), _tables(session, pairs))
+    text = _sentence(session, site, pairs)
+    return Section("captured", "What was captured", text, (domain,), _tables(session, pairs))
 
 
-def _sentence(session: Session, pairs: PairTable) -> str:
-    days = sorted({t[:10] for t in pairs.t_utc})
+def _sentence(session: Session, site: Site, pairs: PairTable) -> str:
+    days = sorted({sun.standard_date(parse_utc(t), site.timezone).isoformat() for t in pairs.t_utc})
     span = f" between {days[0]} and {days[-1]}" if days else ""
     planned = len(session.slots()) if session.plan.is_file() else len(pairs.t_utc)
     measured = sum(s == "measured" for s in pairs.source)
     kind = "measured" if measured == len(pairs.source) else f"measured in {measured} and derived in the others"
     return (
-        f"{len(pairs.t_utc)} usable brackets of {planned} planned, on {len(days)} days{span} (UTC). "
+        f"{len(pairs.t_utc)} usable brackets of {planned} planned, on {len(days)} days{span}. "
         f"Direct and diffuse irradiance were {kind}."
     )
 

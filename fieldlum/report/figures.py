@@ -17,6 +17,7 @@ from fieldlum.records import Float
 
 LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)
 CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7
+POLAR_RANGE = (0.15, 0.6)  # of DGP; beyond it points sit on the rim
 INK, PALE, CAPTURED, PREDICTED = "#1d2733", "#b9c3cd", "#c4441c", "#1f5fa8"
 CLASS_COLOURS = {"high": "#1a7f5a", "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
 _STYLE: dict[Any, Any] = {
@@ -193,13 +194,22 @@ def polar_svg(azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high:
         axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
         axes.set_theta_direction(-1)  # type: ignore[attr-defined]
         ring = np.linspace(0, 2 * np.pi, 361)
-        floor, top = 0.15, max(0.6, float(np.nanmax(dgp_exceeded)) + 0.05)
+        floor, top = POLAR_RANGE
         edges = (floor, *(limit for limit, _ in CLASS_LIMITS), top)
         for (inner, outer), name in zip(pairwise(edges), ("high", "medium", "minimum", "none"), strict=True):
             axes.fill_between(ring, inner, outer, color=CLASS_COLOURS[name], alpha=0.16, lw=0)
         if low is not None and high is not None:
-            axes.fill_between(angle, low[around], high[around], color=INK, alpha=0.18, lw=0)
-        axes.plot(angle, dgp_exceeded[around], color=INK, lw=1.8, marker="o", ms=4)
+            axes.fill_between(
+                angle,
+                np.clip(low[around], *POLAR_RANGE),
+                np.clip(high[around], *POLAR_RANGE),
+                color=INK,
+                alpha=0.18,
+                lw=0,
+            )
+        axes.plot(
+            angle, np.clip(dgp_exceeded[around], *POLAR_RANGE), color=INK, lw=1.8, marker="o", ms=4, clip_on=False
+        )
         axes.set_ylim(floor, top)
         axes.set_yticks([0.35, 0.40, 0.45], ["0.35", "0.40", "0.45"], fontsize=8)
         axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])

@@ -49,6 +49,7 @@ class Table:
     rows: tuple[tuple[Any, ...], ...]
     title: str = ""
     folded: bool = False
+    words: bool = False  # cells are words, to be set left
 
 
 @dataclass(frozen=True, slots=True)
