@@ -11,7 +11,7 @@ from learning_room import dataset, write_pairs
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.models.data import add_disc, load_pairs, split_disc
-from fieldlum.projection import equirect_pixel, equirect_solid_angles
+from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles
 from fieldlum.records import Flag, Panorama
 
 DATA = dataset(("2027-03-20", "2027-06-21"))
@@ -118,7 +118,10 @@ def test_add_disc_puts_all_energy_on_the_suns_pixel() -> None:
     np.testing.assert_allclose((whole * equirect_solid_angles(*DATA.shape)).sum(axis=(1, 2)), lux, rtol=1e-5)
 
 
-def test_coarse_maps_keep_means() -> None:
-    small = DATA.coarse(4)
-    assert small.shape == (4, 8) and DATA.coarse(50) is DATA
-    np.testing.assert_allclose(small.luminance_cdm2.mean(axis=(1, 2)), DATA.luminance_cdm2.mean(axis=(1, 2)), rtol=1e-5)
+def test_thin_maps_keep_pixels_where_they_were() -> None:
+    """analytic: the centre of every third pixel is the centre of a pixel three times as large."""
+    data = dataset(("2027-03-20",), height=12)
+    small = data.thin(4)
+    assert small.shape == (4, 8) and data.thin(12).shape == data.shape
+    np.testing.assert_allclose(equirect_rays(12, 24, 180.0)[1::3, 1::3], equirect_rays(4, 8, 180.0), atol=1e-12)
+    np.testing.assert_array_equal(small.luminance_cdm2, data.luminance_cdm2[:, 1::3, 1::3])

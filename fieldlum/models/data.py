@@ -81,17 +81,15 @@ class Dataset:
             steadiness=self.steadiness[rows],
         )
 
-    def coarse(self, height: int) -> Dataset:
-        """The same hours on maps of about that height: means of blocks; unchanged when there is nothing to gain."""
-        divisors = [f for f in range(1, self.shape[0] + 1) if self.shape[0] % f == 0]
-        factor = min(divisors, key=lambda f: abs(math.log(self.shape[0] / f / height)))
-        if factor == 1:
-            return self
+    def thin(self, height: int) -> Dataset:
+        """The same hours at every f-th pixel, f odd, of at least that height: noise and sharp edges stay."""
+        odd = [f for f in range(1, self.shape[0] + 1, 2) if self.shape[0] % f == 0 and self.shape[0] // f >= height]
+        pick = slice((odd[-1] if odd else 1) // 2, None, odd[-1] if odd else 1)  # centres of blocks: centres of pixels
         return replace(
             self,
-            luminance_cdm2=_block_means(self.luminance_cdm2, factor),
-            patch_cdm2=None if self.patch_cdm2 is None else _block_means(self.patch_cdm2, factor),
-            seen=_block_means(self.seen[None].astype(np.float32), factor)[0] > 0.5,
+            luminance_cdm2=self.luminance_cdm2[:, pick, pick],
+            patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[:, pick, pick],
+            seen=self.seen[pick, pick],
         )
 
     def about(self) -> dict[str, Any]:
@@ -103,11 +101,6 @@ class Dataset:
             "width": self.shape[1],
             "training": {"source": self.source, "slots": list(self.slots), "days": sorted({str(d) for d in self.days})},
         }
-
-
-def _block_means(maps: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    n, height, width = maps.shape
-    return maps.reshape(n, height // factor, factor, width // factor, factor).mean(axis=(2, 4))
 
 
 # ---------------------------------------------------------------------------------------------- the sun's disc
