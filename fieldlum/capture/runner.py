@@ -211,7 +211,8 @@ class _Runner:
             self.meter,
         )
         grace = timedelta(seconds=self.options.grace_s)
-        for slot in owed(self.slots, Ledger(dict(self.states))):
+        todo = owed(self.slots, Ledger(dict(self.states)))
+        for slot, following in zip(todo, [*todo[1:], None], strict=True):
             state = self.states.get(slot.id, SlotState())
             self._state, self._next = "waiting", slot.id
             self._wait_until(slot.t_utc, slot)
@@ -227,6 +228,7 @@ class _Runner:
                 self._after_bracket(slot, state)
             self.states[slot.id] = state
             self._count_misses(state)
+            self._state, self._next = "waiting", following.id if following else ""
             self._show()
         self._state, self._next = "finished", ""
         self._show()
