@@ -3,7 +3,8 @@
     python bench/office_tables.py FOLDER OUT.csv [--sets k200,9d,...] [--models ...] [--dense ROOT] [--test NAME]
 
 FOLDER is what office_seattle.py wrote. --dense ROOT adds the networks trained before in ROOT/<set>. Rows are added to
-OUT.csv as they come, so that a run that was cut off has what it had.
+OUT.csv as they come, so that a run that was cut off has what it had; each set's chart is drawn beside it at the end
+(--sets "" only draws).
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from fieldlum.bench import TABLE, markdown
+from fieldlum.bench import TABLE, machine, markdown
+from fieldlum.bench.charts import speed_accuracy
 from fieldlum.bench.rows import parse_specs, score_row, without_training_hours
 from fieldlum.models.data import load_pairs
 from fieldlum.models.scores import truth
@@ -32,7 +34,7 @@ def main() -> None:
     asked = parser.parse_args()
     test = load_pairs(asked.folder / f"{asked.test}.csv")
     rows: list[dict[str, Any]] = []
-    for name in asked.sets.split(","):
+    for name in filter(None, asked.sets.split(",")):
         data = load_pairs(asked.folder / f"{name}.csv")
         known = truth(without_training_hours(test, data))
         trained = [str(asked.dense / name)] if asked.dense and (asked.dense / name / "config.json").is_file() else []
@@ -42,6 +44,17 @@ def main() -> None:
             _add(asked.out, row)
             print(markdown([row], {"set": "set", **TABLE}).splitlines()[-1], flush=True)
     print(markdown(rows, {"set": "set", **TABLE}))
+    _draw(asked.out)
+
+
+def _draw(path: Path) -> None:
+    """The speed-accuracy chart of each set in the table, earlier runs' rows too."""
+    with path.open(newline="", encoding="utf-8") as file:
+        stored = list(csv.DictReader(file))
+    figures = ("fit_cpu_s", "predict_s_per_map", "paper_log10_mse")
+    rows = [row | {key: float(row[key] or "nan") for key in figures} for row in stored]
+    for name in dict.fromkeys(row["set"] for row in rows):
+        speed_accuracy(path.with_name(f"{path.stem}_{name}.png"), [r for r in rows if r["set"] == name], machine())
 
 
 def _add(path: Path, row: dict[str, Any]) -> None:
