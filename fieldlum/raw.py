@@ -7,8 +7,13 @@ maximum.
 from __future__ import annotations
 
 import logging
+import os
 import struct
-from contextlib import suppress
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
@@ -23,6 +28,8 @@ from fieldlum.records import Exposure
 from fieldlum.session import replacing
 
 _LARGEST_PIXELS = 400_000_000
+_DAMAGE = ("data corrupted", "Unexpected end of file")
+_STDERR = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,11 +188,19 @@ def _check_strips(path: Path) -> None:
                 ends = [at + n for at, n in zip(offsets, counts, strict=False)]
                 if max(ends, default=0) > size or (counts and 8 * sum(counts) < bits * page.samplesperpixel):
                     raise InputError(path, f"{size} bytes, its pixels end later", "a whole file", "copy it again")
+                if page.compression == 7 and counts and _bytes_at(path, offsets[0]) != b"\xff\xd8":
+                    raise InputError(path, "its pixels are no lossless JPEG", "what its tags say", "copy it again")
     except InputError:
         raise
     except Exception as error:
         found = f"broken TIFF structure ({type(error).__name__})"
         raise InputError(path, found, "a raw file", "copy it from the card again") from None
+
+
+def _bytes_at(path: Path, at: int) -> bytes:
+    with path.open("rb") as file:
+        file.seek(at)
+        return file.read(2)
 
 
 def _opened(path: Path) -> Any:
@@ -200,15 +215,42 @@ def _opened(path: Path) -> Any:
             raise InputError(path, f"{kind} by its content", "a camera raw", "give it its true suffix")
     _check_strips(path)
     try:
-        raw = rawpy.imread(str(path))
-        raw.unpack()
+        with _complaints() as complaints:
+            raw = rawpy.imread(str(path))
+            raw.unpack()
     except Exception as error:
         said = error.args[0] if error.args else type(error).__name__
         text = said.decode("ascii", "replace") if isinstance(said, bytes) else str(said)
         raise InputError(
             path, f"LibRaw: {text}", "a raw file that LibRaw supports", "copy it again, or convert it to DNG"
         ) from None
+    if complaints:
+        raw.close()
+        raise InputError(path, f"LibRaw: {complaints[0]}", "a whole file", "copy it from the card again")
     return raw
+
+
+@contextmanager
+def _complaints() -> Iterator[list[str]]:
+    """What LibRaw says about damaged data while it goes on as if nothing were: it tells stderr, and nobody else.
+
+    All else that is written to stderr meanwhile is passed on.
+    """
+    found: list[str] = []
+    with _STDERR, tempfile.TemporaryFile() as held:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(held.fileno(), 2)
+        try:
+            yield found
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, 2)
+            os.close(kept)
+            held.seek(0)
+            for line in held.read().splitlines(keepends=True):
+                said = next((what for what in _DAMAGE if what.encode() in line), "")
+                found.append(said) if said else os.write(2, line)
 
 
 def _libraw_exposure(raw: Any) -> tuple[float, float, float]:

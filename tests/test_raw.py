@@ -1,6 +1,7 @@
 """raw: frames in, frames out, and every broken file told in one line."""
 
 import contextlib
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -69,6 +70,40 @@ def test_contract_a_cut_raw_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             read_mosaic(tmp_path / "cut.dng")
         assert "cut.dng" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("compression", "said"), [(7, "no lossless JPEG"), (8, "LibRaw"), (5, "LibRaw")])
+def test_contract_pixels_of_another_kind_are_no_picture(tmp_path: Path, compression: int, said: str) -> None:
+    dng(tmp_path / "f.dng")
+    body = bytearray((tmp_path / "f.dng").read_bytes())
+    at = body.index(b"\x03\x01\x03\x00\x01\x00\x00\x00\x01\x00")  # compression 1: none
+    body[at + 8] = compression
+    (tmp_path / "f.dng").write_bytes(bytes(body))
+    with pytest.raises(InputError, match=said):
+        read_mosaic(tmp_path / "f.dng")
+
+
+def test_contract_what_libraw_only_mutters_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import rawpy
+
+    dng(tmp_path / "f.dng")
+    whole = rawpy.imread
+
+    def muttering(path: str) -> object:
+        os.write(2, b"f.dng: data corrupted at 25108\nsomebody else's line\n")
+        return whole(path)
+
+    monkeypatch.setattr(rawpy, "imread", muttering)
+    kept = os.dup(2)
+    with (tmp_path / "stderr").open("wb") as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            with pytest.raises(InputError, match="LibRaw: data corrupted"):
+                read_mosaic(tmp_path / "f.dng")
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+    assert (tmp_path / "stderr").read_text() == "somebody else's line\n"
 
 
 def test_contract_a_renamed_jpeg_is_named(tmp_path: Path) -> None:
