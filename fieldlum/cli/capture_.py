@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 @click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
 @click.option("--camera", "camera", metavar="URI", help="Like sim:office?seed=1, gphoto: or theta:http://192.168.1.1.")
 @click.option("--pyranometer", metavar="URI", help="Like serial:/dev/ttyUSB0?kind=spn1; without, none is logged.")
+@click.option("--meter", metavar="URI", help="Illuminance meter beside the lens, like cl200a:/dev/ttyUSB1.")
 @click.option(
     "--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True, help="fast: simulated."
 )
