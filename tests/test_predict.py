@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +20,14 @@ from fieldlum.glare import standards
 from fieldlum.predict import Annual, read_annual, read_pictures, run
 from fieldlum.predict.annual import rounded
 from fieldlum.predict.blocks import Room, blocks, guessed_disc
-from fieldlum.predict.occupancy import default_occupancy, hours_in_year, read_occupancy
+from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.year import light_of
 from fieldlum.weather import read_weather
 
 DATA = dataset(("2027-03-20", "2027-06-21"), height=16)
 ZONE = DATA.setup.site.timezone
+UTC_YEAR = [datetime(2027, 1, 1, 0, 30, tzinfo=UTC) + timedelta(hours=h) for h in range(8760)]
+YEAR = [t + timedelta(hours=8) for t in UTC_YEAR]  # of Pacific standard time
 
 
 @pytest.fixture(scope="module")
@@ -194,19 +196,18 @@ def test_uncertainty_of_dgp_is_its_slope() -> None:
 
 
 def test_default_occupancy_is_3650_hours() -> None:
-    times = [datetime(2027, 7, 1, tzinfo=UTC)]
-    assert hours_in_year(default_occupancy(), times, ZONE) == 3650
+    assert occupied_hours(default_occupancy(), YEAR, ZONE) == (3650, 365)
+    assert occupied_hours(default_occupancy(), YEAR[:24], ZONE) == (10, 1)
 
 
 def test_occupancy_files(tmp_path: Path) -> None:
     weekly = tmp_path / "o.csv"
     weekly.write_text("days,start,end\nmon-fri,08:00,12:00\nsat,10:00,12:00\n")
-    times = [datetime(2027, 7, 1, tzinfo=UTC)]
-    assert hours_in_year(read_occupancy(weekly), times, "UTC") == 261 * 4 + 52 * 2  # 2027 has 261 weekdays
+    assert occupied_hours(read_occupancy(weekly), UTC_YEAR, "UTC")[0] == 261 * 4 + 52 * 2  # 2027 has 261 weekdays
     hourly = tmp_path / "h.csv"
     hourly.write_text("occupied\n" + "\n".join("1" if h % 24 == 9 else "0" for h in range(8760)) + "\n")
     occupancy = read_occupancy(hourly)
-    assert hours_in_year(occupancy, times, "UTC") == 365
+    assert occupied_hours(occupancy, UTC_YEAR, "UTC")[0] == 365
     assert occupancy.at([datetime(2028, 2, 29, 9, 30, tzinfo=UTC)], "UTC")[0]
 
 
@@ -256,6 +257,7 @@ def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> Non
     path.write_text("month,day,hour,dni_wm2,dhi_wm2\n" + "\n".join(rows) + "\n")
     done = CliRunner().invoke(main, ["predict", str(model), "--weather", str(path), "--out", str(tmp_path / "y")])
     assert done.exit_code == 0, done.output
+    assert "not a year" in done.stderr
     for said in ("29 February", "negative irradiance", "interpolated"):
         assert said in done.stderr
     repairs = " ".join(read_annual(tmp_path / "y").about["weather"]["repairs"])

@@ -25,6 +25,7 @@ HOURLY_MEANS = (
 )
 NOISY_TRUST = 0.05  # a larger share of occupied hours outside what was seen is said aloud
 HOURS_NAMED = 12
+WHOLE_YEAR_DAYS = 360
 
 
 def judge(annual: Annual, occupied_hours: int, seed: int) -> Protection:
@@ -71,6 +72,7 @@ def about_year(
     occupancy: Occupancy,
     annual: Annual,
     found: Protection,
+    days: int,
 ) -> dict[str, Any]:
     used = annual.occupied
     untrusted = float((annual.hours["trusted"][used] < 1).mean()) if used.any() else 0.0
@@ -85,6 +87,7 @@ def about_year(
         "azimuths_deg": annual.azimuths_deg.tolist(),
         "weather": {"name": weather.name, "synthetic": weather.synthetic, "repairs": list(weather.repairs)},
         "hours": len(annual),
+        "days": days,
         "first": utc_text(annual.t_utc[0]),
         "last": utc_text(annual.t_utc[-1]),
         "occupancy": {
@@ -94,14 +97,16 @@ def about_year(
             "untrusted_share": untrusted,
         },
         "disc_from": room.disc_from,
-        "notes": _notes(weather, room, untrusted),
+        "notes": _notes(weather, room, untrusted, days),
         "protection": protection_table(found),
         "capture_next": hours_to_settle(annual, found, room.setup.site.timezone),
     }
 
 
-def _notes(weather: Weather, room: Room, untrusted: float) -> list[str]:
+def _notes(weather: Weather, room: Room, untrusted: float, days: int) -> list[str]:
     notes = [HOURLY_MEANS]
+    if days < WHOLE_YEAR_DAYS:
+        notes.append(f"the weather holds {days} days, not a year: classes are for these days only")
     if weather.synthetic:
         notes.append("the weather is synthetic: it must not be used to judge this place")
     if not room.setup.room:

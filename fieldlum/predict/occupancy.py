@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.sun import standard_offset
+from fieldlum.sun import standard_date, standard_offset
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 HOURS_OF_YEAR = 8760
@@ -107,11 +107,14 @@ def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
 
 
-def hours_in_year(occupancy: Occupancy, times_utc: Sequence[datetime], timezone: str) -> int:
-    """Occupied hours of the year that the weather hours lie in, dark ones too. Raises NotEnoughDataError for none."""
-    year = times_utc[len(times_utc) // 2].year
-    start = datetime(year, 1, 1, 0, 30, tzinfo=UTC) - standard_offset(timezone, year)
-    used = occupancy.at([start + timedelta(hours=k) for k in range(HOURS_OF_YEAR)], timezone)
+def occupied_hours(occupancy: Occupancy, times_utc: Sequence[datetime], timezone: str) -> tuple[int, int]:
+    """Occupied hours, dark ones too, of the local standard dates that the weather holds, and how many dates those are.
+
+    Raises NotEnoughDataError when there is no such hour.
+    """
+    days = sorted({standard_date(t, timezone) for t in times_utc})
+    starts = [datetime.combine(day, time(0, 30), UTC) - standard_offset(timezone, day.year) for day in days]
+    used = occupancy.at([start + timedelta(hours=k) for start in starts for k in range(24)], timezone)
     if not used.any():
-        raise NotEnoughDataError(f"the occupancy ({occupancy.text}) has no hour in the year")
-    return int(used.sum())
+        raise NotEnoughDataError(f"the occupancy ({occupancy.text}) has no hour in the weather's {len(days)} days")
+    return int(used.sum()), len(days)

@@ -20,7 +20,7 @@ from fieldlum.predict.blocks import Block, Room, blocks, room_of
 from fieldlum.predict.checks import already, check_session, default_folder, inputs_of
 from fieldlum.predict.maps import MapStore
 from fieldlum.predict.meaning import about_year, judge
-from fieldlum.predict.occupancy import default_occupancy, hours_in_year, read_occupancy
+from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 
@@ -68,8 +68,9 @@ def run(
     annual = measure(fitted, room, light, azimuths, folder, maps=maps, progress=progress)
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
-    found = judge(annual, hours_in_year(occupancy, annual.t_utc, zone), seed)
-    annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found))
+    hours_used, days = occupied_hours(occupancy, weather.t_utc, zone)
+    found = judge(annual, hours_used, seed)
+    annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found, days))
     # predict.json comes last: a folder that has it is whole.
     write_hourly(folder / "hourly.csv", annual, zone)
     write_pictures(folder / "pictures.npz", telling_pictures(fitted, room, light, annual))
