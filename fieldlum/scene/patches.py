@@ -126,9 +126,11 @@ def window_fraction(
 
 
 def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
-    if heading_deg is None and setup is None:
+    if heading_deg is not None:
+        return heading_deg
+    if setup is None:
         raise ValueError("give heading_deg or a setup")
-    return heading_deg if heading_deg is not None else setup.camera.heading_deg  # type: ignore[union-attr]
+    return setup.camera.heading_deg
 
 
 # ---------------------------------------------------------------------------------------------- the disc

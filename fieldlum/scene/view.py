@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from fieldlum.projection import direction
 from fieldlum.records import Room
 from fieldlum.scene.geometry import BoxScene, build
 from fieldlum.scene.points import SunPoints, sun_points
-from fieldlum.scene.trace import EPSILON_M, first_hits, pane_crossings
+from fieldlum.scene.trace import EPSILON_M, Hits, Panes, first_hits, pane_crossings
 
 Array = NDArray[np.float64]
 
@@ -72,13 +73,11 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
     share = np.full(len(rays), 1.0 / sub**2)
     seen = [_surfaces(pixel, eye, rays, hits, share * panes.through)]
     open_sky = (hits.box < 0) & (panes.opening >= 0)
-    mirrored = np.flatnonzero(panes.opening >= 0)
     sky, plain = np.zeros(2 * height**2), np.zeros(2 * height**2)
     for target, where in ((sky, rays[:, 2] > 0), (plain, rays[:, 2] <= 0)):
         rows = open_sky & where
         target += np.bincount(pixel[rows], (share * panes.through)[rows], len(target))
-    if len(mirrored):
-        seen.append(_mirrored(scene, pixel, eye, rays, panes, share, mirrored))
+    seen.append(_mirrored(scene, pixel, eye, rays, panes, share))
     position, axis, sign, box, pixels, weight = (np.concatenate(parts) for parts in zip(*seen, strict=True))
     shape, straight = (height, 2 * height), len(seen[0][0])
     return View(
@@ -87,15 +86,21 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
     )  # fmt: skip
 
 
-def _surfaces(pixel, origin, rays, hits, weight) -> tuple[NDArray, ...]:  # type: ignore[no-untyped-def]
+_Samples = tuple[NDArray[Any], ...]  # position, axis, sign, box, pixel, weight
+
+
+def _surfaces(pixel: NDArray[np.int32], origin: Array, rays: Array, hits: Hits, weight: Array) -> _Samples:
     rows = np.flatnonzero(hits.box >= 0)
     position = origin[rows] + rays[rows] * hits.distance_m[rows, None]
     return position, hits.axis[rows], hits.sign[rows], hits.box[rows], pixel[rows], weight[rows]
 
 
-def _mirrored(scene, pixel, eye, rays, panes, share, rows) -> tuple[NDArray, ...]:  # type: ignore[no-untyped-def]
+def _mirrored(
+    scene: BoxScene, pixel: NDArray[np.int32], eye: Array, rays: Array, panes: Panes, share: Array
+) -> _Samples:
     """The room's reflection in the panes: one bounce off the pane that a ray crosses."""
-    axis = np.array([o.axis for o in scene.openings])[panes.opening[rows]]
+    rows = np.flatnonzero(panes.opening >= 0)
+    axis = np.array([o.axis for o in scene.openings], np.intp)[panes.opening[rows]]
     back = rays[rows].copy()
     back[np.arange(len(rows)), axis] *= -1.0
     origin = eye[rows] + rays[rows] * panes.distance_m[rows, None] + back * 2 * EPSILON_M

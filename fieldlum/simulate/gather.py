@@ -203,17 +203,16 @@ def _sparse(answer: bytes, rows: int, columns: int) -> Any:
     return csr_matrix(values)
 
 
-def representatives(keys: Sequence[NDArray[np.integer]], position: Array, weight: Array) -> tuple[NDArray, ...]:
-    """One point for each set of equal keys: the member nearest to the set's middle; its row, its summed weight, and
-    the set that each member belongs to."""
-    packed = np.stack(keys, axis=1).astype(np.int64)
-    base = packed.max(axis=0) + 1
-    code = np.zeros(len(packed), np.int64)
-    for k in range(packed.shape[1]):
-        code = code * base[k] + packed[:, k]
+def representatives(
+    keys: Sequence[NDArray[np.integer]], position: Array, weight: Array
+) -> tuple[NDArray[np.intp], Array]:
+    """One point for each set of equal keys: the row of the member nearest to the set's middle, and the set's weight."""
+    code = np.zeros(len(position), np.int64)
+    for key in keys:
+        code = code * (int(key.max(initial=0)) + 1) + key
     _, inverse, count = np.unique(code, return_inverse=True, return_counts=True)
     middle = np.stack([np.bincount(inverse, position[:, k]) for k in range(3)], axis=1) / count[:, None]
     away = ((position - middle[inverse]) ** 2).sum(axis=1)
     order = np.lexsort((away, inverse))
-    rows = order[np.concatenate([[0], np.cumsum(count)[:-1]])]
-    return rows, np.bincount(inverse, weight), inverse
+    nearest = order[np.concatenate([[0], np.cumsum(count)[:-1]])]
+    return nearest, np.bincount(inverse, weight).astype(np.float64)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.light import Light, light_at
 from fieldlum.profiles import plain
@@ -257,7 +256,7 @@ def _pixel_points(view: View, smooth_px: int) -> tuple[NDArray[np.intp], Any, Ar
     mirrored = np.zeros(len(face), np.int64)
     mirrored[view.first_mirrored :] = 1
     weight = view.weight * view.scene.reflectance[view.box] / np.pi
-    rows, total, _ = representatives((view.pixel, face, mirrored), view.position, weight)
+    rows, total = representatives((view.pixel, face, mirrored), view.position, weight)
     m = len(rows)
     direct = csr_matrix(
         (total.astype(np.float32), (view.pixel[rows], np.arange(m))), (2 * view.height**2, m)
@@ -312,8 +311,3 @@ def _load(folder: Path, name: str, columns: int) -> Any:
         np.load(folder / f"{name}-{part}.npy", mmap_mode="r") for part in ("data", "indices", "indptr")
     )
     return csr_matrix((data, indices, indptr), (len(indptr) - 1, columns))
-
-
-def night(setup: SiteFile, times_utc: Sequence[datetime]) -> NDArray[np.bool_]:
-    """Moments with the sun's centre below the horizon."""
-    return sun.position(times_utc, setup.site).altitude_deg <= 0

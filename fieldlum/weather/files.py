@@ -219,7 +219,8 @@ def _whole(path: Path, line: int, text: str) -> int:
 
 def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float) -> datetime:
     try:
-        start = datetime(*(_whole(path, line, t) for t in (year, month, day)), tzinfo=UTC)  # type: ignore[misc]
+        y, m, d = (_whole(path, line, text) for text in (year, month, day))
+        start = datetime(y, m, d, tzinfo=UTC)
         if not 0 <= hour <= 24:
             raise ValueError(f"hour {hour:g}")
     except ValueError as error:
