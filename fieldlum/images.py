@@ -141,8 +141,18 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
         raise InputError(path, f"EXPOSURE {exposure:g}", "a number above 0", "mend the header line")
     view = next((line[5:].strip() for line in reversed(lines) if line.startswith("VIEW=")), "")
     marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
-    heading = float(marks[-1].removeprefix(PANORAMA_LINE).split()[0]) if marks else None
+    heading = _heading(marks[-1], path) if marks else None
     return RadianceImage((rgb / exposure).astype(np.float32), lines, view, heading)
+
+
+def _heading(line: str, path: Path) -> float:
+    try:
+        heading = float((line.removeprefix(PANORAMA_LINE).split() or [""])[0])
+    except ValueError:
+        heading = np.nan
+    if not np.isfinite(heading):
+        raise InputError(path, repr(line)[:80], f"{PANORAMA_LINE} and a number", "mend the header line")
+    return heading
 
 
 # ---------------------------------------------------------------------------------------------- panoramas

@@ -11,6 +11,7 @@ from fieldlum.photometry.ratios import PairRatio, RatioFit, fit_ratios, pair_rat
 from fieldlum.photometry.response import (
     fit_response,
     monotone,
+    pick_places,
     polynomial_table,
     response_table,
     srgb_table,
@@ -28,6 +29,7 @@ __all__ = [
     "illuminance_verdict",
     "monotone",
     "pair_ratio",
+    "pick_places",
     "polynomial_table",
     "prior_u_log",
     "response_table",

@@ -86,3 +86,19 @@ def fit_response(
     residual = (g[value] - light[place] - log_exposure[frame])[middle]
     z = monotone(np.exp(g - g[255]))
     return z / z[255], float(np.sqrt(np.mean(residual**2)))
+
+
+def pick_places(
+    means: NDArray[np.floating], spreads: NDArray[np.floating], rng: np.random.Generator, *, each: int = 150
+) -> NDArray[np.intp]:
+    """Places for `fit_response`: even over the steps of a bracket, so that the few bright ones count as the many dark.
+
+    means, spreads [places, frames] of a small neighbourhood's codes, most exposed frame first; flat ones are taken.
+    """
+    chosen = []
+    for j in range(means.shape[1] - 1):
+        longer, shorter = means[:, j], means[:, j + 1]
+        flat = (spreads[:, j] < 4) & (spreads[:, j + 1] < 4)
+        good = np.flatnonzero(flat & (longer > 27) & (longer < 245) & (shorter > 12) & (shorter < 235))
+        chosen.append(rng.choice(good, min(each, good.size), replace=False) if good.size else good)
+    return np.unique(np.concatenate(chosen)) if chosen else np.empty(0, np.intp)

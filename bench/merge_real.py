@@ -1,0 +1,199 @@
+"""Two real brackets: a daylit office through a fisheye (18 JPEG), and Memorial Church (16 PNG with peers' maps).
+
+    python bench/merge_real.py --office FOLDER --memorial FOLDER --out FOLDER [--pooled]
+
+office: the laboratory's own response, then a response pooled over the bracket with the times held fixed; neighbour
+residuals, luminance of five places, vertical illuminance by the tool and by evalglare, a false-colour picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum.images import read_radiance_hdr
+from fieldlum.merge import files_to_picture
+from fieldlum.merge.estimator import merge_signals
+from fieldlum.merge.frames import JpegSignal
+from fieldlum.photometry import fit_response, pick_places, snap_shutter_s
+from fieldlum.profiles import CameraProfile, Response, load_camera_profile
+from fieldlum.raw import read_jpeg
+from fieldlum.records import Flag
+
+PLACES = {  # column, row of the 1000 x 1000 equidistant picture
+    "ceiling": (450, 150),
+    "wall over the screen": (480, 330),
+    "computer screen": (500, 480),
+    "desk by the keyboard": (600, 740),
+    "sky through the window": (780, 480),
+}
+
+
+def sampled(files: list[Path], profile: CameraProfile, places: int = 40_000) -> tuple[np.ndarray, ...]:
+    """Means and spreads of 5 x 5 pixels at random places of the circle, [places, frames, 3], and the times."""
+    import cv2
+
+    rng = np.random.default_rng(0)
+    lens = profile.lens[0]
+    radius, turn = 0.94 * lens.radius_px * np.sqrt(rng.random(places)), 2 * np.pi * rng.random(places)
+    x = (lens.centre_px[0] + radius * np.cos(turn)).astype(int)
+    y = (lens.centre_px[1] + radius * np.sin(turn)).astype(int)
+    means, spreads, times = [], [], []
+    for path in files:
+        frame = read_jpeg(path)
+        codes = frame.codes.astype(np.float32)
+        mean = cv2.blur(codes, (5, 5))
+        square = cv2.blur(codes * codes, (5, 5))
+        means.append(mean[y, x])
+        spreads.append(np.sqrt(np.maximum(square[y, x] - means[-1] ** 2, 0)))
+        times.append(snap_shutter_s(frame.exposure.shutter_s))
+    return np.stack(means, 1), np.stack(spreads, 1), np.array(times)
+
+
+def pooled(files: list[Path], profile: CameraProfile) -> CameraProfile:
+    """The profile with a response from this bracket itself, times fixed."""
+    means, spreads, times = sampled(files, profile)
+    order = np.argsort(-times)
+    means, spreads, log_t = means[:, order], spreads[:, order], np.log(times[order])
+    tables = []
+    for c in range(3):
+        at = pick_places(means[..., c], spreads[..., c], np.random.default_rng(1))
+        table, rms = fit_response(np.round(means[at][..., c]).astype(np.uint8), log_t)
+        print(f"pooled response, colour {'RGB'[c]}: {at.size} places, rms residual {100 * rms:.1f} % of z")
+        tables.append(tuple(table.tolist()))
+    own = profile.response
+    return replace(profile, response=Response("table", *tables, own.low_code, own.high_code, 0.015))
+
+
+def evalglare_ev(picture: Path) -> float:
+    """Vertical illuminance by pyradiance's evalglare. [lx]"""
+    import pyradiance
+
+    program = Path(pyradiance.__file__).parent / "bin" / "evalglare"
+    said = subprocess.run([str(program), "-V", str(picture)], capture_output=True, text=True, check=False)
+    numbers = re.findall(r"[-+0-9.eE]+", said.stdout)
+    if not numbers:
+        raise RuntimeError(f"evalglare: {said.stderr.strip()}")
+    return float(numbers[0])
+
+
+def office(folder: Path, out: Path, use_pooled: bool) -> None:
+    files = sorted(folder.glob("IMG_*.JPG"))
+    profile = load_camera_profile("canon-5d2-8mm-f5.6")
+    name = "pooled" if use_pooled else "laboratory"
+    if use_pooled:
+        profile = pooled(files, profile)
+    picture = out / f"office-{name}.hdr"
+    result, facts = files_to_picture(files, profile, picture, pixels=1000, projection="fisheye")
+    print(f"\noffice, {name} response: {result.verdict}\n\n| from | to | residual % | pixels |\n|---|---|---|---|")
+    frames = result.quality["frames"]
+    for n in result.quality["neighbours"]:
+        shown = (frames[n[k]]["exposure"].split()[0] for k in ("long", "short"))
+        print("| {} s | {} s |".format(*shown), f"{n['residual_percent']:+.2f} | {n['pixels']} |")
+    panorama = result.panorama
+    assert panorama.u_cdm2 is not None and panorama.flags is not None
+    print("\n| place | cd/m2 | u (k = 1) % |\n|---|---|---|")
+    for place, (x, y) in PLACES.items():
+        spot = np.s_[y - 3 : y + 4, x - 3 : x + 4]
+        mean = float(panorama.luminance_cdm2[spot].mean())
+        print(f"| {place} | {mean:.4g} | {100 * float(panorama.u_cdm2[spot].mean()) / mean:.1f} |")
+    tool, reference = facts["vertical_illuminance_lx"], evalglare_ev(picture)
+    print(f"\nvertical illuminance: {tool:.1f} lx, evalglare {reference:.1f} lx, {100 * (tool / reference - 1):+.2f} %")
+    for flag in (Flag.CLIPPED_HIGH, Flag.BLOOM, Flag.MOTION, Flag.BELOW_NOISE):
+        print(f"{flag.name}: {100 * np.mean((panorama.flags & flag) > 0):.2f} % of the picture's pixels")
+    _false_colour(panorama.luminance_cdm2, (panorama.flags & Flag.OUTSIDE_LENS) == 0, out / f"office-{name}.png")
+
+
+def _false_colour(luminance: np.ndarray, seen: np.ndarray, path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.colors import LogNorm
+
+    figure, axes = plt.subplots(figsize=(6.4, 5.4), layout="constrained")
+    drawn = axes.imshow(np.where(seen, luminance, np.nan), norm=LogNorm(1, 1e4), cmap="turbo")
+    for place, (x, y) in PLACES.items():
+        axes.plot(x, y, "o", mfc="none", mec="white", ms=7)
+        axes.annotate(place, (x + 14, y), color="white", fontsize=7, va="center")
+    axes.set_axis_off()
+    figure.colorbar(drawn, label="luminance in cd/m²", shrink=0.85)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+def memorial(folder: Path) -> None:
+    """Log-domain agreement with the peers' maps after one scale factor, over what all see."""
+    import cv2
+
+    files = sorted(folder.glob("memorial*.png"))
+    codes = [cv2.cvtColor(cv2.imread(str(f)), cv2.COLOR_BGR2RGB) for f in files]
+    times = 2.0 ** (5 - np.arange(len(files)))
+    smooth = [cv2.blur(c.astype(np.float32), (5, 5)) for c in codes]
+    square = [cv2.blur(c.astype(np.float32) ** 2, (5, 5)) for c in codes]
+    rough = [np.sqrt(np.maximum(s - m * m, 0)) for s, m in zip(square, smooth, strict=True)]
+    inside = np.s_[40:-40, 20:-20]  # the pictures have a blue border
+    stack, spread = (np.stack([a[inside] for a in x], axis=2).reshape(-1, len(files), 3) for x in (smooth, rough))
+    rng = np.random.default_rng(0)
+    tables = []
+    for c in range(3):
+        at = pick_places(stack[..., c], spread[..., c], rng)
+        table, rms = fit_response(np.round(stack[at][..., c]).astype(np.uint8), np.log(times))
+        print(f"memorial response {'RGB'[c]}: rms residual {100 * rms:.1f} %")
+        tables.append(table)
+    response = np.stack(tables, axis=1).astype(np.float32)
+    signals = [
+        JpegSignal(c, response, np.full(3, t, np.float32), 27, 228, i == 0, i == len(files) - 1)
+        for i, (c, t) in enumerate(zip(codes, times, strict=True))
+    ]
+    merged = merge_signals([lambda s=s: s for s in signals], codes[0].shape, u_ratio=0.05)
+    maps = {"fieldlum": merged.value_cdm2[..., 1]}
+    for name in ("debevec", "robertson"):
+        maps[name] = read_radiance_hdr(folder / f"peer_{name}_radiance.hdr").rgb[..., 1]
+    maps = {name: np.log(np.maximum(light.astype(float), 1e-9)) for name, light in maps.items()}
+    print("\n| pair | log slope, middle 80 % | spread of the ratio there, 5 to 95 % |\n|---|---|---|")
+    middle = maps["debevec"][inside].ravel()
+    middle = (middle > np.quantile(middle, 0.1)) & (middle < np.quantile(middle, 0.9))
+    for a, b in (("fieldlum", "debevec"), ("fieldlum", "robertson"), ("debevec", "robertson")):
+        left, right = (maps[k][inside].ravel()[middle] for k in (a, b))
+        ratio = left - right
+        low, high = 100 * (np.exp(np.quantile(ratio - np.median(ratio), [0.05, 0.95])) - 1)
+        print(f"| {a} / {b} | {np.std(left) / np.std(right):.3f} | {low:+.1f} to {high:+.1f} % |")
+    print("\n| map | rms of ln(L t) at equal code, codes 27 to 228 |\n|---|---|")
+    green = np.stack([c[inside][..., 1] for c in codes]).reshape(len(codes), -1)[:, ::7].astype(int)
+    for name, light in maps.items():
+        exposure = light[inside].ravel()[::7] + np.log(times)[:, None]
+        print(f"| {name} | {_scatter(green, exposure):.3f} |")
+
+
+def _scatter(codes: np.ndarray, log_exposure: np.ndarray) -> float:
+    """How far a map is from one response: a true map puts equal codes at equal exposure in every frame."""
+    left = []
+    for code in range(27, 229):
+        values = log_exposure[codes == code]
+        if values.size > 20:
+            left.append((values - np.median(values)) ** 2)
+    return float(np.sqrt(np.mean(np.concatenate(left))))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--office", type=Path)
+    parser.add_argument("--memorial", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--pooled", action="store_true", help="fit the response to the bracket itself")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.office:
+        office(options.office, options.out, options.pooled)
+    if options.memorial:
+        memorial(options.memorial)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,189 @@
+"""`merge` over a session: skipping, provenance, verdicts, the survey, and the command."""
+
+import csv
+import json
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fieldlum import merge
+from fieldlum.cli import main
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.images import read_panorama, read_radiance_hdr
+from fieldlum.merge.survey import drift_percent, shutter_table
+from fieldlum.photometry import z_per_cdm2
+from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
+from fieldlum.raw import write_dng
+from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot, slot_id, utc_text
+from fieldlum.session import DayFiles, Session, create_session, exposure_text
+
+TIMES_S = (0.5, 1 / 15, 1 / 125)
+START = datetime(2027, 3, 20, 6, 30, tzinfo=UTC)  # night in Greenwich: no sun to take out
+
+
+def profile() -> CameraProfile:
+    return CameraProfile(
+        CameraBody("small", "raw", 128, 64), (Lens((64.0, 32.0), 31.0, 180.0),), Bracket(4.0, 100.0, TIMES_S),
+        Sensor("RGGB", (256.0,) * 4, (4000.0,) * 4, 4095.0, 2.0, 5.0, 100.0),
+    )  # fmt: skip
+
+
+def take(session: Session, number: int, *, light: float = 200.0, complete: bool = True) -> str:
+    """One bracket of a uniform room, with its capture.json."""
+    t_utc = START + timedelta(hours=number)
+    folder = session.raw / slot_id(t_utc)
+    folder.mkdir(parents=True)
+    rng, frames = np.random.default_rng(number), []
+    for i, t in enumerate(TIMES_S):
+        true_s = {1 / 15: 1 / 16, 1 / 125: 1 / 128}.get(t, t)
+        mean = light * z_per_cdm2(true_s, 4.0, 100.0) * (4095 - 256)
+        noise = np.sqrt(mean / 2 + (5 / 2) ** 2)
+        counts = np.clip(np.round(256 + mean + noise * rng.standard_normal((64, 128))), 0, 4000)
+        exposure = Exposure(t, 4.0)
+        write_dng(folder / f"{i}.dng", counts.astype(np.uint16), exposure, black_dn=(256,) * 4, white_dn=4095)
+        frames.append(
+            {
+                "file": f"{i}.dng",
+                "exposure": {"shutter_s": t, "f_number": 4.0, "iso": 100.0, "nd": ""},
+                "heading_deg": None,
+                "t_utc": utc_text(t_utc + timedelta(seconds=10 * i)),
+            }
+        )
+    note = {"t_open_utc": utc_text(t_utc), "t_close_utc": utc_text(t_utc + timedelta(seconds=30)), "frames": frames}
+    (folder / "capture.json").write_text(json.dumps({**note, "complete": complete}), encoding="utf-8")
+    return folder.name
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    save_profile(tmp_path / "small.toml", profile())
+    setup = SiteFile(Site("here", 51.5, 0.0), CameraSetup(str(tmp_path / "small.toml"), 180.0))
+    return create_session(tmp_path / "s", setup, [Slot(START, 10.0, 180.0, (Exposure(0.1, 4.0),))], {})
+
+
+def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
+    slots = [take(session, 0), take(session, 1, complete=False)]
+    first = merge.run(session, height=16)
+    assert [(v.slot, v.state) for v in first] == [(slots[0], "merged"), (slots[1], "merged")]
+    assert "incomplete" in first[1].text and "incomplete" not in first[0].text
+    panorama = read_panorama(session.panoramas / f"{slots[0]}.exr")
+    assert panorama.flags is not None and panorama.t_utc == START + timedelta(seconds=15)
+    seen = panorama.flags == 0
+    assert 0.35 < seen.mean() < 0.6  # one lens of 180 degrees
+    assert np.median(panorama.luminance_cdm2[seen]) == pytest.approx(200.0, rel=0.01)
+    note = json.loads((session.panoramas / f"{slots[0]}.json").read_text())
+    assert [len(f["sha256"]) for f in note["inputs"]["frames"]] == [64, 64, 64]
+    assert note["profile"]["name"] == "small" and note["factors"]["k"] == 1.0
+
+    assert [v.state for v in merge.run(session, height=16)] == ["kept", "kept"]
+    assert [v.state for v in merge.run(session, height=16, force=True)] == ["merged", "merged"]
+    (session.panoramas / f"{slots[0]}.json").unlink()
+    assert [v.state for v in merge.run(session, height=16)] == ["merged", "kept"]
+    assert [v.state for v in merge.run(session, height=20)] == ["merged", "merged"]
+
+
+def test_one_bad_bracket_stops_nothing(session: Session) -> None:
+    slots = [take(session, 0), take(session, 1)]
+    (session.raw / slots[0] / "1.dng").write_bytes(b"no raw")
+    verdicts = merge.run(session, height=16)
+    assert [v.state for v in verdicts] == ["failed", "merged"]
+    assert "1.dng" in verdicts[0].text
+    assert not (session.panoramas / f"{slots[0]}.exr").exists()
+
+
+def test_an_empty_session_has_nothing_to_merge(session: Session) -> None:
+    with pytest.raises(NotEnoughDataError):
+        merge.run(session)
+
+
+def test_a_folder_without_capture_json_is_read_by_exif(session: Session) -> None:
+    slot = take(session, 0)
+    (session.raw / slot / "capture.json").unlink()
+    assert merge.run(session, height=16)[0].state == "merged"
+    assert read_panorama(session.panoramas / f"{slot}.exr").t_utc == START
+
+
+def test_the_survey_lists_every_bracket(session: Session) -> None:
+    days = DayFiles(session)
+    for second in range(31):
+        days.append(IrradianceSample(START + timedelta(seconds=second), 300.0 + second))
+    days.close()
+    slots = [take(session, 0), take(session, 1)]
+    merge.run(session, height=16)
+    with (session.panoramas / "quality.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [r["slot"] for r in rows] == slots and rows[0]["frames"] == "3"
+    assert float(rows[0]["ghi_change_percent"]) == pytest.approx(100 * 20 / 310, rel=0.01)  # 1 W/m2 a second
+    assert rows[1]["ghi_change_percent"] == "" and rows[0]["drift_percent"] == ""  # two brackets: cannot tell
+    assert (session.panoramas / "contact-1.png").read_bytes().startswith(b"\x89PNG")
+    assert "1/125" in (session.panoramas / "shutter.csv").read_text()
+
+
+def test_shutter_and_drift_part_over_many_brackets() -> None:
+    # analytic: a shutter 2 % long in every bracket; light that rises by 3 % in one of them
+    exposures = [Exposure(t, 4.0) for t in (0.5, 0.1, 0.02, 0.004)]
+    rng = np.random.default_rng(0)
+
+    def quality(rise: float) -> dict:
+        frames = [
+            {
+                "exposure": exposure_text(e),
+                "correction": (1.02 if e.shutter_s == 0.02 else 1.0) * (1 + rise * i / 3) * (1 + 1e-4 * rng.normal()),
+                "u_percent": 0.05,
+                "t_utc": utc_text(START + timedelta(seconds=10 * i)),
+            }
+            for i, e in enumerate(exposures)
+        ]
+        return {"frames": frames, "residual_percent": 0.1}
+
+    table = shutter_table([quality(0.0) for _ in range(20)] + [quality(0.03)])
+    assert [e.correction for e in table] == pytest.approx([1.0, 1.0, 1.02, 1.0], abs=3e-4)
+    assert drift_percent(quality(0.03), table) == pytest.approx(3.0, abs=0.1)
+    assert drift_percent(quality(0.0), table) == pytest.approx(0.0, abs=0.1)
+    assert drift_percent(quality(0.0), table[:2]) is None
+
+
+# ---------------------------------------------------------------------------------------------- contract: the command
+
+
+def test_the_command_on_a_session(session: Session) -> None:
+    slot = take(session, 0)
+    result = CliRunner().invoke(main, ["merge", str(session.root), "--size", "32x16", "--json"])
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["slots"][0]["slot"] == slot and answer["slots"][0]["state"] == "merged"
+
+
+@pytest.mark.parametrize("projection", ["equirect", "fisheye"])
+@pytest.mark.parametrize("suffix", [".exr", ".hdr"])
+def test_the_command_on_files(session: Session, tmp_path: Path, projection: str, suffix: str) -> None:
+    slot = take(session, 0)
+    frames = sorted(str(p) for p in (session.raw / slot).glob("*.dng"))
+    out = tmp_path / f"picture{suffix}"
+    size = "32x16" if projection == "equirect" else "24x24"
+    options = ["--camera", str(tmp_path / "small.toml"), "--out", str(out), "--projection", projection, "--size", size]
+    result = CliRunner().invoke(main, ["merge", "--frames", *frames, *options, "--json"])
+    assert result.exit_code == 0, result.output
+    ev = json.loads(result.stdout)["vertical_illuminance_lx"]
+    assert ev == pytest.approx(200 * np.pi, rel=0.05)  # the outermost ring of a lens of 62 pixels is not used
+    if suffix == ".hdr":
+        picture = read_radiance_hdr(out)
+        assert picture.view == ("-vta -vv 180 -vh 180" if projection == "fisheye" else "")
+        assert picture.luminance_cdm2[picture.luminance_cdm2 > 100] == pytest.approx(200, rel=0.05)
+
+
+def test_exit_codes(session: Session, tmp_path: Path) -> None:
+    def code(*arguments: str) -> int:
+        return CliRunner().invoke(main, ["merge", *arguments]).exit_code
+
+    camera = str(tmp_path / "small.toml")
+    assert code() == 2 and code("--frames", "a.dng") == 2
+    assert code(str(session.root), "--size", "30x20") == 2
+    assert code(str(tmp_path)) == 3  # no session
+    assert code(str(session.root)) == 5  # nothing captured
+    assert code("--frames", str(tmp_path / "none.dng"), "--camera", camera, "--out", "x.hdr") == 3
+    assert code("--frames", camera, "--camera", camera, "--out", "x.png") == 3
+    assert code("--frames", camera, "--camera", "no-such-camera", "--out", "x.hdr") == 3
