@@ -359,3 +359,55 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(tmp_path / "c.dng")
     (tmp_path / "d.dng").write_bytes((tmp_path / "c.dng").read_bytes()[:300])
     assert doubts(tmp_path / "d.dng", asked) or bracket_doubts(tmp_path / "d.dng")
+
+
+def test_log_alone_writes_rows(site: Field) -> None:
+    from fieldlum.capture.logger import log
+
+    said: list[str] = []
+    rows = log(site.session, "sim:office?seed=1", clock=site.clock, every_s=5.0, rows=10, say=said.append)
+    samples = [s for path in day_files(site.session) for s in read_day(path)[0]]
+    assert rows == len(samples) == 10 and "spn1" in said[0]
+    assert (samples[-1].t_utc - samples[0].t_utc) == timedelta(seconds=45)
+
+
+def test_commands_exit_as_documented(site: Field, tmp_path: Path) -> None:
+    from click.testing import CliRunner
+
+    from fieldlum.cli import main
+
+    def code(*words: str) -> int:
+        return CliRunner().invoke(main, [*words]).exit_code
+
+    folder = str(site.session.root)
+    assert code("capture", folder) == 2, "no camera named, and none remembered"
+    assert code("capture", folder, "--camera", "sim:nowhere", "--clock", "fast") == 4
+    assert code("capture", str(tmp_path), "--camera", "sim:office") == 3
+    assert code("log", folder, "--pyranometer", "serial:/dev/no-such-port?kind=spn1") == 4
+    assert code("status", str(tmp_path)) == 3
+    assert code("pair", folder) == 5, "nothing was logged"
+    told = CliRunner().invoke(main, ["status", folder, "--json"])
+    assert told.exit_code == 0 and json.loads(told.stdout)["capture"]["owed"] == 3
+    assert "0 done, 0 missed, 0 aborted, 3 owed" in CliRunner().invoke(main, ["status", folder]).stdout
+
+
+def test_live_display_and_status_file(site: Field, tmp_path: Path) -> None:
+    from rich.console import Console
+
+    from fieldlum.cli.live import countdown, panel, shown
+
+    with shown(site.session.site_file().site, tmp_path / "now.json") as watch:
+        run(
+            site.session, "tiny:", clock=site.clock, options=FAST, watch=watch, trusted=lambda: False,
+            open_cam=site.open_camera, open_pyr=lambda: TinyPyranometer(site.clock),
+        )  # fmt: skip
+    table = json.loads((tmp_path / "now.json").read_text())
+    assert (table["state"], table["done"], table["left"]) == ("finished", 3, 0)
+    site.session = make_session(tmp_path / "again")
+    site.clock = FastClock(T0 - timedelta(minutes=5))
+    site.run()
+    console = Console(record=True, width=66, file=__import__("io").StringIO())
+    console.print(panel(site.shown[0], site.session.site_file().site))
+    text = console.export_text()
+    assert "1 done" in text and "2 left" in text and "W/m²" in text and "PDT" in text
+    assert (countdown(59.6), countdown(3725), countdown(None), countdown(-3)) == ("01:00", "1:02:05", "-", "00:00")

@@ -189,3 +189,31 @@ def test_bad_inputs_are_named(tmp_path: Path) -> None:
     empty = create_session(tmp_path / "e", SiteFile(SITE), [Slot(NOON, 18.0, 180.0, ())], {})
     with pytest.raises(NotEnoughDataError, match="no panorama"):
         pair.run(empty)
+
+
+def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_path: Path) -> None:
+    # The simulator's truth, read through the SPN1 on its pty (noise 1 W/m2) over a bracket of 40 s.
+    from fieldlum.devices import open_pyranometer
+    from fieldlum.devices.clock import FastClock
+    from fieldlum.devices.simulated.world import open_world
+    from fieldlum.sun import position
+
+    session = create_session(tmp_path / "s", SiteFile(SITE), [Slot(NOON, 18.0, 180.0, ())], {})
+    clock, days = FastClock(NOON - timedelta(seconds=60)), DayFiles(session, flush=False)
+    instrument = open_pyranometer("sim:office?seed=3&noise=1", clock=clock, session=session)
+    try:
+        for _ in range(30):
+            days.append(instrument.read())
+            clock.sleep(5.0)
+    finally:
+        instrument.close()
+        days.close()
+    irradiance.run(session)
+    light = outside(read_clean(session.irradiance / "clean.csv"), NOON, NOON + timedelta(seconds=40))
+    truth = open_world(session, 3).irradiance(NOON + timedelta(seconds=20))
+    noise = 1.0 / np.sqrt(light.rows)
+    sine = np.sin(np.radians(position([NOON + timedelta(seconds=20)], SITE).altitude_deg[0]))
+    assert light.rows == 9 and light.source == "measured"
+    assert abs(light.ghi_wm2 - truth.ghi_wm2) < 4 * noise
+    assert abs(light.dhi_wm2 - truth.dhi_wm2) < 4 * noise
+    assert abs(light.dni_wm2 - truth.dni_wm2) < 4 * noise * np.sqrt(2) / sine
