@@ -51,7 +51,7 @@ def _draw(path: Path) -> None:
     """The speed-accuracy chart of each set in the table, earlier runs' rows too."""
     with path.open(newline="", encoding="utf-8") as file:
         stored = list(csv.DictReader(file))
-    figures = ("fit_cpu_s", "predict_s_per_map", "paper_log10_mse")
+    figures = ("fit_cpu_s", "predict_cpu_s_per_map", "paper_log10_mse")
     rows = [row | {key: float(row[key] or "nan") for key in figures} for row in stored]
     for name in dict.fromkeys(row["set"] for row in rows):
         speed_accuracy(path.with_name(f"{path.stem}_{name}.png"), [r for r in rows if r["set"] == name], machine())

@@ -22,6 +22,7 @@ TABLE = {
     "dgp_mse": "DGP MSE", "dgp_r2": "DGP R2", "rammg_mse": "RAMMG MSE", "rammg_mse_cut": "RAMMG MSE < 500",
     "n_train": "train", "n_test": "test", "seeds": "seeds", "fit_s": "fit [s]",
     "fit_cpu_s": "fit [CPU s]", "predict_s_per_map": "map [s]",
+    "predict_cpu_s_per_map": "map [CPU s]",
     "untrusted_share": "not trusted", "in_90_band": "in 90 %", "worst_decile_found": "worst tenth found",
 }  # fmt: skip
 CURVE = {

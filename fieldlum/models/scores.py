@@ -50,7 +50,8 @@ class Scores:
     expected_mse: NDArray[np.float64]
     trusted: NDArray[np.bool_]
     in_band: NDArray[np.float64]  # share of pixels whose truth lies in the model's 90 % interval
-    seconds: float = 0.0  # spent predicting
+    seconds: float = 0.0  # spent predicting, by the clock
+    cpu_s: float = 0.0
     slots: tuple[str, ...] = field(default=())
 
     def __len__(self) -> int:
@@ -59,19 +60,12 @@ class Scores:
 
 def join(parts: Sequence[Scores]) -> Scores:
     """Scores of several tests as of one."""
-    arrays = [f.name for f in fields(Scores) if f.name not in ("seconds", "slots")]
+    arrays = [f.name for f in fields(Scores) if f.name not in ("seconds", "cpu_s", "slots")]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     slots = tuple(slot for part in parts for slot in part.slots)
-    return Scores(**joined, seconds=sum(part.seconds for part in parts), slots=slots)
-
-
-def take(scores: Scores, rows: NDArray[Any]) -> Scores:
-    """Scores of some of the maps."""
-    index = np.flatnonzero(rows) if rows.dtype == bool else rows
-    arrays = [f.name for f in fields(Scores) if f.name not in ("seconds", "slots")]
-    part = {name: getattr(scores, name)[index] for name in arrays}
-    share = len(index) / max(len(scores), 1)
-    return Scores(**part, seconds=scores.seconds * share, slots=tuple(scores.slots[i] for i in index))
+    return Scores(
+        **joined, seconds=sum(part.seconds for part in parts), cpu_s=sum(part.cpu_s for part in parts), slots=slots
+    )
 
 
 # ---------------------------------------------------------------------------------------------- comparing
@@ -127,12 +121,12 @@ def evaluate(fitted: Fitted, test: Truth, *, progress: Progress = quiet) -> Scor
     for rows in _chunks(np.arange(len(test.data))):
         progress(int(rows[0]), len(test.data), f"{fitted.name}: test")
         part = test.data.take(rows)
-        start = time.monotonic()
+        wall, cpu = time.monotonic(), time.process_time()
         prediction = fitted.predict(part.light, part.patch_cdm2)
-        spent = time.monotonic() - start
+        wall, cpu = time.monotonic() - wall, time.process_time() - cpu
         scores = compare(prediction, part, test.weights)
         _glare_errors(scores, prediction, part, test, rows)
-        scores.seconds = spent
+        scores.seconds, scores.cpu_s = wall, cpu
         parts.append(scores)
     return join(parts)
 
@@ -213,6 +207,7 @@ def summary(scores: Scores) -> dict[str, Any]:
         "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
         "n_test": len(scores),
         "predict_s_per_map": scores.seconds / max(len(scores), 1),
+        "predict_cpu_s_per_map": scores.cpu_s / max(len(scores), 1),
         "untrusted_share": float(1.0 - scores.trusted.mean()),
         "expected_mse": _mean(scores.expected_mse),
         "in_90_band": _mean(scores.in_band),
