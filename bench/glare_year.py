@@ -1,6 +1,6 @@
 """A year of maps and of glare in ten directions from a model trained here: seconds, memory, and evalglare beside it.
 
-Usage: python bench/glare_year.py PAIRS.csv [--weather FILE] [--upsample 2] [--views 10] [--sample 20]
+Usage: python bench/glare_year.py PAIRS.csv [--weather FILE] [--upsample 2] [--views 10] [--sample 20] [--every 1]
 
 The model is light transport with sun patches from the site's [room]. --upsample repeats pixels of the training maps
 (115 rows to 230), for time and memory at full size. Without --weather: the Seattle year that ships with the tool.
@@ -20,6 +20,7 @@ import numpy as np
 
 from fieldlum import models
 from fieldlum.glare import panorama_to_fisheye, reference_glare, reference_version, view_azimuths_deg
+from fieldlum.light import Light
 from fieldlum.models.data import load_pairs
 from fieldlum.predict.blocks import Room, blocks
 from fieldlum.predict.year import ViewRegions, light_of, panorama_views, view_figures
@@ -34,6 +35,7 @@ def main() -> None:
     parser.add_argument("--upsample", type=int, default=1)
     parser.add_argument("--views", type=int, default=10)
     parser.add_argument("--sample", type=int, default=20)
+    parser.add_argument("--every", type=int, default=1, help="predict every so many hours; times are scaled up")
     args = parser.parse_args()
     data = load_pairs(args.pairs)
     maps = data.luminance_cdm2.repeat(args.upsample, axis=1).repeat(args.upsample, axis=2)
@@ -46,16 +48,18 @@ def main() -> None:
             site, data.setup, light.sun_direction, light.direct_lx, height=height, heading_deg=data.heading_deg
         ).luminance_cdm2
     data = replace(data, luminance_cdm2=maps, patch_cdm2=patch, seen=seen)
-    start = time.monotonic()
+    start = time.process_time()
     fitted = models.fit("transport", data, patch="absolute" if patch is not None else "none")
-    fit_s = time.monotonic() - start
+    fit_s = time.process_time() - start
     del maps
     weather = read_weather(args.weather, data.setup.site) if args.weather else shipped_seattle(data.setup.site)
     light = light_of(weather.daylight())
+    whole, light = len(light), light[slice(None, None, args.every)]
     print(f"{len(light)} hours, {width} x {height}, {args.views} directions; fit {fit_s:.1f} s", file=sys.stderr)
     room = Room(data.setup, height, width, data.heading_deg, patch is not None)
-    table = year(fitted, room, light, args.views, args.sample)
-    print(f"| {len(light)} hours, {width} x {height}, {args.views} directions | |\n|---|---|")
+    table = year(fitted, room, light, args.views, args.sample, whole / len(light))
+    print(f"| {whole} hours ({len(light)} computed), {width} x {height}, {args.views} directions | |\n|---|---|")
+    print(f"| fit on {len(data)} captures: CPU s | {fit_s:.0f} |")
     for name, value in table.items():
         print(f"| {name} | {value} |")
 
@@ -65,7 +69,7 @@ def _clocks() -> np.ndarray:
     return np.array([time.monotonic(), time.process_time()])
 
 
-def year(fitted: models.Fitted, room: Room, light, views: int, sample: int) -> dict[str, str]:
+def year(fitted: models.Fitted, room: Room, light: Light, views: int, sample: int, scale: float) -> dict[str, str]:
     """Times of maps and of metrics apart, memory, and the same view-hours by evalglare from a sample."""
     azimuths = view_azimuths_deg(room.heading_deg, views)
     weights = panorama_views(room.height, room.width, room.heading_deg, azimuths)
@@ -87,7 +91,8 @@ def year(fitted: models.Fitted, room: Room, light, views: int, sample: int) -> d
     for k, image in enumerate(kept):
         reference_glare(panorama_to_fisheye(image, room.heading_deg, float(azimuths[k % views])))
     each = (resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - start) / max(len(kept), 1)
-    total = each * len(light) * views
+    maps_s, metrics_s = maps_s * scale, metrics_s * scale
+    total = each * len(light) * scale * views
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return {
         "maps with sun patches: wall, CPU s": "{:.0f}, {:.0f}".format(*maps_s),
