@@ -286,8 +286,9 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
         raise InputError("shift", f"pictures of {before.shape} and {after.shape}", "two frames of one camera")
     window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
     pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]
+    plain: Any = None  # its type hint forgets None
     # Without normalisation: with it the mosaic's own pattern, which does not move, outvotes the scene.
-    (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=None)
+    (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=plain)
     return -float(right), -float(down)
 
 

@@ -15,8 +15,10 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import fit_response, response_table
 from fieldlum.profiles import CameraProfile, Response
 from fieldlum.raw import read_jpeg
+from fieldlum.records import Exposure
 
 PLACES = 500  # a bracket
+BLOCKS = 60_000  # looked at for them
 LOW, HIGH = 27, 228  # codes that count for the residual, and later carry weight
 FLAT = 3.0  # codes: a place's neighbours differ by at most this in a frame that holds it
 NEGLIGIBLE = 0.002  # of light
@@ -60,14 +62,12 @@ def sample(brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.r
     """
     parts, exposures = [], []
     for paths in brackets:
-        frames = [read_jpeg(path) for path in paths]
-        if len({frame.codes.shape for frame in frames}) > 1 or len({f.exposure.f_number for f in frames}) > 1:
-            raise InputError(paths[0].parent, "frames of several sizes or apertures", "one bracket of one camera")
-        log_e = [np.log(true_shutter_s(f.exposure, profile) * f.exposure.iso) for f in frames]
+        blocks, found = _blocks_of(paths)
+        log_e = [np.log(true_shutter_s(exposure, profile) * exposure.iso) for exposure in found]
         if len({round(e, 3) for e in log_e}) < 3:
             raise InputError(paths[0].parent, f"{len(paths)} frames", "a bracket of at least three exposures")
         exposures.append(np.array(log_e))
-        parts.append(_flat_places(np.stack([frame.codes for frame in frames]), profile, rng))
+        parts.append(_flat_places(blocks, profile, rng))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
     pooled = np.zeros((sum(len(part) for part in parts), len(grid), 3), np.uint8)
     bracket, row = np.repeat(np.arange(len(parts)), [len(part) for part in parts]), 0
@@ -77,26 +77,49 @@ def sample(brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.r
     return Places(pooled, grid, bracket, tuple(path for paths in brackets for path in paths))
 
 
-def _flat_places(codes: NDArray[np.uint8], profile: CameraProfile, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """[places, frames, 3]: means of 3 x 3 blocks without an edge in them, inside the lens circles."""
-    frames, h, w, _ = codes.shape
-    h, w = h // 3 * 3, w // 3 * 3
-    blocks = codes[:, :h, :w].reshape(frames, h // 3, 3, w // 3, 3, 3)
-    holds = (blocks >= LOW) & (blocks <= HIGH)
-    spread = np.where(holds.all(axis=(2, 4, 5)), np.ptp(blocks[..., 1], axis=(2, 4)), 0)  # green
-    y, x = np.mgrid[: h // 3, : w // 3] * 3 + 1.5
-    inside = np.zeros(x.shape, bool)
+@dataclass(frozen=True, slots=True)
+class _Blocks:
+    """codes [frames, places, 9, 3] of 3 x 3 blocks with middles x_px, y_px [places]."""
+
+    codes: NDArray[np.uint8]
+    x_px: NDArray[np.float64]
+    y_px: NDArray[np.float64]
+
+
+def _blocks_of(paths: Sequence[Path]) -> tuple[_Blocks, list[Exposure]]:
+    """At most BLOCKS blocks on a grid, so that memory does not grow with the sensor; a frame at a time."""
+    codes, exposures, shape = [], [], (0, 0)
+    y, x = np.zeros(0, int), np.zeros(0, int)
+    for path in paths:
+        frame = read_jpeg(path)
+        if not codes:
+            shape = frame.codes.shape[:2]
+            step = max(3, int(np.ceil(np.sqrt(shape[0] * shape[1] / BLOCKS))))
+            y, x = (g.ravel() for g in np.mgrid[1 : shape[0] - 1 : step, 1 : shape[1] - 1 : step])
+        elif frame.codes.shape[:2] != shape or frame.exposure.f_number != exposures[0].f_number:
+            raise InputError(path, "another size or aperture than before", "one bracket of one camera")
+        around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
+        codes.append(np.stack(around, axis=1))
+        exposures.append(frame.exposure)
+    return _Blocks(np.stack(codes), x + 0.5, y + 0.5), exposures
+
+
+def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """[places, frames, 3]: means of blocks without an edge in them, inside the lens circles."""
+    codes = blocks.codes
+    holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
+    spread = np.where(holds, np.ptp(codes[..., 1], axis=2), 0)  # green
+    inside = np.zeros(len(blocks.x_px), bool)
     for lens in profile.lens:
-        inside |= np.hypot(x - lens.centre_px[0], y - lens.centre_px[1]) < 0.95 * lens.radius_px
-    useful = holds.all(axis=(2, 4, 5)).sum(axis=0) >= 2
-    flat = np.flatnonzero(((spread.max(axis=0) <= 3 * FLAT) & inside & useful).ravel())
+        x, y = lens.centre_px
+        inside |= np.hypot(blocks.x_px - x, blocks.y_px - y) < 0.95 * lens.radius_px
+    flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & inside & (holds.sum(axis=0) >= 2))
     if len(flat) < 50:
         raise NotEnoughDataError(f"{len(flat)} flat places seen by two frames: the bracket's steps are too wide")
-    brightness = blocks[..., 1].mean(axis=(0, 2, 4)).ravel()[flat]
+    brightness = codes[:, flat][..., 1].mean(axis=(0, 2))
     order = flat[np.argsort(brightness + rng.uniform(0, 1e-3, len(flat)))]
     chosen = order[np.linspace(0, len(order) - 1, min(PLACES, len(order))).astype(int)]
-    means = np.rint(blocks.mean(axis=(2, 4))).astype(np.uint8)
-    return means.reshape(frames, -1, 3)[:, chosen].transpose(1, 0, 2)
+    return np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2)
 
 
 # ---------------------------------------------------------------------------------------------- fit
