@@ -33,6 +33,7 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 HEADING_DEG = 180.0
 DISC_CDM2 = 1e5
+STRATA = ("sun in view", "low light", "reflections", "other")
 
 
 def load(path: Path) -> dict[str, np.ndarray]:
@@ -60,10 +61,12 @@ def load(path: Path) -> dict[str, np.ndarray]:
     return {"luminance": luminance.astype(np.float32), "disc_lx": lux, "sun": sun}
 
 
-def additive_dgp(image: np.ndarray, ev: float, azimuth: float, sun: np.ndarray, lux: float) -> float:
+def additive_dgp(
+    image: np.ndarray, ev: float, heading_deg: float, azimuth: float, sun: np.ndarray, lux: float
+) -> float:
     """DGP with every bright pixel as a source of its own: what grouping is worth."""
     height, width = image.shape
-    right, up, cosine = angles_from_view(equirect_rays(height, width, HEADING_DEG), view_frame(azimuth))
+    right, up, cosine = angles_from_view(equirect_rays(height, width, heading_deg), view_frame(azimuth))
     seen = (image > 2000) & (cosine > 0)
     weight = equirect_solid_angles(height, width)[seen] / position_index(right[seen], up[seen]) ** 2
     total = float((image[seen].astype(float) ** 2 * weight).sum())
@@ -100,37 +103,45 @@ def main() -> None:
     ours = glare_directions(data["luminance"], HEADING_DEG, azimuths, data["sun"], data["disc_lx"])
     label = strata(ours, data["luminance"], data["sun"], data["disc_lx"], azimuths)
     rng = np.random.default_rng(args.seed)
-    rows = []
-    for name in ("sun in view", "low light", "reflections", "other"):
-        cells = np.argwhere(label == name)
-        for i, d in cells[rng.permutation(len(cells))[: args.per_stratum]]:
-            sun = data["sun"][i]
-            source = SunSource(
-                float(np.degrees(np.arcsin(sun[2]))),
-                float(np.degrees(np.arctan2(sun[0], sun[1]))),
-                float(data["disc_lx"][i]),
-            )
-            picture = panorama_to_fisheye(
-                data["luminance"][i], HEADING_DEG, float(azimuths[d]), size=args.size, sun=source
-            )
-            theirs = reference_glare(picture)
-            rows.append(
-                {
-                    "stratum": name, "hour": int(i), "azimuth_deg": float(azimuths[d]), "ev": ours["ev_lx"][i, d],
-                    "ev_ref": theirs.ev_lx, "dgp": ours["dgp"][i, d], "dgp_ref": theirs.dgp, "ugr": ours["ugr"][i, d],
-                    "ugr_ref": theirs.ugr, "dgi": ours["dgi"][i, d], "dgi_ref": theirs.dgi, "sources": theirs.sources,
-                    "dgp_additive": additive_dgp(
-                        data["luminance"][i], ours["ev_lx"][i, d], float(azimuths[d]), sun, float(data["disc_lx"][i])
-                    ),
-                }
-            )  # fmt: skip
-            print(len(rows), end="\r", file=sys.stderr)
+    rows = compare(data, ours, label, azimuths, HEADING_DEG, rng, args.per_stratum, args.size)
     report(rows, reference_version())
     if args.out:
         with args.out.open("w", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
+
+
+def compare(
+    data: dict[str, np.ndarray],
+    ours: dict[str, np.ndarray],
+    label: np.ndarray,
+    azimuths: np.ndarray,
+    heading_deg: float,
+    rng: np.random.Generator,
+    per_stratum: int,
+    size: int,
+) -> list[dict]:
+    """Ask the reference for up to `per_stratum` view-hours of each stratum."""
+    rows = []
+    for name in STRATA:
+        cells = np.argwhere(label == name)
+        for i, d in cells[rng.permutation(len(cells))[:per_stratum]]:
+            sun, lux, azimuth = data["sun"][i], float(data["disc_lx"][i]), float(azimuths[d])
+            altitude, around = np.degrees(np.arcsin(sun[2])), np.degrees(np.arctan2(sun[0], sun[1]))
+            source = SunSource(float(altitude), float(around), lux)
+            image = data["luminance"][i]
+            theirs = reference_glare(panorama_to_fisheye(image, heading_deg, azimuth, size=size, sun=source))
+            rows.append(
+                {
+                    "stratum": name, "hour": int(i), "azimuth_deg": azimuth, "ev": ours["ev_lx"][i, d],
+                    "ev_ref": theirs.ev_lx, "dgp": ours["dgp"][i, d], "dgp_ref": theirs.dgp, "ugr": ours["ugr"][i, d],
+                    "ugr_ref": theirs.ugr, "dgi": ours["dgi"][i, d], "dgi_ref": theirs.dgi, "sources": theirs.sources,
+                    "dgp_additive": additive_dgp(image, ours["ev_lx"][i, d], heading_deg, azimuth, sun, lux),
+                }
+            )  # fmt: skip
+            print(len(rows), end="\r", file=sys.stderr)
+    return rows
 
 
 def report(rows: list[dict], version: str) -> None:
@@ -141,7 +152,7 @@ def report(rows: list[dict], version: str) -> None:
         " Ev mean diff % | Ev largest % | UGR | DGI |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|")
-    for name in ("sun in view", "low light", "reflections", "other", "all"):
+    for name in (*STRATA, "all"):
         part = [row for row in rows if name in ("all", row["stratum"])]
         if not part:
             continue
