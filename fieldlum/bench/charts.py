@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-PAPER = {"label": "published: dense, even 200, own rendering, GTX 1080 Ti", "fit_cpu_s": 1800.0,
-         "predict_cpu_s_per_map": 0.1, "error": 9.54e-3}  # fmt: skip  # Liu et al. 2020, Table 1 and section 5: 30 min, 0.1 s, log10 MSE
+# Liu et al. 2020, Table 1 and section 5: 30 min, 0.1 s a map, log10 MSE
+PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"
+PAPER = {"fit_cpu_s": 1800.0, "predict_cpu_s_per_map": 0.1, "error": 9.54e-3}
 COLOURS = {"mean": "#9aa0a6", "nearest": "#6b7280", "transport": "#0b6e99", "dense": "#c2410c", "Radiance": "#4d7c0f"}
 
 
@@ -28,6 +29,10 @@ def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
 
 def _colour(name: str) -> str:
     return next((colour for key, colour in COLOURS.items() if name.startswith(key)), "#111827")
+
+
+def _known(value: float | None) -> bool:
+    return value is not None and bool(np.isfinite(value))
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -49,7 +54,7 @@ def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> 
         ("training [s of one core]", "one map [s of one core]"),
         strict=True,
     ):
-        usable = [row for row in rows if row.get(key) and row["paper_log10_mse"] and np.isfinite(row[key])]
+        usable = [row for row in rows if _known(row.get(key)) and _known(row["paper_log10_mse"])]
         points = [(row[key], row["paper_log10_mse"]) for row in usable]
         front = [points[k] for k in pareto(points)]
         if front:
@@ -64,7 +69,7 @@ def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> 
                 row["name"], point, xytext=(-8, -14) if below else (7, 5), textcoords="offset points", fontsize=8
             )
         axis.plot(PAPER[key], PAPER["error"], "*", linestyle="none", markersize=14, color="#c2410c",
-                  markerfacecolor="white", label=PAPER["label"])  # fmt: skip
+                  markerfacecolor="white", label=PAPER_LABEL)  # fmt: skip
         for row in rows:
             if row["name"].startswith("Radiance") and key == "predict_cpu_s_per_map":
                 axis.axvline(row[key], color=COLOURS["Radiance"], linestyle="--", linewidth=1.2,
