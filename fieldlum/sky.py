@@ -183,9 +183,10 @@ def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
 
 
 def _relative(shape: Array, cos_zenith: Array, gamma: Array) -> Array:
-    """Perez's relative luminance; shape [..., 5] broadcast against directions."""
+    """Perez's relative luminance; shape [..., 5] broadcast against directions. Below nothing there is nothing."""
     a, b, c, d, e = (shape[..., i] for i in range(5))
-    return (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
+    bright = (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
+    return np.maximum(bright, 0.0)
 
 
 @lru_cache(maxsize=1)
