@@ -159,6 +159,11 @@ def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     again = json.loads(CliRunner().invoke(main, ["simulate", str(out), *command[4:8], "--json"]).stdout)
     assert (again["rendered"], again["kept"]) == (1, 11)
     assert lost.read_bytes() == before
+    # Another size: nothing of the old one stays.
+    command[5] = "20x10"
+    other = json.loads(CliRunner().invoke(main, ["simulate", str(out), *command[4:8], "--json"]).stdout)
+    assert (other["rendered"], other["kept"]) == (12, 0)
+    assert read_panorama(lost).luminance_cdm2.shape == (10, 20)
 
 
 def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ pyranometer look at; pairs.csv names the same panoramas, so that `train` and `be
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -97,8 +98,8 @@ def run(
         setup, height=height, quality=quality, cache=cache or session.truth, workers=workers, progress=progress
     )  # fmt: skip
     light, lit = _light_of(setup, slots, weather)
-    same = _same_as_before(session, truth, weather, height, quality)
-    owed = [k for k in np.flatnonzero(lit) if force or not same or not _done(session, slots[k])]
+    _forget_other(session, slots, truth, weather)
+    owed = [k for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
     for start in range(0, len(owed), _CHUNK):
         progress(start, len(owed), "truth")
         rows = owed[start : start + _CHUNK]
@@ -123,13 +124,18 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
     return light, (dni + dhi > 0) & (light.sun_altitude_deg > 0)
 
 
-def _same_as_before(session: Session, truth: GroundTruth, weather: Weather, height: int, quality: str) -> bool:
+def _forget_other(session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather) -> None:
+    """Take away pictures of another room, size, quality or weather, so that a cut run cannot mix them with new ones."""
     path = session.truth / "made.json"
-    now = {"height": height, "quality": quality, "weather": weather.name, "points": truth.from_points.shape[0]}
-    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    light = hashlib.sha256(np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()).hexdigest()
+    now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
+    if path.is_file() and json.loads(path.read_text(encoding="utf-8")) == now:
+        return
+    for slot in slots:
+        for picture in (_truth_path(session, slot), _patch_path(session, slot)):
+            picture.unlink(missing_ok=True)
     with replacing(path) as file:
         file.write(json.dumps(now).encode())
-    return before == now
 
 
 def _truth_path(session: Session, slot: Slot) -> Path:

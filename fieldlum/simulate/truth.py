@@ -83,6 +83,7 @@ class GroundTruth:
     from_points: Any
     to_pixels: Any
     from_pieces: Any
+    key: str = ""  # of room, size and quality
 
     @property
     def height(self) -> int:
@@ -214,7 +215,7 @@ def ground_truth(
     folder = cache / f"coefficients-{key}" if cache is not None else None
     if folder is not None and (folder / "complete").is_file():
         matrices = [_load(folder, name, FIRST_PIECE + len(pieces)) for name in ("points", "pieces")]
-        return GroundTruth(setup, view, pieces, matrices[0], to_pixels, matrices[1])
+        return GroundTruth(setup, view, pieces, matrices[0], to_pixels, matrices[1], key)
     scene = view.scene
     total = len(pieces) + len(rows)
 
@@ -231,7 +232,7 @@ def ground_truth(
         _save(folder, "pieces", from_pieces)
         with replacing_path(folder / "complete") as path:
             path.write_text(json.dumps({"key": key, "quality": quality}), encoding="utf-8")
-    return GroundTruth(setup, view, pieces, from_points, to_pixels, from_pieces)
+    return GroundTruth(setup, view, pieces, from_points, to_pixels, from_pieces, key)
 
 
 def _gather_pieces(scene: Any, pieces: Pieces, how: Quality, workers: int | None, progress: Progress) -> Any:
