@@ -153,6 +153,7 @@ class Sensor:
     gain_e_per_dn: float = 1.0  # at iso
     read_noise_e: float = 3.0
     iso: float = 100.0
+    bad_px: tuple[tuple[int, int], ...] = ()  # column, row of pixels that are never used
 
 
 @dataclass(frozen=True, slots=True)

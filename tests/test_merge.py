@@ -256,6 +256,16 @@ def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:
     assert "clipped in every frame" in merge([s for s in shots if not s.exposure.nd], profile).verdict
 
 
+def test_bad_pixels_of_the_profile_are_not_used(bracket) -> None:
+    shots, profile = bracket("sim-dual-fisheye", uniform=200.0)
+    plain = merge(shots, profile).panorama.luminance_cdm2
+    spoilt = merge(shots, replace(profile, lens=profile.lens[:1])).panorama
+    assert (np.asarray(spoilt.flags) & Flag.OUTSIDE_LENS).any()
+    bad = tuple((x, y) for x in range(100, 104) for y in range(100, 104))
+    mended = merge(shots, replace(profile, sensor=replace(profile.sensor, bad_px=bad))).panorama.luminance_cdm2
+    assert mended == pytest.approx(plain, rel=0.02) and not np.array_equal(mended, plain)
+
+
 def test_a_hidden_sun_is_left_alone(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", headings=(None,))
     panorama = merge(shots, profile).panorama

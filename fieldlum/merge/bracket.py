@@ -15,6 +15,7 @@ from fieldlum.merge.frames import (
     Crop,
     FrameStore,
     Shot,
+    good_pixels,
     lens_crop,
     load_jpeg,
     load_raw,
@@ -113,7 +114,8 @@ def merge_shots(
         part = merge_sensor(list(group), profile, fit=fit, progress=progress)
         parts.append(part)
         turn = 0.0 if heading is None else heading - heading_deg
-        sensor = SensorMap(part.merged, part.crop, turn, part.shots[0].exposure.f_number, None)
+        good = good_pixels(profile, part.crop)
+        sensor = SensorMap(part.merged, part.crop, turn, part.shots[0].exposure.f_number, good)
         views += [view_through(sensor, lens, profile, target) for lens in profile.lens]
     u_ratio = float(np.sqrt(np.mean([p.u_ratio**2 for p in parts])))
     done = finish(blend(views), profile, target, u_ratio)

@@ -90,6 +90,8 @@ def _project(sensor: SensorMap, r: Resampler) -> tuple[NDArray[np.float64], NDAr
     colours = list("RGB") if len(r.matrices) > 1 else [""]
     values, variance = (np.reshape(a, (-1, 3) if colours == [""] else -1) for a in (m.value_cdm2, m.variance))
     valid = None if sensor.valid is None else sensor.valid.ravel().astype(np.float32)
+    if valid is not None and colours == [""]:
+        valid = valid[:, None]
     rgb, var = [], []
     for colour in colours:
         matrix = r.matrices[colour]
@@ -102,7 +104,10 @@ def _project(sensor: SensorMap, r: Resampler) -> tuple[NDArray[np.float64], NDAr
             share = np.maximum(matrix @ valid, 1e-6)
             rgb.append(matrix @ (values * valid) / share)
             var.append(square @ (variance * valid) / share**2)
-    flags = np.zeros(len(r.coverage), np.uint8)
+    flags = np.zeros(len(r.coverage), np.uint8)  # bad pixels may raise theirs too: it only asks for care
+    if valid is not None:  # nothing good is left in one colour: no value
+        left = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
+        flags[(left < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
     raised = m.flags if colours != [""] else np.bitwise_or.reduce(m.flags, axis=-1)
     present = int(np.bitwise_or.reduce(raised, axis=None))
     for flag, least in _SHARE.items():
