@@ -183,10 +183,9 @@ def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
 
 
 def _relative(shape: Array, cos_zenith: Array, gamma: Array) -> Array:
-    """Perez's relative luminance; shape [..., 5] broadcast against directions. Below nothing there is nothing."""
+    """Perez's relative luminance; shape [..., 5] broadcast against directions."""
     a, b, c, d, e = (shape[..., i] for i in range(5))
-    bright = (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
-    return np.maximum(bright, 0.0)
+    return (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
 
 
 @lru_cache(maxsize=1)
@@ -199,11 +198,18 @@ def _tregenza() -> tuple[Array, Array]:
 
 
 def _relative_horizontal(shape: Array, zenith: Array) -> Array:
-    """Integral of the relative luminance times the cosine, [n], by gendaylit's rule of 145 points."""
+    """Integral of the relative luminance times the cosine, [n], by gendaylit's rule of 145 points.
+
+    Far outside Perez's data the formula is negative all over the sky, which the normalisation undoes (the integral is
+    negative too), or in a part of it: there is no light in that part then.
+    """
     theta, phi = _tregenza()
     z = zenith[:, None]
     gamma = np.arccos(np.clip(np.cos(z) * np.cos(theta) + np.sin(z) * np.sin(theta) * np.cos(phi), -1, 1))
-    return (_relative(shape[:, None, :], np.cos(theta), gamma) * np.cos(theta)).sum(axis=1) * 2 * np.pi / 145
+    parts = _relative(shape[:, None, :], np.cos(theta), gamma) * np.cos(theta)
+    sign = np.where(parts.sum(axis=1) < 0, -1.0, 1.0)
+    lit = np.maximum(sign[:, None] * parts, 0.0).sum(axis=1)
+    return sign * np.maximum(lit, 1e-6) * 2 * np.pi / 145
 
 
 def _ground_over_zenith(clearness: Array, altitude: Array) -> Array:
@@ -247,7 +253,7 @@ def perez_coefficients(
     efficacy = g[0] + g[1] * WATER_CM + g[2] * np.exp(5.73 * zenith - 5) + g[3] * brightness
     direct_lx = dni * np.maximum(efficacy, 0.0)
     norm = diffuse_lx / _relative_horizontal(shape, zenith)
-    zenith_cdm2 = norm * _relative(shape, np.ones_like(zenith), zenith)
+    zenith_cdm2 = np.maximum(norm * _relative(shape, np.ones_like(zenith), zenith), 0.0)
     ground = GROUND_REFLECTANCE * (
         zenith_cdm2 * _ground_over_zenith(clearness, altitude) + direct_lx * np.sin(altitude) / np.pi
     )
@@ -275,6 +281,7 @@ def perez_luminance(
     gamma = np.arccos(np.clip(sun @ rays.T, -1.0, 1.0))
     shape = sky.shape.astype(dtype)[:, None, :]
     bright = _relative(shape, np.maximum(up, 0.01).astype(dtype), gamma) * sky.norm_cdm2.astype(dtype)[:, None]
+    bright = np.maximum(bright, 0.0)
     # perezlum.cal: skybright = wmean((Dz + 1.01)^10, sky, (Dz + 1.01)^-10, ground)
     share = (1.0 / (1.0 + (up + 1.01) ** -20.0)).astype(dtype)
     return bright * share + sky.ground_cdm2.astype(dtype)[:, None] * (1 - share)
