@@ -15,6 +15,7 @@ from fieldlum.models import Patch, Prediction
 from fieldlum.models.transport.material import LEAST_CDM2, Material, OpenSky, Patchwork, material_of
 from fieldlum.models.transport.physics import Physics, physics_of
 from fieldlum.models.transport.recipe import (
+    SECOND_NOISE,
     Basis,
     HeldOut,
     Pixels,
@@ -25,8 +26,10 @@ from fieldlum.models.transport.recipe import (
     find_patch_gain,
     fit_pixels,
     second_covariance,
+    second_inverse,
+    second_own,
 )
-from fieldlum.models.transport.trust import LOG10_E, Trust, calibrate, log_sd, residual_noise
+from fieldlum.models.transport.trust import LOG10_E, Trust, calibrate, held_out_variance, log_sd, residual_noise
 from fieldlum.profiles import build, plain
 from fieldlum.records import Progress, Room, quiet
 
@@ -126,12 +129,14 @@ class Transport:
             surface += share
         where = self.open_sky.index
         surface[:, where] += pixels.sky_gain[where].astype(np.float32) * self.open_sky.luminance(light)
+        near = self._second(light, features) if len(pixels.second) else np.empty((len(light), 0), np.float32)
         if len(pixels.second):
-            surface *= np.exp(self._second(light, features) @ pixels.second)
+            surface *= np.exp(near @ pixels.second)
         luminance = np.maximum(surface, np.float32(LEAST_CDM2))
         share = share / luminance
         noise = self.noise_dull.astype(np.float32), self.noise_sun.astype(np.float32)
-        sd = log_sd(total * scale / luminance, share, variance, features.beam, noise, self.trust.patch)
+        doubt = self.trust.sun_doubt(features.beam, near)
+        sd = log_sd(total * scale / luminance, share, variance, doubt, noise, self.trust.patch)
         sd *= (LOG10_E * self.trust.factor(features.beam)).astype(np.float32)[:, None]
         expected = self.trust.mse * np.einsum("ij,ij,j->i", sd, sd, self._weights(), dtype=np.float64)
         return surface, sd, expected, self.trust.trusted(variance)
@@ -167,7 +172,7 @@ class Transport:
             "seen": self.seen, "projector": self.projector, "noise_dull": self.noise_dull.astype(np.float32),
             "noise_sun": self.noise_sun.astype(np.float32), "facade_azimuths": self.kernel.facades.azimuths_deg,
             "facade_weights": self.kernel.facades.weights, "trust_inverse": self.trust.inverse,
-            "trust_factors": self.trust.factors,
+            "trust_factors": self.trust.factors, "trust_second": self.trust.second,
         }  # fmt: skip
         arrays |= {f"pixel_{f.name}": getattr(self.pixels, f.name).astype(np.float32) for f in fields(Pixels)}
         arrays |= {f"sky_{f.name}": getattr(self.open_sky, f.name) for f in fields(OpenSky)}
@@ -198,7 +203,9 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
         room = build(Room, own["room"], "the model's room")
         given = {name: arrays[f"physics_{name}"] for name in PHYSICS_ARRAYS}
         physics = Physics(room, **given, norm=float(arrays["physics_norm"]))
-    trust = Trust(arrays["trust_inverse"], factors=arrays["trust_factors"], **own["trust"])
+    trust = Trust(
+        arrays["trust_inverse"], factors=arrays["trust_factors"], second=arrays["trust_second"], **own["trust"]
+    )
     return Transport(
         shape=arrays["seen"].shape,  # pyright: ignore[reportArgumentType]
         seen=arrays["seen"],
@@ -307,7 +314,8 @@ def _finish(
         train_light=data.light, projector=basis.projector, pixels=pixels, open_sky=material.open_sky,
         patchwork=material.patchwork, patch_scale=scale, physics=physics,
         noise_dull=np.zeros(count), noise_sun=np.zeros(count),
-        trust=Trust(np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))), 0.0, np.ones(3), 0.0, 1.0),
+        trust=Trust(np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))), 0.0, np.ones(3), 0.0, 1.0,
+                    np.empty((0, 0))),
         recipe=recipe, held_out_mse=held.per_hour,
         table=tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in table),
     )  # fmt: skip
@@ -316,8 +324,12 @@ def _finish(
         model._predict(data.light[rows], None if patch is None else patch[rows])[0]
         for rows in (slice(i, i + HOURS_AT_ONCE) for i in range(0, len(data), HOURS_AT_ONCE))
     ]
-    residual = residual_noise(material, np.concatenate(parts))
+    doubt = material.features.beam
+    if recipe.second:
+        doubt = np.sqrt(held_out_variance(second_own(material, recipe), SECOND_NOISE, material.days))
+    residual = residual_noise(material, np.concatenate(parts), doubt)
     again = np.random.default_rng(seed)
     chosen = again.choice(count, min(SAMPLE, count), p=material.weights / material.weights.sum())
-    trust = calibrate(drawn, held, covariance, recipe.noise, (residual[0][chosen], residual[1][chosen]))
+    some = residual[0][chosen], residual[1][chosen]
+    trust = calibrate(drawn, held, covariance, recipe.noise, some, doubt, second_inverse(material, recipe))
     return replace(model, noise_dull=residual[0], noise_sun=residual[1], trust=trust)

@@ -26,6 +26,7 @@ FLOOR_CDM2 = 1.0  # scores look no deeper (the paper's floor)
 SKY_GAIN_VARIANCE = 0.04
 ROBUST_WIDTH = 0.15  # log residual at which a capture counts half
 SECOND_NOISE = 0.06
+SECOND_SEASON = 0.02  # variance of what changes with the season whether the sun shines or not
 DARK_SHARE = 0.03  # of its usual light: a pixel darker than that (a hand before the lens) gets no more weight
 LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no lower
 
@@ -129,7 +130,7 @@ def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width:
     """
     cosine = np.clip(a.sun_direction @ b.sun_direction.T, -1.0, 1.0)
     sharp = np.outer(share_a, share_b) * np.exp((cosine - 1.0) / width**2)
-    return sharp + 0.02 * np.exp((cosine - 1.0) / 0.25)
+    return sharp + SECOND_SEASON * np.exp((cosine - 1.0) / 0.25)
 
 
 def fit_pixels(material: Material, basis: Basis, recipe: Recipe, tick=None) -> Pixels:
@@ -140,7 +141,7 @@ def fit_pixels(material: Material, basis: Basis, recipe: Recipe, tick=None) -> P
         pixel_scale(material), np.empty((count, r), np.float32), np.ones(count), np.ones(count), np.empty(count),
         np.empty((len(material.light) if recipe.second else 0, count), np.float32),
     )  # fmt: skip
-    inverse = _second_inverse(material, recipe)
+    inverse = second_inverse(material, recipe)
     for part in chunks(count):
         some, scale = material[part], out.scale[part]
         fit = _fit_chunk(some, scale, basis, recipe, products)
@@ -156,14 +157,14 @@ def fit_pixels(material: Material, basis: Basis, recipe: Recipe, tick=None) -> P
     return out
 
 
-def _second_inverse(material: Material, recipe: Recipe) -> Array:
+def second_inverse(material: Material, recipe: Recipe) -> Array:
     if not recipe.second:
         return np.empty((0, 0))
-    own = _second_own(material, recipe)
+    own = second_own(material, recipe)
     return np.linalg.inv(own + SECOND_NOISE * np.eye(len(own)))
 
 
-def _second_own(material: Material, recipe: Recipe) -> Array:
+def second_own(material: Material, recipe: Recipe) -> Array:
     share = material.features.beam
     return second_covariance(material.light, material.light, share, share, recipe.second)
 
@@ -199,7 +200,7 @@ def hold_out(material: Material, basis: Basis, recipe: Recipe) -> HeldOut:
     found = compose(whole - direct, least, fit.gains, fit.columns.values)
     if recipe.second:
         residual = np.log(fit.target / found)
-        own = _second_own(material, recipe)
+        own = second_own(material, recipe)
         found *= np.exp(held_out_days_shared(own, SECOND_NOISE, residual, material.days))
     luminance = found * material.light.total_lx[:, None] * scale
     return HeldOut(luminance, score(luminance, material.luminance), scale)

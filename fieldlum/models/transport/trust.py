@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.models.transport.material import LEAST_CDM2, Material
-from fieldlum.models.transport.recipe import FLOOR_CDM2, HeldOut
+from fieldlum.models.transport.recipe import FLOOR_CDM2, SECOND_SEASON, HeldOut
 
 Array = NDArray[Any]
 
@@ -34,17 +34,27 @@ def held_out_variance(covariance: Array, noise: float, days: NDArray) -> Array:
 class Trust:
     """inverse [n, n] of (K + noise); novelty that a held-out day had at most; factors on the standard deviation in
     overcast, intermediate and clear hours [3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out error
-    to its guess."""
+    to its guess; second [n, n]: as inverse, of the second stage (n may be 0)."""
 
     inverse: Array
     novelty: float
     factors: Array
     patch: float
     mse: float
+    second: Array
 
     def variance(self, cross: Array, own: Array) -> Array:
         """Predictive variance of hours with covariance `cross` [m, n] to the captures and `own` [m] prior variance."""
         return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
+
+    def sun_doubt(self, beam: Array, cross: Array) -> Array:
+        """What a pixel's sun noise is multiplied by, [m]: the sun's share; with a second stage, how far the sun stands
+        from where it was captured. cross [m, n]: covariance of the second stage."""
+        if not len(self.second):
+            return beam
+        return np.sqrt(
+            np.maximum(beam**2 + SECOND_SEASON - np.einsum("ij,ij->i", cross @ self.second, cross), LEAST_SD)
+        )
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
         return variance <= NOVEL * self.novelty
@@ -58,24 +68,24 @@ def log_sd(
     surface_share: NDArray[np.floating],
     patch_share: NDArray[np.floating] | float,
     variance: Array,
-    beam: Array,
+    doubt: Array,
     noise: tuple[NDArray[np.floating], NDArray[np.floating]],
     patch_sd: float,
 ) -> NDArray[np.floating]:
     """Uncalibrated standard deviation of ln L, [m, P].
 
     surface_share: unit of the pixel over L; patch_share: patch over L; noise: each pixel's residual sd, and its growth
-    with the sun's share.
+    with `doubt` about the sun [m].
     """
     kind = surface_share.dtype
     total = surface_share**2 * variance.astype(kind)[:, None]
-    total += noise[0] ** 2 + (beam.astype(kind)[:, None] * noise[1]) ** 2
+    total += noise[0] ** 2 + (doubt.astype(kind)[:, None] * noise[1]) ** 2
     total += (kind.type(patch_sd) * patch_share) ** 2
     return np.sqrt(total)
 
 
-def residual_noise(material: Material, fitted: NDArray[np.floating]) -> tuple[Array, Array]:
-    """Residual sd of ln L of each pixel in dull hours, and what the sun adds per unit of its share, [P] each."""
+def residual_noise(material: Material, fitted: NDArray[np.floating], doubt: Array) -> tuple[Array, Array]:
+    """Residual sd of ln L of each pixel in dull hours, and what the sun adds per unit of doubt about it, [P] each."""
     error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(material.luminance, FLOOR_CDM2))
     error = np.where(material.filled, 0.0, error) ** 2
     beam = material.features.beam
@@ -83,7 +93,7 @@ def residual_noise(material: Material, fitted: NDArray[np.floating]) -> tuple[Ar
     base = error[dull].mean(axis=0) if dull.any() else error.min(axis=0)
     if dull.all():
         return np.sqrt(base), np.zeros(error.shape[1])
-    extra = np.maximum(error[~dull] - base, 0.0).mean(axis=0) / (beam[~dull] ** 2).mean()
+    extra = np.maximum(error[~dull] - base, 0.0).mean(axis=0) / max((doubt[~dull] ** 2).mean(), LEAST_SD)
     return np.sqrt(base), np.sqrt(extra)
 
 
@@ -93,6 +103,8 @@ def calibrate(
     covariance: Array,
     noise: float,
     residual: tuple[Array, Array],
+    doubt: Array,
+    second: Array,
 ) -> Trust:
     """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in each class."""
     variance = held_out_variance(covariance, noise, material.days)
@@ -107,7 +119,7 @@ def calibrate(
         patch_share = material.patch / seen
         lit = (patch_share > 0.3) & valid
         patch_sd = float(np.quantile(error[lit], 0.9) / NORMAL_90) if lit.sum() > 20 else 0.05
-    sd = np.maximum(log_sd(unit / seen, patch_share, variance, beam, residual, patch_sd), LEAST_SD)
+    sd = np.maximum(log_sd(unit / seen, patch_share, variance, doubt, residual, patch_sd), LEAST_SD)
     ratio = error / sd
     everywhere = float(np.quantile(ratio[valid], 0.9)) / NORMAL_90
     factors = np.full(3, everywhere)
@@ -115,6 +127,6 @@ def calibrate(
         if inside.sum() >= 5:
             factors[k] = float(np.quantile(ratio[inside][valid[inside]], 0.9)) / NORMAL_90
     inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
-    trust = Trust(inverse, float(variance.max()), np.maximum(factors, 1e-3), patch_sd, 1.0)
+    trust = Trust(inverse, float(variance.max()), np.maximum(factors, 1e-3), patch_sd, 1.0, second)
     guess = ((sd * LOG10_E * trust.factor(beam)[:, None]) ** 2).mean()
-    return Trust(inverse, trust.novelty, trust.factors, patch_sd, float((held.error[valid] ** 2).mean() / guess))
+    return replace(trust, mse=float((held.error[valid] ** 2).mean() / guess))
