@@ -225,3 +225,14 @@ def test_property_any_registers_give_a_plausible_value_or_a_device_error(profile
     except DeviceError:
         return
     assert isinstance(found, Decoded) and -200 <= found.values["irradiance_wm2"] <= 4000
+
+
+@pytest.mark.parametrize(("name", "said"), [("smp", "Kipp & Zonen SMP3"), ("ascii/arduino-keys", "ghi_wm2, dhi_wm2")])
+def test_info_tells_instrument_profiles(name: str, said: str) -> None:
+    from click.testing import CliRunner
+
+    from fieldlum.cli import main
+    from fieldlum.profiles import shipped
+
+    done = CliRunner().invoke(main, ["info", str(shipped("calibration") / "instruments" / f"{name}.toml")])
+    assert done.exit_code == 0 and said in done.output

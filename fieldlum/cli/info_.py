@@ -111,9 +111,29 @@ def _toml(path: Path) -> dict[str, Any]:
             "u_k_percent": 100 * profile.scale.u_rel,
             "source": profile.provenance.source,
         }
+    if "entry" in table:
+        return _instrument(path, table)
     if "setup" in table and "plan" in table:
         return {"kind": "session", "name": table["setup"].get("site", {}).get("name", ""), **table["plan"]}
     raise InputError(path, f"tables {', '.join(table) or 'none'}", "a site, a camera profile or a session")
+
+
+def _instrument(path: Path, table: dict[str, Any]) -> dict[str, Any]:
+    from fieldlum.devices.ascii_lines import load_ascii_profile
+    from fieldlum.devices.registers import load_register_profile
+
+    if "form" in table:
+        lines = load_ascii_profile(str(path))
+        gives = ", ".join(e.quantity for e in lines.entry)
+        return {"kind": "instrument profile (lines)", "name": lines.name, "form": lines.form, "gives": gives}
+    registers = load_register_profile(str(path))
+    return {
+        "kind": "instrument profile (Modbus)",
+        "name": registers.kind,
+        "instruments": f"{registers.maker} {', '.join(registers.models)}",
+        "gives": ", ".join(e.name for e in registers.entry),
+        "source": registers.source,
+    }
 
 
 def _csv(path: Path) -> dict[str, Any]:
