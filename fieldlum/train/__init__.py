@@ -218,10 +218,11 @@ def run(
         "captures": enough,
         "notes": list(result.notes),
     }
+    answer = json.loads(json.dumps(answer, default=lambda v: v.tolist()), parse_constant=lambda _: None)  # JSON has no NaN
     if dense_training.rank() == 0:
         mode = patch_mode(data, patch)
         models.save(out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason)
         with replacing(out / "scores.json", "w", encoding="utf-8") as file:
-            json.dump(answer, file, indent=1, ensure_ascii=False, default=str)
+            json.dump(answer, file, indent=1, ensure_ascii=False)
         checkpoint.unlink(missing_ok=True)
     return answer
