@@ -288,6 +288,21 @@ def test_analytic_lens_from_chessboards() -> None:
         lens.from_boards(corners[:3], columns, rows, (1280, 960))
 
 
+def test_analytic_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> None:
+    import cv2
+
+    board = np.full((480, 640), 200, np.uint8)
+    for row, column in np.ndindex(7, 10):
+        if (row + column) % 2:
+            board[60 + row * 50 : 110 + row * 50, 70 + column * 50 : 120 + column * 50] = 20
+    cv2.imwrite(str(tmp_path / "board.png"), board)
+    corners = lens.chessboard_corners(tmp_path / "board.png", 9, 6)
+    assert corners is not None and corners[0] == pytest.approx([120, 110], abs=0.1)
+    assert corners[9] == pytest.approx([120, 160], abs=0.1)  # row by row
+    cv2.imwrite(str(tmp_path / "none.png"), np.full((200, 300), 120, np.uint8))
+    assert lens.chessboard_corners(tmp_path / "none.png", 9, 6) is None
+
+
 def test_analytic_circle_and_shift() -> None:
     rng = np.random.default_rng(9)
     y, x = np.mgrid[:600, :800] + 0.5

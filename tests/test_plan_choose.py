@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from fieldlum import plan, sun
 from fieldlum.cli import main
+from fieldlum.errors import InputError
 from fieldlum.light import Features
 from fieldlum.plan import calendar, choose, coming, makeup
 from fieldlum.plan.coverage import band_directions, coverage, irradiance_figure, sun_figure
@@ -213,6 +214,24 @@ def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather)
     assert sum(hour.sun_azimuth_deg > 180 for hour in answer.hours) >= 10
     drops = [hour.reduction_percent for hour in answer.hours]
     assert drops == sorted(drops, reverse=True)
+
+
+def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> None:
+    """A model that says its light comes from the north finds other hours worth taking."""
+    hours = daylight_hours(span(date(2027, 4, 1), 2), SEATTLE)
+    session = open_session(_session(tmp_path, hours, len(hours)))
+    folder = session.models / "north"
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(
+        json.dumps({"model": "transport", "transport": {"kernel": {"beam_width": 0.3}}})
+    )
+    np.savez(folder / "weights.npz", facade_azimuths=np.array([0.0]), facade_weights=np.ones(1))
+    found = coming.trained_kernel(session)
+    assert found is not None and found[1] == "north" and found[0].beam_width == 0.3
+    assert coming.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC)).model == "north"
+    (folder / "config.json").write_text(json.dumps({"model": "transport"}))
+    with pytest.raises(InputError, match="train again"):
+        coming.trained_kernel(session)
 
 
 def test_analytic_single_gain_is_the_drop_of_the_variance(weather: Weather, year: Hours) -> None:

@@ -30,6 +30,7 @@ CHART_Y = (
     90.0, 59.1, 36.2, 19.8, 9.0, 3.1,
 )  # fmt: skip
 CHART_ROWS, CHART_COLUMNS = 4, 6
+CHART_TRIES = 6
 CHART_U = 0.03  # of a printed chart's patch
 
 
@@ -81,8 +82,7 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     corners_px: x, y of the top left (dark skin), top right, bottom right (black) and bottom left corner.
     """
     frame = linear_frame(path, profile)
-    corners = np.reshape(corners_px, (4, 2)) if len(corners_px) else find_chart(frame)
-    centres, radius = _patch_centres(np.asarray(corners, float))
+    centres, radius = _patch_centres(np.reshape(corners_px, (4, 2))) if len(corners_px) else find_chart(frame)
     rgb, u = [], []
     for x, y in centres:
         patch = frame.patch(x, y, radius)
@@ -104,17 +104,24 @@ def _patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
     return centres, 0.25 * float(min(gap))
 
 
-def find_chart(frame: LinearFrame) -> NDArray[np.float64]:
-    """Outer corners [4, 2] of the patch field in sensor pixels. Raises InputError when there is no chart to be seen."""
+def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
+    """Centres [24, 2] in sensor pixels and a safe radius of a chart's patches. Raises InputError when none is found.
+
+    The detector starts from random clusters and may fail once on a good picture: it is asked CHART_TRIES times.
+    """
     import cv2
 
     if not hasattr(cv2, "mcc"):
         raise InputError(frame.path, "an OpenCV without mcc", "opencv-contrib", "give --corners by hand")
     shown = np.clip(frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9), 0, 1) ** (1 / 2.2)
     picture = np.ascontiguousarray((255 * shown[..., ::-1]).astype(np.uint8))
-    detector = getattr(cv2.mcc, "CCheckerDetector_create")()  # noqa: B009 (its stubs lack it)
-    if detector.process(picture, 1):
-        return np.asarray(detector.getBestColorChecker().getBox(), float).reshape(4, 2) * frame.step
+    for seed in range(CHART_TRIES):
+        cv2.setRNGSeed(seed + 1)
+        detector = getattr(cv2.mcc, "CCheckerDetector_create")()  # noqa: B009 (its stubs lack it)
+        if detector.process(picture, 1):  # asked for a chart without one, it would crash
+            patches = np.asarray(detector.getBestColorChecker().getColorCharts(), float).reshape(-1, 4, 2) * frame.step
+            side = np.linalg.norm(patches - np.roll(patches, 1, axis=1), axis=-1).min()
+            return patches.mean(axis=1), 0.3 * float(side)
     raise InputError(
         frame.path, "no colour chart found", "a 24-patch chart, sharp and upright", "give --corners by hand"
     )

@@ -84,12 +84,12 @@ class Learning:
     weather: Weather
 
 
-def learning(site: Site, room: Room | None, weather: Weather) -> Learning:
-    """Every few hours of the weather year, about YEAR_HOURS of them."""
+def learning(site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None) -> Learning:
+    """Every few hours of the weather year, about YEAR_HOURS of them; the kernel a trained one, else by the facades."""
     lit = weather.daylight()
     year = lit[np.arange(0, len(lit), max(len(lit) // YEAR_HOURS, 1))]
     light = light_at(year.t_utc, site, year.dni_wm2, year.dhi_wm2)
-    return Learning(Kernel(facades_of(room)), light_features(light), site, weather)
+    return Learning(kernel or Kernel(facades_of(room)), light_features(light), site, weather)
 
 
 def features_at(hours: Hours, task: Learning) -> tuple[Index, Features]:

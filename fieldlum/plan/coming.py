@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.light import Features, greedy_hours, light_at, light_features
+from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
 from fieldlum.plan import choose
 from fieldlum.plan.days import Hours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
@@ -38,11 +39,31 @@ class ComingHour:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
+    model: str  # whose kernel it is; empty: of no trained model, by the room's facades
     captured: int
     variance_left_percent: float  # of the prior's, over the year
     hours: tuple[ComingHour, ...]  # best first
     next_batch_percent: float  # of the variance left, by the best BATCH hours of the whole year
     pays: bool
+
+
+def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
+    """The kernel of the session's newest transport model, and its name; None before training.
+
+    Raises InputError for a model folder that does not hold what it should.
+    """
+    folders = [path.parent for path in session.models.glob("*/config.json") if (path.parent / "weights.npz").is_file()]
+    for folder in sorted(folders, key=lambda path: (path / "config.json").stat().st_mtime, reverse=True):
+        try:
+            config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+            if config.get("model") != "transport":
+                continue
+            with np.load(folder / "weights.npz", allow_pickle=False) as arrays:
+                facades = Facades(np.array(arrays["facade_azimuths"]), np.array(arrays["facade_weights"]))
+            return Kernel(facades, **config["transport"]["kernel"]), folder.name
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(folder, f"{type(error).__name__}: {error}", "a transport model", "train again") from None
+    return None
 
 
 def captured_features(session: Session, task: choose.Learning) -> Features:
@@ -110,7 +131,8 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
 def run(session: Session, weather: Weather, now_utc: datetime) -> Answer:
     """Rank the daylight hours of the coming two weeks. Raises NotEnoughDataError when the sun does not rise in them."""
     setup, now_utc = session.site_file(), now_utc.astimezone(UTC)
-    task = choose.learning(setup.site, setup.room, weather)
+    trained = trained_kernel(session)
+    task = choose.learning(setup.site, setup.room, weather, trained[0] if trained else None)
     captured = captured_features(session, task)
     days = span(sun.standard_date(now_utc, setup.site.timezone), AHEAD_DAYS)
     hours = daylight_hours(days, setup.site)
@@ -128,11 +150,13 @@ def run(session: Session, weather: Weather, now_utc: datetime) -> Answer:
     ]  # fmt: skip
     more = greedy_hours(task.kernel, task.year, task.year, BATCH, taken=captured, noise=choose.NOISE).variance
     gained = float(1.0 - more[-1] / more[0])
-    return Answer(len(captured), 100 * float(more[0]), tuple(best), 100 * gained, gained >= WORTH)
+    model = trained[1] if trained else ""
+    return Answer(model, len(captured), 100 * float(more[0]), tuple(best), 100 * gained, gained >= WORTH)
 
 
 def as_table(answer: Answer) -> dict[str, Any]:
     return {
+        "model": answer.model or None,
         "captured": answer.captured,
         "variance_left_percent": answer.variance_left_percent,
         "next_batch": {"captures": BATCH, "reduction_percent": answer.next_batch_percent, "pays": answer.pays},
@@ -153,7 +177,10 @@ def as_table(answer: Answer) -> dict[str, Any]:
 def sentences(answer: Answer, site: Site) -> list[str]:
     zone = ZoneInfo(site.timezone)
     left = f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
-    said = [f"{answer.captured} captures leave {left} of the uncertainty about the year"]
+    said = [
+        f"{answer.captured} captures leave {left} of the uncertainty about the year"
+        + (f", says {answer.model}" if answer.model else "")
+    ]
     for hour in answer.hours:
         when = f"{hour.t_utc.astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
         where = f"sun {hour.sun_altitude_deg:3.0f} deg high at {hour.sun_azimuth_deg:3.0f}"
