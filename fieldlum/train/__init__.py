@@ -218,7 +218,8 @@ def run(
         "captures": enough,
         "notes": list(result.notes),
     }
-    answer = json.loads(json.dumps(answer, default=lambda v: v.tolist()), parse_constant=lambda _: None)  # JSON has no NaN
+    text = json.dumps(answer, default=lambda value: value.tolist())
+    answer = json.loads(text, parse_constant=lambda _: None)  # JSON has no NaN
     if dense_training.rank() == 0:
         mode = patch_mode(data, patch)
         models.save(out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason)
