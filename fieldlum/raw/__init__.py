@@ -1,0 +1,22 @@
+"""Raw mosaics and JPEG frames as the camera gave them: counts in, nothing developed; and the same files out.
+
+LibRaw opens the file (through rawpy), but only its mosaic is used: `postprocess` rescales each frame by its own
+maximum.
+"""
+
+from fieldlum.raw.dng import channel_positions, write_dng
+from fieldlum.raw.exif import FrameInfo
+from fieldlum.raw.jpeg import JpegFrame, read_jpeg, write_jpeg
+from fieldlum.raw.mosaic import Mosaic, read_exif, read_mosaic
+
+__all__ = [
+    "FrameInfo",
+    "JpegFrame",
+    "Mosaic",
+    "channel_positions",
+    "read_exif",
+    "read_jpeg",
+    "read_mosaic",
+    "write_dng",
+    "write_jpeg",
+]

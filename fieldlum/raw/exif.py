@@ -1,0 +1,125 @@
+"""What a frame's EXIF says, and how it is written."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.errors import InputError
+from fieldlum.records import Exposure
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInfo:
+    """What a frame's EXIF says.
+
+    t_camera is the camera's own clock: naive unless the file names its offset from UTC (OffsetTimeOriginal). The
+    exposure's nd comes from a ImageDescription ``ND=name``, which a camera does not write: fieldlum and exiftool do.
+    """
+
+    exposure: Exposure
+    t_camera: datetime | None = None
+    make: str = ""
+    model: str = ""
+
+
+def tags_of(path: Path) -> dict[str, Any]:
+    """exifread's tags; none for what it cannot read. Raises InputError for a file that is missing or empty."""
+    import exifread
+
+    logging.getLogger("exifread").setLevel(logging.CRITICAL)
+    try:
+        with path.open("rb") as file:
+            if not file.read(1):
+                raise InputError(path, "the file is empty", "a frame of a camera", "copy it from the card again")
+            file.seek(0)
+            with suppress(Exception):  # whatever a broken file makes of the parser: then it has no tags
+                return dict(exifread.process_file(file, details=False))
+    except OSError as error:
+        raise InputError(path, error.strerror or str(error), "a readable file") from None
+    return {}
+
+
+def numbers(tags: dict[str, Any], *names: str) -> list[float]:
+    """The values of the first of `names` that is there and made of finite numbers."""
+    for name in names:
+        values = getattr(tags.get(name), "values", None)
+        with suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
+            numbers = [float(v) for v in values] if isinstance(values, list) else []
+            if numbers and np.isfinite(numbers).all():
+                return numbers
+    return []
+
+
+def _text(tags: dict[str, Any], *names: str) -> str:
+    for name in names:
+        values = getattr(tags.get(name), "values", None)
+        if isinstance(values, str) and values.strip("\0 "):
+            return values.strip("\0 ")
+    return ""
+
+
+def _camera_time(tags: dict[str, Any]) -> datetime | None:
+    stamp = _text(tags, "EXIF DateTimeOriginal", "Image DateTimeOriginal", "Image DateTime")
+    day, _, clock = stamp.partition(" ")
+    second = _text(tags, "EXIF SubSecTimeOriginal")
+    offset = _text(tags, "EXIF OffsetTimeOriginal")
+    with suppress(ValueError):
+        fraction = f".{second[:6]:0<6}" if second.isdigit() else ""
+        return datetime.fromisoformat(f"{day.replace(':', '-')}T{clock}{fraction}{offset}")
+    return None
+
+
+def _nd_name(tags: dict[str, Any]) -> str:
+    text = _text(tags, "Image ImageDescription")
+    return text.removeprefix("ND=") if text.startswith("ND=") else ""
+
+
+def info_of(path: Path, tags: dict[str, Any], fallback: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FrameInfo:
+    """fallback: shutter, f-number and ISO as LibRaw found them, 0 where it did not. Raises InputError."""
+    shutter = numbers(tags, "EXIF ExposureTime", "Image ExposureTime") or [fallback[0]]
+    f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1]]
+    iso = numbers(tags, "EXIF ISOSpeedRatings", "EXIF PhotographicSensitivity", "Image ISOSpeedRatings") or [
+        fallback[2]
+    ]
+    wants = (
+        ("exposure time", shutter[0], "ExposureTime", "1/250", 1e-7, 1e5),
+        ("f-number", f_number[0], "FNumber", "5.6", 0.3, 1e3),
+        ("ISO", iso[0], "ISO", "100", 1.0, 1e7),
+    )
+    for name, value, tag, example, low, high in wants:
+        if not value:
+            raise InputError(path, f"no {name} in its EXIF", remedy=f"write it with: exiftool -{tag}={example} FILE")
+        if not low <= value <= high:
+            raise InputError(
+                path, f"{name} {value:g} in its EXIF", f"{low:g} to {high:g}", f"mend it: exiftool -{tag}="
+            )
+    exposure = Exposure(shutter[0], f_number[0], iso[0], _nd_name(tags))
+    return FrameInfo(exposure, _camera_time(tags), _text(tags, "Image Make"), _text(tags, "Image Model"))
+
+
+def rational(value: float) -> Fraction:
+    """As a camera would write it: 1/250, 5.6 = 28/5; exact to 1e-6."""
+    inverse = Fraction(1, max(round(1 / value), 1)) if 0 < value < 1 else Fraction(0)
+    if inverse and abs(float(inverse) / value - 1) < 1e-6:
+        return inverse
+    return Fraction(value).limit_denominator(1_000_000 if value < 1000 else 1000)
+
+
+def time_tags(t_camera: datetime | None) -> dict[int, str]:
+    """DateTimeOriginal, SubSecTimeOriginal and, for an aware time, OffsetTimeOriginal."""
+    if t_camera is None:
+        return {}
+    offset = t_camera.strftime("%z")
+    return {
+        36867: t_camera.strftime("%Y:%m:%d %H:%M:%S"),
+        37521: f"{t_camera.microsecond // 1000:03d}",
+        **({36881: f"{offset[:3]}:{offset[3:5]}"} if offset else {}),
+    }

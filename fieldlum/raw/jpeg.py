@@ -1,0 +1,72 @@
+"""JPEG frames as the camera gave them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.raw.exif import info_of, rational, tags_of, time_tags
+from fieldlum.records import Exposure
+from fieldlum.session import replacing
+
+
+@dataclass(frozen=True, slots=True)
+class JpegFrame:
+    """codes [h, w, 3], red first, not turned by the orientation tag."""
+
+    codes: NDArray[np.uint8]
+    exposure: Exposure
+    t_camera: datetime | None = None
+    make: str = ""
+    model: str = ""
+
+
+def read_jpeg(path: Path) -> JpegFrame:
+    """Raises InputError for what is no whole JPEG, or has no exposure time."""
+    import warnings
+
+    from PIL import Image
+
+    info = info_of(path, tags_of(path))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with Image.open(path, formats=("JPEG",)) as image:
+                codes = np.asarray(image.convert("RGB"))
+    except Exception as error:
+        found = "no JPEG" if type(error).__name__ == "UnidentifiedImageError" else str(error).splitlines()[0]
+        raise InputError(path, found, "a whole JPEG", "copy it from the card again") from None
+    return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
+
+
+def write_jpeg(
+    path: Path,
+    codes: NDArray[np.uint8],
+    exposure: Exposure,
+    *,
+    t_camera: datetime | None = None,
+    make: str = "fieldlum",
+    model: str = "",
+    quality: int = 97,
+) -> None:
+    """codes [h, w, 3] with EXIF; no chroma subsampling."""
+    from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
+
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110] = make, model
+    fields = exif.get_ifd(0x8769)
+    fields[33434] = IFDRational(rational(exposure.shutter_s))
+    fields[33437] = IFDRational(rational(exposure.f_number))
+    fields[34855] = round(exposure.iso)
+    if exposure.nd:
+        exif[0x010E] = f"ND={exposure.nd}"
+    for tag, text in time_tags(t_camera).items():
+        fields[tag] = text
+    with replacing(path) as file:
+        Image.fromarray(codes, "RGB").save(file, "JPEG", quality=quality, subsampling=0, exif=exif)
