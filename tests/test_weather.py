@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from fieldlum import sun, weather
-from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.records import Site
 
 SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
@@ -133,6 +135,7 @@ def test_repairs_are_said(tmp_path) -> None:
         (lambda rows: rows.__setitem__(9, "1,41,8.5,100,20"), "line 10: no such time"),
         (lambda rows: rows.__setitem__(9, rows[8]), "lines 9 and 10: the same hour twice"),
         (lambda rows: rows.__setitem__(0, "month,day,hour,dni,dhi"), "no column dni_wm2, dhi_wm2"),
+        (lambda rows: rows.__setitem__(9, "inf,1,8.5,100,20"), "w.csv: "),
         (lambda rows: rows.insert(0, "# place: Nowhere, 47.6, -122.3, UTC+9"), "time zone UTC+9"),
         (lambda rows: rows.insert(0, "# place: Paris, 48.9, 2.3, UTC+1"), "km"),
     ],
@@ -177,3 +180,41 @@ def test_synthetic_is_seeded_plausible_and_labelled() -> None:
         assert np.array_equal(a.dni_wm2, b.dni_wm2) and a.synthetic and "synthetic" in a.repairs[0]
         assert 800e3 < a.ghi_wm2.sum() < 2200e3  # Wh/m2 in a year, anywhere people live
         assert (a.ghi_wm2 <= 1.25 * np.maximum(sun.clearsky(a.t_utc, place).ghi_wm2, 1.0)).all()
+
+
+_DAY = [
+    f"2027-06-{20 + h // 24:02d}T{h % 24:02d}:30:00Z,{max(0, 40 * (h % 24 - 13))},{5 * (h % 24)}" for h in range(48)
+]
+_SMALL = "\n".join(["t_utc,dni_wm2,dhi_wm2", *_DAY]).encode()
+_HEAD = b"LOCATION,Test,WA,USA,none,0,47.6,-122.3,-8,5\n" + b"X\n" * 7
+_ROWS = b"".join(b"2027,6,%d,%d,60,?,0,0,0,0,0,0,0,10,20,30,0\n" % (20 + h // 24, h % 24 + 1) for h in range(48))
+
+
+@settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.sampled_from([_SMALL, _HEAD + _ROWS]),
+    st.lists(st.tuples(st.integers(0, 3000), st.binary(max_size=4), st.integers(0, 12)), max_size=4),
+)
+def test_mutated_files_are_read_or_refused(tmp_path, whole: bytes, changes) -> None:
+    """Property (fuzz): whatever happens to a file, it gives a finite weather or one of the tool's own errors."""
+    data = bytearray(whole)
+    for at, insert, cut in changes:
+        data[at % len(data) : at % len(data) + cut] = insert
+        data = data or bytearray(b"x")
+    path = tmp_path / "w.csv"
+    path.write_bytes(bytes(data))
+    try:
+        found = weather.read_weather(path, SEATTLE)
+    except FieldlumError as error:
+        assert "\n" not in str(error)
+        return
+    for series in (found.dni_wm2, found.dhi_wm2, found.ghi_wm2):
+        assert np.isfinite(series).all() and (series >= 0).all()
+    assert list(found.t_utc) == sorted(set(found.t_utc))
+
+
+def test_a_mistyped_year_is_named(tmp_path) -> None:
+    path = tmp_path / "w.csv"
+    path.write_text(_SMALL.decode().replace("2027-06-21T12", "9027-06-21T12"))
+    with pytest.raises(InputError, match="is followed by 9027"):
+        weather.read_weather(path, SEATTLE)

@@ -23,6 +23,7 @@ HIGHEST_WM2 = 1600.0
 LOWEST_WM2 = -10.0  # night offset of a thermopile; anything lower is no offset
 FILLED_GAP_HOURS = 3  # gaps up to this are interpolated, and said so; longer ones stay out
 NEAR_KM, FAR_KM = 30.0, 300.0
+LONGEST_GAP = timedelta(days=800)
 _HOUR = timedelta(hours=1)
 
 
@@ -56,13 +57,10 @@ def read_weather(path: Path, site: Site) -> Weather:
     night offsets, 29 February of a typical year, gaps up to three hours; longer gaps are left out and listed.
     """
     path = Path(path)
-    lines = _lines(path)
-    if path.suffix.lower() == ".epw" or lines[0].upper().startswith("LOCATION,"):
-        found = _read_epw(path, lines)
-    elif len(lines) > 1 and lines[1].startswith("Date (MM/DD/YYYY)"):
-        found = _read_tmy3(path, lines)
-    else:
-        found = _read_csv(path, lines, site)
+    try:
+        found = _read(path, _lines(path), site)
+    except (csv.Error, OverflowError) as error:
+        raise InputError(path, str(error), "an EPW, TMY3 or CSV weather file", "fetch it again") from None
     if not found.rows:
         raise NotEnoughDataError(f"{path}: no hours in it")
     repairs = _check_place(path, found.place, site)
@@ -71,6 +69,14 @@ def read_weather(path: Path, site: Site) -> Weather:
     weather = _fill_gaps(found, site, rows, columns, repairs)
     _check_night(path, weather)
     return replace(weather, repairs=tuple(repairs))
+
+
+def _read(path: Path, lines: list[str], site: Site) -> _File:
+    if path.suffix.lower() == ".epw" or lines[0].upper().startswith("LOCATION,"):
+        return _read_epw(path, lines)
+    if len(lines) > 1 and lines[1].startswith("Date (MM/DD/YYYY)"):
+        return _read_tmy3(path, lines)
+    return _read_csv(path, lines, site)
 
 
 def shipped_seattle(site: Site | None = None) -> Weather:
@@ -276,6 +282,9 @@ def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[
         if a.when == b.when:
             found_text = f"lines {a.line} and {b.line}: the same hour twice"
             raise InputError(path, found_text, "every hour once", "take one of them out")
+        if b.when - a.when > LONGEST_GAP:
+            found_text = f"lines {a.line} and {b.line}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
+            raise InputError(path, found_text, "years without holes of years", "mend the dates")
     return rows
 
 
