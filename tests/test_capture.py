@@ -411,3 +411,31 @@ def test_live_display_and_status_file(site: Field, tmp_path: Path) -> None:
     text = console.export_text()
     assert "1 done" in text and "2 left" in text and "W/m²" in text and "PDT" in text
     assert (countdown(59.6), countdown(3725), countdown(None), countdown(-3)) == ("01:00", "1:02:05", "-", "00:00")
+
+
+def test_a_defect_in_a_bracket_costs_its_slot_alone(site: Field) -> None:
+    def check(path: Path) -> str:
+        if "T163000" in str(path):
+            raise ZeroDivisionError("a defect")
+        return ""
+
+    site.run(check_shortest=check)
+    assert site.outcomes() == ["done", "aborted", "done"]
+    aborted = next(e for e in read_journal(site.session) if e["event"] == "aborted")
+    assert aborted["why"] == "ZeroDivisionError: a defect" and aborted["frames"] == 3
+
+
+def test_disk_full_at_the_very_end_of_a_bracket(site: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fieldlum.capture import bracket
+
+    real, calls = bracket.write_capture, []
+
+    def full_once(*args: Any, **kwargs: Any) -> None:
+        calls.append(1)
+        if len(calls) == 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(*args, **kwargs)
+
+    monkeypatch.setattr(bracket, "write_capture", full_once)
+    events = site.run()
+    assert site.outcomes() == ["done"] * 3 and events.count("disk-full") == 1

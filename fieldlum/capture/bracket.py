@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -145,8 +146,15 @@ class Bracket:
         state = self._read_meter(slot, state)
         doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
         darkest = min(state.frames, key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2))
-        doubts += [f"{darkest.file}: {text}" for text in (self.check_shortest(folder / darkest.file),) if text]
-        write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
+        if text := self.check_shortest(folder / darkest.file):
+            doubts.append(f"{darkest.file}: {text}")
+        try:
+            write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
+        except OSError as error:
+            if not disk_is_full(error):
+                raise
+            self.recorder.make_room()  # a few kilobytes: the reserve has them
+            write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
         self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why="; ".join(doubts))
         return replace(state, outcome="done", why="; ".join(doubts))
 
@@ -167,8 +175,10 @@ class Bracket:
         folder = self.session.raw / slot.id
         for scrap in folder.glob(".*"):
             scrap.unlink(missing_ok=True)
-        if state.frames and not self.recorder.full:
-            write_capture(folder, slot, state, self.setup, self._camera_info(), complete=False)
+        if state.frames:
+            with suppress(OSError):  # the journal has it all
+                whole = len(state.frames) == len(shots(slot.exposures, self.setup))
+                write_capture(folder, slot, state, self.setup, self._camera_info(), complete=whole)
         self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
         return replace(state, outcome="aborted", why=why)
 

@@ -16,7 +16,7 @@ from fieldlum import __version__
 from fieldlum.capture.bracket import Bracket, Check, shots
 from fieldlum.capture.keeper import Keeper, plain_info
 from fieldlum.capture.logger import Logger
-from fieldlum.capture.recorder import RESERVE_BYTES, Recorder
+from fieldlum.capture.recorder import RESERVE_BYTES, Recorder, disk_is_full
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer, open_camera, open_meter, open_pyranometer
@@ -193,7 +193,11 @@ class _Runner:
         )
         for name, fields in self.clock.check():
             self.recorder.tell(name, **fields)
-        update_session(self.session, {"devices": about})
+        try:
+            update_session(self.session, {"devices": about})
+        except OSError as error:
+            if not disk_is_full(error):
+                raise
         if self.logger is not None and options.threaded:
             self.logger.start()
 
@@ -224,7 +228,7 @@ class _Runner:
                 self.recorder.refill()
                 if late_s > 10.0 and state.outcome == "":
                     self.recorder.tell("late", slot=slot.id, by_s=round(late_s, 1))
-                state = bracket.take(slot, state, slot.t_utc + grace)
+                state = self._take(bracket, slot, state, slot.t_utc + grace)
                 self._after_bracket(slot, state)
             self.states[slot.id] = state
             self._count_misses(state)
@@ -232,6 +236,14 @@ class _Runner:
             self._show()
         self._state, self._next = "finished", ""
         self._show()
+
+    def _take(self, bracket: Bracket, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
+        """A bracket; whatever goes wrong in it costs this slot, never the month."""
+        try:
+            return bracket.take(slot, state, deadline)
+        except Exception as error:
+            known = fold(read_journal(self.session)).slots.get(slot.id, state)
+            return bracket.abort(slot, known, f"{type(error).__name__}: {error}"[:300])
 
     def _too_late(self, bracket: Bracket, slot: Slot, state: SlotState, late_s: float) -> SlotState:
         if state.outcome == "started":
@@ -246,7 +258,8 @@ class _Runner:
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
-        sizes = [(self.session.raw / slot.id / frame.file).stat().st_size for frame in state.frames[:3]]
+        paths = [self.session.raw / slot.id / frame.file for frame in state.frames[:3]]
+        sizes = [path.stat().st_size for path in paths if path.is_file()]
         if sizes:
             self.bytes_per_slot = sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))
 
