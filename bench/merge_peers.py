@@ -53,13 +53,13 @@ done(hdr[..., 1])
     "HDRutils, on the mosaic": """
 import HDRutils
 t0 = time.process_time()
-hdr = HDRutils.merge(files, do_align=False, demosaic_first=False, estimate_exp=False, color_space="raw")[0]
+hdr = HDRutils.merge(files, demosaic_first=False, exp=times, gain=[1.0] * len(files), aperture=%(n)f)[0]
 done(hdr[..., 1])
 """,
     "HDRutils, as it comes": """
 import HDRutils
 t0 = time.process_time()
-hdr = HDRutils.merge(files, do_align=False, estimate_exp=False)[0]
+hdr = HDRutils.merge(files, exp=times, gain=[1.0] * len(files), aperture=%(n)f)[0]
 done(hdr[..., 1])
 """,
     "colour-hdri": """

@@ -29,8 +29,8 @@ PLACES = {  # column, row of the 1000 x 1000 equidistant picture
     "ceiling": (450, 150),
     "wall over the screen": (480, 330),
     "computer screen": (500, 480),
-    "desk by the keyboard": (600, 740),
-    "sky through the window": (780, 480),
+    "desk left of the keyboard": (339, 888),
+    "sky through the window": (919, 385),
 }
 
 
@@ -120,7 +120,15 @@ def _false_colour(luminance: np.ndarray, seen: np.ndarray, path: Path) -> None:
     drawn = axes.imshow(np.where(seen, luminance, np.nan), norm=LogNorm(1, 1e4), cmap="turbo")
     for place, (x, y) in PLACES.items():
         axes.plot(x, y, "o", mfc="none", mec="white", ms=7)
-        axes.annotate(place, (x + 14, y), color="white", fontsize=7, va="center")
+        left = x > 700
+        axes.annotate(
+            place,
+            (x - 14 if left else x + 14, y),
+            color="white",
+            fontsize=7,
+            va="center",
+            ha="right" if left else "left",
+        )
     axes.set_axis_off()
     figure.colorbar(drawn, label="luminance in cd/m²", shrink=0.85)
     figure.savefig(path, dpi=90)
