@@ -192,6 +192,23 @@ def test_uncertainty_of_dgp_is_its_slope() -> None:
     assert only[0, 0] == pytest.approx((dgp(ev, contrast * 1.01**2) - dgp(ev, contrast)).item(), rel=0.02)
 
 
+def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
+    """analytic: a map known exactly leaves only the disc's share."""
+    from fieldlum.glare import panorama_views
+    from fieldlum.models import Prediction
+    from fieldlum.predict.blocks import Block
+    from fieldlum.predict.year import U_DISC, _relative
+
+    light = DATA.light[[3]]
+    maps = np.full((1, *DATA.shape), 50.0, np.float32)
+    block = Block(slice(0, 1), light, Prediction(maps, np.zeros_like(maps), np.zeros(1), np.ones(1, bool)), np.ones(1))
+    views = panorama_views(*DATA.shape, 180.0, [180.0])
+    one = np.ones((1, 1))
+    found = {"ev_lx": 4 * one, "sun_ev_lx": one, "contrast": 10 * one, "sun_contrast": 10 * one}
+    ev, source = _relative(block, views, found)
+    assert (ev.item(), source.item()) == pytest.approx((U_DISC / 4, U_DISC))
+
+
 # ---------------------------------------------------------------------------------------------- occupancy
 
 

@@ -15,7 +15,7 @@ from fieldlum.glare.sources import sources_of
 from fieldlum.records import Float
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
-METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")  # beside them `contrast`, the sum of L2 omega / P2 over sources
+METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")  # beside them contrast, sun_contrast, sun_ev_lx
 
 # Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16; evalglare computes with these, and so do we.
 DGP_EV, DGP_CONTRAST, DGP_BASE = 5.87e-5, 0.092, 0.159
@@ -58,7 +58,8 @@ def glare_directions(
     *,
     views: Views | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Glare of n panoramas in d horizontal view directions: `METRICS` and contrast, each [n, d].
+    """Glare of n panoramas in d horizontal view directions, each [n, d]: `METRICS`, and the parts that DGP is made of:
+    contrast, the sum of L2 omega / P2 over sources; sun_contrast and sun_ev_lx, what the disc gives to it and to Ev.
 
     luminance_cdm2 : [n, H, W] without the sun's disc.
     sun_direction : [n, 3] unit vectors (x east, y north, z up).
@@ -120,11 +121,14 @@ def _combine(
     """Put the sun to the other sources; sums: [n, 3, d], all others [n, d]."""
     ev = map_ev + sun_ev
     omega = np.asarray(SUN_SOLID_ANGLE_SR)
-    contrast = sums[:, 0] + sun_cdm2**2 * omega / sun_index**2
+    sun_contrast = sun_cdm2**2 * omega / sun_index**2
+    contrast = sums[:, 0] + sun_contrast
     background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi  # CIE: what is left of Ev without the sources
     return {
         "ev_lx": ev,
         "contrast": contrast,
+        "sun_contrast": sun_contrast,
+        "sun_ev_lx": np.asarray(sun_ev, float),
         "dgp": dgp(ev, contrast),
         "dgps": dgps(ev),
         "ugr": ugr(contrast, background),

@@ -13,7 +13,7 @@ from fieldlum.errors import InputError
 from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx, rammg, rammg_lightness
 from fieldlum.glare.fisheye import panorama_to_fisheye
 from fieldlum.glare.geometry import view_azimuths_deg
-from fieldlum.glare.metrics import glare_directions
+from fieldlum.glare.metrics import METRICS, glare_directions
 from fieldlum.glare.pictures import Picture, read_picture
 from fieldlum.glare.reference import reference_glare
 from fieldlum.glare.sources import group_pixels, widen
@@ -43,7 +43,7 @@ def picture_glare(path: Path, azimuths_deg: Sequence[float] = (), *, reference: 
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     found = glare_directions(maps[None], panorama.heading_deg, azimuths, rays, disc)
     height, width = maps.shape
-    del found["contrast"]
+    found = {name: found[name] for name in METRICS}
     found |= ViewRegions(height, width, panorama.heading_deg, azimuths).ratios(maps[None])
     views = []
     for i, azimuth in enumerate(azimuths):

@@ -24,6 +24,8 @@ from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_o
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 
+U_DISC = 0.05  # relative standard uncertainty of the disc's illuminance: luminous efficacy and glass
+
 if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models import Fitted
@@ -132,23 +134,37 @@ def view_figures(block: Block, room: Room, views: Views, regions: ViewRegions) -
     found = glare_directions(
         maps, room.heading_deg, views.azimuths_deg, block.light.sun_direction, block.disc_lx, views=views
     )
-    contrast = found.pop("contrast")
-    ev_relative, source_relative = _relative(block, views)
-    found["u_dgp"] = dgp_uncertainty(found["ev_lx"], contrast, ev_relative, source_relative)
+    found["u_dgp"] = dgp_uncertainty(found["ev_lx"], found["contrast"], *_relative(block, views, found))
+    found = {name: values for name, values in found.items() if name in VIEW_COLUMNS}
     found["melanopic_edi_lx_estimate"] = melanopic_edi_lx(found["ev_lx"])
     return found | regions.ratios(maps)
 
 
-def _relative(block: Block, views: Views) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _relative(
+    block: Block, views: Views, found: dict[str, NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Relative standard uncertainty of Ev and of the sources' luminance, [k, d]; NaN where the model says nothing.
 
-    Pixels of one picture are taken to err together: a model is too bright or too dark in all of a wall.
+    Pixels of one picture are taken to err together: a model is too bright or too dark in all of a wall. The disc has an
+    uncertainty of its own.
     """
+    map_ev, map_source = _relative_of_map(block, views)
+    share_ev = found["sun_ev_lx"] / np.maximum(found["ev_lx"], 1e-6)
+    share = np.divide(
+        found["sun_contrast"], found["contrast"], out=np.zeros_like(share_ev), where=found["contrast"] > 0
+    )
+    return (
+        np.hypot((1.0 - share_ev) * map_ev, share_ev * U_DISC),
+        np.hypot((1.0 - share) * map_source, share * U_DISC),
+    )
+
+
+def _relative_of_map(block: Block, views: Views) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     told = block.prediction
     shape = (len(told.trusted), len(views.azimuths_deg))
     if told.log10_sd is None:
         same = np.log(10.0) * np.sqrt(np.asarray(told.expected_mse, float))[:, None]
-        return np.broadcast_to(same, shape).copy(), np.broadcast_to(same, shape).copy()
+        return np.broadcast_to(same, shape), np.broadcast_to(same, shape)
     flat = told.luminance_cdm2.reshape(shape[0], -1)
     spread = np.float32(np.log(10.0)) * told.log10_sd.reshape(shape[0], -1)
     ev = flat @ views.illuminance
