@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 NEEDED = ("t_utc", "panorama", "dni_wm2", "dhi_wm2")
 MOST_IRRADIANCE_WM2 = 1600.0  # above the solar constant with cloud enhancement
 LEAST_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
+LEAST_DISC_CDM2 = 2e4  # a window's edge under a grey sky is far brighter than the frame, and no disc
 LUMENS_PER_WATT = 93.0  # rough, and only used to tell a disc from a sunlit wall
 
 
@@ -125,8 +126,8 @@ def split_disc(
     """Take the disc out of one map [H, W]: the map without it, and its illuminance [lx] on a plane normal to the sun.
 
     Disc pixels stand within two pixels of the sun and are brighter than any matt surface or sky could be: over ten
-    times a white wall in that sun, a fiftieth of the whole disc, three times their surroundings. They are given the
-    median of the pixels around.
+    times a white wall in that sun, a fiftieth of the whole disc, three times their surroundings, and brighter than any
+    grey sky. They are given the median of the pixels around.
     """
     height, width = luminance_cdm2.shape
     row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, heading_deg)
@@ -135,7 +136,9 @@ def split_disc(
     near = luminance_cdm2[rows, columns]
     omega = equirect_solid_angles(height, width)[rows, columns + 0 * rows]
     full_lx = LUMENS_PER_WATT * dni_wm2
-    disc = near > np.maximum(0.02 * full_lx / omega, max(10.0 * full_lx / math.pi, 3.0 * float(np.median(near)), 100.0))
+    disc = near > np.maximum(
+        0.02 * full_lx / omega, max(10.0 * full_lx / math.pi, 3.0 * float(np.median(near)), LEAST_DISC_CDM2)
+    )
     if not disc.any() or disc.sum() > 9:
         return luminance_cdm2, 0.0
     background = float(np.median(near[~disc]))
