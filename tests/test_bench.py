@@ -66,7 +66,10 @@ def test_the_front_holds_what_nothing_beats() -> None:
 def test_seeds_become_mean_and_spread() -> None:
     """analytic: 1 and 3 have mean 2 and standard deviation sqrt 2."""
     keys = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
-    rows = [dict.fromkeys(keys, v) | {"name": "dense", "fit_s": v, "fit_cpu_s": v, "seed": s} for s, v in enumerate((1.0, 3.0))]
+    rows = [
+        dict.fromkeys(keys, v) | {"name": "dense", "fit_s": v, "fit_cpu_s": v, "seed": s}
+        for s, v in enumerate((1.0, 3.0))
+    ]
     (row,) = over_seeds(rows)
     assert row["log10_mse_weighted"] == 2.0 and row["seeds"] == 2
     assert row["log10_mse_weighted_sd"] == pytest.approx(2**0.5)
