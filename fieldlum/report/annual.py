@@ -123,9 +123,9 @@ def directions_section(annual: Annual) -> Section:
         head = ("date", "local time", "direct, W/m²", "diffuse, W/m²")
         tables.append(Table(head, rows, "Hours like these, captured, would settle the open classes"))
     curve = svg_figure(
-        exceedance_svg(annual.views["dgp"][annual.occupied], annual.azimuths_deg),
-        "Exceedance curves of DGP for each direction over the lit occupied hours.",
-        "Share of the lit occupied hours in which a DGP is exceeded; each grey line is a direction.",
+        exceedance_svg(annual.views["dgp"][annual.occupied], annual.about["occupancy"]["hours"], annual.azimuths_deg),
+        "Exceedance curves of DGP for each direction over the occupied hours.",
+        "Share of the occupied hours in which a DGP is exceeded; each grey line is a direction.",
     )
     text = f"Occupied hours: {annual.about['occupancy']['text']}. {' '.join(annual.about['notes'][1:])}"
     return Section("directions", "Where to sit", text, (Row((curve,)),), tuple(tables))

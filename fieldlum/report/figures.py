@@ -218,12 +218,15 @@ def polar_svg(azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high:
         return _svg(figure)
 
 
-def exceedance_svg(dgp: Float, azimuths_deg: Float) -> str:
-    """Share of occupied hours above a DGP, one line per direction, [n, d]; best and worst are named."""
+def exceedance_svg(dgp: Float, occupied_hours: int, azimuths_deg: Float) -> str:
+    """Share of all occupied hours above a DGP, one line per direction; best and worst are named.
+
+    dgp: [n, d] of the lit ones; the dark ones count as hours without glare, as in EN 17037.
+    """
     n = len(dgp)
-    share = 100.0 * np.arange(1, n + 1) / max(n, 1)
+    share = 100.0 * np.arange(1, n + 1) / max(occupied_hours, 1)
     ranked = np.sort(dgp, axis=0)[::-1]
-    at_5 = ranked[min(int(0.05 * n), n - 1)]
+    at_5 = ranked[min(int(0.05 * occupied_hours), n - 1)]
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.6, 3.4))
         axes = figure.add_subplot()
