@@ -20,12 +20,7 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
 
     An empty cell is None. Raises InputError naming line and column.
     """
-    try:
-        lines = [
-            line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()[:1] not in ("", "#")
-        ]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a csv of readings") from None
+    lines = _lines(path)
     rows = csv.DictReader(lines)
     names = [name.strip() for name in rows.fieldnames or []]
     for name in needed:
@@ -39,6 +34,20 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     if not found:
         raise InputError(path, "no readings", "one a line")
     return found
+
+
+def _lines(path: Path) -> list[str]:
+    """Without empty lines and comments. Raises InputError."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, str(error), "a csv of readings") from None
+    return [line for line in text.splitlines() if line.strip()[:1] not in ("", "#")]
+
+
+def columns_of(path: Path) -> list[str]:
+    """Names in the header of a csv."""
+    return [name.strip() for name in next(csv.reader(_lines(path)[:1]), [])]
 
 
 def _cell(path: Path, number: int, name: str, text: str | None) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.frames import geometry_of, linear_frame, nearest_lens, relative_angle
-from fieldlum.calibrate.keep import needed, read_table
+from fieldlum.calibrate.keep import columns_of, needed, read_table
 from fieldlum.calibrate.order import Candidate, Choice, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import check_vignetting, vignetting_at
@@ -56,8 +56,7 @@ def from_table(path: Path, profile: CameraProfile) -> Samples:
     Optional: radius_px of the patch (12), reference (a meter's reading at that time, to take out a drifting lamp),
     u_rel, f_number.
     """
-    head = path.read_text(encoding="utf-8-sig").splitlines()[0] if path.is_file() else ""
-    if "angle_deg" in head:
+    if "angle_deg" in columns_of(path):
         rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
         half = profile.lens[0].full_angle_deg / 2
         r = np.array([abs(needed(row, "angle_deg", path)) / half for row in rows])
