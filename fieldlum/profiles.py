@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 import types
 import typing
@@ -69,7 +70,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             raise InputError(where, repr(value), "a table")
         return build(typing.cast(type, hint), value, where)
     if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or value != value:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(where, repr(value), "a number")
         return float(value)
     if isinstance(hint, type) and (not isinstance(value, hint) or (hint is int and isinstance(value, bool))):
@@ -279,8 +280,48 @@ def find_camera_profile(name: str) -> Path:
 
 
 def load_camera_profile(name: str | Path) -> CameraProfile:
+    """Raises InputError for a file that is no profile, or has figures no camera can have."""
     path = find_camera_profile(str(name))
-    return build(CameraProfile, read_toml(path), str(path))
+    profile = build(CameraProfile, read_toml(path), str(path))
+    check_camera(profile, str(path))
+    return profile
+
+
+def check_camera(profile: CameraProfile, where: str) -> None:
+    """Raises InputError, naming the key, for figures that no camera can have."""
+    p = profile
+    if not p.lens:
+        raise InputError(where, "no [[lens]]", "at least one")
+    positive: dict[str, tuple[float, ...]] = {
+        "camera.width_px": (p.camera.width_px,),
+        "camera.height_px": (p.camera.height_px,),
+        "lens.radius_px": tuple(x.radius_px for x in p.lens),
+        "lens.full_angle_deg": tuple(x.full_angle_deg for x in p.lens),
+        "lens.vignetting.f_number": tuple(v.f_number for x in p.lens for v in x.vignetting),
+        "bracket.shutter_s": (*p.bracket.shutter_s, *p.bracket.nd_shutter_s),
+        "bracket.f_number": (p.bracket.f_number,),
+        "bracket.iso": (p.bracket.iso,),
+        "sensor.gain_e_per_dn": (p.sensor.gain_e_per_dn,),
+        "sensor.iso": (p.sensor.iso,),
+        "shutter.nominal_s and true_s": tuple(t for x in p.shutter for t in (x.nominal_s, x.true_s)),
+        "scale.k": (p.scale.k,),
+        "scale.f_numbers": p.scale.f_numbers,
+        "nd.factor_rgb": tuple(f for x in p.nd for f in x.factor_rgb),
+    }
+    for key, values in positive.items():
+        for value in values:
+            if not 0 < value < 1e12:
+                raise InputError(where, f"{key} = {value:g}", "a number above 0")
+    if max(x.full_angle_deg for x in p.lens) > 300 or max(p.camera.width_px, p.camera.height_px) > 100_000:
+        raise InputError(where, "a lens beyond 300 degrees or a sensor beyond 100 000 pixels", "a real camera")
+    if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
+        raise InputError(where, "[sensor] black_dn or saturation_dn", "four values: R, G1, G2, B")
+    if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
+        raise InputError(where, "[sensor] black at or above saturation", "black below saturation and white")
+    if len(p.colour.rgb_to_radiance) not in (0, 9):
+        raise InputError(where, f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values", "9, or none")
+    if not 0 <= p.response.low_code < p.response.high_code <= 255:
+        raise InputError(where, "response.low_code, high_code", "0 <= low < high <= 255")
 
 
 def save_profile(path: Path, profile: CameraProfile) -> None:

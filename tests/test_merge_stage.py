@@ -11,11 +11,11 @@ from click.testing import CliRunner
 
 from fieldlum import merge
 from fieldlum.cli import main
-from fieldlum.errors import NotEnoughDataError
+from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, read_radiance_hdr
 from fieldlum.merge.survey import drift_percent, shutter_table
 from fieldlum.photometry import z_per_cdm2
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
+from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, load_camera_profile, save_profile
 from fieldlum.raw import write_dng
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot, slot_id, utc_text
 from fieldlum.session import DayFiles, Session, create_session, exposure_text
@@ -187,3 +187,17 @@ def test_exit_codes(session: Session, tmp_path: Path) -> None:
     assert code("--frames", str(tmp_path / "none.dng"), "--camera", camera, "--out", "x.hdr") == 3
     assert code("--frames", camera, "--camera", camera, "--out", "x.png") == 3
     assert code("--frames", camera, "--camera", "no-such-camera", "--out", "x.hdr") == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("radius_px = 31.0", "radius_px = 0.0"), ("gain_e_per_dn = 2.0", "gain_e_per_dn = inf"), ("k = 1.0", "k = -1.0")],
+)
+def test_figures_that_no_camera_has_are_refused(tmp_path: Path, old: str, new: str) -> None:
+    path = tmp_path / "small.toml"
+    save_profile(path, profile())
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match="small"):
+        load_camera_profile(path)
