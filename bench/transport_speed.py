@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import resource
+import sys
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -49,6 +50,7 @@ def main() -> None:
         marks = [(time.process_time(), time.perf_counter())]
         model = fit(train)
         marks.append((time.process_time(), time.perf_counter()))
+        print(f"{name}: fitted in {marks[1][0] - marks[0][0]:.1f} CPU s", file=sys.stderr, flush=True)
         for start in range(0, options.hours, BLOCK):
             rows = np.arange(start, min(start + BLOCK, options.hours)) % len(year)
             model.predict(year.light[rows], doubled(year.patch_cdm2[rows]))
