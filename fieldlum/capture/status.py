@@ -16,7 +16,7 @@ def status(session: Session) -> dict[str, Any]:
     """Each stage with what is done and what it owes."""
     slots, ledger = session.slots(), fold(read_journal(session))
     captured = {slot.id for slot in slots if _of(ledger, slot).frames}
-    merged = {path.stem for path in session.panoramas.glob("*.exr")}
+    merged = {path.stem for path in session.panoramas.glob("[0-9]*.exr")}
     paired, usable = _pairs(session.pairs)
     return {
         "session": str(session.root),

@@ -20,7 +20,7 @@ from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
 from fieldlum.merge.disc import take_out_sun
 from fieldlum.merge.frames import Shot, shots_of_slot
-from fieldlum.merge.survey import write_survey
+from fieldlum.merge.survey import survey_owed, write_survey
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, quiet, utc_text
@@ -228,7 +228,7 @@ def run(
         verdicts.append(verdict)
         progress(done, len(jobs), f"{verdict.slot}: {verdict.text}"[:60])
     verdicts.sort(key=lambda v: v.slot)
-    if any(v.state == "merged" for v in verdicts) or not (session.panoramas / "quality.csv").is_file():
+    if survey_owed(session):
         write_survey(session)
     if all(v.state == "failed" for v in verdicts):
         raise InputError(session.raw, f"no bracket could be merged; {verdicts[0].text}", remedy="see each bracket")

@@ -112,12 +112,6 @@ def write_survey(session: Session) -> None:
     """panoramas/quality.csv, panoramas/shutter.csv and contact sheets, of everything merged so far."""
     notes = read_notes(session)
     table = shutter_table([n["quality"] for n in notes])
-    with replacing(session.panoramas / "quality.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for note in notes:
-            row = _row(session, note, table)
-            writer.writerow([row[name] for name in COLUMNS])
     with replacing(session.panoramas / "shutter.csv", "w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(("exposure", "nominal_s", "true_over_assumed", "u_rel", "brackets"))
@@ -125,6 +119,19 @@ def write_survey(session: Session) -> None:
             (e.exposure, f"{e.nominal_s:.7g}", f"{e.correction:.6f}", f"{e.u_rel:.2g}", e.brackets) for e in table
         )
     _contact_sheets(session, notes)
+    with replacing(session.panoramas / "quality.csv", "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for note in notes:
+            row = _row(session, note, table)
+            writer.writerow([row[name] for name in COLUMNS])
+
+
+def survey_owed(session: Session) -> bool:
+    """Whether a sidecar is newer than quality.csv, which is written last: also after a kill in the middle."""
+    known = session.panoramas / "quality.csv"
+    written = known.stat().st_mtime_ns if known.is_file() else -1
+    return any(path.stat().st_mtime_ns > written for path in session.panoramas.glob("[0-9]*Z.json"))
 
 
 def _row(session: Session, note: dict[str, Any], table: Sequence[ShutterEntry]) -> dict[str, str]:
