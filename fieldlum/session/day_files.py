@@ -1,0 +1,98 @@
+"""irradiance/2027-03-20.csv: one file a UTC day, appended row by row."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+import zlib
+from datetime import UTC
+from pathlib import Path
+
+from fieldlum.records import IrradianceSample, parse_utc, utc_text
+from fieldlum.session.folder import Session
+from fieldlum.session.lines import append_whole, cut_torn_tail
+from fieldlum.session.writing import sync_folder
+
+DAY_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c", "status", "raw", "crc")
+_DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
+
+
+def encode_sample(sample: IrradianceSample) -> bytes:
+    """One row of a day file; its last column is the CRC-32 of what stands before that column's comma."""
+    figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
+    row = io.StringIO()
+    texts = [text.encode("ascii", "backslashreplace").decode() for text in (sample.status, sample.raw)]
+    printable = ["".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts]
+    shown = ["" if value is None or not math.isfinite(value) else f"{value:.7g}" for value in figures]
+    csv.writer(row, lineterminator="").writerow([utc_text(sample.t_utc), *shown, *printable])
+    body = row.getvalue().encode()
+    return body + b",%08x\n" % zlib.crc32(body)
+
+
+def decode_sample(line: bytes) -> IrradianceSample | None:
+    """The sample of a whole and unharmed row, else None."""
+    body, _, crc = line.rstrip(b"\n").rpartition(b",")
+    try:
+        if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
+            return None
+        t_utc, *figures, status, raw = next(csv.reader([body.decode()]))
+        ghi, dhi, dni, temperature = (float(text) if text else None for text in figures)
+        return IrradianceSample(parse_utc(t_utc), ghi, dhi, dni, temperature, status, raw)
+    except (ValueError, StopIteration):
+        return None
+
+
+class DayFiles:
+    """Appends samples to UTC day files, each row durable when `append` returns."""
+
+    def __init__(self, session: Session, *, flush: bool = True) -> None:
+        self._folder, self._flush = session.irradiance, flush
+        self._day, self._handle = "", -1
+        self.cut_bytes = 0
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def append(self, sample: IrradianceSample) -> None:
+        """Raises OSError on a full disk; half a row is then taken back."""
+        day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
+        if day != self._day:
+            self._open(day)
+        append_whole(self._handle, encode_sample(sample), flush=self._flush)
+
+    def _open(self, day: str) -> None:
+        self.close()
+        path = self._folder / f"{day}.csv"
+        self.cut_bytes += cut_torn_tail(path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None)
+        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            if os.fstat(handle).st_size == 0:
+                append_whole(handle, _DAY_HEADER, flush=self._flush)
+                sync_folder(self._folder)
+        except OSError:
+            os.close(handle)
+            raise
+        self._day, self._handle = day, handle
+
+    def close(self) -> None:
+        if self._handle >= 0:
+            os.close(self._handle)
+        self._day, self._handle = "", -1
+
+
+def day_files(session: Session) -> list[Path]:
+    return sorted(session.irradiance.glob("[0-9][0-9][0-9][0-9]-[0-9][0-9]-[0-9][0-9].csv"))
+
+
+def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
+    """Samples of one day file and the number of unsound lines that were skipped."""
+    samples: list[IrradianceSample] = []
+    broken = 0
+    with path.open("rb") as file:
+        for line in file:
+            sample = decode_sample(line)
+            if sample is not None:
+                samples.append(sample)
+            elif line != _DAY_HEADER:
+                broken += 1
+    return samples, broken

@@ -1,0 +1,140 @@
+"""The folder itself: where things lie, session.toml, and who may write."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fieldlum import __version__
+from fieldlum.errors import InputError
+from fieldlum.profiles import site_from_table, site_table
+from fieldlum.records import SiteFile, Slot
+from fieldlum.session.plan_file import read_plan, write_plan
+from fieldlum.session.writing import replacing, sha256
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    root: Path
+
+    @property
+    def toml(self) -> Path:
+        return self.root / "session.toml"
+
+    @property
+    def plan(self) -> Path:
+        return self.root / "plan.csv"
+
+    @property
+    def journal(self) -> Path:
+        return self.root / "journal.jsonl"
+
+    @property
+    def irradiance(self) -> Path:
+        """Folder of UTC day files ``2027-03-20.csv`` and of ``clean.csv``."""
+        return self.root / "irradiance"
+
+    @property
+    def raw(self) -> Path:
+        return self.root / "raw"
+
+    @property
+    def panoramas(self) -> Path:
+        return self.root / "panoramas"
+
+    @property
+    def sunpatches(self) -> Path:
+        return self.root / "sunpatches"
+
+    @property
+    def pairs(self) -> Path:
+        return self.root / "pairs.csv"
+
+    @property
+    def models(self) -> Path:
+        return self.root / "models"
+
+    @property
+    def annual(self) -> Path:
+        return self.root / "annual"
+
+    @property
+    def report(self) -> Path:
+        return self.root / "report"
+
+    @property
+    def truth(self) -> Path:
+        """Only in simulated sessions: what the simulator knows."""
+        return self.root / "truth"
+
+    def table(self) -> dict[str, Any]:
+        """The whole of session.toml."""
+        return tomllib.loads(self.toml.read_text(encoding="utf-8"))
+
+    def site_file(self) -> SiteFile:
+        """Site, camera, room and pyranometer, as they stood when the session was planned."""
+        return site_from_table(self.table().get("setup", {}), str(self.toml))
+
+    def slots(self) -> list[Slot]:
+        return read_plan(self.plan)
+
+
+def open_session(root: Path) -> Session:
+    """Raises InputError when `root` is no session."""
+    session = Session(root)
+    if not session.toml.is_file():
+        raise InputError(root, "no session.toml in it", "a session folder", "make one with: fieldlum plan SITE.toml")
+    try:
+        session.table()
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(session.toml, str(error), "TOML", "restore it from a copy") from None
+    return session
+
+
+def create_session(root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: dict[str, Any]) -> Session:
+    """Write plan.csv and session.toml. The plan is immutable: raises InputError when there is one already."""
+    session = Session(root)
+    if session.toml.exists():
+        raise InputError(root, "already a session", "a new folder", "choose another --out, or use --replan")
+    write_plan(session.plan, slots, setup.site.timezone)
+    update_session(
+        session,
+        {
+            "setup": site_table(setup),
+            "plan": {**plan_about, "sha256": sha256(session.plan)},
+            "software": {"fieldlum": __version__},
+        },
+    )
+    return session
+
+
+def update_session(session: Session, tables: dict[str, Any]) -> None:
+    """Merge top-level tables into session.toml (a table given replaces the one of that name)."""
+    import tomli_w
+
+    known = session.table() if session.toml.exists() else {}
+    with replacing(session.toml) as file:
+        file.write(tomli_w.dumps({**known, **tables}).encode())
+
+
+@contextmanager
+def sole_user(session: Session, purpose: str) -> Iterator[None]:
+    """Only one `purpose` (capture, log) at a time works on a session; the lock goes with the process, however it ends.
+
+    Raises InputError when another one runs.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such locks on Windows
+        yield
+        return
+    with (session.root / f".{purpose}.lock").open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise InputError(session.root, f"another fieldlum {purpose} runs here", "one", "stop it first") from None
+        yield

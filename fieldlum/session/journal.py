@@ -1,0 +1,40 @@
+"""journal.jsonl: everything that happened, one event a line, never rewritten."""
+
+from __future__ import annotations
+
+import os
+import threading
+from datetime import datetime
+from typing import Any
+
+from fieldlum.records import utc_text
+from fieldlum.session.folder import Session
+from fieldlum.session.lines import append_whole, cut_torn_tail, decode_line, encode_line
+
+
+class Journal:
+    """The session's events: appended with a CRC and flushed to disk one by one, by any thread; never rewritten."""
+
+    def __init__(self, session: Session, *, flush: bool = True) -> None:
+        """flush False: survives a kill, but not a power cut; for simulated time."""
+        self._path, self._flush = session.journal, flush
+        self._lock = threading.Lock()
+        self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
+        self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+
+    def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
+        """Durable when this returns. Raises OSError on a full disk; half a line is then taken back."""
+        data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
+        with self._lock:
+            append_whole(self._handle, data, flush=self._flush)
+
+    def close(self) -> None:
+        os.close(self._handle)
+
+
+def read_journal(session: Session) -> list[dict[str, Any]]:
+    """All sound events, in the order written; no journal yet is no event."""
+    if not session.journal.is_file():
+        return []
+    with session.journal.open("rb") as file:
+        return [row for line in file if (row := decode_line(line)) is not None]

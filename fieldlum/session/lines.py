@@ -1,0 +1,80 @@
+"""Append-only files: a CRC per line, flushed before the next thing is done, a torn tail cut off on opening."""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fieldlum.errors import InputError
+
+_TAIL_BYTES = 1 << 20  # how far back a torn tail is looked for
+
+
+def encode_line(row: dict[str, Any]) -> bytes:
+    """One journal line: CRC-32 in hex, a space, compact JSON, newline."""
+    text = json.dumps(row, separators=(",", ":"), ensure_ascii=False)
+    return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
+
+
+def decode_line(line: bytes) -> dict[str, Any] | None:
+    """The row of a whole and unharmed line, else None."""
+    crc, _, text = line.rstrip(b"\n").partition(b" ")
+    try:
+        sound = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
+        return json.loads(text) if sound else None
+    except ValueError:
+        return None
+
+
+def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
+    """Write all of `data` to a file opened with O_APPEND and flush it to the disk before returning."""
+    while data:
+        data = data[os.write(handle, data) :]
+    if flush:
+        os.fdatasync(handle) if hasattr(os, "fdatasync") else os.fsync(handle)
+
+
+def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
+    """Cut `path` back to its last sound line; returns how many bytes went (to ``NAME.torn`` beside it, never away).
+
+    A kill or a power cut in the middle of a write leaves half a line, or a page of zeros. Unsound lines further up
+    are left where they are: readers skip and count them. Raises InputError when no line at all is sound.
+    """
+    if not path.is_file():
+        return 0
+    with path.open("rb+") as file:
+        size = file.seek(0, os.SEEK_END)
+        start = max(0, size - _TAIL_BYTES)
+        file.seek(start)
+        tail = file.read()
+        keep = len(tail)
+        while keep:
+            begin = tail.rfind(b"\n", 0, keep - 1) + 1
+            if sound(tail[begin:keep]):
+                break
+            keep = begin
+        if keep == 0 and tail.count(b"\n") > 2:
+            raise InputError(path, "no line of it is sound", "what fieldlum wrote", "was it edited? restore or move it")
+        cut = len(tail) - keep
+        if cut:
+            with path.with_name(f"{path.name}.torn").open("ab") as torn:
+                torn.write(tail[keep:])
+            file.truncate(start + keep)
+            os.fsync(file.fileno())
+    return cut
+
+
+def append_whole(handle: int, data: bytes, *, flush: bool) -> None:
+    """`append_durably`, and back to the length before when the disk has no room for all of it."""
+    before = os.fstat(handle).st_size
+    try:
+        append_durably(handle, data, flush=flush)
+    except OSError:
+        with suppress(OSError):
+            os.ftruncate(handle, before)
+        raise

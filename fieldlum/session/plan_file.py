@@ -1,0 +1,70 @@
+"""plan.csv: the slots, immutable."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from datetime import datetime
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+from fieldlum.errors import InputError
+from fieldlum.records import Exposure, Slot, parse_utc, slot_id, utc_text
+from fieldlum.session.writing import replacing
+
+PLAN_COLUMNS = ("slot", "t_utc", "t_local", "sun_altitude_deg", "sun_azimuth_deg", "exposures", "tags")
+
+
+def exposure_text(exposure: Exposure) -> str:
+    """``1/250 f/5.6 ISO100`` with an optional `` ND=name``; read back by `parse_exposure`."""
+    shutter = exposure.shutter_s
+    shown = f"1/{1 / shutter:.6g}" if shutter < 0.5 else f"{shutter:.6g}"
+    return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}" + (f" ND={exposure.nd}" if exposure.nd else "")
+
+
+def parse_exposure(text: str) -> Exposure:
+    """Raises ValueError for anything that is no exposure."""
+    shutter, f_number, iso, *nd = text.split()
+    seconds = 1.0 / float(shutter[2:]) if shutter.startswith("1/") else float(shutter)
+    if not f_number.startswith("f/") or not iso.startswith("ISO"):
+        raise ValueError(text)
+    return Exposure(seconds, float(f_number[2:]), float(iso[3:]), nd[0].removeprefix("ND=") if nd else "")
+
+
+def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
+    zone = ZoneInfo(timezone)
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(PLAN_COLUMNS)
+        for slot in slots:
+            writer.writerow(
+                (
+                    slot.id,
+                    utc_text(slot.t_utc),
+                    slot.t_utc.astimezone(zone).strftime("%Y-%m-%d %H:%M %Z"),
+                    f"{slot.sun_altitude_deg:.3f}",
+                    f"{slot.sun_azimuth_deg:.3f}",
+                    "; ".join(exposure_text(e) for e in slot.exposures),
+                    " ".join(slot.tags),
+                )
+            )
+
+
+def read_plan(path: Path) -> list[Slot]:
+    """Raises InputError naming the line."""
+    if not path.is_file():
+        raise InputError(path, "no such file", "the plan of a session", "make one with: fieldlum plan SITE.toml")
+    slots: list[Slot] = []
+    with path.open(newline="", encoding="utf-8") as file:
+        for number, row in enumerate(csv.DictReader(file), start=2):
+            try:
+                t_utc: datetime = parse_utc(row["t_utc"])
+                if slot_id(t_utc) != row["slot"]:
+                    raise ValueError(f"slot {row['slot']} does not match t_utc {row['t_utc']}")
+                exposures = tuple(parse_exposure(text) for text in row["exposures"].split(";") if text.strip())
+                angles = float(row["sun_altitude_deg"]), float(row["sun_azimuth_deg"])
+                slots.append(Slot(t_utc, *angles, exposures, tuple(row["tags"].split())))
+            except (KeyError, ValueError, TypeError, AttributeError) as error:
+                expected = f"columns {', '.join(PLAN_COLUMNS)}"
+                raise InputError(f"{path}:{number}", f"{error}", expected, "restore the plan from a copy") from None
+    return slots
