@@ -52,6 +52,17 @@ def test_an_unknown_command_is_a_usage_error_that_names_its_neighbour() -> None:
     assert "Did you mean 'info'?" in result.output
 
 
+def test_ctrl_c_ends_with_130_and_says_how_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    @click.command()
+    def stopped() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(type(main), "get_command", lambda *_: stopped)
+    result = CliRunner().invoke(main, ["info"])
+    assert result.exit_code == 130
+    assert "start it again to go on" in result.output
+
+
 @pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda p: str(p.relative_to(DOCS)))
 def test_links_in_the_docs_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):

@@ -17,6 +17,8 @@ COMMANDS = (
     "train", "predict", "glare", "bench", "report", "simulate", "info",
 )  # fmt: skip
 
+INTERRUPTED = 130  # as a shell says it of Ctrl-C
+
 
 class _Job(click.Group):
     """Loads a command's module only when it is asked for, and shows the tool's own errors as one line."""
@@ -45,6 +47,9 @@ class _Job(click.Group):
         except FieldlumError as error:
             click.echo(f"fieldlum {ctx.invoked_subcommand}: {error}", err=True)
             sys.exit(error.exit_code)
+        except KeyboardInterrupt:
+            click.echo(f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True)
+            sys.exit(INTERRUPTED)
 
 
 @click.group(cls=_Job, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -12,8 +12,14 @@ from fieldlum.cli.terminal import emit_json, say
 
 @click.command()
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--view-azimuth", "azimuths", multiple=True, type=float, metavar="DEG",
-              help="Look there, clockwise from true north; may be given several times. [default: where it faces]")
+@click.option(
+    "--view-azimuth",
+    "azimuths",
+    multiple=True,
+    type=float,
+    metavar="DEG",
+    help="Look there, clockwise from true north; may be given several times. [default: where it faces]",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a picture on stdout.")
 @click.option("--reference", is_flag=True, help="Ask evalglare too, on an 800-pixel fisheye of each view.")
 def command(images: tuple[Path, ...], azimuths: tuple[float, ...], as_json: bool, reference: bool) -> None:

@@ -11,13 +11,16 @@ from fieldlum.cli.terminal import emit_json, progress, say
 
 @click.command()
 @click.argument("model_folder", metavar="MODELDIR", type=click.Path(path_type=Path))
-@click.option("--weather", "weather_path", required=True, type=click.Path(path_type=Path),
-              help="EPW, TMY3 or CSV.")
+@click.option("--weather", "weather_path", required=True, type=click.Path(path_type=Path), help="EPW, TMY3 or CSV.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the year. [default: SESSION/annual/NAME]")
 @click.option("--maps", is_flag=True, help="Keep every map too, as Zarr (about 0.7 GB for a year at 460 x 230).")
 @click.option("--views", default=10, show_default=True, type=click.IntRange(1, 360), help="View directions around.")
-@click.option("--occupancy", "occupancy_path", type=click.Path(path_type=Path),
-              help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to 18:00]")
+@click.option(
+    "--occupancy",
+    "occupancy_path",
+    type=click.Path(path_type=Path),
+    help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to 18:00]",
+)
 @click.option("--force", is_flag=True, help="Predict again even if nothing changed.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
