@@ -124,12 +124,17 @@ def _figures(session: Session, scores: dict[str, Any], annual: Any) -> tuple[tup
     )
 
 
-def run(folder: Path, *, preset: str = "quick", seed: int = 1, show: Show, workers: int = 2) -> Outcome:
-    """Do the whole job in `folder`; each stage is skipped where it is done already."""
+def run(
+    folder: Path, *, preset: str = "quick", seed: int = 1, show: Show, workers: int = 2, weather: Path | None = None
+) -> Outcome:
+    """Do the whole job in `folder`, in the paper's weather unless another is given.
+
+    Every stage but the training is skipped where it is done already.
+    """
     from fieldlum import irradiance, merge, pair, predict, report, simulate, train
     from fieldlum.models.data import load_pairs
 
-    how, weather = PRESETS[preset], shipped("capture_plans") / WEATHER
+    how, weather = PRESETS[preset], weather or shipped("capture_plans") / WEATHER
     seconds: dict[str, float] = {}
 
     def stage(name: str, work: Callable[[Progress], Any]) -> Any:

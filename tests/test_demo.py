@@ -1,0 +1,66 @@
+"""The whole job in small: a few hours of the paper's office through every stage, and taken up again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import date
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from fieldlum import demo, plan
+from fieldlum.cli import main
+from fieldlum.profiles import load_site, shipped
+from fieldlum.records import Progress, quiet
+from fieldlum.session import create_session, open_session
+
+
+@contextmanager
+def _unseen(name: str) -> Iterator[Progress]:
+    yield quiet
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcome]:
+    """Every third hour of three March days, tiny maps, a draft rendering; a week of weather instead of a year."""
+    root = tmp_path_factory.mktemp("d")
+    setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    request = plan.Request("9-day", today=date(demo.YEAR, 1, 1), year=demo.YEAR)
+    slots = plan.make_plan(setup, request).slots[:36:3]
+    create_session(root / "s", setup, slots, {"set": "test"})
+    year = (shipped("capture_plans") / demo.WEATHER).read_text("utf-8").splitlines()
+    head = next(k for k, line in enumerate(year) if line.startswith("month")) + 1
+    week = [line for line in year[head:] if line.split(",")[:2] in (["3", "19"], ["3", "20"], ["3", "21"], ["3", "22"])]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(demo.PRESETS, "quick", demo.Preset(23, "draft", 0.02))
+        weather = root / "week.csv"
+        weather.write_text("\n".join([*year[:head], *week]) + "\n", encoding="utf-8")
+        return root / "s", demo.run(root / "s", show=_unseen, workers=1, weather=weather)
+
+
+def test_every_stage_ran_and_the_report_stands(outcome: tuple[Path, demo.Outcome]) -> None:
+    folder, found = outcome
+    assert found.report == folder / "report" / "index.html" and found.report.is_file()
+    assert list(found.seconds) == [
+        "plan", "render the room", "capture", "merge", "pair", "train", "predict a year", "report",
+    ]  # fmt: skip
+    assert (folder / "demo.json").is_file()
+
+
+def test_what_was_merged_and_paired_is_the_truth(outcome: tuple[Path, demo.Outcome]) -> None:
+    """Issue's own bounds: median under 1 %; irradiance within the simulated instrument's noise (1 W/m2 a reading, and
+    what a low sun makes of it in DNI)."""
+    session = open_session(outcome[0])
+    median, _, maps = demo.merged_against_truth(session)
+    assert maps == 12 and median < 0.01
+    dni, dhi = demo.irradiance_against_truth(session)
+    assert dni < 8.0 and dhi < 2.0
+
+
+def test_the_commands_read_what_the_demo_made(outcome: tuple[Path, demo.Outcome]) -> None:
+    shown = CliRunner().invoke(main, ["status", str(outcome[0]), "--json"])
+    assert shown.exit_code == 0
+    shown = CliRunner().invoke(main, ["info", str(outcome[0] / "models" / "auto"), "--json"])
+    assert shown.exit_code == 0 and '"kind": "model"' in shown.stdout
