@@ -111,7 +111,7 @@ def _tables(session: Session, pairs: PairTable) -> tuple[Table, ...]:
     )
     if events:
         tables.append(Table(("event", "times"), tuple(sorted(events.items())), "The journal, counted", folded=True))
-    quality = read_csv(session.root / "quality.csv")
+    quality = read_csv(session.panoramas / "quality.csv")
     if quality:
         head = tuple(quality[0])
         rows = tuple(tuple(r[h] for h in head) for r in quality)
