@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -52,6 +52,18 @@ class TinyCamera:
         return written
 
     def close(self) -> None: ...
+
+
+@dataclass
+class OneGoCamera(TinyCamera):
+    """Brackets by itself, as a Theta does."""
+
+    brackets: int = 0
+    bracket_shots: range = range(2, 14)
+
+    def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
+        self.brackets += 1
+        return [self.expose(e, t) for e, t in zip(exposures, targets, strict=True)]
 
 
 @dataclass
@@ -123,6 +135,27 @@ def test_undisturbed_run_takes_everything_once(site: Field) -> None:
         assert any(end <= s.t_utc <= end + timedelta(seconds=6) for s in samples)
     assert site.shown[-1].state == "finished" and site.shown[-1].left == 0
     assert site.run()[-1] == "close" and site.cameras[0].count == 9, "nothing is owed: nothing is taken"
+
+
+def test_a_camera_that_brackets_by_itself_is_asked_once_a_slot(site: Field) -> None:
+    """And again when it failed in the middle: nothing of a half bracket is acknowledged."""
+    made: list[OneGoCamera] = []
+
+    def fault(count: int) -> None:
+        if count == 5:
+            raise DeviceError("unplugged")
+
+    def open_camera() -> OneGoCamera:
+        made.append(OneGoCamera(site.clock, fault, sum(c.count for c in made)))
+        return made[-1]
+
+    events = site.run(open_cam=open_camera)
+    assert site.outcomes() == ["done"] * 3 and events.count("frame") == 9
+    assert sum(camera.brackets for camera in made) == 4
+    for slot in site.session.slots():
+        table = json.loads((site.session.raw / slot.id / "capture.json").read_text())
+        assert [f["exposure"]["shutter_s"] for f in table["frames"]] == [1.0, 0.5, 0.25]
+        assert not list((site.session.raw / slot.id).glob(".*"))
 
 
 def test_turned_head_takes_every_heading(tmp_path: Path) -> None:

@@ -14,10 +14,11 @@ An option that a driver does not know is a DeviceError naming it. Drivers only e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from fieldlum.devices.uri import DeviceUri, parse_uri
 from fieldlum.errors import DeviceError
@@ -66,6 +67,20 @@ class Camera(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class BracketingCamera(Protocol):
+    """A camera that takes a whole bracket by itself, in one go."""
+
+    @property
+    def bracket_shots(self) -> range:
+        """How many frames a bracket may have."""
+        ...
+
+    def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
+        """All frames in the order asked for, each to its target's name with a suffix. Raises DeviceError."""
+        ...
 
 
 class Pyranometer(Protocol):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 ADDRESS = "http://192.168.1.1"  # of the camera's own access point
 READOUT_S, POLL_S = 40.0, 0.3
-BRACKET_SHOTS = (2, 13)  # all models take up to 13; Z1 and V up to 19
+BRACKET_SHOTS = range(2, 14)  # all models take up to 13; Z1 and V up to 19
 _LARGEST_FILE = 200_000_000
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
 
@@ -86,10 +86,14 @@ class ThetaCamera:
         self._clear(urls)
         return path
 
+    @property
+    def bracket_shots(self) -> range:
+        return BRACKET_SHOTS
+
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
         """All frames in one go, in the order asked for. Raises DeviceError; frames fetched by then stay."""
-        low, high = BRACKET_SHOTS
-        if not low <= len(exposures) <= high:
+        if len(exposures) not in self.bracket_shots:
+            low, high = self.bracket_shots[0], self.bracket_shots[-1]
             raise DeviceError(f"theta: a bracket of {len(exposures)} frames, it takes {low} to {high}")
         shots = [{"exposureProgram": 1, "whiteBalance": "daylight", **self._chosen(e)} for e in exposures]
         self._set({**_MANUAL, "_autoBracket": {"_bracketNumber": len(shots), "_bracketParameters": shots}})
