@@ -98,7 +98,7 @@ def make_frames(folder: Path, width: int, height: int) -> tuple[list[Path], np.n
 
 def own(files: list[Path], width: int, height: int) -> tuple[np.ndarray, float]:
     from fieldlum.merge import merge_sensor
-    from fieldlum.merge.frames import shots_of_files, sorted_shots
+    from fieldlum.merge.shots import shots_of_files, sorted_shots
     from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 
     lens = Lens((width / 2, height / 2), float(width), 180.0)

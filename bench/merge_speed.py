@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.merge import merge_frames, merge_sensor
-from fieldlum.merge.frames import shots_of_files, sorted_shots
+from fieldlum.merge.shots import shots_of_files, sorted_shots
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Colour, Lens, Sensor
 from fieldlum.raw import write_dng
 from fieldlum.records import Exposure

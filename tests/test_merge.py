@@ -18,7 +18,8 @@ from fieldlum.errors import InputError
 from fieldlum.merge import MergeResult, Shot, merge_frames
 from fieldlum.merge.disc import take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw, sorted_shots
+from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
+from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.stitch import View, blend, vignetting_of
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, Lens, Vignetting, bracket_exposures, load_camera_profile

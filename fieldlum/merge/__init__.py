@@ -1,8 +1,8 @@
 """Bracket to luminance panorama: linear merge on the mosaic, flux-conserving projection, uncertainty and flags."""
 
 from fieldlum.merge.bracket import MergeResult, merge_frames, merge_sensor, merge_shots
-from fieldlum.merge.frames import Shot, shots_of_files, shots_of_slot
 from fieldlum.merge.picture import files_to_picture
+from fieldlum.merge.shots import Shot, shots_of_files, shots_of_slot
 from fieldlum.merge.stage import Verdict, run
 
 __all__ = [

@@ -11,20 +11,9 @@ from typing import Any
 import numpy as np
 
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import (
-    Crop,
-    FrameStore,
-    Shot,
-    good_pixels,
-    lens_crop,
-    load_jpeg,
-    load_raw,
-    plateau_of,
-    shots_of_files,
-    sorted_shots,
-    true_shutter_s,
-)
+from fieldlum.merge.frames import Crop, FrameStore, good_pixels, lens_crop, load_jpeg, load_raw, plateau_of
 from fieldlum.merge.ratios import Neighbours, bracket_pairs, fit_bracket, neighbours
+from fieldlum.merge.shots import Shot, shots_of_files, sorted_shots, true_shutter_s
 from fieldlum.merge.stitch import SensorMap, blend, finish, view_through
 from fieldlum.photometry import RatioFit
 from fieldlum.profiles import CameraProfile

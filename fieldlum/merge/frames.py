@@ -1,11 +1,9 @@
-"""Camera files as linear signals: which frames belong together, and what each one's counts mean."""
+"""Camera files as linear signals: what each frame's counts mean."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,10 +13,10 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.merge.estimator import Signal, Strip
-from fieldlum.photometry import prior_u_log, response_table, saturation_plateau, snap_shutter_s, z_per_cdm2
+from fieldlum.merge.shots import Shot, nd_factors
+from fieldlum.photometry import response_table, saturation_plateau, z_per_cdm2
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import channel_positions, read_exif, read_jpeg, read_mosaic
-from fieldlum.records import Exposure, parse_utc
+from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
 
 _GATE = 0.97  # of the saturation, for predictions; noise is added to it
 _FULL = 0.99  # of the saturation: a count that is taken for saturated
@@ -26,18 +24,6 @@ _SIGMA_CODE = 0.6  # codes: noise of a JPEG pixel beside its quantisation (senso
 _Z_STEPS = 1 << 14
 _TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
 _COLOUR = {"R": 0, "G": 1, "B": 2}
-JPEG_SUFFIXES = (".jpg", ".jpeg")
-
-
-@dataclass(frozen=True, slots=True)
-class Shot:
-    """One frame of a bracket: the file and the exposure it was meant to have. heading_deg None: the camera's own."""
-
-    path: Path
-    exposure: Exposure
-    heading_deg: float | None = None
-    t_utc: datetime | None = None
-    sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,98 +64,6 @@ def good_pixels(profile: CameraProfile, crop: Crop) -> NDArray[np.bool_] | None:
 
 
 # ---------------------------------------------------------------------------------------------- which frames
-
-
-def shots_of_slot(folder: Path) -> list[Shot]:
-    """Frames of raw/<slot>/: by its capture.json where there is one, else by EXIF. Raises InputError."""
-    note = folder / "capture.json"
-    if not note.is_file():
-        return shots_of_files(frame_files(folder))
-    try:
-        table = json.loads(note.read_text(encoding="utf-8"))
-        return [_shot_of_note(folder, row) for row in table["frames"]]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(note, f"{type(error).__name__}: {error}", "frames with file and exposure") from None
-
-
-def _shot_of_note(folder: Path, row: dict[str, Any]) -> Shot:
-    heading, when = row.get("heading_deg"), row.get("t_utc")
-    known = row["exposure"]
-    exposure = Exposure(
-        float(known["shutter_s"]), float(known["f_number"]), float(known["iso"]), str(known.get("nd") or "")
-    )
-    return Shot(
-        folder / row["file"],
-        exposure,
-        None if heading is None else float(heading),
-        parse_utc(when) if when else None,
-        row.get("sha256") or "",
-    )
-
-
-def frame_files(folder: Path) -> list[Path]:
-    """Everything in a slot's folder that may be a frame. Raises InputError for a folder without any."""
-    skipped = {".json", ".tmp", ".txt", ".xmp", ".csv", ".part"}
-    files = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() not in skipped and p.name[0] != ".")
-    if not files:
-        raise InputError(folder, "no frames in it", "raw or JPEG frames", "capture or import the slot again")
-    return files
-
-
-def shots_of_files(files: Sequence[Path]) -> list[Shot]:
-    """By EXIF. Raises InputError for a file without exposure time."""
-    if not files:
-        raise InputError("merge", "no frames", "at least one raw or JPEG file")
-    found = []
-    for path in files:
-        if not path.is_file():
-            raise InputError(path, "no such file", "a raw or JPEG frame")
-        found.append(Shot(path, read_exif(path).exposure))
-    return found
-
-
-def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
-    """Longest exposure first and by name: one order whatever the caller's. Raises InputError for a mixed bracket."""
-    known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
-    for shot in shots:
-        if shot.exposure.nd and shot.exposure.nd not in known:
-            raise InputError(shot.path, f"filter '{shot.exposure.nd}'", f"one of the profile's: {', '.join(known)}")
-    kinds = {is_jpeg(s.path) for s in shots}
-    if kinds != {profile.camera.kind == "jpeg"}:
-        got = "JPEG" if True in kinds else "raw"
-        odd = next(s.path for s in shots if is_jpeg(s.path) != (profile.camera.kind == "jpeg"))
-        raise InputError(odd, f"a {got} frame", f"{profile.camera.kind} frames, as {profile.camera.name} says")
-    apertures = profile.scale.f_numbers
-    for shot in shots:
-        if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
-            valid = ", ".join(f"f/{n:g}" for n in apertures)
-            raise InputError(shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k holds for nothing else")
-
-    def collected(shot: Shot) -> float:
-        e = shot.exposure
-        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (known[e.nd] if e.nd else 1.0)
-
-    return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
-
-
-def is_jpeg(path: Path) -> bool:
-    return path.suffix.lower() in JPEG_SUFFIXES
-
-
-def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, float]:
-    """The profile's measured time where it has one, else the snapped one; and its relative u before any fit."""
-    for known in profile.shutter:
-        if abs(known.nominal_s / exposure.shutter_s - 1) < 0.02:
-            return known.true_s, known.u_rel
-    snapped = snap_shutter_s(exposure.shutter_s)
-    return snapped, float(prior_u_log(np.asarray(snapped)))
-
-
-def nd_factors(exposure: Exposure, profile: CameraProfile) -> tuple[float, float, float]:
-    return next((nd.factor_rgb for nd in profile.nd if nd.name == exposure.nd), (1.0, 1.0, 1.0))
-
-
-# ---------------------------------------------------------------------------------------------- raw
 
 
 @dataclass(frozen=True)

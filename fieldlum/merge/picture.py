@@ -10,7 +10,7 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.images import write_panorama, write_radiance_hdr
 from fieldlum.merge.bracket import MergeResult, merge_shots
-from fieldlum.merge.frames import shots_of_files
+from fieldlum.merge.shots import shots_of_files
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect, Fisheye, LensGeometry

@@ -19,7 +19,7 @@ from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
 from fieldlum.merge.disc import take_out_sun
-from fieldlum.merge.frames import Shot, shots_of_slot
+from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.merge.survey import survey_owed, write_survey
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile

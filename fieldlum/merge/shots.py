@@ -1,0 +1,123 @@
+"""Which frames belong to a bracket, and the exposure that each of them really had."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.errors import InputError
+from fieldlum.photometry import prior_u_log, snap_shutter_s, z_per_cdm2
+from fieldlum.profiles import CameraProfile
+from fieldlum.raw import read_exif
+from fieldlum.records import Exposure, parse_utc
+
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One frame of a bracket: the file and the exposure it was meant to have. heading_deg None: the camera's own."""
+
+    path: Path
+    exposure: Exposure
+    heading_deg: float | None = None
+    t_utc: datetime | None = None
+    sha256: str = ""
+
+
+def shots_of_slot(folder: Path) -> list[Shot]:
+    """Frames of raw/<slot>/: by its capture.json where there is one, else by EXIF. Raises InputError."""
+    note = folder / "capture.json"
+    if not note.is_file():
+        return shots_of_files(frame_files(folder))
+    try:
+        table = json.loads(note.read_text(encoding="utf-8"))
+        return [_shot_of_note(folder, row) for row in table["frames"]]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(note, f"{type(error).__name__}: {error}", "frames with file and exposure") from None
+
+
+def _shot_of_note(folder: Path, row: dict[str, Any]) -> Shot:
+    heading, when = row.get("heading_deg"), row.get("t_utc")
+    known = row["exposure"]
+    exposure = Exposure(
+        float(known["shutter_s"]), float(known["f_number"]), float(known["iso"]), str(known.get("nd") or "")
+    )
+    return Shot(
+        folder / row["file"],
+        exposure,
+        None if heading is None else float(heading),
+        parse_utc(when) if when else None,
+        row.get("sha256") or "",
+    )
+
+
+def frame_files(folder: Path) -> list[Path]:
+    """Everything in a slot's folder that may be a frame. Raises InputError for a folder without any."""
+    skipped = {".json", ".tmp", ".txt", ".xmp", ".csv", ".part"}
+    files = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() not in skipped and p.name[0] != ".")
+    if not files:
+        raise InputError(folder, "no frames in it", "raw or JPEG frames", "capture or import the slot again")
+    return files
+
+
+def shots_of_files(files: Sequence[Path]) -> list[Shot]:
+    """By EXIF. Raises InputError for a file without exposure time."""
+    if not files:
+        raise InputError("merge", "no frames", "at least one raw or JPEG file")
+    found = []
+    for path in files:
+        if not path.is_file():
+            raise InputError(path, "no such file", "a raw or JPEG frame")
+        found.append(Shot(path, read_exif(path).exposure))
+    return found
+
+
+def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
+    """Longest exposure first and by name: one order whatever the caller's. Raises InputError for a mixed bracket."""
+    known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
+    for shot in shots:
+        if shot.exposure.nd and shot.exposure.nd not in known:
+            raise InputError(shot.path, f"filter '{shot.exposure.nd}'", f"one of the profile's: {', '.join(known)}")
+    kinds = {is_jpeg(s.path) for s in shots}
+    if kinds != {profile.camera.kind == "jpeg"}:
+        got = "JPEG" if True in kinds else "raw"
+        odd = next(s.path for s in shots if is_jpeg(s.path) != (profile.camera.kind == "jpeg"))
+        raise InputError(odd, f"a {got} frame", f"{profile.camera.kind} frames, as {profile.camera.name} says")
+    apertures = profile.scale.f_numbers
+    for shot in shots:
+        if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
+            valid = ", ".join(f"f/{n:g}" for n in apertures)
+            raise InputError(shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k holds for nothing else")
+
+    def collected(shot: Shot) -> float:
+        e = shot.exposure
+        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (known[e.nd] if e.nd else 1.0)
+
+    return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
+
+
+def is_jpeg(path: Path) -> bool:
+    return path.suffix.lower() in JPEG_SUFFIXES
+
+
+def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, float]:
+    """The profile's measured time where it has one, else the snapped one; and its relative u before any fit."""
+    for known in profile.shutter:
+        if abs(known.nominal_s / exposure.shutter_s - 1) < 0.02:
+            return known.true_s, known.u_rel
+    snapped = snap_shutter_s(exposure.shutter_s)
+    return snapped, float(prior_u_log(np.asarray(snapped)))
+
+
+def nd_factors(exposure: Exposure, profile: CameraProfile) -> tuple[float, float, float]:
+    return next((nd.factor_rgb for nd in profile.nd if nd.name == exposure.nd), (1.0, 1.0, 1.0))
+
+
+# ---------------------------------------------------------------------------------------------- raw
