@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from fieldlum.photometry import (
     check_vignetting,
+    dark_floor,
     fit_ratios,
     fit_response,
     illuminance_lx,
@@ -90,6 +91,32 @@ def test_a_response_is_recovered_from_a_bracket() -> None:  # analytic
     ratio = found[middle] / expected
     assert np.ptp(ratio / np.median(ratio)) < 0.06 and rms < 0.04  # half a code at code 27 is 4 % of z
     assert np.all(np.diff(found) >= 0)
+
+
+def _film_codes(black: float) -> tuple[np.ndarray, np.ndarray]:
+    """Codes [places, frames] of a gamma 2.2 camera whose black lies at a code of its own, 1 EV steps, 16 frames."""
+    rng = np.random.default_rng(1)
+    light, log_exposure = np.exp(rng.uniform(-2, 7, 1500)), np.log(2.0) * np.arange(-15, 1)
+    z = np.minimum(light[:, None] * np.exp(log_exposure), 1.0)
+    codes = black + (255 - black) * z ** (1 / 2.2) + rng.normal(0, 0.5, z.shape)
+    return np.clip(np.round(codes), 0, 255).astype(np.uint8), log_exposure
+
+
+def test_a_black_level_is_no_light() -> None:  # analytic; Memorial Church's scans have their black at codes 12 to 17
+    codes, log_exposure = _film_codes(30.0)
+    assert 30 < dark_floor(codes, log_exposure) <= 39
+    middle = np.arange(45, 229)
+    expected = np.log(((middle - 30.0) / 225) ** 2.2)
+    found, rms = fit_response(codes, log_exposure)
+    blind, worse = fit_response(codes, log_exposure, low=3)
+    off, off_blind = (np.ptp(np.log(table[middle]) - expected) for table in (found, blind))
+    assert off < 0.04 and rms < 0.1  # noise of 0.58 codes is 14 % of z nine codes above black
+    assert off_blind > 1.5 * off and worse > 2 * rms
+
+
+def test_without_a_black_level_nearly_every_code_counts() -> None:  # property
+    assert dark_floor(*_film_codes(0.0)) <= 6
+    assert dark_floor(np.full((30, 3), 40, np.uint8), np.array([0.0, 0.1, 0.2])) == 3  # steps too small to tell
 
 
 def test_too_few_places_give_no_response() -> None:

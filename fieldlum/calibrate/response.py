@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fieldlum.calibrate.frames import JPEG, true_shutter_s
 from fieldlum.calibrate.order import Candidate, Choice, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import fit_response, response_table
+from fieldlum.photometry import dark_floor, fit_response, response_table
 from fieldlum.profiles import CameraProfile, Response
 from fieldlum.raw import read_jpeg
 from fieldlum.records import Exposure
@@ -125,9 +125,11 @@ def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generat
 # ---------------------------------------------------------------------------------------------- fit
 
 
-def residuals(table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64]) -> NDArray[np.float64]:
+def residuals(
+    table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64], low: int = LOW
+) -> NDArray[np.float64]:
     """[places]: mean square of ln(z / exposure) about each place's own mean, over codes that count; NaN: under two."""
-    counts = (codes >= LOW) & (codes <= HIGH)
+    counts = (codes >= low) & (codes <= HIGH)
     light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
     n = counts.sum(axis=1)
     mean = light.sum(axis=1) / np.maximum(n, 1)
@@ -142,13 +144,17 @@ def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDAr
 def fit(places: Places) -> Fit:
     """Standard curves first, then monotone tables from stiff to supple; chosen on held-out places.
 
-    Whole brackets are held out where there are three or more, else every eighth of the places.
+    Whole brackets are held out where there are three or more, else every eighth of the places. Where the darkest codes
+    do not follow the light (a black level), low_code rises to the first that does.
     """
+    low = max(LOW, *(dark_floor(places.codes[..., c], places.log_exposure) for c in range(3)))
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8
     simple = {"linear": response_table("linear"), "srgb": response_table("srgb")}
-    candidates = [Candidate(name, 0, _pooled(places, lambda rows, t=t: [t] * 3, groups)) for name, t in simple.items()]
+    candidates = [
+        Candidate(name, 0, _pooled(places, lambda rows, t=t: [t] * 3, groups, low)) for name, t in simple.items()
+    ]
     for size, smooth in enumerate(SMOOTH, start=1):
-        errors = _pooled(places, lambda rows, s=smooth: _tables(places, rows, s), groups)
+        errors = _pooled(places, lambda rows, s=smooth: _tables(places, rows, s), groups, low)
         candidates.append(Candidate(f"table of stiffness {smooth:g}", size, errors))
     choice = choose("response", candidates, "% of light", negligible=NEGLIGIBLE)
     if choice.index < len(simple):
@@ -158,23 +164,23 @@ def fit(places: Places) -> Fit:
         red, green, blue = (tuple(round(float(z), 7) for z in t) for t in tables)
         response = Response("table", red, green, blue)
     rms = [
-        float(np.sqrt(np.nanmean(residuals(t, places.codes[..., c], places.log_exposure))))
+        float(np.sqrt(np.nanmean(residuals(t, places.codes[..., c], places.log_exposure, low))))
         for c, t in enumerate(tables)
     ]
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
-    return Fit(_with_u(response, u), (rms[0], rms[1], rms[2]), choice)
+    return Fit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)
 
 
-def _with_u(response: Response, u: float) -> Response:
-    return replace(response, low_code=LOW, high_code=HIGH, u_rel=round(max(u, 0.001), 5))
+def _with_u(response: Response, u: float, low: int) -> Response:
+    return replace(response, low_code=low, high_code=HIGH, u_rel=round(max(u, 0.001), 5))
 
 
-def _pooled(places: Places, tables_of: TablesOf, groups: NDArray[np.integer]) -> NDArray[np.float64]:
+def _pooled(places: Places, tables_of: TablesOf, groups: NDArray[np.integer], low: int) -> NDArray[np.float64]:
     """Held-out squared errors, averaged over colours, of the places that two frames see."""
     errors = np.full(len(places.codes), np.nan)
     for held in folds(groups):
         tables = tables_of(~held)
-        by_colour = [residuals(t, places.codes[held, :, c], places.log_exposure) for c, t in enumerate(tables)]
+        by_colour = [residuals(t, places.codes[held, :, c], places.log_exposure, low) for c, t in enumerate(tables)]
         stacked = np.stack(by_colour)
         seen = np.isfinite(stacked)
         errors[held] = np.where(

@@ -9,6 +9,7 @@ from fieldlum.photometry.exposure import (
 from fieldlum.photometry.illuminance import illuminance_lx, illuminance_verdict, vertical_illuminance_lx
 from fieldlum.photometry.ratios import PairRatio, RatioFit, fit_ratios, pair_ratio, prior_u_log
 from fieldlum.photometry.response import (
+    dark_floor,
     fit_response,
     monotone,
     pick_places,
@@ -23,6 +24,7 @@ __all__ = [
     "PairRatio",
     "RatioFit",
     "check_vignetting",
+    "dark_floor",
     "fit_ratios",
     "fit_response",
     "illuminance_lx",

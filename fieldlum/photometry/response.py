@@ -42,13 +42,51 @@ def monotone(z: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.maximum(isotonic_regression(np.asarray(z, float)).x, 0.0)
 
 
+LOWEST, HIGHEST = 3, 252  # codes a response is fitted to; a black level (`dark_floor`) raises the lowest
+_FOLLOWS = 1.5  # codes a code must fall when the exposure halves
+_FLOOR_SEEN, _FLOOR_SEARCHED = 10, 64
+
+
+def dark_floor(codes: NDArray[np.uint8], log_exposure: NDArray[np.floating]) -> int:
+    """The lowest code that still follows the light: those below are black level, stray light, a scan's fog.
+
+    codes [places, frames], 0 where a frame has none; log_exposure [frames] natural log. A code is looked at in every
+    frame beside its successor in the longest frame of at most half the exposure: over a black level it hardly falls.
+    """
+    order = np.argsort(-np.asarray(log_exposure, float))
+    log_e = np.asarray(log_exposure, float)[order]
+    sorted_codes = codes[:, order].astype(int)
+    held, fallen = [], []
+    for j in range(len(order) - 1):
+        half = np.flatnonzero(log_e[j] - log_e >= 0.95 * np.log(2.0))
+        if half.size:
+            a, b = sorted_codes[:, j], sorted_codes[:, half[0]]
+            both = (a > 0) & (b > 0) & (a < _FLOOR_SEARCHED)
+            held.append(a[both])
+            fallen.append((a - b)[both])
+    if not held:
+        return LOWEST
+    longer, fall = np.concatenate(held), np.concatenate(fallen)
+    for code in range(_FLOOR_SEARCHED - 2, LOWEST - 1, -1):
+        near = np.abs(longer - code) <= 1
+        if near.sum() >= _FLOOR_SEEN and np.median(fall[near]) < _FOLLOWS:
+            return code + 1
+    return LOWEST
+
+
 def fit_response(
-    codes: NDArray[np.uint8], log_exposure: NDArray[np.floating], *, smooth: float = 30.0, low: int = 3, high: int = 252
+    codes: NDArray[np.uint8],
+    log_exposure: NDArray[np.floating],
+    *,
+    smooth: float = 30.0,
+    low: int | None = None,
+    high: int = HIGHEST,
 ) -> tuple[NDArray[np.float64], float]:
     """A monotone response from the same places in all frames, with the exposures held fixed.
 
     codes [places, frames]; log_exposure [frames] natural log. Debevec and Malik's least squares in the log domain
-    (SIGGRAPH 1997, eq. 3) with hat weights and a second-difference prior, then made monotone.
+    (SIGGRAPH 1997, eq. 3) with hat weights and a second-difference prior, then made monotone. Codes under `low` (the
+    `dark_floor` of these codes unless given) are left out: a black level counted as light bends the whole curve.
     Returns z [256] with z(255) = 1 and the rms residual of ln z over the codes of 27 to 228. Response and exposure
     ratios cannot both be free (Grossberg and Nayar 2003): fit the ratios elsewhere.
     Raises ValueError with fewer than two frames or 20 places.
@@ -59,6 +97,7 @@ def fit_response(
     places, frames = codes.shape
     if frames < 2 or places < 20:
         raise ValueError(f"{places} places in {frames} frames are too few for a response")
+    low = dark_floor(codes, log_exposure) if low is None else low
     ok = (codes >= low) & (codes <= high)
     place, frame = np.nonzero(ok)
     value = codes[place, frame].astype(int)
