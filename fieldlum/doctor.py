@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -58,7 +59,7 @@ def run(
         ("clock", lambda: [check_clock(kernel_clock())]),
         ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
         ("writing", lambda: check_writing(session.root)),
-        ("sleep", lambda: [check_sleep(inhibitors())]),
+        ("sleep", lambda: [check_sleep(inhibitors(), has_lid())]),
         ("calendar", lambda: check_calendar(session, now_utc)),
     ]
     found: list[Finding] = []
@@ -281,29 +282,68 @@ def check_writing(folder: Path) -> list[Finding]:
     return found
 
 
-def inhibitors() -> str | None:
-    """What `systemd-inhibit --list` says; None where there is no such thing."""
+# One lock a line: who (may hold spaces), uid, user, pid, command, what, why (may hold spaces), mode.
+_LOCK = re.compile(
+    r"(?P<who>.*?) +\d+ +\S+ +\d+ +\S+ +(?P<what>(?:shutdown|sleep|idle|handle-[a-z-]+)(?::[a-z-]+)*) +(?:.* )?"
+    r"(?P<mode>block|block-weak|delay) *"
+)
+_LOCK_BEFORE_240 = re.compile(
+    r"(?m)^ *Who: (?P<who>.*?)(?: \(.*)?\n *What: (?P<what>\S+)\n *Why: .*\n *Mode: (?P<mode>\S+)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Lock:
+    """What somebody forbids the computer to do by itself: sleep, idle, handle-lid-switch ..."""
+
+    who: str
+    what: frozenset[str]
+    mode: str  # block; delay only holds it up for some seconds; block-weak yields to the user
+
+
+def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
+    """What `systemd-inhibit --list` says; None where it is not there, has no bus, hangs or fails."""
+    # A wide terminal: cells are cut to its width otherwise. English: words are looked for.
+    surroundings = {**os.environ, "LC_ALL": "C", "COLUMNS": "500", "SYSTEMD_PAGER": "cat", "SYSTEMD_COLORS": "0"}
     try:
         said = subprocess.run(
-            ["systemd-inhibit", "--list", "--no-legend", "--no-pager"], capture_output=True, text=True, timeout=10
-        )
+            ["systemd-inhibit", "--list"], stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout_s,
+            env=surroundings, check=False,
+        )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return None
-    return said.stdout if said.returncode == 0 else None
+    return parse_locks(said.stdout.decode("utf-8", "replace")) if said.returncode == 0 else None
 
 
-def check_sleep(listed: str | None) -> Finding:
-    """Whether something keeps this computer awake for the whole time."""
+def parse_locks(listed: str) -> list[Lock]:
+    """Both forms: the table of systemd 240 and later (with or without its heading), and the blocks of before."""
+    found = [_LOCK.fullmatch(line) for line in listed.splitlines()] + list(_LOCK_BEFORE_240.finditer(listed))
+    return [Lock(m["who"].strip(), frozenset(m["what"].split(":")), m["mode"]) for m in found if m]
+
+
+def has_lid() -> bool:
+    return any(Path("/proc/acpi/button/lid").glob("*"))
+
+
+def check_sleep(locks: list[Lock] | None, lid: bool = False) -> Finding:
+    """Whether something keeps this computer awake for the whole time.
+
+    A closed lid is another matter: by logind's default it overrides a lock on sleep, and only one on handle-lid-switch
+    holds.
+    """
     how = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
         "darwin": "caffeinate -dims fieldlum capture ...",
     }.get(sys.platform, "switch sleep off in the power settings")
-    if listed is None:
+    if locks is None:
         return Finding("sleep", "warn", f"cannot tell whether this computer will sleep: {how}")
-    blocked = [line for line in listed.splitlines() if "block" in line.split() and "sleep" in line]
-    if blocked:
-        return Finding("sleep", "ok", f"held off by {blocked[0].split()[0]}")
-    return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
+    held = [lock for lock in locks if lock.mode == "block"]
+    by = next((lock.who for lock in held if "sleep" in lock.what), "")
+    if not by:
+        return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
+    if lid and not any("handle-lid-switch" in lock.what for lock in held):
+        return Finding("sleep", "warn", f"held off by {by}, but closing the lid would still send it to sleep: {how}")
+    return Finding("sleep", "ok", f"held off by {by}")
 
 
 # ---------------------------------------------------------------------------------------------- calendar

@@ -107,11 +107,78 @@ def test_pyranometer_readings() -> None:
     assert "status" in said and "global only" in said and "years ago" in said
 
 
-def test_sleep_and_clock() -> None:
+# What systemd 252 printed for three real locks (systemd-logind on a bus of its own), and the form of before 240.
+TABLE = """WHO          UID USER PID   COMM            WHAT              WHY                           MODE
+NM           0   root 13720 systemd-inhibit sleep             turn off networks             delay
+field laptop 0   root 13715 systemd-inhibit sleep:idle        a month of captures, no sleep block
+lid          0   root 13719 systemd-inhibit handle-lid-switch Unknown reason                block
+
+3 inhibitors listed.
+"""
+BLOCKS = """     Who: NetworkManager (UID 0/root, PID 640/NetworkManager)
+    What: sleep
+     Why: NetworkManager needs to turn off networks
+    Mode: delay
+
+     Who: field laptop (UID 1000/me, PID 900/systemd-inhibit)
+    What: sleep:idle
+     Why: a month of captures
+    Mode: block
+
+2 inhibitors listed.
+"""
+
+
+@pytest.mark.parametrize("text", [TABLE, "\n".join(TABLE.splitlines()[1:4]), BLOCKS], ids=["table", "no-legend", "old"])
+def test_locks_are_read_in_every_form(text: str) -> None:
+    locks = doctor.parse_locks(text)
+    assert doctor.Lock("field laptop", frozenset({"sleep", "idle"}), "block") in locks
+    assert [lock.mode for lock in locks[:2]] == ["delay", "block"] and doctor.check_sleep(locks).verdict == "ok"
+
+
+def test_what_does_not_keep_a_computer_awake() -> None:
+    said = "GNOME Shell 1000 me 77 gnome-shell handle-power-key user must not sleep block\n"
+    for text in (said, TABLE.splitlines()[1], "No inhibitors.\n", "", "sleep block\n"):
+        assert doctor.check_sleep(doctor.parse_locks(text)).verdict == "warn"
+    locks = doctor.parse_locks(TABLE)
+    assert doctor.check_sleep(locks, lid=True).verdict == "ok"
+    shut = doctor.check_sleep(locks[:2], lid=True)
+    assert shut.verdict == "warn" and "closing the lid" in shut.text
     assert doctor.check_sleep(None).verdict == "warn"
-    held = "fieldlum 1000 me 4242 fieldlum sleep:idle capture block\n"
-    assert doctor.check_sleep(held).verdict == "ok"
-    assert doctor.check_sleep("NetworkManager 0 root 1 nm sleep x delay\n").verdict == "warn"
+
+
+@pytest.mark.skipif(not Path("/bin/sh").exists(), reason="needs a shell")
+@pytest.mark.parametrize(
+    ("script", "locks"),
+    [
+        (f"cat <<'E'\n{TABLE}E", 3),
+        ("echo No inhibitors.", 0),
+        ("printf 'caf\\351 0 root 1 x sleep why block\\n'", 1),
+        ("echo Failed to connect to bus: No such file or directory >&2; exit 1", None),
+        ("exec sleep 5", None),
+    ],
+    ids=["table", "none", "no-utf8", "no-bus", "hangs"],
+)
+def test_systemd_inhibit_is_really_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, locks: int | None
+) -> None:
+    tool = tmp_path / "systemd-inhibit"
+    tool.write_text(f'#!/bin/sh\n[ "$*" = --list ] && [ "$LC_ALL" = C ] || exit 9\n{script}\n')
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    found = doctor.inhibitors(timeout_s=0.5 if "sleep 5" in script else 10.0)
+    assert (None if found is None else len(found)) == locks
+
+
+def test_without_systemd_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert doctor.inhibitors() is None
+    (tmp_path / "systemd-inhibit").write_text("not to be run")
+    assert doctor.inhibitors() is None
+
+
+def test_this_computer_answers_or_is_not_asked() -> None:
+    assert doctor.inhibitors() is None or isinstance(doctor.inhibitors(), list)
     assert [doctor.check_clock(state).verdict for state in (True, False, None)] == ["ok", "warn", "warn"]
     assert doctor.kernel_clock() in (True, False, None)
 
