@@ -90,6 +90,32 @@ def test_property_what_is_printed_is_read(ghi: float, warm: float) -> None:
         assert found["ghi_wm2"] == round(ghi, 3) and found["temperature_c"] == round(warm, 2)
 
 
+FIXED = AsciiProfile(
+    "fixed",
+    "key-value",
+    (
+        AsciiField("ghi_wm2", "G", decimals=1, width=6, unit="W", lowest=-10.0, highest=1600.0),
+        AsciiField("temperature_c", "T", decimals=1, width=5),
+    ),
+    only=True,
+)
+
+
+def test_what_is_known_of_a_line_is_held_against_it() -> None:
+    assert parse_line(FIXED, b"G=0812.4W T=024.1\n") == {"ghi_wm2": 812.4, "temperature_c": 24.1}
+    for line, said in (
+        (b"G=812.4W T=024.1\n", "of 6 characters with 1 decimals and 'W'"),
+        (b"G=00812.4W T=024.1\n", "of 6 characters"),
+        (b"G=081.24W T=024.1\n", "with 1 decimals"),
+        (b"G=0812.4 T=024.1\n", "and 'W'"),
+        (b"G=1812.4W T=024.1\n", "expected -10 to 1600"),
+        (b"G=0812.4W T=024.1 X=1\n", "expected G, T and no others"),
+        (b"T=024.1 G=0812.4W\n", "expected G, T and no others"),
+    ):
+        with pytest.raises(DeviceError, match=said):
+            parse_line(FIXED, line)
+
+
 def test_contract_profiles_are_checked(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="no profile of lines 'x', there are arduino-json"):
         load_ascii_profile("x")
@@ -180,6 +206,18 @@ def test_contract_toa5_damage() -> None:
     assert named.samples[0].dni_wm2 == 512.3 and named.samples[0].ghi_wm2 is None
     with pytest.raises(InputError, match="no column Nope"):
         parse_toa5(TOA5, timedelta(), {"ghi_wm2": "Nope"})
+
+
+def test_a_toa5_row_out_of_step_is_left_out() -> None:
+    rows = [f'"2027-03-20 08:{m:02d}:00",{100 + m},{500 + m}.0,88.1,21.5\n' for m in range(30)]
+    head = "".join(TOA5.splitlines(keepends=True)[:4])
+    assert len(parse_toa5(head + "".join(rows), timedelta()).samples) == 30
+    for damage in (("08:07", "18:07"), ("2027-03-20 08:07", "2023-03-20 08:07"), (",107,", ",1107,")):
+        table = parse_toa5(head + "".join(rows).replace(*damage), timedelta())
+        assert len(table.samples) == 29 and "line 12" in table.broken[0]
+    # Rows that are missing, and a clock that was set by an hour, are no damage.
+    moved = rows[:9] + [row.replace(" 08:", " 09:") for row in rows[12:]]
+    assert len(parse_toa5(head + "".join(moved), timedelta()).samples) == 27
 
 
 @settings(deadline=None, max_examples=200)

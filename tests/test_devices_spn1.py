@@ -16,7 +16,7 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.serial_spn1 import Spn1
 from fieldlum.devices.simulated.spn1 import PtyInstrument, Spn1Voice
 from fieldlum.devices.simulated.world import Light
-from fieldlum.devices.spn1 import Spn1Reading, parse_reading, parse_status
+from fieldlum.devices.spn1 import Spn1Reading, agree, parse_reading, parse_status
 from fieldlum.errors import DeviceError
 
 START = datetime(2027, 3, 20, 19, 30, tzinfo=UTC)
@@ -133,6 +133,50 @@ def test_contract_faults_on_the_wire(fault: Callable[[bytes], bytes], said: str)
             device.read()
         wire.fault = lambda reply: reply
         assert device.read().ghi_wm2 == 812.4, "it must recover without being opened anew"
+
+
+def _changed(*replies: bytes) -> Callable[[bytes], bytes]:
+    """The next answers to S, one after the other; then the true ones."""
+    left = list(replies)
+    return lambda reply: left.pop(0) if reply != b"\xaf" and left else reply
+
+
+SEVEN, BROKEN = b"S 712.4, 104.9,1\r", b"S 8#2.4, 104.9,1\r"
+
+
+@pytest.mark.parametrize("first", [(SEVEN,), (BROKEN,), (READING, SEVEN), (READING, BROKEN)])
+def test_one_damaged_answer_is_outvoted(first: tuple[bytes, ...]) -> None:
+    wire = Wire()
+    with spn1(wire) as device:
+        wire.sent, wire.fault = b"", _changed(*first)
+        sample = device.read()
+        assert sample.ghi_wm2 == 812.4 and sample.dhi_wm2 == 104.9 and wire.sent == b"RSRSRS"
+        assert sample.raw.split(" | ")[0] == first[0].decode().strip(), "every answer that differs is kept"
+        wire.sent = b""
+        assert device.read().ghi_wm2 == 812.4 and wire.sent == b"RSRS", "two questions where all is well"
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        ((SEVEN, b"S 612.4, 104.9,1\r", READING), "no two answers agree"),
+        ((BROKEN, BROKEN), "SPN1 said"),
+        ((BROKEN, SEVEN, READING), "no two answers agree"),
+    ],
+)
+def test_contract_what_nobody_confirms_is_no_number(answers: tuple[bytes, ...], said: str) -> None:
+    wire = Wire()
+    with spn1(wire) as device:
+        wire.fault = _changed(*answers)
+        with pytest.raises(DeviceError, match=said):
+            device.read()
+        assert device.read().ghi_wm2 == 812.4
+
+
+def test_a_sky_that_changes_is_no_damage() -> None:
+    assert agree(Spn1Reading(812.4, 104.9, True), Spn1Reading(790.0, 110.0, False))
+    assert not agree(Spn1Reading(812.4, 104.9, True), Spn1Reading(712.4, 104.9, True))
+    assert not agree(Spn1Reading(812.4, 104.9, True), Spn1Reading(812.4, 204.9, True))
 
 
 def test_contract_the_rest_of_a_late_reply_is_not_the_next_one() -> None:

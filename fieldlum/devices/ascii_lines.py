@@ -38,13 +38,22 @@ class AsciiLine:
 
 @dataclass(frozen=True, slots=True)
 class AsciiField:
-    """quantity = scale * number + offset. decimals: exactly so many, so that a line cut short is noticed."""
+    """quantity = scale * number + offset.
+
+    What is known of the form tells a damaged number from a whole one: `decimals` exactly so many digits after the
+    point; `width` exactly so many characters, as printf's %6.1f or %06.1f fill them; `unit` text right behind the
+    number; `lowest` and `highest` of the quantity.
+    """
 
     quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
     key: str
     scale: float = 1.0
     offset: float = 0.0
     decimals: int | None = None
+    width: int | None = None
+    unit: str = ""
+    lowest: float | None = None
+    highest: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +64,7 @@ class AsciiProfile:
     form: Literal["regex", "key-value", "json"]
     entry: tuple[AsciiField, ...]
     pattern: str = ""  # of a regex; groups are named as the entries' keys
+    only: bool = False  # key-value, json: these keys, in this order, and no others
     checksum: Literal["none", "xor"] = "none"  # xor: the line ends in * and two hexadecimal digits, as NMEA's do
     model: str = ""
     serial: str = ""
@@ -92,10 +102,14 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
         text = _without_checksum(text)
     found = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](profile, text)
     values = {e.quantity: e.scale * _number(found[e.key], e, text) + e.offset for e in profile.entry}
-    for quantity, value in values.items():
-        low, high = _LIMITS.get(quantity, (LOWEST_WM2, HIGHEST_WM2))
+    for entry in profile.entry:
+        value, (low, high) = values[entry.quantity], _LIMITS.get(entry.quantity, (LOWEST_WM2, HIGHEST_WM2))
+        low, high = (
+            entry.lowest if entry.lowest is not None else low,
+            entry.highest if entry.highest is not None else high,
+        )
         if not low <= value <= high:
-            raise DeviceError(f"line {text[:60]!r}: {quantity} {value:g}, expected {low:g} to {high:g}")
+            raise DeviceError(f"line {text[:60]!r}: {entry.quantity} {value:g}, expected {low:g} to {high:g}")
     return values
 
 
@@ -153,20 +167,33 @@ def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
 
 
 def _having(profile: AsciiProfile, found: dict[str, Any], text: str) -> dict[str, Any]:
-    if missing := [e.key for e in profile.entry if e.key not in found]:
+    keys = [e.key for e in profile.entry]
+    if missing := [key for key in keys if key not in found]:
         raise DeviceError(f"line {text[:60]!r} lacks {', '.join(missing)}")
+    if profile.only and list(found) != keys:
+        raise DeviceError(f"line {text[:60]!r} has keys {', '.join(found)}, expected {', '.join(keys)} and no others")
     return found
 
 
 def _number(value: Any, entry: AsciiField, text: str) -> float:
-    match = _NUMBER.fullmatch(value.strip()) if isinstance(value, str) else None
-    if match is None or (entry.decimals is not None and len(match[1] or "") != entry.decimals):
-        wanted = "a number" if entry.decimals is None else f"a number with {entry.decimals} decimals"
-        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}, expected {wanted}")
-    number = float(match[0])
-    if not math.isfinite(number):
-        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}")
-    return number
+    shown = value.removesuffix(entry.unit) if isinstance(value, str) else ""
+    match = _NUMBER.fullmatch(shown.strip())
+    if (
+        match is None
+        or (entry.unit and not value.endswith(entry.unit))
+        or (entry.decimals is not None and len(match[1] or "") != entry.decimals)
+        or (entry.width is not None and len(shown) != entry.width)
+        or not math.isfinite(float(match[0]))
+    ):
+        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}, expected {_form(entry)}")
+    return float(match[0])
+
+
+def _form(entry: AsciiField) -> str:
+    said = "a number"
+    said += f" of {entry.width} characters" if entry.width is not None else ""
+    said += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
+    return said + (f" and '{entry.unit}'" if entry.unit else "")
 
 
 def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> IrradianceSample:

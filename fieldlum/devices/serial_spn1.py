@@ -6,9 +6,10 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from fieldlum.devices import InstrumentInfo
+from fieldlum.devices.agreeing import said_twice
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialPort
-from fieldlum.devices.spn1 import AWAKE, Spn1Status, parse_reading, parse_status
+from fieldlum.devices.spn1 import AWAKE, Spn1Status, agree, parse_reading, parse_status
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
@@ -46,18 +47,24 @@ class Spn1:
         )  # fmt: skip
 
     def read(self) -> IrradianceSample:
-        """Total and diffuse, now. Raises DeviceError; a total below the diffuse comes with a status."""
-        self._wake()
+        """Total and diffuse, now, said twice: its line has no checksum. A total below the diffuse comes with a status.
+
+        Raises DeviceError for silence, and when no two of three answers agree. raw holds all answers that differ.
+        """
         t_utc = self._clock.now()
+        reading, answers = said_twice(self._ask_reading, parse_reading, agree)
+        # Seen in the field at dawn; the instrument's own noise is below 3 W/m2.
+        doubt = "total below diffuse" if reading.total_wm2 < reading.diffuse_wm2 - 3.0 else ""
+        text = " | ".join(answer.decode("ascii", "backslashreplace").strip() for answer in dict.fromkeys(answers))
+        return IrradianceSample(t_utc, reading.total_wm2, reading.diffuse_wm2, status=doubt, raw=text)
+
+    def _ask_reading(self) -> bytes:
+        self._wake()
         self._port.write(b"S")
         reply = self._port.read_until(b"\r", 64)
         if not reply:
             raise DeviceError(f"{self._port.name}: SPN1 is awake, but silent")
-        reading = parse_reading(reply)
-        # Seen in the field at dawn; the instrument's own noise is below 3 W/m2.
-        doubt = "total below diffuse" if reading.total_wm2 < reading.diffuse_wm2 - 3.0 else ""
-        text = reply.decode("ascii").strip()
-        return IrradianceSample(t_utc, reading.total_wm2, reading.diffuse_wm2, status=doubt, raw=text)
+        return reply
 
     def _wake(self) -> None:
         """R until it answers 0xAF; what else lies in the line is a late reply and is thrown away."""

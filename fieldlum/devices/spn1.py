@@ -13,7 +13,11 @@ from fieldlum.errors import DeviceError
 
 AWAKE = b"\xaf"
 LARGEST_WM2 = 2500.0  # the instrument's range ends at 2000
-_READING = re.compile(rb"S?(?=.{6},)( *\d{1,4}\.\d),(?=.{6},)( *\d{1,4}\.\d),([01])\r")  # tttt.t,dddd.d,s
+_SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"  # filled with blanks, or with noughts
+_READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
+# Two answers within a tenth of a second. The instrument's noise is under 3 W/m2, and the edge of a cloud's shadow,
+# blurred by the sun's half degree, takes half a second or more.
+AGREE_WM2, AGREE_SHARE = 10.0, 0.02
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
@@ -45,6 +49,12 @@ def parse_reading(reply: bytes) -> Spn1Reading:
     if max(total, diffuse) > LARGEST_WM2:
         raise DeviceError(f"SPN1 said {reply[:40]!r}, beyond its range of {LARGEST_WM2:g} W/m2")
     return Spn1Reading(total, diffuse, match[3] == b"1")
+
+
+def agree(a: Spn1Reading, b: Spn1Reading) -> bool:
+    """Whether two answers, asked for one right after the other, may be of one sky."""
+    pairs = ((a.total_wm2, b.total_wm2), (a.diffuse_wm2, b.diffuse_wm2))
+    return all(abs(x - y) <= AGREE_WM2 + AGREE_SHARE * max(x, y) for x, y in pairs)
 
 
 def parse_status(reply: bytes) -> Spn1Status:

@@ -68,6 +68,7 @@ def parse_toa5(
     samples: list[IrradianceSample] = []
     broken: list[str] = []
     records: list[int] = []
+    numbered: list[tuple[int, int, int]] = []  # line, its sample, its record number
     for number, line in enumerate(lines[4:], start=5):
         if not line.strip():
             continue
@@ -83,9 +84,37 @@ def parse_toa5(
             continue
         if "RECORD" in names and (record := row[names.index("RECORD")]).isdecimal():
             records.append(int(record))
+            numbered.append((number, len(samples) - 1, int(record)))
+    strays = _out_of_step(numbered, [sample.t_utc for sample in samples])
+    broken += [f"line {line}: its time or record number fits neither neighbour's" for line, _ in strays]
+    left_out = {i for _, i in strays}
+    samples = [sample for i, sample in enumerate(samples) if i not in left_out]
     missing = sum(b - a - 1 for a, b in pairwise(records) if 1 < b - a < 1_000_000)
     station, model, serial = (*about[1:4], "", "", "")[:3]
     return Toa5(tuple(samples), station, model, serial, tuple(broken), missing)
+
+
+def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> list[tuple[int, int]]:
+    """(line, sample) of rows whose time less their record number's share differs from both neighbours', which agree.
+
+    A table's records are written at a fixed interval: a damaged digit in a time or a number stands out, and a logger
+    whose clock was set does not, for all later rows go with it.
+    """
+    if len(rows) < 4:
+        return []
+    t0 = times[rows[0][1]]
+    t = [(times[i] - t0).total_seconds() for _, i, _ in rows]
+    steps = sorted(
+        (b - a) / (n - m) for (_, _, m), (_, _, n), a, b in zip(rows, rows[1:], t, t[1:], strict=False) if n > m
+    )
+    every = steps[len(steps) // 2] if steps else 0.0
+    due = [at - every * number for at, (_, _, number) in zip(t, rows, strict=True)]
+    near = 0.5 * every
+    return [
+        (rows[k][0], rows[k][1])
+        for k in range(1, len(rows) - 1)
+        if abs(due[k + 1] - due[k - 1]) <= near < min(abs(due[k] - due[k - 1]), abs(due[k] - due[k + 1]))
+    ]
 
 
 def _columns(names: list[str], units: list[str], asked: Mapping[str, str] | None, source: str | Path) -> dict[str, int]:
