@@ -12,15 +12,19 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fieldlum.capture.runner import Live, Options, run
 from fieldlum.capture.state import fold, owed
 from fieldlum.capture.status import status
 from fieldlum.capture.steady import SteadyClock
+from fieldlum.capture.verify import doubts
 from fieldlum.devices.clock import ClockFault, FastClock
+from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.errors import DeviceError
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.profiles import load_camera_profile
+from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Panorama, Site, SiteFile, Slot
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
@@ -247,7 +251,78 @@ def test_bad_readings_and_a_lost_pyranometer(site: Field) -> None:
     site.run()
     lost = [e for e in read_journal(site.session) if e["event"] == "device-lost"]
     assert len(lost) >= 1 and all(e["device"] == "pyranometer" for e in lost)
+    bad = [e for e in read_journal(site.session) if e["event"] == "bad-reading"]
+    assert bad and all(e["device"] == "pyranometer" and "garbage" in e["why"] for e in bad)
     assert site.outcomes() == ["done"] * 3
+
+
+EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
+
+
+class SlippingCamera:
+    """The simulated camera, whose dial slips to twice the time at the frames in `slips` (counted from 1)."""
+
+    def __init__(self, clock: FastClock, slips: set[int]) -> None:
+        world = SimpleNamespace(scene=lambda t_utc: EVEN_LIGHT)
+        self._camera = SimulatedCamera(world, load_camera_profile("sim-fisheye"), clock, overhead_s=1.0)  # type: ignore[arg-type]
+        self._slips, self.count, self.info = slips, 0, self._camera.info
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        self.count += 1
+        slip = 2.0 if self.count in self._slips else 1.0
+        return self._camera.expose(replace(exposure, shutter_s=slip * exposure.shutter_s), target)
+
+    def close(self) -> None:
+        self._camera.close()
+
+
+def test_a_frame_unlike_what_was_asked_is_taken_again_once(site: Field) -> None:
+    camera = SlippingCamera(site.clock, {2})
+    site.session = make_session(site.session.root.parent / "one", slots=1)
+    events = site.run(open_cam=lambda: camera, check=doubts)
+    assert site.outcomes() == ["done"] and camera.count == 4 and events.count("frame") == 3
+    journal = read_journal(site.session)
+    told = next(e for e in journal if e["event"] == "retake")
+    assert told["why"] == "shutter 1 instead of 0.5" and told["frame"]["instead_of"] == "01_0.5s.dng"
+    assert next(e for e in journal if e["event"] == "done")["why"] == "01_0.5s_again.dng taken again"
+    folder = site.session.raw / site.session.slots()[0].id
+    frames = json.loads((folder / "capture.json").read_text())["frames"]
+    assert [f["file"] for f in frames] == ["00_1s.dng", "01_0.5s_again.dng", "02_0.25s.dng"]
+    assert not any("doubt" in f for f in frames) and all(sha256(folder / f["file"]) == f["sha256"] for f in frames)
+    assert doubts(folder / "01_0.5s.dng", LADDER[1]) == "shutter 1 instead of 0.5", "the first file is kept"
+    assert sorted(f.instead_of for f in fold(journal).slots[folder.name].frames) == ["", "", "01_0.5s.dng"]
+
+
+def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(site: Field) -> None:
+    camera = SlippingCamera(site.clock, set(range(100)))
+    site.session = make_session(site.session.root.parent / "one", slots=1)
+    site.run(open_cam=lambda: camera, check=doubts)
+    assert camera.count == 4, "one retake, in vain: the rest of the bracket is not taken twice"
+    why = next(e for e in read_journal(site.session) if e["event"] == "done")["why"]
+    assert why.count("instead of") == 3 and "taken again" not in why
+
+
+def test_no_retake_after_the_window(site: Field) -> None:
+    camera = SlippingCamera(site.clock, {2})
+    site.session = make_session(site.session.root.parent / "one", slots=1)
+    events = site.run(replace(FAST, grace_s=4.0), open_cam=lambda: camera, check=doubts)
+    assert "retake" not in events and site.outcomes() == ["done"] and camera.count == 3
+
+
+def test_a_camera_that_fails_at_the_retake_costs_nothing(site: Field) -> None:
+    camera = SlippingCamera(site.clock, {2})
+    whole = camera.expose
+
+    def expose(exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        if camera.count == 2:
+            camera.count += 1
+            raise DeviceError("gone")
+        return whole(exposure, target)
+
+    camera.expose = expose
+    site.session = make_session(site.session.root.parent / "one", slots=1)
+    events = site.run(open_cam=lambda: camera, check=doubts)
+    assert "retake" not in events and "device-lost" in events and site.outcomes() == ["done"]
 
 
 def test_full_disk_is_recorded_and_survived(site: Field) -> None:
@@ -371,7 +446,7 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(site: Field) -> None:
     )
     done = [e for e in read_journal(site.session) if e["event"] == "done"]
     assert looked == ["02_0.25s.dng"] * 3
-    assert "00_1s.dng: ISO 200" in done[0]["why"] and "97 %" in done[0]["why"]
+    assert "00_1s_again.dng: ISO 200" in done[0]["why"] and "97 %" in done[0]["why"]
 
 
 def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:

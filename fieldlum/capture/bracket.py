@@ -95,6 +95,8 @@ class Bracket:
                     return self.abort(slot, state, "disk full")
                 state = replace(state, frames=(*state.frames, frame))
                 self.between(frame)
+            for frame in taken:
+                state = self._again(slot, folder, state, wanted[frame.index], frame, deadline)
 
     def resumable(self, slot: Slot, state: SlotState) -> bool:
         """Whether an interrupted bracket is whole, or so fresh that its light is still the same."""
@@ -106,6 +108,31 @@ class Bracket:
         last = max(state.frames, key=lambda frame: frame.t_utc)
         return (self.clock.now() - last.t_utc).total_seconds() - last.seconds
 
+    def _again(
+        self, slot: Slot, folder: Path, state: SlotState, shot: Shot, doubtful: Frame, deadline: datetime
+    ) -> SlotState:
+        """Take a doubtful frame once more while the slot's window is open; both files stay, the second one counts.
+
+        Not when a second try in this bracket was no better for the same reason: that is how the camera is set.
+        """
+        in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= deadline
+        in_vain = any(frame.instead_of and frame.doubt for frame in state.frames)
+        if not doubtful.doubt or in_vain or not in_time:
+            return state
+        try:
+            second = self._expose(shot, folder, state.attempt, instead_of=doubtful.file)
+        except Exception as error:  # the doubtful frame is acknowledged: it stays
+            if disk_is_full(error):
+                self.recorder.make_room()
+            elif not isinstance(error, _Away):
+                self.camera.lost(error)
+            return state
+        if not self.recorder.tell("retake", slot=slot.id, frame=frame_fields(second), why=doubtful.doubt):
+            return state
+        self.between(second)
+        others = tuple(frame for frame in state.frames if frame.index != second.index)
+        return replace(state, frames=(*others, second))
+
     def _start(self, slot: Slot, attempt: int) -> SlotState:
         self.recorder.tell("started", slot=slot.id, attempt=attempt)
         return SlotState("started", attempt)
@@ -116,13 +143,13 @@ class Bracket:
             return state
         aside = folder / f"attempt-{state.attempt}"
         aside.mkdir(exist_ok=True)
-        for frame in state.frames:
-            if (folder / frame.file).exists():
-                (folder / frame.file).replace(aside / frame.file)
+        for name in (name for frame in state.frames for name in (frame.file, frame.instead_of) if name):
+            if (folder / name).exists():
+                (folder / name).replace(aside / name)
         sync_folder(folder)
         return self._start(slot, state.attempt + 1)
 
-    def _expose(self, shot: Shot, folder: Path, attempt: int) -> Frame:
+    def _expose(self, shot: Shot, folder: Path, attempt: int, instead_of: str = "") -> Frame:
         if self.camera.get() is None:
             raise _Away("camera is away")
         folder.mkdir(parents=True, exist_ok=True)
@@ -133,10 +160,12 @@ class Bracket:
             lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg), shot.exposure.shutter_s
         )
         doubt = self.check(written, shot.exposure)
-        final = folder / f"{shot.stem}{written.suffix}"
+        final = folder / f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}"
         _settle(written, final, flush=self.recorder.flush)
-        seconds = self.clock.boottime() - boot
-        return Frame(shot.index, final.name, shot.exposure, shot.heading_deg, begun, seconds, sha256(final), doubt)
+        seconds, hashed = self.clock.boottime() - boot, sha256(final)
+        return Frame(
+            shot.index, final.name, shot.exposure, shot.heading_deg, begun, seconds, hashed, doubt, instead_of
+        )  # fmt: skip
 
     def _takes_whole_brackets(self, wanted: Sequence[Shot]) -> bool:
         """A camera that brackets by itself is several times faster than one asked frame by frame."""
@@ -184,6 +213,7 @@ class Bracket:
     def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
         state = self._read_meter(slot, state)
         doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
+        again = [f"{frame.file} taken again" for frame in state.frames if frame.instead_of and not frame.doubt]
         darkest = min(state.frames, key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2))
         if text := self.check_shortest(folder / darkest.file):
             doubts.append(f"{darkest.file}: {text}")
@@ -194,8 +224,9 @@ class Bracket:
                 raise
             self.recorder.make_room()  # a few kilobytes: the reserve has them
             write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
-        self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why="; ".join(doubts))
-        return replace(state, outcome="done", why="; ".join(doubts))
+        why = "; ".join(again + doubts)
+        self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why=why)
+        return replace(state, outcome="done", why=why)
 
     def _read_meter(self, slot: Slot, state: SlotState) -> SlotState:
         """Illuminance at the lens, before and after the frames; a meter that fails costs nothing else."""

@@ -41,6 +41,10 @@ class Logger:
             sample = self.keeper.call(lambda d: d.read())
         except Exception as error:  # whatever a driver raises, the log goes on
             self._failed, self.bad = self._failed + 1, self.bad + 1
+            if self.keeper.state != "lost":  # once an instrument is lost, its readings are not told one by one
+                self._recorder.tell(
+                    "bad-reading", device=self.keeper.name, why=f"{type(error).__name__}: {error}"[:300]
+                )
             if self._failed >= _BAD_IN_A_ROW:
                 self._failed = 0
                 self.keeper.lost(error)

@@ -24,6 +24,7 @@ class Frame:
     seconds: float  # from the request to the file on disk
     sha256: str
     doubt: str = ""  # what did not look right when it was checked at once
+    instead_of: str = ""  # file of the doubtful frame of the same exposure that this one was taken again for
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,7 @@ def frame_fields(frame: Frame) -> dict[str, Any]:
         "seconds": round(frame.seconds, 3),
         "sha256": frame.sha256,
         **({"doubt": frame.doubt} if frame.doubt else {}),
+        **({"instead_of": frame.instead_of} if frame.instead_of else {}),
     }
 
 
@@ -71,6 +73,7 @@ def frame_from(fields: dict[str, Any]) -> Frame:
         float(fields.get("seconds", 0.0)),
         str(fields["sha256"]),
         str(fields.get("doubt", "")),
+        str(fields.get("instead_of", "")),
     )
 
 
@@ -96,7 +99,7 @@ def _step(state: SlotState, kind: str, event: dict[str, Any]) -> SlotState:
         return replace(
             state, outcome="started", attempt=attempt, frames=state.frames if attempt == state.attempt else ()
         )
-    if kind == "frame":
+    if kind in ("frame", "retake"):
         frame = frame_from(event["frame"])
         others = tuple(f for f in state.frames if f.index != frame.index)
         return replace(state, frames=(*others, frame))
