@@ -13,8 +13,9 @@ import numpy as np
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import Crop, FrameStore, good_pixels, lens_crop, load_jpeg, load_raw, plateau_of
 from fieldlum.merge.ratios import Neighbours, bracket_pairs, fit_bracket, neighbours
+from fieldlum.merge.shift import Moved, shifts
 from fieldlum.merge.shots import Shot, shots_of_files, sorted_shots, true_shutter_s
-from fieldlum.merge.stitch import SensorMap, blend, finish, view_through
+from fieldlum.merge.stitch import SensorMap, blend, finish, lens_geometry, view_through
 from fieldlum.photometry import RatioFit
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
@@ -23,6 +24,7 @@ from fieldlum.records import Flag, Panorama, Progress, quiet, utc_text
 from fieldlum.session import exposure_text
 
 RESIDUAL_WARN_PERCENT = 3.0
+SHIFT_WARN_PX = 1.0  # beyond three standard errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,7 @@ class SensorMerge:
     crop: Crop
     fit: RatioFit
     neighbours: tuple[Neighbours, ...]
+    moved: tuple[Moved, ...]
     plateau_dn: float | None
     u_ratio: float
 
@@ -71,6 +74,8 @@ def merge_sensor(
         return load_jpeg(shots[i], profile, crop, times[i][0], (i == 0, i == len(shots) - 1))
 
     store = FrameStore([lambda i=i: loader(i) for i in range(len(shots))], budget_bytes)
+    lenses = [lens_geometry(lens, crop, 0.0) for lens in profile.lens]
+    moved = shifts([store.small(i) for i in range(len(store))], lenses)
     pairs = bracket_pairs(store)
     wanted = raw if fit is None else fit
     ratios = fit_bracket(pairs if wanted else [], [u for _, u in times])
@@ -84,7 +89,7 @@ def merge_sensor(
     merged = merge_signals(
         [lambda i=i: store[i] for i in range(len(shots))], shape, u_ratio=tolerance, progress=progress
     )
-    return SensorMerge(merged, tuple(shots), crop, ratios, tuple(left), plateau, u_ratio)
+    return SensorMerge(merged, tuple(shots), crop, ratios, tuple(left), tuple(moved), plateau, u_ratio)
 
 
 def merge_shots(
@@ -159,10 +164,19 @@ def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) ->
         for shot, c, u in zip(part.shots, part.fit.correction, part.fit.u_log, strict=True)
     ]
     left = [n for part in parts for n in part.neighbours]
+    moved = [
+        {"long": part.shots[m.long].path.name, "short": part.shots[m.short].path.name, **_rounded(m)}
+        for part in parts
+        for m in part.moved
+    ]
+    most = max(moved, key=lambda m: m["sure_px"], default=None)
     return {
         "frames": frames,
         "neighbours": [asdict(n) for n in left],
         "residual_percent": float(max(abs(n.residual_percent) for n in left)) if left else None,
+        "shifts": moved,
+        "shift_px": most["shift_px"] if most else None,
+        "shift_u_px": most["u_px"] if most else None,
         "clipped_percent": share(Flag.CLIPPED_HIGH),
         "bloom_percent": share(Flag.BLOOM),
         "motion_percent": share(Flag.MOTION),
@@ -173,6 +187,10 @@ def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) ->
     }
 
 
+def _rounded(moved: Moved) -> dict[str, Any]:
+    return {name: round(float(getattr(moved, name)), 3) for name in ("turn_deg", "shift_px", "u_px", "sure_px")}
+
+
 def verdict(quality: dict[str, Any]) -> str:
     """One line: good, or what to look at."""
     said = []
@@ -181,6 +199,11 @@ def verdict(quality: dict[str, Any]) -> str:
         said.append("no two frames overlap")
     elif worst > RESIDUAL_WARN_PERCENT:
         said.append(f"neighbouring frames disagree by {worst:.1f} %")
+    said += [
+        f"the camera turned by {m['turn_deg']:.2f} deg ({m['shift_px']:.1f} px) between {m['long']} and {m['short']}"
+        for m in quality["shifts"]
+        if m["sure_px"] > SHIFT_WARN_PX
+    ]
     if quality["clipped_percent"] > 0:
         said.append(f"clipped in every frame: {quality['clipped_percent']:.2g} % of the view")
     if quality["motion_percent"] > 2.0:

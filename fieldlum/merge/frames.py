@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.merge.estimator import Signal, Strip
+from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot, nd_factors
 from fieldlum.photometry import response_table, saturation_plateau, z_per_cdm2
 from fieldlum.profiles import CameraProfile
@@ -23,6 +24,7 @@ _FULL = 0.99  # of the saturation: a count that is taken for saturated
 _SIGMA_CODE = 0.6  # codes: noise of a JPEG pixel beside its quantisation (sensor, compression)
 _Z_STEPS = 1 << 14
 _TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
+_SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges
 _COLOUR = {"R": 0, "G": 1, "B": 2}
 
 
@@ -133,6 +135,13 @@ class RawSignal:
 
     def largest_cdm2(self) -> NDArray[np.float32]:
         return self._limit_cdm2
+
+    def small(self) -> Small:
+        """The picture of all four colours together, for its edges."""
+        counts = self.counts.reshape(-1, self.counts.shape[-1])
+        above = counts.astype(np.float32)
+        above -= np.float32(self.black.mean())
+        return reduced(above, counts < self._any_full, _SMALL_SNR * float(np.sqrt(self.noise_dn2)), cell=2)
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
         at = _spread(len(self.counts), rows)
@@ -272,6 +281,14 @@ class JpegSignal:
     def largest_cdm2(self) -> NDArray[np.float32]:
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
+    def small(self) -> Small:
+        """The green picture, for its edges."""
+        import cv2
+
+        green = np.ascontiguousarray(self.codes[..., 1])
+        light = np.asarray(cv2.LUT(green, np.ascontiguousarray(self.z_of_code[:, 1])), np.float32)
+        return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
+
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
         at = _spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
@@ -330,6 +347,12 @@ class FrameStore:
         """Multiply the frames' assumed exposures, now and for all later reads."""
         self._scale = self._scale * factors
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
+
+    def small(self, number: int) -> Small:
+        """A frame reduced to what a turn of the camera can be seen in."""
+        signal = self[number]
+        assert isinstance(signal, RawSignal | JpegSignal)
+        return signal.small()
 
     def __getitem__(self, number: int) -> Signal:
         if number in self._kept:

@@ -24,9 +24,9 @@ from fieldlum.records import parse_utc
 from fieldlum.session import Session, parse_exposure, read_day, replacing
 
 COLUMNS = (
-    "slot", "t_utc", "verdict", "frames", "residual_percent", "drift_percent", "ghi_change_percent", "motion_percent",
-    "clipped_percent", "bloom_percent", "below_noise_percent", "outside_percent", "u_ratio_percent", "sun_lx",
-    "sun_origin", "vertical_illuminance_lx",
+    "slot", "t_utc", "verdict", "frames", "residual_percent", "drift_percent", "ghi_change_percent", "shift_px",
+    "shift_u_px", "motion_percent", "clipped_percent", "bloom_percent", "below_noise_percent", "outside_percent",
+    "u_ratio_percent", "sun_lx", "sun_origin", "vertical_illuminance_lx",
 )  # fmt: skip
 MIN_BRACKETS = 5  # before a shutter table is believed
 _THUMB = (184, 92)
@@ -139,7 +139,7 @@ def _row(session: Session, note: dict[str, Any], table: Sequence[ShutterEntry]) 
     times = [parse_utc(f["t_utc"]) for f in quality["frames"] if f.get("t_utc")]
     ghi = ghi_change_percent(session, min(times), max(times)) if times else None
     shown = {
-        **{name: quality.get(name) for name in COLUMNS if name.endswith("percent") or name.endswith("lx")},
+        **{name: quality.get(name) for name in COLUMNS if name.endswith(("percent", "lx", "px"))},
         "drift_percent": drift_percent(quality, table),
         "ghi_change_percent": ghi,
         "sun_lx": sun.get("normal_illuminance_lx"),

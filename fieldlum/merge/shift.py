@@ -1,0 +1,201 @@
+"""Did the camera turn within a bracket? Each frame against its neighbour, by what both see well.
+
+Shared edges of what is clipped or dark would hold a phase correlation at zero, and the short frames of a room show
+little but windows. So the turn is found by least squares on the pixels that both frames see (Lucas and Kanade 1981),
+from coarse to fine, with an offset and a slope for what exposures and response do not explain, and Huber weights for
+what moves. A fisheye's picture does not shift evenly when its camera turns, and two lenses back to back shift against
+each other: the unknowns are the three angles of the turn, through the lens's own mapping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
+
+Array = NDArray[np.float32]
+LONGEST = 800  # of the reduced frames' sides
+_LEVELS = 4  # sizes, each half the one before
+_STEPS = 2  # at each size
+_MOST = 30_000  # pixels of a fit
+_BLOCKS = 6  # a side, for the standard error
+_LEAST = 300  # pixels with an edge in them
+_FLAT = 0.02  # of ln light: less than that between neighbours is no edge
+_RIM = 0.97  # of a lens's circle: its edge stays where it is
+_TINY_RAD = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Small:
+    """A frame reduced to ln light [h, w] in any unit, `step` sensor pixels a pixel; seen: not clipped or dark."""
+
+    log_light: Array
+    seen: NDArray[np.bool_]
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """Turn of frame `short` against frame `long`, its neighbour of more exposure; in pixels at the lens's axis."""
+
+    long: int
+    short: int
+    turn_deg: float
+    shift_px: float
+    u_px: float
+
+    @property
+    def sure_px(self) -> float:
+        """What three standard errors leave of it."""
+        return max(self.shift_px - 3.0 * self.u_px, 0.0)
+
+
+def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1) -> Small:
+    """Means of blocks of whole cells, at most LONGEST a side. Seen: all of a block, its mean above `least` (over 0).
+
+    signal [h, w] linear in light, black at 0, in any unit; cell: pixels a side that belong together (2: a mosaic).
+    """
+    import cv2
+
+    h, w = signal.shape
+    by = cell * max(1, -(-max(h, w) // (cell * LONGEST)))
+    size = (w // by, h // by)
+    part = np.s_[: size[1] * by, : size[0] * by]
+    mean = cv2.resize(signal[part], size, interpolation=cv2.INTER_AREA)
+    share = cv2.resize(seen[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    whole = (share == 255) & (mean > least)
+    return Small(np.log(np.where(whole, mean, 1.0)).astype(np.float32), whole, by)
+
+
+def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Moved]:
+    """Of neighbours in a bracket that share enough edges to tell. lenses: centres in the frames' own sensor pixels."""
+    if len(frames) < 2 or min(frames[0].log_light.shape) < 16:
+        return []
+    flow, inside = _flow(tuple(lenses), frames[0].step, frames[0].log_light.shape)
+    flows = [flow]
+    pyramids = [_pyramid(replace(frame, seen=frame.seen & inside)) for frame in frames]
+    while len(flows) < len(pyramids[0]):
+        flows.append(np.ascontiguousarray(0.5 * flows[-1][:, ::2, ::2], np.float32))
+    lens = lenses[0]
+    px_per_rad = float(lens.radius_px * radius_of_angle(lens, _TINY_RAD) / _TINY_RAD)
+    found = []
+    for i in range(len(frames) - 1):
+        turn = _turn(pyramids[i], pyramids[i + 1], flows)
+        if turn is not None:
+            angle, u = turn
+            found.append(Moved(i, i + 1, float(np.degrees(angle)), angle * px_per_rad, u * px_per_rad))
+    return found
+
+
+@lru_cache(maxsize=2)
+def _flow(lenses: tuple[LensGeometry, ...], step: int, shape: tuple[int, int]) -> tuple[Array, NDArray[np.bool_]]:
+    """Where reduced pixels go, [6, h, w]: x and y for a turn about each of three axes [px/rad]; inside a lens's rim."""
+    y, x = ((np.arange(n) + 0.5) * step for n in shape)
+    flow, inside = np.zeros((6, *shape), np.float32), np.zeros(shape, bool)
+    for lens in lenses:
+        within = np.hypot(x - lens.centre_px[0], y[:, None] - lens.centre_px[1]) < _RIM * lens.radius_px
+        rows, columns = np.nonzero(within & ~inside)
+        rays = lens_rays(lens, x[columns], y[rows])
+        for axis, unit in enumerate(np.eye(3)):
+            turned = lens_pixels(lens, rays + _TINY_RAD * np.cross(unit, rays))[:2]
+            for k, (there, here) in enumerate(zip(turned, (x[columns], y[rows]), strict=True)):
+                flow[2 * axis + k, rows, columns] = (there - here) / _TINY_RAD / step
+        inside |= within
+    return flow, inside
+
+
+def _pyramid(small: Small) -> list[tuple[Array, NDArray[np.bool_]]]:
+    import cv2
+
+    levels = [(small.log_light, small.seen)]
+    while len(levels) < _LEVELS and min(levels[-1][0].shape) >= 64:
+        light, seen = levels[-1]
+        size = (light.shape[1] // 2, light.shape[0] // 2)
+        part = np.s_[: 2 * size[1], : 2 * size[0]]
+        weight = cv2.resize(seen[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        mean = cv2.resize(np.where(seen, light, 0.0)[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        levels.append((np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0), weight > 0.99))
+    return levels
+
+
+def _turn(
+    first: list[tuple[Array, NDArray[np.bool_]]], second: list[tuple[Array, NDArray[np.bool_]]], flows: list[Array]
+) -> tuple[float, float] | None:
+    """Angle [rad] and its standard error. None where the two share too few edges."""
+    turn, covariance = np.zeros(3), None
+    for level in range(len(flows) - 1, -1, -1):
+        for _ in range(_STEPS):
+            found = _step(first[level], second[level], flows[level], turn)
+            if found is None:
+                break  # too little at this size: a finer one may hold more
+            turn, covariance = turn + found[0], found[1]
+            if np.abs(found[0]).max() * np.abs(flows[level]).max() < 0.02:
+                break
+    if covariance is None:
+        return None
+    angle = float(np.linalg.norm(turn))
+    along = turn / max(angle, 1e-12)
+    return angle, float(np.sqrt(max(along @ covariance @ along, 1e-16)))
+
+
+def _step(
+    a: tuple[Array, NDArray[np.bool_]], b: tuple[Array, NDArray[np.bool_]], flow: Array, turn: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """What is to be added to `turn` [3], and its covariance. [rad]"""
+    import cv2
+
+    h, w = a[0].shape
+    y, x = np.mgrid[:h, :w].astype(np.float32)
+    for k in range(3):
+        x += np.float32(turn[k]) * flow[2 * k, :h, :w]
+        y += np.float32(turn[k]) * flow[2 * k + 1, :h, :w]
+    moved = cv2.remap(b[0], x, y, cv2.INTER_LINEAR)
+    seen = cv2.remap(b[1].astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.999
+    near = np.ones((5, 5), np.uint8)
+    both = cv2.erode((seen & a[1]).view(np.uint8), near, borderValue=0)
+    one, other = (cv2.GaussianBlur(v * both, (3, 3), 0.8) for v in (a[0], moved))
+    both = cv2.erode(both, near, borderValue=0).view(np.bool_)
+    mean = 0.5 * (one + other)
+    down, right = np.gradient(mean, axis=0), np.gradient(mean, axis=1)
+    rows, columns = np.nonzero(both & (down**2 + right**2 > _FLAT**2))
+    if len(rows) < _LEAST:
+        return None
+    thin = len(rows) // _MOST + 1
+    at = rows, columns = rows[::thin], columns[::thin]
+    level = mean[at].astype(np.float64)
+    slopes = [right[at] * flow[2 * k][at] + down[at] * flow[2 * k + 1][at] for k in range(3)]
+    design = np.stack([*slopes, np.ones_like(level), level - level.mean()], axis=1, dtype=np.float64)
+    block = rows * _BLOCKS // h * _BLOCKS + columns * _BLOCKS // w
+    return _solve(design, (one - other)[at].astype(np.float64), block)
+
+
+def _solve(
+    design: NDArray[np.float64], target: NDArray[np.float64], block: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Huber-weighted least squares; covariance of the first three unknowns by leaving out block by block."""
+    design = design / (scale := np.sqrt((design**2).mean(axis=0)) + 1e-30)
+    weight, x = np.ones(len(target)), np.zeros(design.shape[1])
+    for _ in range(4):
+        normal = design.T @ (design * weight[:, None])
+        if np.linalg.cond(normal) > 1e6:
+            return None
+        x = np.linalg.solve(normal, design.T @ (weight * target))
+        left = np.abs(target - design @ x)
+        weight = np.minimum(1.0, 1.5 * 1.4826 * np.median(left) / np.maximum(left, 1e-9))
+    weighed = design * weight[:, None]
+    names = np.unique(block)
+    parts = [block == name for name in names]
+    normals = np.stack([design[part].T @ weighed[part] for part in parts])
+    sides = np.stack([weighed[part].T @ target[part] for part in parts])
+    rest, side = normals.sum(axis=0) - normals, sides.sum(axis=0) - sides
+    if len(names) < 3 or np.linalg.cond(rest).max() > 1e8:
+        return None
+    without = np.linalg.solve(rest, side[..., None])[:, :3, 0]
+    spread = without - without.mean(axis=0)
+    covariance = (len(names) - 1) / len(names) * spread.T @ spread
+    return x[:3] / scale[:3], covariance / np.outer(scale[:3], scale[:3])
