@@ -13,6 +13,7 @@ import os
 import re
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -191,6 +192,7 @@ def main() -> None:
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
+    slowest_s = dict.fromkeys(KINDS, 0.0)
     bad = 0
     with tempfile.TemporaryDirectory() as scratch:
         originals = make_originals(Path(scratch))
@@ -203,7 +205,9 @@ def main() -> None:
             text = kind in ("profile", "site") and rng.random() < 0.7
             data = source.read_bytes()
             path.write_bytes(reword(data, rng) if text else mutate(data, head, rng))
+            asked_s = time.monotonic()
             said = worker.ask(kind, path)
+            slowest_s[kind] = max(slowest_s[kind], time.monotonic() - asked_s)
             counts[kind][said] += 1
             if said not in ("result", "one-line error"):
                 bad += 1
@@ -211,11 +215,11 @@ def main() -> None:
                 if options.keep:
                     options.keep.mkdir(parents=True, exist_ok=True)
                     (options.keep / f"{case:05d}-{kind}{source.suffix}").write_bytes(path.read_bytes())
-    print("| input | cases | result | one-line error | defect, crash or hang |\n|---|---|---|---|---|")
+    print("| input | cases | result | one-line error | defect, crash or hang | slowest s |\n|---|---|---|---|---|---|")
     for kind in KINDS:
         c = counts[kind]
         good, error = c["result"], c["one-line error"]
-        print(f"| {kind} | {c.total()} | {good} | {error} | {c.total() - good - error} |")
+        print(f"| {kind} | {c.total()} | {good} | {error} | {c.total() - good - error} | {slowest_s[kind]:.1f} |")
     sys.exit(1 if bad else 0)
 
 
