@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from fieldlum.projection.lens import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.projection.panorama import direction, equirect_solid_angles
 
-_BLOCK_SAMPLES = 2_000_000
+_BLOCK_SAMPLES = 250_000  # worked on at a time: what stays near a core
+_WINDOWS = 1_000_000  # places of all windows that are summed at a time
 _EDGE_RAD = 0.12  # target pixels further outside the lens than this are not even looked at
 _SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}  # of a colour's pixels [px]
+_LEAST = 3  # samples along an edge of a target pixel
 _STEP = 1.1  # of that spacing, between samples
 
 
@@ -97,6 +99,7 @@ class Fisheye:
 
 
 Target = Equirect | Fisheye
+Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,29 +116,35 @@ class Resampler:
     shape: tuple[int, int]
 
 
-def _shared(
-    cfa: str, colour: str, x: NDArray[np.float32], y: NDArray[np.float32]
-) -> Iterator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]]:
-    """Column, row and share of the four pixels of a colour around each place. cfa "": all colours everywhere."""
-    places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour] or [(0, 0)]
-    row0, column0 = places[0]
-    across, down = x - np.float32(0.5), y - np.float32(0.5)  # whole numbers at pixel centres
-    diagonal = len(places) == 2  # green: a lattice at 45 degrees
-    parity, step = (row0 + column0) & 1, 2 if cfa else 1
-    if diagonal:
-        u, v = (across + down - parity) / 2, (across - down - parity) / 2
-    else:
-        u, v = (across - column0) / step, (down - row0) / step
-    i, j = np.floor(u).astype(np.int32), np.floor(v).astype(np.int32)
-    du, dv = (u - i).astype(np.float32), (v - j).astype(np.float32)
-    for a in (0, 1):
-        for b in (0, 1):
-            share = (du if a else 1 - du) * (dv if b else 1 - dv)
-            p, q = i + np.int32(a), j + np.int32(b)
-            if diagonal:
-                yield p + q + np.int32(parity), p - q, share
-            else:
-                yield p * np.int32(step) + np.int32(column0), q * np.int32(step) + np.int32(row0), share
+@dataclass(frozen=True, slots=True)
+class _Lattice:
+    """Where the pixels of one colour stand: at sensor pixel `origin + p right + q down`, in whole steps p and q."""
+
+    row: int
+    column: int
+    right: tuple[int, int]  # rows, columns of one step p
+    down: tuple[int, int]
+
+    def places(self, x: Float32, y: Float32) -> tuple[Float32, Float32]:
+        """Continuous p, q of sensor coordinates; whole numbers at the middles of the colour's pixels."""
+        half, across, down = np.float32(0.5), x - np.float32(self.column + 0.5), y - np.float32(self.row + 0.5)
+        if self.right[0]:  # green: a lattice at 45 degrees
+            return np.multiply(across + down, half), np.multiply(across - down, half)
+        return np.multiply(across, np.float32(1 / self.right[1])), np.multiply(down, np.float32(1 / self.down[0]))
+
+    def number(self, p: NDArray[np.integer], q: NDArray[np.integer], width: int) -> NDArray[np.int32]:
+        """Number of the sensor pixel, row by row."""
+        rows = self.row + p * self.right[0] + q * self.down[0]
+        return (rows * width + self.column + p * self.right[1] + q * self.down[1]).astype(np.int32)
+
+
+def _lattice(cfa: str, colour: str) -> _Lattice:
+    """cfa "": all colours everywhere."""
+    places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour]
+    if len(places) == 2:
+        return _Lattice(*places[0], (1, 1), (-1, 1))
+    step = 2 if cfa else 1
+    return _Lattice(*(places or [(0, 0)])[0], (0, step), (step, 0))
 
 
 def _blocks(target: Target, sub: int) -> Iterator[tuple[int, int]]:
@@ -145,49 +154,92 @@ def _blocks(target: Target, sub: int) -> Iterator[tuple[int, int]]:
         yield first, min(first + step, height)
 
 
-def _samples(target: Target, lens: LensGeometry, first: int, last: int, sub: int) -> tuple[Any, ...]:
-    """Sensor x, y, weight of the samples of target rows first..last that may meet the lens, and their pixel's number.
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """Exact sensor coordinates on a grid over some rows of the target, and the target pixels that may meet the lens.
 
-    Sensor coordinates are worked out exactly on a grid of nodes and interpolated between them: they are smooth where
-    the lens sees, and a node stands at every pixel corner or at least every half degree.
+    Between nodes the coordinates are interpolated: they are smooth where the lens sees, and a node stands at every
+    pixel corner or at least every half degree.
     """
-    width = target.shape[1]
-    fine = max(1, int(np.ceil(target.pixel_rad / 0.009)))
-    step = -(-sub // fine)  # samples between nodes
-    sub = step * fine
+
+    first: int  # row of the target
+    fine: int  # nodes for one edge of a target pixel
+    x: Float32
+    y: Float32
+    near: NDArray[np.bool_]  # cells between nodes that may meet the lens
+    row: NDArray[np.intp]  # of the target pixels with such a cell, from `first`
+    column: NDArray[np.intp]
+
+
+def _nodes(target: Target, lens: LensGeometry, first: int, last: int) -> _Nodes:
+    width, fine = target.shape[1], _nodes_per_pixel(target)
     rows = first + np.arange((last - first) * fine + 1) / fine
-    columns = np.arange(width * fine + 1) / fine
-    x, y, angle = lens_pixels(lens, target.rays(rows, columns))
+    x, y, angle = lens_pixels(lens, target.rays(rows, np.arange(width * fine + 1) / fine))
     near = angle < lens.half_angle_rad + _EDGE_RAD
-    cells = near[:-1, :-1] | near[1:, :-1] | near[:-1, 1:] | near[1:, 1:]
-    i, j = np.nonzero(cells)
-    offset = ((np.arange(step) + 0.5) / step).astype(np.float32)
-    xs, ys = (_between(v.astype(np.float32), i, j, offset) for v in (x, y))
-    at_rows, at_columns = (rows[i][:, None] + offset / fine), (columns[j][:, None] + offset / fine)
+    near = near[:-1, :-1] | near[1:, :-1] | near[:-1, 1:] | near[1:, 1:]
+    row, column = np.nonzero(near.reshape(last - first, fine, width, fine).any(axis=(1, 3)))
+    return _Nodes(first, fine, x.astype(np.float32), y.astype(np.float32), near, row, column)
+
+
+def _nodes_per_pixel(target: Target) -> int:
+    return max(1, int(np.ceil(target.pixel_rad / 0.009)))
+
+
+def _samples(target: Target, nodes: _Nodes, down: int, across: int) -> tuple[Float32, Float32, Float32]:
+    """Sensor x, y (not a number where nothing can be seen) and weight [down, across, n] of the pixels of `nodes`."""
+    fine = nodes.fine
+    part = np.arange(fine)
+    i = nodes.row * fine + part[:, None, None]
+    j = nodes.column * fine + part[:, None]
+    i, j = np.broadcast_arrays(i, j)
+    hidden = None if (near := nodes.near[i, j]).all() else ~near
+    steps = _middles(down // fine), _middles(across // fine)
+    xs, ys = (_between(v, i, j, *steps, hidden).reshape(down, across, -1) for v in (nodes.x, nodes.y))
+    at_rows = nodes.first + nodes.row + _middles(down)[:, None]
     if isinstance(target, Equirect):
-        weight = np.broadcast_to(np.sin(at_rows / target.height * np.pi)[:, :, None], xs.shape)
+        weight = np.sin(at_rows / target.height * np.pi)[:, None]
     else:
         half = target.size / 2
-        distance = np.hypot((at_columns - half)[:, None, :], (at_rows - half)[:, :, None]) * target.pixel_rad
+        at_columns = nodes.column + _middles(across)[:, None]
+        distance = np.hypot(at_columns - half, (at_rows - half)[:, None]) * target.pixel_rad
         weight = np.where(distance <= np.radians(target.full_angle_deg) / 2, np.sinc(distance / np.pi), 0.0)
-    pixel = (i // fine) * width + j // fine
-    return xs, ys, weight.astype(np.float32), np.broadcast_to(pixel.astype(np.int32)[:, None, None], xs.shape)
+    return xs, ys, np.broadcast_to(weight.astype(np.float32), xs.shape)
+
+
+def _middles(count: int) -> NDArray[np.float64]:
+    return (np.arange(count) + 0.5) / count
 
 
 def _between(
-    nodes: NDArray[np.float32], i: NDArray[np.intp], j: NDArray[np.intp], offset: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Bilinear values at the sub-samples of cells (i, j), [cells, sub rows, sub columns]."""
+    nodes: Float32, i: NDArray[np.intp], j: NDArray[np.intp], down: NDArray[np.float64], across: NDArray[np.float64],
+    hidden: NDArray[np.bool_] | None,
+) -> Float32:  # fmt: skip
+    """Bilinear values at places `down` and `across` of cells (i, j) [fine, fine, n]: [fine, down, fine, across, n]."""
     a, b, c, d = nodes[i, j], nodes[i, j + 1], nodes[i + 1, j], nodes[i + 1, j + 1]
-    left = a[:, None] + (c - a)[:, None] * offset
-    right = b[:, None] + (d - b)[:, None] * offset
-    return np.asarray(left[:, :, None] + (right - left)[:, :, None] * offset, np.float32)
+    if hidden is not None:
+        a[hidden] = b[hidden] = np.nan
+    along = down.astype(np.float32)[:, None, None]
+    left = a[:, None] + (c - a)[:, None] * along
+    right = b[:, None] + (d - b)[:, None] * along
+    found = np.multiply((right - left)[..., None, :], across[:, None], dtype=np.float32)
+    found += left[..., None, :]
+    return found
 
 
 def samples_per_pixel(target: Target, lens: LensGeometry, colour: str = "") -> int:
     """Sub-samples along one edge of a target pixel, so that no sensor pixel of the colour falls between them."""
     densest = lens.radius_px * max(1.0 / np.sin(min(lens.half_angle_rad, np.pi / 2)), 1.0 / lens.half_angle_rad)
-    return int(np.clip(np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour])), 3, 24))
+    return int(np.clip(np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour])), _LEAST, 24))
+
+
+def _counts(target: Target, first: int, last: int, sub: int) -> tuple[int, int]:
+    """Samples down and across a pixel of these rows: fewer across where meridians draw together; nodes divide both."""
+    fine = _nodes_per_pixel(target)
+    across = sub
+    if isinstance(target, Equirect):
+        edges = np.clip((first / target.height, last / target.height, 0.5), first / target.height, last / target.height)
+        across = max(_LEAST, int(np.ceil(sub * np.sin(np.pi * edges).max())))
+    return -(-sub // fine) * fine, -(-across // fine) * fine
 
 
 @lru_cache(maxsize=24)
@@ -196,49 +248,124 @@ def resampler(target: Target, lens: LensGeometry, sensor_shape: tuple[int, int],
 
     cfa: four letters row by row, or "" for a sensor with all colours everywhere (one matrix, named "").
     """
-    matrices, share, angle = {}, np.zeros(0), np.zeros(0)
-    for colour in sorted(set(cfa)) or [""]:
-        matrices[colour], share, angle = _matrix(target, lens, sensor_shape, cfa, colour)
-    return Resampler(matrices, np.minimum(share, 1.0).astype(np.float32), angle.astype(np.float32), target.shape)
+    colours = sorted(set(cfa)) or [""]
+    subs = {colour: samples_per_pixel(target, lens, colour) for colour in colours}
+    width = target.shape[1]
+    coverage, angle = np.ones(target.shape[0] * width, np.float32), np.zeros(target.shape[0] * width, np.float32)
+    rows: dict[str, list[_Rows]] = {colour: [] for colour in colours}
+    for first, last in _blocks(target, max(subs.values())):
+        nodes = _nodes(target, lens, first, last)
+        pixel = nodes.row * width + nodes.column
+        for sub in sorted(set(subs.values())):
+            counts = _counts(target, first, last, sub)
+            seen = _seen(lens, sensor_shape, _samples(target, nodes, *counts), 1.5 if cfa else 0.75)
+            for colour in (c for c in colours if subs[c] == sub):
+                rows[colour].append(_rows(seen, _lattice(cfa, colour), sensor_shape[1], pixel, (last - first) * width))
+            whole = np.maximum(_full_weight(target, first, last)[pixel] * counts[0] * counts[1], 1e-30)
+            at = first * width + pixel
+            coverage[at] = np.minimum(coverage[at], seen.total / whole)  # what all colours see
+            angle[at] = seen.angle_rad
+        hidden = np.setdiff1d(np.arange((last - first) * width), pixel, assume_unique=True)
+        coverage[first * width + hidden] = 0.0
+    matrices = {colour: _csr(rows.pop(colour), sensor_shape) for colour in colours}
+    return Resampler(matrices, coverage, angle, target.shape)
 
 
-def _matrix(
-    target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str, colour: str
-) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
-    """One colour's matrix, coverage and mean angle."""
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Samples [down, across, n] of n target pixels: sensor coordinates, share of their pixel (0: not seen)."""
+
+    x: Float32
+    y: Float32
+    share: Float32
+    total: NDArray[np.float64]  # of the weights seen, [n]
+    angle_rad: NDArray[np.float64]  # mean from the axis, [n]
+
+
+def _seen(
+    lens: LensGeometry, sensor_shape: tuple[int, int], samples: tuple[Float32, Float32, Float32], margin: float
+) -> _Seen:
+    """margin: so that none of the four neighbours of a sample lies outside the circle or the sensor. [px]"""
+    x, y, weight = samples
+    sensor_h, sensor_w = sensor_shape
+    r2 = (x - np.float32(lens.centre_px[0])) ** 2 + (y - np.float32(lens.centre_px[1])) ** 2
+    seen = (r2 <= (lens.radius_px - margin) ** 2) & (weight > 0)
+    seen &= (x >= margin) & (y >= margin) & (x < sensor_w - margin) & (y < sensor_h - margin)
+    if not seen.all():
+        # What is not seen weighs nothing, and stands where something of its pixel is seen: its window stays small.
+        weight = weight * seen
+        x, y = (np.where(seen, v, np.where(seen, v, np.float32(np.inf)).min(axis=(0, 1))) for v in (x, y))
+        r2 = np.where(seen, r2, np.float32(0))
+    total = weight.sum(axis=(0, 1), dtype=np.float64)
+    share = np.divide(weight, np.maximum(total, 1e-30).astype(np.float32), order="C")
+    angle = angle_of_radius(lens, np.sqrt(r2) / np.float32(lens.radius_px))
+    return _Seen(x, y, share, total, (share * angle).sum(axis=(0, 1), dtype=np.float64))
+
+
+_Rows = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.intp]]  # values, columns, entries of each row
+
+
+def _rows(seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: NDArray[np.intp], pixels: int) -> _Rows:
+    """Rows of the matrix: every sample shared among the four nearest pixels of its colour, bilinearly.
+
+    The shares are added up in a small dense window of the lattice around each target pixel: no sorting.
+    """
+    keep = np.flatnonzero(seen.total > 0)
+    counts = np.zeros(pixels, np.intp)
+    if not keep.size:
+        return np.zeros(0, np.float32), np.zeros(0, np.int32), counts
+    x, y, share = (
+        v if keep.size == len(seen.total) else np.take(v, keep, axis=-1) for v in (seen.x, seen.y, seen.share)
+    )
+    p, q = lattice.places(x, y)
+    i, j = np.floor(p), np.floor(q)
+    p -= i
+    q -= j
+    i_least, j_least = (v.min(axis=(0, 1)) for v in (i, j))
+    i -= i_least
+    j -= j_least
+    across, down = int(i.max()) + 2, int(j.max()) + 2
+    corner = lattice.number(i_least.astype(np.int64), j_least.astype(np.int64), sensor_width)
+    window = lattice.number(*np.meshgrid(np.arange(across), np.arange(down)), sensor_width).ravel()
+    window = window - np.int32(lattice.row * sensor_width + lattice.column)
+    values, columns = [], []
+    step = max(1, _WINDOWS // window.size)
+    for a in range(0, keep.size, step):
+        at = slice(a, a + step)
+        dense = _window_sums(i[..., at], j[..., at], p[..., at], q[..., at], share[..., at], across, down)
+        filled = dense > 0
+        values.append(dense[filled].astype(np.float32))
+        columns.append((corner[at][:, None] + window)[filled])
+        counts[pixel[keep[at]]] = filled.sum(axis=1)
+    return np.concatenate(values), np.concatenate(columns), counts
+
+
+def _window_sums(
+    i: Float32, j: Float32, p: Float32, q: Float32, share: Float32, across: int, down: int
+) -> NDArray[np.float64]:
+    """Shares of samples at i + p, j + q [.., .., n] added up on the window of each pixel, [n, down * across]."""
+    size, pixels = across * down, i.shape[-1]
+    at = (j * across + i).astype(np.intp)
+    at += np.arange(pixels) * size
+    index, part = np.empty((4, i.size), np.intp), np.empty((4, i.size))
+    lower = share * q
+    upper = share - lower
+    for number, (row, move) in enumerate(((upper, 0), (lower, across))):
+        right = row * p
+        np.add(at.ravel(), move, out=index[2 * number])
+        np.add(at.ravel(), move + 1, out=index[2 * number + 1])
+        np.subtract(row.ravel(), right.ravel(), out=part[2 * number])
+        part[2 * number + 1] = right.ravel()
+    return np.asarray(np.bincount(index.ravel(), part.ravel(), pixels * size), np.float64).reshape(-1, size)
+
+
+def _csr(rows: list[_Rows], sensor_shape: tuple[int, int]) -> Any:
     from scipy import sparse
 
-    sub = samples_per_pixel(target, lens, colour)
-    width = target.shape[1]
-    sensor_h, sensor_w = sensor_shape
-    margin = 1.5 if cfa else 0.75  # so that none of the four neighbours lies outside the circle
-    limit = (lens.radius_px - margin) ** 2
-    blocks, coverage, angles = [], [], []
-    for first, last in _blocks(target, sub):
-        x, y, weight, pixel = _samples(target, lens, first, last, sub)
-        n = (last - first) * width
-        r2 = (x - np.float32(lens.centre_px[0])) ** 2 + (y - np.float32(lens.centre_px[1])) ** 2
-        seen = (r2 <= limit) & (x >= margin) & (y >= margin) & (x < sensor_w - margin) & (y < sensor_h - margin)
-        seen &= weight > 0
-        x, y, r2, weight, pixel = x[seen], y[seen], r2[seen], weight[seen], pixel[seen]
-        inside = np.bincount(pixel, weight, n)
-        total = _full_weight(target, first, last) * _samples_of(target, sub)
-        coverage.append(np.divide(inside, total, out=np.zeros(n), where=total > 0))
-        angle = angle_of_radius(lens, np.sqrt(r2) / lens.radius_px)
-        angles.append(np.divide(np.bincount(pixel, weight * angle, n), inside, out=np.zeros(n), where=inside > 0))
-        weight /= inside[pixel].astype(np.float32)
-        corners = list(_shared(cfa, colour, x, y))
-        index = np.concatenate([row * np.int32(sensor_w) + column for column, row, _ in corners])
-        share = np.concatenate([weight * part for _, _, part in corners])
-        entries = (share, (np.tile(pixel, 4), index))
-        blocks.append(sparse.coo_array(entries, shape=(n, sensor_h * sensor_w)).tocsr())
-    return sparse.vstack(blocks, format="csr"), np.concatenate(coverage), np.concatenate(angles)
-
-
-def _samples_of(target: Target, sub: int) -> int:
-    """Samples that `_samples` really makes in a target pixel."""
-    fine = max(1, int(np.ceil(target.pixel_rad / 0.009)))
-    return (-(-sub // fine) * fine) ** 2
+    values, columns, counts = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    small = len(values) < np.iinfo(np.int32).max
+    starts = np.concatenate(([0], np.cumsum(counts))).astype(np.int32 if small else np.int64)
+    return sparse.csr_array((values, columns, starts), shape=(len(counts), sensor_shape[0] * sensor_shape[1]))
 
 
 def _full_weight(target: Target, first: int, last: int) -> NDArray[np.float64]:
