@@ -87,11 +87,22 @@ def _crc16(data: bytes) -> bytes:
     return crc.to_bytes(2, "little")
 
 
-def _nmea(body: str) -> bytes:
+def nmea(body: str) -> bytes:
     total = 0
     for character in body.removeprefix("$"):
         total ^= ord(character)
     return f"{body}*{total:02X}\r\n".encode()
+
+
+# Lines of one's own, with all that can be stated of them.
+FIXED = ascii_lines.AsciiProfile(
+    "fixed", "key-value",
+    (
+        ascii_lines.AsciiField("ghi_wm2", "G", decimals=1, width=6, lowest=-10.0, highest=1600.0),
+        ascii_lines.AsciiField("temperature_c", "T", decimals=1, width=5),
+    ),
+    only=True,
+)  # fmt: skip
 
 
 TOA5_HEAD = (
@@ -122,12 +133,17 @@ def parsers() -> list[Parser]:
         modbus(),
         Parser(
             "ASCII pattern", "XOR",
-            tenths.map(lambda v: _nmea(f"$G={v[0] / 10:.1f} D={v[1] / 10:.1f} T={v[2] / 10:.1f}")),
+            tenths.map(lambda v: nmea(f"$G={v[0] / 10:.1f} D={v[1] / 10:.1f} T={v[2] / 10:.1f}")),
             lambda d: ascii_lines.parse_line(keys, d),
         ),
         Parser(
             "ASCII key=value", "", st.integers(0, 20000).map(lambda v: b"G_mV=%.3f\n" % (v / 1000)),
             lambda d: ascii_lines.parse_line(words, d),
+        ),
+        Parser(
+            "ASCII key=value, all stated", "",
+            tenths.map(lambda v: b"G=%06.1f T=%05.1f\n" % (v[0] / 10, v[2] / 10)),
+            lambda d: ascii_lines.parse_line(FIXED, d),
         ),
         Parser(
             "ASCII JSON", "", tenths.map(lambda v: json.dumps({"G": v[0] / 10, "T": v[2] / 10}).encode() + b"\n"),

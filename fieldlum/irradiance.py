@@ -27,7 +27,13 @@ NIGHT_SUN_DEG = -6.0
 NIGHT_OFFSET_WARN_WM2 = 5.0
 STUCK_S = 600.0  # daylight that does not change by a digit for so long is a dead reading
 _SEGMENT_GAP_S = 1800.0  # DIRINT looks at neighbouring minutes, never across a longer gap
-_RECIPE = 1  # raise it when the arithmetic changes: clean.csv is then made again
+SPIKE_WM2 = 20.0  # a departure by less is no spike, whatever is around it
+SPIKE_OVER_NEIGHBOURS = 8.0  # by so much more than the neighbours differ
+SPIKE_OVER_USUAL = 3.0  # and than the light changes around it
+_SPIKE_ROWS = 120  # "around it": rows on either side, ten minutes at 5 s
+_SPIKE_RANK = 9  # of the steps around it: four other spikes there hide none
+_BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all would take much memory
+_RECIPE = 2  # raise it when the arithmetic changes: clean.csv is then made again
 
 
 class Mark(IntFlag):
@@ -43,6 +49,7 @@ class Mark(IntFlag):
     GAP = 128  # the first row after a gap
     DISORDER = 256  # a row that stood later in the file than its time
     DERIVED = 512  # DNI and DHI are a model's, not an instrument's
+    SPIKE = 1024  # one reading alone departs from both neighbours: a damaged line, a bird, a very small cloud
 
 
 UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
@@ -129,6 +136,8 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
         marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
     marks[_closure_fails(ghi, dhi, dni, altitude)] |= Mark.CLOSURE
     marks[_stuck(series.t_unix_s, ghi, altitude)] |= Mark.STUCK
+    for value in (ghi, dhi, dni):
+        marks[spikes(series.t_unix_s, np.where(marks & UNUSABLE, np.nan, value))] |= Mark.SPIKE
     step = np.diff(series.t_unix_s, prepend=series.t_unix_s[:1])
     marks[step > 2.5 * poll_period_s(series.t_unix_s)] |= Mark.GAP
     ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
@@ -164,6 +173,35 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
     long_run = (t_unix_s[ends - 1] - t_unix_s[starts] > STUCK_S) & (ends - starts > 2)
     out = np.repeat(long_run, ends - starts)
     return out & (altitude > 2.0) & np.isfinite(ghi)
+
+
+def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
+    """Rows [n] that depart from both neighbours, to the same side, by far more than these differ and than is usual.
+
+    Usual is the ninth largest of the other steps within 120 rows on either side: where the light jumps often, as under
+    broken clouds, nothing stands out (bench/damaged_series.py). Rows beside a gap, and short series, are not judged.
+    """
+    out = np.zeros(len(value), bool)
+    if len(value) < 3 + 2 * _SPIKE_ROWS:
+        return out
+    step = np.diff(value)
+    step[np.diff(t_unix_s) > 2.5 * poll_period_s(t_unix_s)] = np.nan
+    from_left, from_right = step[:-1], -step[1:]
+    with np.errstate(invalid="ignore"):
+        same_side = from_left * from_right > 0
+        departure = np.where(same_side, np.minimum(np.abs(from_left), np.abs(from_right)), 0.0)
+        far = (departure > SPIKE_WM2) & (departure > SPIKE_OVER_NEIGHBOURS * np.abs(from_left - from_right))
+    # Steps around candidate row k + 1, less its own two (k and k + 1).
+    around = np.r_[-_SPIKE_ROWS:0, 2 : 2 + _SPIKE_ROWS]
+    size = np.abs(np.nan_to_num(step))
+    candidates = np.flatnonzero(far)
+    for first in range(0, len(candidates), _BLOCK_ROWS):
+        some = candidates[first : first + _BLOCK_ROWS]
+        near = some[:, None] + around
+        others = np.where((near >= 0) & (near < len(size)), size[np.clip(near, 0, len(size) - 1)], 0.0)
+        usual = np.partition(others, -_SPIKE_RANK, axis=1)[:, -_SPIKE_RANK]
+        out[some[departure[some] > SPIKE_OVER_USUAL * usual] + 1] = True
+    return out
 
 
 # ---------------------------------------------------------------------------------------------- global alone
@@ -248,20 +286,22 @@ def write_clean(path: Path, series: Series) -> None:
     import pandas as pd
 
     texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
-    when = pd.to_datetime(series.t_unix_s, unit="s", utc=True).round("ms")
-    table = pd.DataFrame(
-        {
-            "t_utc": when.strftime("%Y-%m-%dT%H:%M:%S.%f").str[:-3] + "Z",
-            "ghi_wm2": series.ghi_wm2.round(3),
-            "dhi_wm2": series.dhi_wm2.round(3),
-            "dni_wm2": series.dni_wm2.round(3),
-            "source": np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED),
-            "flags": [texts[int(m)] for m in series.marks],
-        },
-        columns=list(CLEAN_COLUMNS),
-    )
     with replacing(path, "w", newline="", encoding="utf-8") as file:
-        table.to_csv(file, index=False, lineterminator="\n")
+        for first in range(0, max(len(series), 1), _BLOCK_ROWS):  # texts of a million rows would take 300 MB
+            rows = slice(first, first + _BLOCK_ROWS)
+            when = pd.to_datetime(series.t_unix_s[rows], unit="s", utc=True).round("ms")
+            table = pd.DataFrame(
+                {
+                    "t_utc": when.strftime("%Y-%m-%dT%H:%M:%S.%f").str[:-3] + "Z",
+                    "ghi_wm2": series.ghi_wm2[rows].round(3),
+                    "dhi_wm2": series.dhi_wm2[rows].round(3),
+                    "dni_wm2": series.dni_wm2[rows].round(3),
+                    "source": np.where(series.marks[rows] & Mark.DERIVED, DERIVED, MEASURED),
+                    "flags": [texts[int(m)] for m in series.marks[rows]],
+                },
+                columns=list(CLEAN_COLUMNS),
+            )
+            table.to_csv(file, index=False, header=first == 0, lineterminator="\n")
 
 
 def _fingerprint(files: Sequence[Path]) -> dict[str, Any]:

@@ -88,6 +88,53 @@ def test_checks_take_any_figures(values: list[float], seconds: list[int]) -> Non
     assert (series.ghi_wm2[good] >= -4).all() and (series.ghi_wm2[good] <= top).all()
 
 
+def _steady(rows: int = 400, every_s: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
+    t = 1.8e9 + every_s * np.arange(rows)
+    return t, 800.0 + 0.5 * np.sin(np.arange(rows))
+
+
+@pytest.mark.parametrize("damage", [80.0, 8124.0, 760.0, 900.0])
+def test_a_lone_reading_unlike_both_neighbours_is_flagged(damage: float) -> None:
+    t, value = _steady()
+    value[[20, 26]] = damage  # a second one near by hides neither
+    assert list(np.flatnonzero(irradiance.spikes(t, value))) == [20, 26]
+
+
+def test_what_is_no_spike() -> None:
+    t, value = _steady()
+    value[30:] -= 500.0  # a cloud comes
+    assert not irradiance.spikes(t, value).any()
+    value[40:42] += 300.0  # two readings
+    assert not irradiance.spikes(t, value).any()
+    t, value = _steady()
+    value[30], t[31:] = 100.0, t[31:] + 600.0  # beside a gap
+    assert not irradiance.spikes(t, value).any()
+    value = np.where(np.arange(400) % 3 == 0, 900.0, 250.0)  # broken clouds, each reading another
+    assert not irradiance.spikes(_steady()[0], value).any()
+
+
+@given(st.lists(st.one_of(st.floats(-50, 3000), st.just(np.nan)), min_size=243, max_size=260))
+@settings(deadline=None, max_examples=20)
+def test_spikes_take_any_figures(values: list[float]) -> None:  # property
+    found = irradiance.spikes(np.linspace(0.0, 5.0 * len(values), len(values)), np.array(values, float))
+    assert len(found) == len(values) and not found[np.isnan(np.array(values, float))].any()
+
+
+def test_a_spike_is_flagged_and_kept() -> None:
+    samples = [at(5.0 * i, 800.0 + 0.1 * (i % 5), 150.0 + 0.1 * (i % 7)) for i in range(300)]
+    samples[30] = at(150, 800.0, 15.0)  # a digit of the diffuse lost
+    series = checked(samples)
+    assert list(np.flatnonzero(series.marks & Mark.SPIKE)) == [30] and series.dhi_wm2[30] == 15.0
+
+
+def test_clean_csv_is_written_in_blocks_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    series = checked([at(5.0 * i, 800.0 + i % 5, 150.0) for i in range(100)])
+    irradiance.write_clean(tmp_path / "whole.csv", series)
+    monkeypatch.setattr(irradiance, "_BLOCK_ROWS", 7)
+    irradiance.write_clean(tmp_path / "blocks.csv", series)
+    assert (tmp_path / "blocks.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
 def test_minute_means_keep_neighbours_apart() -> None:  # analytic
     t = np.array([0.0, 30.0, 60.0, 7200.0, 7230.0])
     centres, means, row = minute_means(t, np.array([1.0, 3.0, 5.0, 7.0, 9.0]))

@@ -132,4 +132,5 @@ _CAUTIONS = {
     "closure": "global is not diffuse + direct",
     "diffuse": "diffuse above global",
     "extreme": "irradiance outside BSRN's extremely rare limits",
+    "spike": "one reading departs from its neighbours",
 }

@@ -1,0 +1,225 @@
+"""Damaged lines within a day of irradiance: what ends as a number that nobody flagged, layer by layer.
+
+    python bench/damaged_series.py [--hours 400] [--seed 1]
+
+First table: readings of undamaged series that the spike guard flags, by sky and step. Second table: lines of undamaged
+readings are damaged one in a hundred, each once; how many then read as another number by their form, how many after
+asking again (the SPN1; one answer in ten of the further ones is damaged too), and how many of those quality control
+leaves without a flag. Skies are made of clouds whose lengths follow a power law (exponent -1.66, as clouds' chords do),
+blown over the place at 5 to 20 m/s, their shadows' edges blurred by the sun's disc and their own softness.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from typing import Any, NamedTuple
+
+import numpy as np
+from fuzz_parsers import FIXED, TOA5_HEAD, nmea
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from fieldlum import irradiance
+from fieldlum.devices import ascii_lines, spn1, toa5
+from fieldlum.devices.agreeing import said_twice
+from fieldlum.errors import FieldlumError
+
+Array = NDArray[np.float64]
+ALTITUDE_DEG, TOP_WM2 = 50.0, 1361.0
+NOON = datetime(2027, 6, 21, 20, tzinfo=UTC)
+# Share of sky under clouds, shortest and longest cloud [m].
+SKIES = {"clear": (0.0, 1.0, 2.0), "small clouds": (0.05, 20.0, 300.0), "broken": (0.5, 30.0, 5000.0),
+         "fast broken": (0.5, 20.0, 500.0), "overcast": (1.0, 1.0, 2.0)}  # fmt: skip
+FEW_WM2 = 20.0
+
+
+def sky(kind: str, seconds: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Global and diffuse [seconds] W/m2, each second."""
+    cover, shortest, longest = SKIES[kind]
+    wind = 20.0 if kind == "fast broken" else rng.uniform(5.0, 20.0)
+    metres = int(wind * seconds) + 2
+    beam_through = np.full(metres, 1.0 if cover < 1.0 else 0.0)
+    at = 0.0
+    while 0.0 < cover < 1.0 and at < metres:
+        cloud, gap = _chord(shortest, longest, rng), _chord(shortest, longest, rng)
+        at += gap * (1.0 - cover) / cover
+        beam_through[int(at) : int(at + cloud)] = rng.choice([0.0, 0.0, rng.uniform(0.0, 0.6)])
+        at += cloud
+    edge_m = np.hypot(9.0, 15.0) / 2.0  # a kilometre up the sun's disc is 9 m wide; a cloud's own edge is soft
+    beam = gaussian_filter1d(beam_through, edge_m)
+    clouds = gaussian_filter1d(1.0 - beam_through, 200.0)
+    where = (wind * np.arange(seconds)).astype(int)
+    diffuse = 110.0 + 250.0 * clouds[where] * (1.0 - 0.5 * clouds[where])
+    total = 620.0 * beam[where] + diffuse
+    noise = rng.normal(0.0, 1.0, (2, seconds))
+    return np.maximum(total + noise[0], 0.0), np.maximum(diffuse + noise[1], 0.0)
+
+
+def _chord(shortest: float, longest: float, rng: np.random.Generator) -> float:
+    """A length whose frequency falls with its power -1.66."""
+    low, high, u = shortest**-0.66, longest**-0.66, rng.random()
+    return float((low + u * (high - low)) ** (-1.0 / 0.66))
+
+
+def checked(t: Array, ghi: Array, dhi: Array | None) -> NDArray[np.int64]:
+    """Marks [n] of quality control at a fixed sun."""
+    blank = np.full(len(t), np.nan)
+    series = irradiance.Series(t, ghi, blank if dhi is None else dhi, blank, np.zeros(len(t), np.int64))
+    return irradiance.check(series, np.full(len(t), ALTITUDE_DEG), np.full(len(t), TOP_WM2)).marks
+
+
+# ---------------------------------------------------------------------------------------------- lines
+
+
+class Protocol(NamedTuple):
+    name: str
+    line: Callable[[float, float], bytes]
+    read: Callable[[bytes], tuple[float, float | None]]
+    asked_again: bool = False
+
+
+def _values(profile: ascii_lines.AsciiProfile) -> Callable[[bytes], tuple[float, float | None]]:
+    def read(line: bytes) -> tuple[float, float | None]:
+        found = ascii_lines.parse_line(profile, line)
+        return found["ghi_wm2"], found.get("dhi_wm2")
+
+    return read
+
+
+def _toa5(line: bytes) -> tuple[float, float | None]:
+    """A row between four neighbours of a minute's step."""
+    rows = [_toa5_row(minute, 500.0, 100.0) for minute in range(5)]
+    rows[2] = line
+    text = (TOA5_HEAD + b"".join(rows)).decode("utf-8", "replace")
+    due = NOON.replace(hour=8) + timedelta(minutes=2)
+    found = [s for s in toa5.parse_toa5(text, timedelta()).samples if s.t_utc == due]
+    if len(found) != 1 or found[0].ghi_wm2 is None:
+        raise FieldlumError("left out, or blank")
+    return found[0].ghi_wm2, found[0].dhi_wm2
+
+
+def _toa5_row(minute: int, ghi: float, dhi: float) -> bytes:
+    return b'"2027-06-21 08:%02d:00",%d,%.1f,%.1f,21.5\r\n' % (minute, 100 + minute, ghi, dhi)
+
+
+def protocols() -> list[Protocol]:
+    keys, js = (ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "arduino-json"))
+
+    def spn1_read(line: bytes) -> tuple[float, float | None]:
+        found = spn1.parse_reading(line)
+        return found.total_wm2, found.diffuse_wm2
+
+    return [
+        Protocol("SPN1", lambda g, d: b"S%6.1f,%6.1f,1\r" % (g, d), spn1_read, asked_again=True),
+        Protocol("ASCII, XOR", lambda g, d: nmea(f"$G={g:.1f} D={d:.1f} T=24.1"), _values(keys)),
+        Protocol("ASCII JSON, nothing stated", lambda g, d: json.dumps({"G": round(g, 1), "T": 24.1}).encode() + b"\n",
+                 _values(js)),
+        Protocol("ASCII key=value, all stated", lambda g, d: b"G=%06.1f T=024.1\n" % g, _values(FIXED)),
+        Protocol("TOA5 row", lambda g, d: _toa5_row(2, g, d), _toa5),
+    ]  # fmt: skip
+
+
+def damage(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:
+    """As bench/fuzz_parsers.py: cut, lost, added, changed, joined, noise; never the line itself."""
+    while True:
+        at, size = int(rng.integers(len(line))), int(rng.integers(1, 4))
+        kind = rng.choice(["cut", "lost", "added", "changed", "joined", "noise"])
+        came = {
+            "cut": line[:at],
+            "lost": line[:at] + line[at + size :],
+            "added": line[:at] + rng.bytes(size) + line[at:],
+            "changed": line[:at] + rng.bytes(1) + line[at + 1 :],
+            "joined": line[: max(at, 1)] + other[int(rng.integers(1, len(line))) :],
+            "noise": rng.bytes(int(rng.integers(60))),
+        }[str(kind)]
+        if came != line:
+            return came
+
+
+class Tally:
+    def __init__(self) -> None:
+        self.damaged = self.by_form = self.accepted = self.unflagged = self.far = 0
+
+
+def answers_of(protocol: Protocol, true: bytes, came: bytes, other: bytes, rng: np.random.Generator) -> Any:
+    """What the driver makes of a damaged first answer. Raises FieldlumError."""
+    if not protocol.asked_again:
+        return protocol.read(came)
+    left = [came] + [damage(true, other, rng) if rng.random() < 0.1 else true for _ in range(2)]
+    reading, _ = said_twice(lambda: left.pop(0), spn1.parse_reading, spn1.agree)
+    return reading.total_wm2, reading.diffuse_wm2
+
+
+def one_series(protocol: Protocol, t: Array, ghi: Array, dhi: Array, rng: np.random.Generator, tally: Tally) -> None:
+    ghi, dhi = ghi.round(1), dhi.round(1)
+    seen_ghi, seen_dhi = ghi.copy(), dhi.copy()
+    wrong = []
+    has_dhi = protocol.read(protocol.line(800.0, 100.0))[1] is not None
+    for i in np.flatnonzero(rng.random(len(t)) < 0.01):
+        true, other = (protocol.line(ghi[j], dhi[j]) for j in (i, max(i - 1, 0)))
+        came = damage(true, other, rng)
+        tally.damaged += 1
+        value = protocol.read(true)
+        with suppress(FieldlumError):
+            tally.by_form += protocol.read(came) != value
+        try:
+            got = answers_of(protocol, true, came, other, rng)
+        except FieldlumError:
+            seen_ghi[i] = seen_dhi[i] = np.nan  # no row
+            continue
+        if got != value:
+            wrong.append(i)
+            seen_ghi[i], seen_dhi[i] = got[0], got[1] if has_dhi else np.nan
+    there = np.isfinite(seen_ghi)
+    marks = np.zeros(len(t), np.int64)
+    marks[there] = checked(t[there], seen_ghi[there], seen_dhi[there] if has_dhi else None)
+    bad = np.array(wrong, int)
+    unflagged = bad[(marks[bad] & ~int(irradiance.Mark.GAP)) == 0]
+    off = np.abs(seen_ghi - ghi)
+    if has_dhi:
+        off = np.fmax(off, np.abs(seen_dhi - dhi))
+    tally.accepted += len(bad)
+    tally.unflagged += len(unflagged)
+    tally.far += int((off[unflagged] > FEW_WM2).sum())
+
+
+def main() -> None:
+    asked = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    asked.add_argument("--hours", type=int, default=400, help="of each sky")
+    asked.add_argument("--seed", type=int, default=1)
+    options = asked.parse_args()
+    start = time.monotonic()
+    print("| sky | step | rows | flagged as spikes | share |\n|---|---|---|---|---|")
+    for kind in SKIES:
+        for every in (5, 60):
+            rng, rows, flagged = np.random.default_rng([options.seed, every]), 0, 0
+            for _ in range(options.hours // 8):
+                ghi, dhi = (value[::every] for value in sky(kind, 8 * 3600, rng))
+                marks = checked(1.8e9 + every * np.arange(len(ghi), dtype=float), ghi, dhi)
+                rows, flagged = rows + len(ghi), flagged + int(((marks & irradiance.Mark.SPIKE) != 0).sum())
+            print(f"| {kind} | {every} s | {rows} | {flagged} | {100 * flagged / rows:.3f} % |", flush=True)
+    print("\n| protocol | step | sky | damaged | another number by form | accepted | unflagged | of them off by over"
+          f" {FEW_WM2:g} W/m2 |\n|---|---|---|---|---|---|---|---|")  # fmt: skip
+    for protocol in protocols():
+        for every in (5, 60):
+            for kinds in (("clear", "overcast"), ("broken", "fast broken", "small clouds")):
+                rng, tally = np.random.default_rng([options.seed, every, 7]), Tally()
+                for kind in kinds:
+                    for _ in range(max(options.hours // 8 * every // 60, 1)):
+                        ghi, dhi = (value[::every] for value in sky(kind, 8 * 3600, rng))
+                        t = 1.8e9 + every * np.arange(len(ghi), dtype=float)
+                        one_series(protocol, t, ghi, dhi, rng, tally)
+                share = [f"{n} ({100 * n / tally.damaged:.2f} %)" for n in
+                         (tally.by_form, tally.accepted, tally.unflagged, tally.far)]  # fmt: skip
+                name = "steady" if kinds[0] == "clear" else "changing"
+                print(f"| {protocol.name} | {every} s | {name} | {tally.damaged} | {' | '.join(share)} |", flush=True)
+    print(f"\nseed {options.seed}, {time.monotonic() - start:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
