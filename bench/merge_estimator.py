@@ -14,8 +14,8 @@ import numpy as np
 
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.frames import FrameStore, RawSignal
-from fieldlum.merge.ratios import bracket_pairs, fit_bracket
-from fieldlum.photometry import prior_u_log, snap_shutter_s
+from fieldlum.merge.ratios import bracket_pairs, take_samples
+from fieldlum.photometry import fit_ratios, prior_u_log, snap_shutter_s
 
 GAIN, READ_E, BLACK, SATURATION, WHITE = 4.0, 6.0, 512.0, 15000.0, 16383.0
 NOMINAL_S = (13.0, 3.2, 0.8, 0.2, 1 / 20, 1 / 80, 1 / 320, 1 / 1250)
@@ -97,7 +97,7 @@ def _ratios(rng: np.random.Generator) -> np.ndarray:
     times = [snap_shutter_s(t) for t in NOMINAL_S]
     signals = [signal(frame(light, t, rng), s) for t, s in zip(TRUE_S, times, strict=True)]
     store = FrameStore([lambda s=s: s for s in signals])
-    fit = fit_bracket(bracket_pairs(store), prior_u_log(np.array(times)).tolist())
+    fit = fit_ratios(bracket_pairs(take_samples(store)), np.diag(prior_u_log(np.array(times)) ** 2))
     return np.array(times) * fit.correction
 
 

@@ -279,7 +279,7 @@ def test_a_hidden_sun_is_left_alone(bracket) -> None:
 def test_a_spoilt_lens_gives_way() -> None:  # analytic
     def view(value: float, flags: int) -> View:
         one = np.ones(3)
-        return View(value * one, one, one, one, 0 * one, np.full(3, flags, np.uint8), np.ones((3, 3)) * value)
+        return View(value * one, one, one, one, 0 * one, 0 * one, np.full(3, flags, np.uint8), np.full((3, 3), value))
 
     both = blend([view(10.0, 0), view(20.0, 0)])
     assert both.luminance == pytest.approx(15.0)

@@ -158,14 +158,14 @@ def test_ratios_of_a_bracket_and_a_pair_that_contradicts() -> None:  # analytic
             pair = _pair(float(np.exp(truth[j] - truth[i])), 1.0, rng)
             assert pair is not None
             pairs.append(type(pair)(i, j, pair.log_ratio, pair.u_log, pair.pixels))
-    fit = fit_ratios(4, pairs, prior_u_log(np.array([1.0, 0.1, 1 / 2000, 1 / 4000])))
+    fit = fit_ratios(pairs, np.diag(prior_u_log(np.array([1.0, 0.1, 1 / 2000, 1 / 4000])) ** 2))
     found = np.log(fit.correction)
     assert found - found[0] == pytest.approx(truth, abs=1e-3)
     assert np.all(fit.u_log < 0.01)
 
 
 def test_without_pairs_the_priors_stand() -> None:
-    fit = fit_ratios(2, [], np.array([0.003, 0.03]))
+    fit = fit_ratios([], np.diag([0.003, 0.03]) ** 2)
     assert fit.correction == pytest.approx([1.0, 1.0]) and fit.u_log == pytest.approx([0.003, 0.03])
 
 

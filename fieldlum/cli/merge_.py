@@ -20,6 +20,7 @@ from fieldlum.errors import InputError
 @click.option("--projection", type=click.Choice(["equirect", "fisheye"]), default="equirect", show_default=True)
 @click.option("--heading", type=float, default=180.0, show_default=True, help="Where the camera looks, with --frames.")
 @click.option("--fit/--no-fit", default=None, help="Estimate exposure ratios from the frames.  [default: raw only]")
+@click.option("--drop-moved", is_flag=True, help="Leave frames out of pixels that something moved through.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes for a session.")
 @click.option("--force", is_flag=True, help="Merge again what is done already.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
@@ -33,6 +34,7 @@ def command(
     projection: str,
     heading: float,
     fit: bool | None,
+    drop_moved: bool,
     workers: int,
     force: bool,
     as_json: bool,
@@ -49,13 +51,13 @@ def command(
     if frames:
         if not camera or out is None:
             raise click.UsageError("--frames needs --camera PROFILE and --out OUT.exr or OUT.hdr")
-        _merge_files([session, *more], camera, out, size, projection, heading, fit, as_json)
+        _merge_files([session, *more], camera, out, size, projection, heading, fit, drop_moved, as_json)
         return
     if more:
         raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
     if camera or out or projection != "equirect":
         raise click.UsageError("--camera, --out and --projection go with --frames; a session knows its own")
-    _merge_session(session, _height(size), fit, workers, force, as_json)
+    _merge_session(session, _height(size), fit, drop_moved, workers, force, as_json)
 
 
 def _dimensions(size: str) -> tuple[int, int]:
@@ -76,14 +78,19 @@ def _height(size: str | None) -> int:
     return height
 
 
-def _merge_session(root: Path, height: int, fit: bool | None, workers: int, force: bool, as_json: bool) -> None:
+def _merge_session(
+    root: Path, height: int, fit: bool | None, drop_moved: bool, workers: int, force: bool, as_json: bool
+) -> None:
     from dataclasses import asdict
 
     from fieldlum import merge
     from fieldlum.session import open_session
 
     with progress("Merge") as bar:
-        verdicts = merge.run(open_session(root), workers=workers, height=height, fit=fit, force=force, progress=bar)
+        verdicts = merge.run(
+            open_session(root), workers=workers, height=height, fit=fit, drop_moved=drop_moved, force=force,
+            progress=bar,
+        )  # fmt: skip
     if as_json:
         emit_json({"slots": [asdict(v) for v in verdicts]})
         return
@@ -101,6 +108,7 @@ def _merge_files(
     projection: str,
     heading: float,
     fit: bool | None,
+    drop_moved: bool,
     as_json: bool,
 ) -> None:
     from fieldlum.merge import files_to_picture
@@ -117,7 +125,7 @@ def _merge_files(
     with progress("Merge") as bar:
         result, facts = files_to_picture(
             files, load_camera_profile(camera), out, pixels=pixels, projection=projection, heading_deg=heading,
-            fit=fit, progress=bar,
+            fit=fit, drop_moved=drop_moved, progress=bar,
         )  # fmt: skip
     if as_json:
         emit_json({"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality})

@@ -11,12 +11,31 @@ from typing import Any
 import numpy as np
 
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import Crop, FrameStore, good_pixels, lens_crop, load_jpeg, load_raw, plateau_of
-from fieldlum.merge.ratios import Neighbours, bracket_pairs, fit_bracket, neighbours
+from fieldlum.merge.frames import (
+    Crop,
+    FrameStore,
+    good_pixels,
+    lens_crop,
+    load_jpeg,
+    load_raw,
+    over_colours,
+    over_mosaic,
+    plateau_of,
+)
+from fieldlum.merge.motion import leave_out_moved
+from fieldlum.merge.ratios import (
+    Neighbours,
+    RatioCurve,
+    bracket_pairs,
+    neighbours,
+    ratio_curve,
+    take_samples,
+    unexplained,
+)  # fmt: skip
 from fieldlum.merge.shift import Moved, shifts
-from fieldlum.merge.shots import Shot, shots_of_files, sorted_shots, true_shutter_s
-from fieldlum.merge.stitch import SensorMap, blend, finish, lens_geometry, view_through
-from fieldlum.photometry import RatioFit
+from fieldlum.merge.shots import Shot, exposure_covariance, shots_of_files, sorted_shots, true_shutter_s
+from fieldlum.merge.stitch import SensorMap, View, blend, finish, lens_geometry, view_through
+from fieldlum.photometry import RatioFit, fit_ratios
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.projection.resample import Target
@@ -48,7 +67,9 @@ class SensorMerge:
     neighbours: tuple[Neighbours, ...]
     moved: tuple[Moved, ...]
     plateau_dn: float | None
-    u_ratio: float
+    u_ratio: float  # typical of its frames; `u_curve` is what a value gets
+    u_curve: RatioCurve
+    dropped: tuple[float, ...]  # share of its pixels that each frame lost to motion; empty: not asked for
 
 
 def merge_sensor(
@@ -56,40 +77,70 @@ def merge_sensor(
     profile: CameraProfile,
     *,
     fit: bool | None = None,
+    drop_moved: bool = False,
     budget_bytes: int = 600_000_000,
     progress: Progress = quiet,
 ) -> SensorMerge:
     """Merge frames of one heading, sorted by exposure. fit: estimate exposure ratios (default: of raw frames).
 
+    drop_moved: leave frames out of pixels where most others agree that something moved through them.
+
     Raises InputError for a frame that cannot be read or does not belong.
     """
     crop = lens_crop(profile)
-    times = [true_shutter_s(shot.exposure, profile) for shot in shots]
+    times = [true_shutter_s(shot.exposure, profile)[0] for shot in shots]
     raw = profile.camera.kind == "raw"
     plateau = plateau_of(shots, profile)
 
     def loader(i: int) -> Any:
         if raw:
-            return load_raw(shots[i], profile, crop, times[i][0], plateau)
-        return load_jpeg(shots[i], profile, crop, times[i][0], (i == 0, i == len(shots) - 1))
+            return load_raw(shots[i], profile, crop, times[i], plateau)
+        return load_jpeg(shots[i], profile, crop, times[i], (i == 0, i == len(shots) - 1))
 
     store = FrameStore([lambda i=i: loader(i) for i in range(len(shots))], budget_bytes)
     lenses = [lens_geometry(lens, crop, 0.0) for lens in profile.lens]
     moved = shifts([store.small(i) for i in range(len(store))], lenses)
-    pairs = bracket_pairs(store)
+    samples = take_samples(store)
+    pairs = bracket_pairs(samples)
     wanted = raw if fit is None else fit
-    ratios = fit_bracket(pairs if wanted else [], [u for _, u in times])
+    ratios = fit_ratios(pairs if wanted else [], exposure_covariance([s.exposure for s in shots], profile))
     store.correct(ratios.correction)
     left = neighbours(pairs, ratios.correction)
-    u_ratio = float(np.median(ratios.u_log))
-    if not wanted and left:
-        u_ratio = max(float(np.median([abs(n.residual_percent) for n in left])) / 100, 1e-3)
+    typical = float(np.median(ratios.u_log))
+    response = 0.0 if raw else profile.response.u_rel
+    extra = unexplained(left, response if wanted else float(np.hypot(response, typical)))
+    apart = float(np.median([abs(n.residual_percent) for n in left])) / 100 if left and not wanted else typical
     shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
-    tolerance = max(0.003, 3 * u_ratio)
-    merged = merge_signals(
-        [lambda i=i: store[i] for i in range(len(shots))], shape, u_ratio=tolerance, progress=progress
-    )
-    return SensorMerge(merged, tuple(shots), crop, ratios, tuple(left), tuple(moved), plateau, u_ratio)
+    tolerance = max(0.003, 3 * apart)
+    frames = [lambda i=i: store[i] for i in range(len(shots))]
+    merged, dropped = merge_signals(frames, shape, u_ratio=tolerance, progress=progress), ()
+    if drop_moved:
+        over = over_mosaic if raw else over_colours
+        merged, dropped = leave_out_moved(frames, merged, u_ratio=tolerance, over_picture=over)
+    u_ratio, curve = float(np.hypot(typical, extra)), ratio_curve(samples, ratios.covariance, extra)
+    return SensorMerge(merged, tuple(shots), crop, ratios, tuple(left), tuple(moved), plateau, u_ratio, curve, dropped)
+
+
+def look_through(
+    shots: Sequence[Shot],
+    profile: CameraProfile,
+    *,
+    target: Target,
+    heading_deg: float,
+    fit: bool | None = None,
+    drop_moved: bool = False,
+    progress: Progress = quiet,
+) -> tuple[list[SensorMerge], list[View]]:
+    """Merge each heading of sorted shots on the sensor, and look at the target grid through every lens of each."""
+    views, parts = [], []
+    for heading, group in groupby(shots, key=lambda s: s.heading_deg):
+        part = merge_sensor(list(group), profile, fit=fit, drop_moved=drop_moved, progress=progress)
+        parts.append(part)
+        turn = 0.0 if heading is None else heading - heading_deg
+        good = good_pixels(profile, part.crop)
+        sensor = SensorMap(part.merged, part.crop, turn, part.shots[0].exposure.f_number, part.u_curve, good)
+        views += [view_through(sensor, lens, profile, target) for lens in profile.lens]
+    return parts, views
 
 
 def merge_shots(
@@ -99,20 +150,15 @@ def merge_shots(
     target: Target,
     heading_deg: float,
     fit: bool | None = None,
+    drop_moved: bool = False,
     progress: Progress = quiet,
 ) -> MergeResult:
     """Merge a bracket of one or several headings to a target grid. Raises InputError."""
     ordered = sorted_shots(shots, profile)
-    views, parts = [], []
-    for heading, group in groupby(ordered, key=lambda s: s.heading_deg):
-        part = merge_sensor(list(group), profile, fit=fit, progress=progress)
-        parts.append(part)
-        turn = 0.0 if heading is None else heading - heading_deg
-        good = good_pixels(profile, part.crop)
-        sensor = SensorMap(part.merged, part.crop, turn, part.shots[0].exposure.f_number, good)
-        views += [view_through(sensor, lens, profile, target) for lens in profile.lens]
-    u_ratio = float(np.sqrt(np.mean([p.u_ratio**2 for p in parts])))
-    done = finish(blend(views), profile, target, u_ratio)
+    parts, views = look_through(
+        ordered, profile, target=target, heading_deg=heading_deg, fit=fit, drop_moved=drop_moved, progress=progress
+    )
+    done = finish(blend(views), profile, target)
     quality = _quality(parts, done.flags, target)
     times = [s.t_utc for s in ordered if s.t_utc is not None]
     middle = min(times) + (max(times) - min(times)) / 2 if times else None
@@ -132,6 +178,7 @@ def merge_frames(
     heading_deg: float = 180.0,
     shots: Sequence[Shot] | None = None,
     fit: bool | None = None,
+    drop_moved: bool = False,
     progress: Progress = quiet,
 ) -> MergeResult:
     """A bracket of raw or JPEG files to a luminance panorama [height, 2 height].
@@ -140,7 +187,10 @@ def merge_frames(
     Raises InputError, naming the file, for anything that cannot be merged.
     """
     known = list(shots) if shots is not None else shots_of_files(files)
-    return merge_shots(known, profile, target=Equirect(height), heading_deg=heading_deg, fit=fit, progress=progress)
+    return merge_shots(
+        known, profile, target=Equirect(height), heading_deg=heading_deg, fit=fit, drop_moved=drop_moved,
+        progress=progress,
+    )  # fmt: skip
 
 
 def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) -> dict[str, Any]:
@@ -159,9 +209,10 @@ def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) ->
             "exposure": exposure_text(shot.exposure),
             "correction": round(float(c), 6),
             "u_percent": round(float(100 * u), 4),
+            **({"dropped_percent": round(100 * part.dropped[i], 4)} if part.dropped else {}),
         }
         for part in parts
-        for shot, c, u in zip(part.shots, part.fit.correction, part.fit.u_log, strict=True)
+        for i, (shot, c, u) in enumerate(zip(part.shots, part.fit.correction, part.fit.u_log, strict=True))
     ]
     left = [n for part in parts for n in part.neighbours]
     moved = [

@@ -190,7 +190,9 @@ def _settle(
         shift = np.where(seen, mean - np.where(np.isfinite(value[at]), value[at], 0.0), 0.0)
         chi2 = sums.chi2[at] - information * shift * shift
         allowed = (frames - 1) + (u_ratio * np.where(seen, mean, 0.0)) ** 2 * information * (frames - 1)
-        flags[at][seen & (chi2 > motion_sigma**2 + allowed)] |= np.uint8(Flag.MOTION)
+        moved = seen & (chi2 > motion_sigma**2 + allowed)
+        flags[at][moved] |= np.uint8(Flag.MOTION)
+        variance[at][moved] *= chi2[moved] / (frames - 1)  # as far apart as the frames are, the mean is uncertain
     if sums.unfiltered is not None:
         flags[at][seen & (sums.unfiltered[at] < 0.5 * information)] |= np.uint8(Flag.ND)
     value[at] = mean

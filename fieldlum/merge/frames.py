@@ -21,7 +21,9 @@ from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
 
 _GATE = 0.97  # of the saturation, for predictions; noise is added to it
 _FULL = 0.99  # of the saturation: a count that is taken for saturated
-_SIGMA_CODE = 0.6  # codes: noise of a JPEG pixel beside its quantisation (sensor, compression)
+# Codes: noise of a JPEG pixel beside its quantisation. Sensor 0.5, rounding to YCbCr and of its cosines 0.7; these hang
+# together between colours and neighbours, so that sums of them need the 1.0 (bench/merge_budget.py --kind jpeg).
+_SIGMA_CODE = 1.0
 _Z_STEPS = 1 << 14
 _TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
 _SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges
@@ -156,6 +158,16 @@ class RawSignal:
 def _spread(length: int, wanted: int) -> NDArray[np.intp]:
     """At most `wanted` places, evenly spread over `length`."""
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
+
+
+def over_mosaic(mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    """A change of [h, w] masks applied to one of raw frames' shape, [h / 2, 2, w]."""
+    return change(np.ascontiguousarray(mask.reshape(-1, mask.shape[-1]))).reshape(mask.shape)
+
+
+def over_colours(mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    """The same for JPEG frames, [h, w, 3]: colours go together."""
+    return np.repeat(change(mask.any(axis=2))[:, :, None], 3, axis=2)
 
 
 def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[np.float32]:

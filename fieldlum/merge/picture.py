@@ -48,6 +48,7 @@ def files_to_picture(
     projection: str = "equirect",
     heading_deg: float = 180.0,
     fit: bool | None = None,
+    drop_moved: bool = False,
     progress: Progress = quiet,
 ) -> tuple[MergeResult, dict[str, float]]:
     """Merge and write; returns the result and its illuminance. Raises InputError."""
@@ -55,8 +56,9 @@ def files_to_picture(
         raise InputError(out, f"suffix '{out.suffix}'", ".exr or .hdr")
     target: Target = Equirect(pixels) if projection == "equirect" else fisheye_target(profile, pixels)
     result = merge_shots(
-        shots_of_files(files), profile, target=target, heading_deg=heading_deg, fit=fit, progress=progress
-    )
+        shots_of_files(files), profile, target=target, heading_deg=heading_deg, fit=fit, drop_moved=drop_moved,
+        progress=progress,
+    )  # fmt: skip
     panorama = result.panorama
     with replacing_path(out) as path:
         if out.suffix.lower() == ".exr":

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frames import FrameStore
-from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
+from fieldlum.photometry import PairRatio, pair_ratio
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
 _SNR_LONG, _SNR_SHORT = 30.0, 3.0
 _REACH = 3  # frames of a bracket that are compared with each frame
+_LEVELS = 193  # luminances at which the ratios' uncertainty is worked out
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,18 +28,36 @@ class Neighbours:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sample:
+class Sample:
+    """Some pixels of one frame."""
+
     signal: Signal  # of the sampled pixels alone
     counts: NDArray[np.float32]
     full: NDArray[np.bool_]
 
 
-def _sample(signal: Signal) -> _Sample:
-    small, full = signal.sampled(_ROWS, _COLUMNS)
-    return _Sample(small, small.strip(0, len(full))[0], full)
+@dataclass(frozen=True, slots=True)
+class RatioCurve:
+    """Relative standard uncertainty that the exposures leave in a merged value, over that value [cd/m2], rising."""
+
+    levels_cdm2: NDArray[np.float64]
+    u_rel: NDArray[np.float64]
+
+    def at(self, value_cdm2: NDArray[np.floating]) -> NDArray[np.float64]:
+        return np.interp(value_cdm2, self.levels_cdm2, self.u_rel)
 
 
-def compare(long: _Sample, short: _Sample, i: int, j: int) -> PairRatio | None:
+def take_samples(store: FrameStore) -> list[Sample]:
+    """Of each frame some 100 000 pixels, the same ones."""
+
+    def sample(signal: Signal) -> Sample:
+        small, full = signal.sampled(_ROWS, _COLUMNS)
+        return Sample(small, small.strip(0, len(full))[0], full)
+
+    return [sample(store[i]) for i in range(len(store))]
+
+
+def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
     """The pair's exposure ratio over the assumed one; None where too few pixels are good in both."""
     e_long, e_short = (np.broadcast_to(s.signal.per_cdm2, s.counts.shape) for s in (long, short))
     light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
@@ -52,19 +71,14 @@ def compare(long: _Sample, short: _Sample, i: int, j: int) -> PairRatio | None:
         )  # fmt: skip
 
 
-def bracket_pairs(store: FrameStore) -> list[PairRatio]:
+def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
     """All pairs up to three frames apart that see the same pixels well; frames sorted by exposure, longest first."""
-    samples = [_sample(store[i]) for i in range(len(store))]
     found = [
         compare(samples[i], samples[j], i, j)
         for i in range(len(samples))
         for j in range(i + 1, min(i + 1 + _REACH, len(samples)))
     ]
     return [pair for pair in found if pair is not None]
-
-
-def fit_bracket(pairs: list[PairRatio], u_prior: Sequence[float]) -> RatioFit:
-    return fit_ratios(len(u_prior), pairs, np.asarray(u_prior))
 
 
 def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[Neighbours]:
@@ -77,3 +91,36 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
         for p in pairs
         if p.short == p.long + 1
     ]
+
+
+def unexplained(left: Sequence[Neighbours], explained: float) -> float:
+    """Relative u of one frame against another, from neighbours' disagreement beyond what `explained` (relative u of a
+    frame by its time and its response) and the pairs' own noise account for."""
+    if not left:
+        return 0.0
+    apart = 1.4826 * float(np.median([abs(n.residual_percent) for n in left])) / 100
+    noise = float(np.median([n.u_percent for n in left])) / 100
+    return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
+
+
+def ratio_curve(samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0) -> RatioCurve:
+    """What uncertain exposures leave in a value: s C s, with s the frames' shares of the information at that level.
+
+    The frames' errors hang together (pictures know ratios only), and a level rests on the few frames that see it well:
+    one figure for the whole bracket would be too small where only a poorly known frame reads.
+    """
+    small = [s.signal.sampled(1, 2)[0] for s in samples]
+    largest = [float(np.max(s.largest_cdm2())) for s in small]
+    levels = np.geomspace(1e-6 * min(largest), max(largest), _LEVELS)
+    information = []
+    for s in small:
+        cell = s.strip(0, 1)[0].shape[1:]
+        w = s.weight(np.broadcast_to(levels[:, None, None], (_LEVELS, *cell)).astype(np.float32))
+        information.append((w * s.per_cdm2).astype(np.float64).sum(axis=(1, 2)))
+    total = np.sum(information, axis=0)
+    seen = total > 0
+    if not seen.any():
+        return RatioCurve(np.ones(1), np.full(1, np.hypot(np.sqrt(np.diag(covariance).max()), extra)))
+    share = np.stack(information, axis=1)[seen] / total[seen, None]
+    variance = np.einsum("li,ij,lj->l", share, covariance, share)
+    return RatioCurve(levels[seen], np.sqrt(variance + extra**2))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.photometry import prior_u_log, snap_shutter_s, z_per_cdm2
@@ -18,6 +19,7 @@ from fieldlum.raw import read_exif
 from fieldlum.records import Exposure, parse_utc
 
 JPEG_SUFFIXES = (".jpg", ".jpeg")
+U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,19 @@ def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, f
             return known.true_s, known.u_rel
     snapped = snap_shutter_s(exposure.shutter_s)
     return snapped, float(prior_u_log(np.asarray(snapped)))
+
+
+def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -> NDArray[np.float64]:
+    """Relative covariance of what frames collected, before any fit, [frames, frames].
+
+    Frames of one shutter time err together, and so do frames through one filter; beside that each frame for itself.
+    """
+    times, filters = [e.shutter_s for e in exposures], [e.nd for e in exposures]
+    u_time = np.array([true_shutter_s(e, profile)[1] for e in exposures])
+    u_nd = np.array([next((nd.u_rel for nd in profile.nd if nd.name == e.nd), 0.0) for e in exposures])
+    same_time, same_filter = np.equal.outer(times, times), np.equal.outer(np.array(filters), np.array(filters))
+    own = np.diag(np.full(len(exposures), U_REPEAT**2))
+    return same_time * np.outer(u_time, u_time) + same_filter * np.outer(u_nd, u_nd) + own
 
 
 def nd_factors(exposure: Exposure, profile: CameraProfile) -> tuple[float, float, float]:

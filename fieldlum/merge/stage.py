@@ -27,7 +27,7 @@ from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, 
 from fieldlum.session import Session, replacing, replacing_path, sha256
 
 DEFAULT_HEIGHT = 230
-_RECIPE = 1  # raise it when the arithmetic changes: panoramas made before are then made again
+_RECIPE = 2  # raise it when the arithmetic changes: panoramas made before are then made again
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,7 @@ class _Job:
     site: Site
     height: int
     fit: bool | None
+    drop_moved: bool
     force: bool
 
 
@@ -72,6 +73,7 @@ def _recipe(job: _Job, shots: list[Shot]) -> dict[str, Any]:
         "height": job.height,
         "heading_deg": job.setup.heading_deg,
         "fit": job.fit,
+        "drop_moved": job.drop_moved,
     }
     return {**text, "digest": hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()}
 
@@ -116,7 +118,7 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
             return Verdict(job.slot, "kept", known["verdict"], known["quality"])
         result = merge_frames(
             [s.path for s in shots], job.profile, height=job.height, heading_deg=job.setup.heading_deg,
-            shots=shots, fit=job.fit, progress=progress,
+            shots=shots, fit=job.fit, drop_moved=job.drop_moved, progress=progress,
         )  # fmt: skip
         note = _capture_note(job.session, job.slot)
         panorama = replace(result.panorama, t_utc=_slot_time(note, job.slot, shots))
@@ -194,12 +196,14 @@ def _merged(jobs: list[_Job], workers: int, progress: Progress) -> Iterator[Verd
             yield future.result()
 
 
-def _jobs(session: Session, slots: Iterable[str], height: int, fit: bool | None, force: bool) -> list[_Job]:
+def _jobs(
+    session: Session, slots: Iterable[str], height: int, fit: bool | None, drop_moved: bool, force: bool
+) -> list[_Job]:
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
     profile = load_camera_profile(path)
     digest = sha256(path)
-    return [_Job(session, s, profile, digest, setup.camera, setup.site, height, fit, force) for s in slots]
+    return [_Job(session, s, profile, digest, setup.camera, setup.site, height, fit, drop_moved, force) for s in slots]
 
 
 def run(
@@ -208,6 +212,7 @@ def run(
     workers: int = 1,
     height: int = DEFAULT_HEIGHT,
     fit: bool | None = None,
+    drop_moved: bool = False,
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
@@ -218,7 +223,7 @@ def run(
     slots = captured_slots(session)
     if not slots:
         raise NotEnoughDataError(f"{session.raw}: no captured slots, capture or import some first")
-    jobs = _jobs(session, slots, height, fit, force)
+    jobs = _jobs(session, slots, height, fit, drop_moved, force)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     for scrap in session.panoramas.glob(".*.tmp*"):  # of killed runs
         if not _alive(scrap):

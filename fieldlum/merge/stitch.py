@@ -12,6 +12,7 @@ from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop
+from fieldlum.merge.ratios import RatioCurve
 from fieldlum.photometry import check_vignetting, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import LensGeometry, Resampler, resampler
@@ -32,20 +33,23 @@ class SensorMap:
     crop: Crop
     turn_deg: float
     f_number: float
+    u_curve: RatioCurve
     valid: NDArray[np.bool_] | None = None  # False: bad pixels
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Flat arrays [n] of the target: luminance, random variance, share covered, vignetting's u, flags, camera RGB."""
+    """Flat arrays [n] of the target: luminance, random variance, share covered, flags, camera RGB, relative u's."""
 
     luminance: NDArray[np.float64]
     variance: NDArray[np.float64]
     coverage: NDArray[np.float64]
     edge: NDArray[np.float64]  # 0 at the lens's edge, 1 from _TAPER_RAD inwards
     u_vignetting: NDArray[np.float64]
+    u_ratio: NDArray[np.float64]
     flags: NDArray[np.uint8]
     rgb: NDArray[np.float64]  # [n, 3]
+    lens: Lens | None = None  # None: of several
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +135,13 @@ def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: 
     v = vignetting_at(coefficients, angle / geometry.half_angle_rad)
     worst = max(1.0 - float(vignetting_at(coefficients, 1.0)), 1e-9)
     weights = np.asarray(profile.colour.y_from_rgb)
+    parts = np.maximum(rgb * weights, 0.0) + 1e-30
+    u_ratio = (parts * sensor.u_curve.at(rgb)).sum(axis=1) / parts.sum(axis=1)
     rgb, var = rgb / v[:, None], var / v[:, None] ** 2
     edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
-    return View(rgb @ weights, var @ weights**2, r.coverage.astype(np.float64), edge, u_vignetting, flags, rgb)
+    coverage = r.coverage.astype(np.float64)
+    return View(rgb @ weights, var @ weights**2, coverage, edge, u_vignetting, u_ratio, flags, rgb, lens)
 
 
 def blend(views: Sequence[View]) -> View:
@@ -162,24 +169,29 @@ def blend(views: Sequence[View]) -> View:
         flags |= np.where(part > 0.05, view.flags, 0).astype(np.uint8)
     flags[coverage.sum(0) < 1e-3] = Flag.OUTSIDE_LENS
     rgb = sum(part[:, None] * view.rgb for view, part in zip(views, share, strict=True))
-    u_vig = np.sqrt((share**2 * np.stack([v.u_vignetting for v in views]) ** 2).sum(0))
+    by_lens: dict[Lens | int, NDArray[np.float64]] = {}  # one lens has one curve, wherever it is turned
+    for i, (view, part) in enumerate(zip(views, share, strict=True)):
+        key = i if view.lens is None else view.lens
+        by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
+    u_vignetting = np.sqrt(sum(u**2 for u in by_lens.values()))
+    u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)  # one shutter
     return View(
-        (share * luminance).sum(0), (share**2 * variance).sum(0), coverage.max(0), edge.max(0), u_vig, flags,
-        np.asarray(rgb, np.float64),
+        (share * luminance).sum(0), (share**2 * variance).sum(0), coverage.max(0), edge.max(0), u_vignetting, u_ratio,
+        flags, np.asarray(rgb, np.float64),
     )  # fmt: skip
 
 
-def finish(view: View, profile: CameraProfile, target: Target, u_ratio: float) -> Map:
+def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     """The GUM budget and the flags of the finished map.
 
-    u^2 = random^2 + L^2 (ratio^2 + response^2 + vignetting^2 + colour^2 + filter^2 + k^2) + (glare floor)^2; the glare
-    floor is a share of the mean luminance seen. A clipped pixel is a lower bound: its u is 100 %.
+    u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2; a filter is part
+    of its frames' exposure; the glare floor is a share of the mean luminance seen. A clipped pixel is a lower bound:
+    its u is 100 %. bench/merge_budget.py holds it against whole simulated cameras.
     """
     p, light = profile, view.luminance
     seen = (view.flags & Flag.OUTSIDE_LENS) == 0
     response = p.response.u_rel if p.camera.kind == "jpeg" else 0.0
-    filtered = max((nd.u_rel for nd in p.nd), default=0.0) * ((view.flags & Flag.ND) > 0)
-    relative = u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + filtered**2 + p.scale.u_rel**2
+    relative = view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
     solid = target.solid_angles().ravel() * seen
     floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
     u = np.sqrt(view.variance + light**2 * relative + floor**2)

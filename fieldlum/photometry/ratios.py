@@ -28,11 +28,16 @@ class PairRatio:
 
 @dataclass(frozen=True, slots=True)
 class RatioFit:
-    """correction[i] multiplies the assumed exposure of frame i; u_log[i] is its relative standard uncertainty."""
+    """correction[i] multiplies the assumed exposure of frame i; covariance [frames, frames] is of its logarithm."""
 
     correction: NDArray[np.float64]
-    u_log: NDArray[np.float64]
+    covariance: NDArray[np.float64]
     pairs: tuple[PairRatio, ...]
+
+    @property
+    def u_log(self) -> NDArray[np.float64]:
+        """Relative standard uncertainty of each correction."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def pair_ratio(
@@ -80,12 +85,14 @@ def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.where(np.asarray(shutter_s) < SHORT_S, PRIOR_SHORT, PRIOR_LONG)
 
 
-def fit_ratios(frames: int, pairs: list[PairRatio], u_prior: NDArray[np.floating]) -> RatioFit:
+def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -> RatioFit:
     """Corrections of all frames from the pairs and the priors: minimise sum (d - delta_s + delta_l)^2 / u^2 + priors.
 
-    Pairs that contradict the rest (a cloud passed) lose weight by Huber's rule.
+    prior_covariance [frames, frames] of the log exposures: two frames of one shutter time err together. Pairs that
+    contradict the rest (a cloud passed) lose weight by Huber's rule.
     """
-    prior = np.diag(1.0 / np.asarray(u_prior, float) ** 2)
+    frames = len(prior_covariance)
+    prior = np.asarray(np.linalg.inv(prior_covariance), np.float64)
     design = np.zeros((len(pairs), frames))
     for row, pair in enumerate(pairs):
         design[row, pair.short], design[row, pair.long] = 1.0, -1.0
@@ -98,4 +105,5 @@ def fit_ratios(frames: int, pairs: list[PairRatio], u_prior: NDArray[np.floating
         delta = np.linalg.solve(normal, design.T @ (weight * observed))
         pull = np.abs(observed - design @ delta) / sigma if pairs else np.zeros(0)
         weight = 1.0 / sigma**2 * np.minimum(1.0, 2.5 / np.maximum(pull, 1e-12))
-    return RatioFit(np.exp(delta), np.sqrt(np.diag(np.linalg.inv(normal))), tuple(pairs))
+    covariance = np.asarray(np.linalg.inv(normal), np.float64)
+    return RatioFit(np.exp(delta), covariance, tuple(pairs))

@@ -1,0 +1,227 @@
+"""Frames left out of the pixels where something moved through them.
+
+The merge flags pixels whose frames disagree. Here, around such pixels only, the frames vote: starting from each frame
+in turn, which value do most of them share within their noise? A frame that saturates votes too, for anything bright
+enough to saturate it. Frames outside the consensus are left out there and for some pixels around (soft edges have no
+halo), and the rest is merged anew by the estimator itself. Where the frames that could tell two values apart are too
+few or undecided, nothing is left out and the flag stands alone. Elsewhere not one bit of the map changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.merge.estimator import Merged, Signal, Strip, merge_signals
+from fieldlum.records import Flag
+
+Mask = NDArray[np.bool_]
+Over = Callable[[Mask, Callable[[Mask], Mask]], Mask]
+
+_BAND = 1 << 21  # elements worked on at a time, for all frames together
+_VOTE_SIGMA = 4.0  # a frame this far from a value does not share it
+_LEAVE_SIGMA = 3.0  # a frame this far from the consensus is left out, where its neighbours are too
+_SUPPORT, _WINDOW_PX = 4, 5  # marked pixels that a window must hold: chance marks single ones
+_CLOUDED = 10  # undecided pixels in such a window that make its middle undecided too
+_SURE = 1 / 8  # relative sigma of a frame that stands against one outside its limits
+_REACH_PX, _HALO_PX = 8, 3  # looked at around what is flagged; left out around what is far off
+_SATURATED = 0.9  # of the largest readable value: a brighter consensus explains a saturated frame
+_WITNESSES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Consensus:
+    """Of m pixels: the value most frames share [cd/m2], whether to act upon it, how many frames are sure of it."""
+
+    value_cdm2: NDArray[np.float32]
+    clear: Mask
+    sure: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Ballot:
+    """What n frames say of m pixels, all [n, m]: own luminance where usable; largest_cdm2 where saturated."""
+
+    value_cdm2: Strip
+    variance: Strip
+    usable: Mask
+    saturated: Mask
+    largest_cdm2: Strip
+
+
+def vote(ballot: Ballot, u_ratio: float) -> Consensus:
+    """The value that most frames share, and whether they may be believed.
+
+    Clear: every usable frame agrees, or the dissenters are outnumbered by frames that agree and would have noticed
+    (their noise is less than the gap, or they would not have saturated), at least two.
+    """
+    value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
+    enough = _SATURATED * ballot.largest_cdm2
+    n, m = value.shape
+    spread = variance + (u_ratio * value) ** 2
+    best, most, finest = np.zeros(m, np.float32), np.full(m, -1.0, np.float32), np.zeros(m, np.float32)
+    for start in range(n):
+        centre = value[start]
+        agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * (spread + spread[start]))
+        for _ in range(2):  # a noisy start agrees with all; what it gathers must agree with itself
+            weight = np.where(agree, 1 / spread, 0.0)
+            total = weight.sum(axis=0)
+            shared = (weight * value).sum(axis=0)
+            centre = np.divide(shared, total, out=centre.copy(), where=total > 0)
+            agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * spread)
+        votes = agree.sum(axis=0) + (ballot.saturated & (centre >= enough)).sum(axis=0)
+        precision = np.where(agree, 1 / spread, 0.0).sum(axis=0)
+        better = usable[start] & ((votes > most) | ((votes == most) & (precision > finest)))
+        best[better], most[better], finest[better] = centre[better], votes[better], precision[better]
+    off = value - best
+    agree = usable & (off**2 <= _VOTE_SIGMA**2 * spread)
+    dissent = usable & ~agree
+    gap = np.where(dissent, np.abs(off), np.inf).min(axis=0)
+    brightest = np.where(dissent, value, -np.inf).max(axis=0)
+    noticed = agree & (_VOTE_SIGMA**2 * spread < gap**2)
+    burnt = ballot.saturated & (best >= enough) & (brightest < enough)
+    witnesses = (noticed | burnt).sum(axis=0)
+    against = dissent.sum(axis=0)
+    clear = (most >= 0) & ((against == 0) | ((witnesses >= _WITNESSES) & (witnesses > against)))
+    sure = (agree & (spread < (_SURE * best) ** 2)).sum(axis=0)
+    return Consensus(best.astype(np.float32), clear, sure)
+
+
+def _around(mark: Mask) -> NDArray[np.uint16]:
+    """How many pixels of [h, w] are marked in the window around each."""
+    import cv2
+
+    size, border = (_WINDOW_PX, _WINDOW_PX), cv2.BORDER_CONSTANT
+    return np.asarray(
+        cv2.boxFilter(mark.view(np.uint8), cv2.CV_16U, size, normalize=False, borderType=border), np.uint16
+    )
+
+
+def _supported(mark: Mask) -> Mask:
+    """Marked pixels [h, w] that are no loners."""
+    return mark & (_around(mark) >= _SUPPORT)
+
+
+def _wider(mark: Mask, by_px: int) -> Mask:
+    import cv2
+
+    size = 2 * by_px + 1
+    return cv2.dilate(mark.view(np.uint8), np.ones((size, size), np.uint8)).view(np.bool_)
+
+
+class _Part:
+    """Rows of a frame as a signal of their own, without the pixels in `left_out`."""
+
+    def __init__(self, signal: Signal, first: int, left_out: Mask) -> None:
+        self._signal, self._first, self._left_out = signal, first, left_out
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._signal, name)
+
+    def strip(self, first: int, last: int) -> tuple[Strip, Mask | None]:
+        counts, full = self._signal.strip(first + self._first, last + self._first)
+        out = self._left_out[first:last]
+        return counts, out if full is None else full | out
+
+
+def _parts(frames: Sequence[Callable[[], Signal]], first: int, left_out: Mask) -> list[Callable[[], Signal]]:
+    def part(load: Callable[[], Signal], out: Mask) -> Callable[[], Signal]:
+        return lambda: cast(Signal, _Part(load(), first, out))
+
+    return [part(load, left_out[i]) for i, load in enumerate(frames)]
+
+
+def _own(signal: Signal, first: int, last: int) -> tuple[Strip, Mask, Mask]:
+    """Counts of some rows, which can vote (within their limits), which are saturated (their neighbours are neither)."""
+    counts, full = signal.strip(first, last)
+    usable = signal.usable(counts)
+    if full is not None:
+        usable &= ~full
+    return counts, usable, ~signal.readable(counts)[0]
+
+
+def _ballot(frames: Sequence[Callable[[], Signal]], near: Mask, first: int) -> Ballot:
+    """Of the pixels `near`, which are rows from `first` on."""
+    shape = (len(frames), int(near.sum()))
+    value, variance, largest = (np.empty(shape, np.float32) for _ in range(3))
+    usable, saturated = np.empty(shape, bool), np.empty(shape, bool)
+    for i, load in enumerate(frames):
+        signal = load()
+        counts, own, full = _own(signal, first, first + len(near))
+        per = np.broadcast_to(signal.per_cdm2, near.shape)[near]
+        value[i], variance[i] = counts[near] / per, signal.readable(counts)[1][near] / per**2
+        usable[i], saturated[i] = own[near], full[near]
+        largest[i] = np.broadcast_to(signal.largest_cdm2(), near.shape)[near]
+    return Ballot(value, variance, usable, saturated, largest)
+
+
+def _left_out(
+    frames: Sequence[Callable[[], Signal]], near: Mask, first: int, u_ratio: float, over_picture: Over
+) -> Mask:
+    """Which pixels of the rows from `first` on each frame loses, [frames, *near.shape]; all colours of one or none."""
+    consensus = vote(_ballot(frames, near, first), u_ratio)
+    value, clear = np.zeros(near.shape, np.float32), np.zeros(near.shape, bool)
+    value[near], clear[near] = consensus.value_cdm2, consensus.clear
+    far, beyond = np.zeros((len(frames), *near.shape), bool), np.zeros(near.shape, np.int16)
+    for i, load in enumerate(frames):
+        signal = load()
+        counts, usable, full = _own(signal, first, first + len(near))
+        expected = value * signal.per_cdm2
+        spread = signal.readable(np.maximum(counts, expected))[1] + (u_ratio * expected) ** 2
+        used = usable | (~full & (signal.weight(value) > 0))  # the merge weighs by what it expects, not what it finds
+        far[i] = near & used & ((counts - expected) ** 2 > _LEAVE_SIGMA**2 * spread)
+        beyond += far[i] & ~usable
+    sure = np.zeros(near.shape, np.int16)
+    sure[near] = consensus.sure
+    clear &= (beyond == 0) | ((sure >= _WITNESSES) & (sure > beyond))
+    clear = near & ~over_picture(near & ~clear, lambda mark: mark | (_around(mark) >= _CLOUDED))
+    out = np.zeros_like(far)
+    for i in range(len(frames)):
+        marked = far[i] & clear
+        if marked.any():
+            out[i] = clear & over_picture(marked, lambda mark: _wider(_supported(mark), _HALO_PX))
+    return out
+
+
+def leave_out_moved(
+    frames: Sequence[Callable[[], Signal]],
+    merged: Merged,
+    *,
+    u_ratio: float,
+    over_picture: Over,
+) -> tuple[Merged, tuple[float, ...]]:
+    """The merge of the same frames without those that disagree where something moved; each frame's share left out.
+
+    frames, u_ratio: as for `merge_signals`; the arrays of `merged` are changed in place. over_picture(mask, change)
+    applies a change of [h, w] masks to a mask of the frames' shape. MOTION stays on every pixel that lost a frame, and
+    where nothing could be decided.
+    """
+    shape = merged.value_cdm2.shape
+    seeds = over_picture((merged.flags & Flag.MOTION) > 0, _supported)
+    near = over_picture(seeds, lambda mark: _wider(mark, _REACH_PX))
+    lost = [0] * len(frames)
+    value, variance, flags = merged.value_cdm2, merged.variance, merged.flags
+    rows = max(1, _BAND // int(np.prod(shape[1:])))
+    margin = _REACH_PX + _HALO_PX
+    for first in range(0, shape[0], rows):
+        last = min(first + rows, shape[0])
+        if not near[first:last].any():
+            continue
+        a, b = max(first - margin, 0), min(last + margin, shape[0])
+        out = _left_out(frames, near[a:b], a, u_ratio, over_picture)
+        if not out.any():
+            continue
+        again = merge_signals(_parts(frames, a, out), (b - a, *shape[1:]), u_ratio=u_ratio)
+        inner = slice(first - a, last - a)
+        lost_any = np.any(out, axis=0)[inner]
+        changed = lost_any & ((again.flags[inner] & (Flag.CLIPPED_HIGH | Flag.BLOOM)) == 0)  # else nothing is left
+        for old, new in ((value, again.value_cdm2), (variance, again.variance)):
+            old[first:last][changed] = new[inner][changed]
+        flags[first:last][changed] = again.flags[inner][changed] | np.uint8(Flag.MOTION)
+        for number, mask in enumerate(out):
+            lost[number] += int((mask[inner] & changed).sum())
+    return Merged(value, variance, flags), tuple(count / value.size for count in lost)
