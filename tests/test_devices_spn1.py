@@ -16,7 +16,7 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.serial_spn1 import Spn1
 from fieldlum.devices.simulated.spn1 import PtyInstrument, Spn1Voice
 from fieldlum.devices.simulated.world import Light
-from fieldlum.devices.spn1 import Spn1Reading, agree, parse_reading, parse_status
+from fieldlum.devices.spn1 import Spn1Reading, parse_reading, parse_status
 from fieldlum.errors import DeviceError
 
 START = datetime(2027, 3, 20, 19, 30, tzinfo=UTC)
@@ -173,10 +173,25 @@ def test_contract_what_nobody_confirms_is_no_number(answers: tuple[bytes, ...], 
         assert device.read().ghi_wm2 == 812.4
 
 
-def test_a_sky_that_changes_is_no_damage() -> None:
-    assert agree(Spn1Reading(812.4, 104.9, True), Spn1Reading(790.0, 110.0, False))
-    assert not agree(Spn1Reading(812.4, 104.9, True), Spn1Reading(712.4, 104.9, True))
-    assert not agree(Spn1Reading(812.4, 104.9, True), Spn1Reading(812.4, 204.9, True))
+def test_the_edge_of_a_shadow_is_no_damage() -> None:
+    wire = Wire()
+    with spn1(wire) as device:
+        wire.fault = _changed(b"S 812.4, 104.9,1\r", b"S 760.0, 108.9,1\r", b"S 710.4, 111.9,1\r")
+        assert device.read().ghi_wm2 == 760.0, "light that falls evenly"
+        wire.fault = _changed(b"S 812.4, 104.9,1\r", b"S 760.0, 108.9,1\r", b"S 812.4, 911.9,1\r")
+        with pytest.raises(DeviceError, match="no two answers agree"):
+            device.read()
+
+
+def test_of_three_answers_the_nearest_two_count() -> None:
+    wire = Wire()
+    with spn1(wire) as device:
+        wire.fault = _changed(
+            b"S 815.9, 104.9,1\r"
+        )  # a digit of the units: within what a sky may do, but a third is asked
+        assert device.read().ghi_wm2 == 812.4
+        wire.sent, wire.fault = b"", _changed(b"S 813.4, 104.9,1\r")  # within the noise
+        assert device.read().ghi_wm2 == 813.4 and wire.sent == b"RSRS"
 
 
 def test_contract_the_rest_of_a_late_reply_is_not_the_next_one() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from typing import TypeVar
 
 from fieldlum.errors import DeviceError
@@ -12,28 +13,34 @@ ASKED_AT_MOST = 3
 
 
 def said_twice(
-    ask: Callable[[], bytes], parse: Callable[[bytes], T], same: Callable[[T, T], bool]
+    ask: Callable[[], bytes],
+    parse: Callable[[bytes], T],
+    apart: Callable[[T, T], float],
+    limits: tuple[float, float],
+    in_line: Callable[[T, T, T], bool],
 ) -> tuple[T, tuple[bytes, ...]]:
-    """The earlier of the first two answers that agree, and all answers as they came.
+    """What the instrument means, and all its answers as they came.
 
-    Two questions, a third where these two do not agree. An answer that does not parse agrees with none. Raises
-    DeviceError when no two agree; what `ask` raises (silence) goes through at once.
+    Two questions; a third where these two are `apart` by more than limits[0], its noise. Believed is the earlier of the
+    two answers nearest to each other, within limits[1]; else the middle one of three that lie `in_line`: the light was
+    changing. An answer that does not parse is near none. Raises DeviceError when nothing agrees; what `ask` raises
+    (silence) goes through at once.
     """
     answers: list[bytes] = []
     sound: list[T] = []
     why = ""
-    for asked in range(ASKED_AT_MOST):
-        if asked == ASKED_AT_MOST - 1 and not sound:
-            break  # two broken answers: a third has nobody to agree with
+    while len(answers) < ASKED_AT_MOST and (sound or len(answers) < ASKED_AT_MOST - 1):
         answers.append(ask())
         try:
-            now = parse(answers[-1])
+            sound.append(parse(answers[-1]))
         except DeviceError as error:
             why = why or str(error)
-            continue
-        for before in sound:
-            if same(before, now):
-                return before, tuple(answers)
-        sound.append(now)
+        if len(sound) == len(answers) == 2 and apart(*sound) <= limits[0]:
+            break
+    pairs = sorted(combinations(sound, 2), key=lambda pair: apart(*pair))
+    if pairs and apart(*pairs[0]) <= limits[1]:
+        return pairs[0][0], tuple(answers)
+    if len(sound) == ASKED_AT_MOST and in_line(sound[0], sound[1], sound[2]):
+        return sound[1], tuple(answers)
     told = ", ".join(repr(answer[:40]) for answer in answers)
     raise DeviceError(why if not sound else f"no two answers agree: {told}")

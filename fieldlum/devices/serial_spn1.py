@@ -9,7 +9,16 @@ from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.agreeing import said_twice
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialPort
-from fieldlum.devices.spn1 import AWAKE, Spn1Status, agree, parse_reading, parse_status
+from fieldlum.devices.spn1 import (
+    AGREE_WM2,
+    AWAKE,
+    NOISE_WM2,
+    Spn1Status,
+    apart_wm2,
+    in_line,
+    parse_reading,
+    parse_status,
+)
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
@@ -49,10 +58,11 @@ class Spn1:
     def read(self) -> IrradianceSample:
         """Total and diffuse, now, said twice: its line has no checksum. A total below the diffuse comes with a status.
 
-        Raises DeviceError for silence, and when no two of three answers agree. raw holds all answers that differ.
+        raw holds all answers that differ. Raises DeviceError for silence, and when neither two answers agree nor three
+        lie in line.
         """
         t_utc = self._clock.now()
-        reading, answers = said_twice(self._ask_reading, parse_reading, agree)
+        reading, answers = said_twice(self._ask_reading, parse_reading, apart_wm2, (NOISE_WM2, AGREE_WM2), in_line)
         # Seen in the field at dawn; the instrument's own noise is below 3 W/m2.
         doubt = "total below diffuse" if reading.total_wm2 < reading.diffuse_wm2 - 3.0 else ""
         text = " | ".join(answer.decode("ascii", "backslashreplace").strip() for answer in dict.fromkeys(answers))

@@ -15,9 +15,9 @@ AWAKE = b"\xaf"
 LARGEST_WM2 = 2500.0  # the instrument's range ends at 2000
 _SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"  # filled with blanks, or with noughts
 _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
-# Two answers within a tenth of a second. The instrument's noise is under 3 W/m2, and the edge of a cloud's shadow,
-# blurred by the sun's half degree, takes half a second or more.
-AGREE_WM2, AGREE_SHARE = 10.0, 0.02
+# Answers within a tenth of a second of each other: apart by the instrument's noise; by what they may be apart under a
+# steady sky; from the first to the third at a shadow's edge, blurred by the sun's half degree and the cloud's own.
+NOISE_WM2, AGREE_WM2, STEEPEST_WM2 = 3.0, 25.0, 200.0
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
@@ -51,10 +51,19 @@ def parse_reading(reply: bytes) -> Spn1Reading:
     return Spn1Reading(total, diffuse, match[3] == b"1")
 
 
-def agree(a: Spn1Reading, b: Spn1Reading) -> bool:
-    """Whether two answers, asked for one right after the other, may be of one sky."""
-    pairs = ((a.total_wm2, b.total_wm2), (a.diffuse_wm2, b.diffuse_wm2))
-    return all(abs(x - y) <= AGREE_WM2 + AGREE_SHARE * max(x, y) for x, y in pairs)
+def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
+    """By how much two answers differ, in the figure in which they differ more."""
+    return max(abs(x - y) for x, y in zip(_both(a), _both(b), strict=True))
+
+
+def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
+    """Whether three answers may be of light that rises or falls evenly: the middle one half way between the others."""
+    triples = zip(_both(a), _both(b), _both(c), strict=True)
+    return apart_wm2(a, c) <= STEEPEST_WM2 and all(abs(y - (x + z) / 2.0) <= AGREE_WM2 for x, y, z in triples)
+
+
+def _both(reading: Spn1Reading) -> tuple[float, float]:
+    return reading.total_wm2, reading.diffuse_wm2
 
 
 def parse_status(reply: bytes) -> Spn1Status:
