@@ -366,6 +366,8 @@ def test_analytic_colour_from_a_chart(tmp_path: Path) -> None:
     found = colour.fit(colours, PROFILE)
     shares = np.array(found.y_from_rgb) / sum(found.y_from_rgb)
     assert shares == pytest.approx((0.30, 0.60, 0.10), abs=0.03)
+    with pytest.raises(InputError, match=r"another order.*clockwise"):  # the corners from the black patch on
+        colour.from_chart(path, PROFILE, corners[4:] + corners[:4])
 
 
 def test_a_frame_without_a_chart_says_what_to_do(tmp_path: Path) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
 from fieldlum.calibrate.frames import LinearFrame, linear_frame, nearest_lens, transmission
 from fieldlum.calibrate.keep import needed, read_table
 from fieldlum.calibrate.order import Candidate, Choice, choose
@@ -21,16 +21,6 @@ READING_U = 0.02
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
 LEAST = 4
 
-# Luminous reflectance Y in percent, illuminant C, row by row from dark skin: McCamy, Marcus, Davidson, "A
-# color-rendition chart", J. Appl. Photogr. Eng. 2(3), 1976.
-CHART_Y = (
-    10.1, 35.8, 19.3, 13.3, 24.3, 43.1,
-    30.1, 12.0, 19.8, 6.6, 44.3, 43.1,
-    6.1, 23.4, 12.0, 59.1, 19.8, 19.8,
-    90.0, 59.1, 36.2, 19.8, 9.0, 3.1,
-)  # fmt: skip
-CHART_ROWS, CHART_COLUMNS = 4, 6
-CHART_TRIES = 6
 CHART_U = 0.03  # of a printed chart's patch
 
 
@@ -80,51 +70,20 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     """A 24-patch chart in a frame, evenly lit: found by OpenCV's mcc, or by its four outer patch-field corners.
 
     corners_px: x, y of the top left (dark skin), top right, bottom right (black) and bottom left corner.
+    Raises InputError where no chart is found, or where the corners are given in another order.
     """
     frame = linear_frame(path, profile)
-    centres, radius = _patch_centres(np.reshape(corners_px, (4, 2))) if len(corners_px) else find_chart(frame)
+    centres, radius = patch_centres(np.reshape(corners_px, (4, 2))) if len(corners_px) else find_chart(frame)
     rgb, u = [], []
     for x, y in centres:
         patch = frame.patch(x, y, radius)
         rgb.append(patch.rgb / transmission(profile.lens[nearest_lens(profile, x, y)], frame.exposure.f_number, x, y))
         u.append(float(np.hypot(CHART_U, patch.u_rel)))
+    if not in_order(np.array(rgb) @ np.array(profile.colour.y_from_rgb)):
+        found = "patches whose greys and colours come in another order than a chart's"
+        raise InputError(path, found, "--corners from dark skin on, then clockwise", "start at the brown corner")
     labels = tuple(f"patch {i + 1}" for i in range(len(CHART_Y)))
     return Colours(np.array(rgb), np.array(CHART_Y), np.array(u), labels, (path,), frame.colour_matrix)
-
-
-def _patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
-    """Centres [24, 2] and a safe radius of the patches within the quadrilateral of corners [4, 2]."""
-    import cv2
-
-    square = np.array([[0, 0], [CHART_COLUMNS, 0], [CHART_COLUMNS, CHART_ROWS], [0, CHART_ROWS]], np.float32)
-    h = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
-    at = np.array([[c + 0.5, r + 0.5, 1.0] for r in range(CHART_ROWS) for c in range(CHART_COLUMNS)]) @ h.T
-    centres = at[:, :2] / at[:, 2:]
-    gap = np.linalg.norm(centres[1] - centres[0]), np.linalg.norm(centres[CHART_COLUMNS] - centres[0])
-    return centres, 0.25 * float(min(gap))
-
-
-def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
-    """Centres [24, 2] in sensor pixels and a safe radius of a chart's patches. Raises InputError when none is found.
-
-    The detector starts from random clusters and may fail once on a good picture: it is asked CHART_TRIES times.
-    """
-    import cv2
-
-    if not hasattr(cv2, "mcc"):
-        raise InputError(frame.path, "an OpenCV without mcc", "opencv-contrib", "give --corners by hand")
-    shown = np.clip(frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9), 0, 1) ** (1 / 2.2)
-    picture = np.ascontiguousarray((255 * shown[..., ::-1]).astype(np.uint8))
-    for seed in range(CHART_TRIES):
-        cv2.setRNGSeed(seed + 1)
-        detector = getattr(cv2.mcc, "CCheckerDetector_create")()  # noqa: B009 (its stubs lack it)
-        if detector.process(picture, 1):  # asked for a chart without one, it would crash
-            patches = np.asarray(detector.getBestColorChecker().getColorCharts(), float).reshape(-1, 4, 2) * frame.step
-            side = np.linalg.norm(patches - np.roll(patches, 1, axis=1), axis=-1).min()
-            return patches.mean(axis=1), 0.3 * float(side)
-    raise InputError(
-        frame.path, "no colour chart found", "a 24-patch chart, sharp and upright", "give --corners by hand"
-    )
 
 
 # ---------------------------------------------------------------------------------------------- fit
