@@ -25,7 +25,7 @@ from fieldlum.merge.bracket import look_through
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
 from fieldlum.merge.ratios import RatioCurve
-from fieldlum.merge.shots import Shot, sorted_shots, true_shutter_s
+from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots, true_shutter_s
 from fieldlum.merge.stitch import SensorMap, blend, finish, lens_geometry, view_through
 from fieldlum.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
 from fieldlum.profiles import (
@@ -191,6 +191,7 @@ def realise(which: Set, profile: CameraProfile, folder: Path, target: Equirect, 
         exposed = (light + flare * mean) * shading[..., None]
         for i, e in enumerate(bracket_exposures(profile.bracket)):
             true_s = true_shutter_s(e, profile)[0] * (off[e.shutter_s] if has_ratios else 1.0)
+            true_s *= np.exp(U_REPEAT * rng.normal())  # the merge always reckons with it
             path = folder / f"{i:02d}_{heading}"
             shots.append(Shot(_photograph(exposed, e, true_s, true, path, size, rng), e, heading))
     _, merged = look_through(sorted_shots(shots, profile), profile, target=target, heading_deg=180.0)

@@ -97,7 +97,8 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -
     for row, pair in enumerate(pairs):
         design[row, pair.short], design[row, pair.long] = 1.0, -1.0
     observed = np.array([p.log_ratio for p in pairs])
-    sigma = np.array([p.u_log for p in pairs])
+    shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])  # one short frame's noise is in them all
+    sigma = np.array([p.u_log for p in pairs]) * np.sqrt(shared)
     weight = 1.0 / sigma**2
     delta, normal = np.zeros(frames), prior
     for _ in range(10):
