@@ -13,7 +13,7 @@ from fieldlum.photometry import response_table, vignetting_at
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fieldlum.calibrate import colour, lens, response, scale, vignette
+    from fieldlum.calibrate import colour, lens, response, scale, shutter, vignette
 
 INK, POINT, CURVE = "#1d2733", "#c4441c", "#1f5fa8"
 
@@ -147,4 +147,16 @@ def of_colour(colours: colour.Colours, found: colour.Fit) -> Figure:
     left.set(xlabel="reading, or chart [%]", ylabel="picture, at the readings' scale", xscale="log", yscale="log")
     _plain_log(left)
     _percent(right, np.arange(1, len(new) + 1), -found.residual, "patch")
+    return figure
+
+
+def of_shutter(found: shutter.Fit) -> Figure:
+    figure, left, right = _two(f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1))
+    nominal = np.array([t.nominal_s for t in found.times])
+    true, assumed = np.array([t.true_s for t in found.times]), np.array(found.assumed_s)
+    u = np.array([t.u_rel for t in found.times])
+    for axes, against, label in ((left, nominal, "true over the dial's [%]"), (right, assumed, "over assumed [%]")):
+        axes.axhline(0, color=CURVE, linewidth=1)
+        axes.errorbar(nominal, 100 * (true / against - 1), 200 * u, fmt="o", color=POINT, markersize=3.5, linewidth=1)
+        axes.set(xscale="log", xlabel="time on the dial [s]", ylabel=label)
     return figure
