@@ -2,6 +2,7 @@
 
     python bench/merge_real.py --office FOLDER --memorial FOLDER --out FOLDER [--pooled]
 
+memorial: four peers' maps, two of them made here by OpenCV; slope and spread of every pair; each map and the frames.
 office: the laboratory's own response, then a response pooled over the bracket with the times held fixed; neighbour
 residuals, luminance of five places, vertical illuminance by the tool and by evalglare, a false-colour picture.
 """
@@ -12,16 +13,20 @@ import argparse
 import re
 import subprocess
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
+from fieldlum.calibrate.response import residuals
 from fieldlum.images import read_radiance_hdr
 from fieldlum.merge import files_to_picture
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.frames import JpegSignal
-from fieldlum.photometry import fit_response, pick_places, snap_shutter_s
+from fieldlum.merge.shift import shifts
+from fieldlum.photometry import dark_floor, fit_response, pick_places, snap_shutter_s
 from fieldlum.profiles import CameraProfile, Response, load_camera_profile
+from fieldlum.projection import LensGeometry
 from fieldlum.raw import read_jpeg
 from fieldlum.records import Flag
 
@@ -103,6 +108,9 @@ def office(folder: Path, out: Path, use_pooled: bool) -> None:
         mean = float(panorama.luminance_cdm2[spot].mean())
         print(f"| {place} | {mean:.4g} | {100 * float(panorama.u_cdm2[spot].mean()) / mean:.1f} |")
     tool, reference = facts["vertical_illuminance_lx"], evalglare_ev(picture)
+    turned = [m for m in result.quality["shifts"] if m["u_px"] < 0.35]
+    most = max(m["shift_px"] for m in turned)
+    print(f"\n{len(turned)} of {len(frames) - 1} pairs tell the camera's turn to 0.35 px: at most {most:.2f} px")
     print(f"\nvertical illuminance: {tool:.1f} lx, evalglare {reference:.1f} lx, {100 * (tool / reference - 1):+.2f} %")
     for flag in (Flag.CLIPPED_HIGH, Flag.BLOOM, Flag.MOTION, Flag.BELOW_NOISE):
         print(f"{flag.name}: {100 * np.mean((panorama.flags & flag) > 0):.2f} % of the picture's pixels")
@@ -136,7 +144,7 @@ def _false_colour(luminance: np.ndarray, seen: np.ndarray, path: Path) -> None:
 
 
 def memorial(folder: Path) -> None:
-    """Log-domain agreement with the peers' maps after one scale factor, over what all see."""
+    """Log-domain agreement with four peers' maps after one scale factor, and of each map with the frames themselves."""
     import cv2
 
     files = sorted(folder.glob("memorial*.png"))
@@ -148,11 +156,23 @@ def memorial(folder: Path) -> None:
     inside = np.s_[40:-40, 20:-20]  # the pictures have a blue border
     stack, spread = (np.stack([a[inside] for a in x], axis=2).reshape(-1, len(files), 3) for x in (smooth, rough))
     rng = np.random.default_rng(0)
-    tables = []
+    tables, floors = [], []
     for c in range(3):
         at = pick_places(stack[..., c], spread[..., c], rng)
-        table, rms = fit_response(np.round(stack[at][..., c]).astype(np.uint8), np.log(times))
-        print(f"memorial response {'RGB'[c]}: rms residual {100 * rms:.1f} %")
+        places = np.round(stack[at][..., c]).astype(np.uint8)
+        table, rms = fit_response(places, np.log(times))
+        blind = fit_response(places, np.log(times), low=3)[1]
+        floors.append(dark_floor(places, np.log(times)))
+        half = len(files) // 2
+        parts = [fit_response(places[:, part], np.log(times[part]))[1] for part in (np.s_[:half], np.s_[half:])]
+        print(
+            f"response {'RGB'[c]}: codes from {floors[-1]} on, rms {100 * rms:.1f} %; from 3 on {100 * blind:.1f} %;",
+            end="",
+        )
+        print(f" the long half alone {100 * parts[0]:.1f} %, the short half {100 * parts[1]:.1f} %")
+        said = [f"{100 * _held_out(places, np.log(times), low):.1f} %" for low in (floors[-1], 3)]
+        off = _frames_off(table, places, np.log(times))
+        print(f"  held-out places {said[0]}, from 3 on {said[1]}; frames off by {off.min():+.1f} to {off.max():+.1f} %")
         tables.append(table)
     response = np.stack(tables, axis=1).astype(np.float32)
     signals = [
@@ -160,23 +180,62 @@ def memorial(folder: Path) -> None:
         for i, (c, t) in enumerate(zip(codes, times, strict=True))
     ]
     merged = merge_signals([lambda s=s: s for s in signals], codes[0].shape, u_ratio=0.05)
-    maps = {"fieldlum": merged.value_cdm2[..., 1]}
+    _print_shifts(signals, times)
+    maps = {"fieldlum": merged.value_cdm2}
     for name in ("debevec", "robertson"):
-        maps[name] = read_radiance_hdr(folder / f"peer_{name}_radiance.hdr").rgb[..., 1]
-    maps = {name: np.log(np.maximum(light.astype(float), 1e-9)) for name, light in maps.items()}
-    print("\n| pair | log slope, middle 80 % | spread of the ratio there, 5 to 95 % |\n|---|---|---|")
-    middle = maps["debevec"][inside].ravel()
+        maps[f"qhan1028 {name}"] = read_radiance_hdr(folder / f"peer_{name}_radiance.hdr").rgb
+    maps["OpenCV debevec"] = _opencv(codes, times, "Debevec")
+    maps["OpenCV robertson"] = _opencv(codes, times, "Robertson")
+    no_black = [np.maximum(c.astype(np.int16) - floors, 0).astype(np.uint8) for c in codes]
+    maps["OpenCV debevec, black off"] = _opencv(no_black, times, "Debevec")
+    logs = {name: np.log(np.maximum(light[..., 1].astype(float), 1e-9))[inside].ravel() for name, light in maps.items()}
+    whole = [light for name, light in logs.items() if "off" not in name]
+    middle = np.median([light - np.median(light) for light in whole], axis=0)
     middle = (middle > np.quantile(middle, 0.1)) & (middle < np.quantile(middle, 0.9))
-    for a, b in (("fieldlum", "debevec"), ("fieldlum", "robertson"), ("debevec", "robertson")):
-        left, right = (maps[k][inside].ravel()[middle] for k in (a, b))
-        ratio = left - right
+    print("\n| pair | log slope, middle 80 % | spread of the ratio there, 5 to 95 % |\n|---|---|---|")
+    for a, b in combinations(logs, 2):
+        ratio = logs[a][middle] - logs[b][middle]
         low, high = 100 * (np.exp(np.quantile(ratio - np.median(ratio), [0.05, 0.95])) - 1)
-        print(f"| {a} / {b} | {np.std(left) / np.std(right):.3f} | {low:+.1f} to {high:+.1f} % |")
+        print(f"| {a} / {b} | {np.std(logs[a][middle]) / np.std(logs[b][middle]):.3f} | {low:+.1f} to {high:+.1f} % |")
     print("\n| map | rms of ln(L t) at equal code, codes 27 to 228 |\n|---|---|")
     green = np.stack([c[inside][..., 1] for c in codes]).reshape(len(codes), -1)[:, ::7].astype(int)
-    for name, light in maps.items():
-        exposure = light[inside].ravel()[::7] + np.log(times)[:, None]
-        print(f"| {name} | {_scatter(green, exposure):.3f} |")
+    for name, light in logs.items():
+        print(f"| {name} | {_scatter(green, light[::7] + np.log(times)[:, None]):.3f} |")
+
+
+def _held_out(places: np.ndarray, log_t: np.ndarray, low: int) -> float:
+    """Rms of ln(z / exposure) about each place's mean, codes 27 to 228, of every fourth of the places in turn."""
+    fold, errors = np.arange(len(places)) % 4, []
+    for k in range(4):
+        table, _ = fit_response(places[fold != k], log_t, low=low)
+        errors.append(residuals(table, places[fold == k], log_t))
+    return float(np.sqrt(np.nanmean(np.concatenate(errors))))
+
+
+def _frames_off(table: np.ndarray, places: np.ndarray, log_t: np.ndarray) -> np.ndarray:
+    """Median of ln(z / exposure) against each place's mean, frame by frame with twenty places or more. [%]"""
+    ok = (places >= 27) & (places <= 228)
+    light = np.where(ok, np.log(np.maximum(table[places], 1e-9)) - log_t, np.nan)[ok.any(axis=1)]
+    apart = light - np.nanmean(light, axis=1, keepdims=True)
+    enough = np.isfinite(apart).sum(axis=0) >= 20
+    return 100 * np.nanmedian(apart[:, enough], axis=0)
+
+
+def _opencv(codes: list[np.ndarray], times: np.ndarray, name: str) -> np.ndarray:
+    """OpenCV's map with the response that it finds itself, as it comes; colours R, G, B."""
+    import cv2
+
+    frames, exposures = [np.ascontiguousarray(c[..., ::-1]) for c in codes], times.astype(np.float32)
+    response = getattr(cv2, f"createCalibrate{name}")().process(frames, exposures)
+    return getattr(cv2, f"createMerge{name}")().process(frames, exposures, response)[..., ::-1]
+
+
+def _print_shifts(signals: list[JpegSignal], times: np.ndarray) -> None:
+    """Between neighbours, as if through a lens of 60 degrees: its pixels at the axis are what is printed."""
+    h, w = signals[0].codes.shape[:2]
+    lens = LensGeometry((w / 2, h / 2), float(np.hypot(h, w) / 2), 60.0, "equidistant")
+    for m in shifts([s.small() for s in signals], [lens]):
+        print(f"{times[m.long]:g} to {times[m.short]:g} s: shifted by {m.shift_px:.2f} px, u {m.u_px:.2f}")
 
 
 def _scatter(codes: np.ndarray, log_exposure: np.ndarray) -> float:
