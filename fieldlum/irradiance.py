@@ -195,8 +195,9 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
     around = np.r_[-_SPIKE_ROWS:0, 2 : 2 + _SPIKE_ROWS]
     size = np.abs(np.nan_to_num(step))
     candidates = np.flatnonzero(far)
-    for first in range(0, len(candidates), _BLOCK_ROWS):
-        some = candidates[first : first + _BLOCK_ROWS]
+    block = _BLOCK_ROWS // _SPIKE_ROWS
+    for first in range(0, len(candidates), block):
+        some = candidates[first : first + block]
         near = some[:, None] + around
         others = np.where((near >= 0) & (near < len(size)), size[np.clip(near, 0, len(size) - 1)], 0.0)
         usual = np.partition(others, -_SPIKE_RANK, axis=1)[:, -_SPIKE_RANK]

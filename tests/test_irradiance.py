@@ -128,9 +128,9 @@ def test_a_spike_is_flagged_and_kept() -> None:
 
 
 def test_clean_csv_is_written_in_blocks_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    series = checked([at(5.0 * i, 800.0 + i % 5, 150.0) for i in range(100)])
+    series = checked([at(5.0 * i, 800.0 + i % 5, 150.0) for i in range(300)])
     irradiance.write_clean(tmp_path / "whole.csv", series)
-    monkeypatch.setattr(irradiance, "_BLOCK_ROWS", 7)
+    monkeypatch.setattr(irradiance, "_BLOCK_ROWS", 130)
     irradiance.write_clean(tmp_path / "blocks.csv", series)
     assert (tmp_path / "blocks.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
