@@ -26,6 +26,7 @@ _MOST = 30_000  # pixels of a fit
 _BLOCKS = 6  # a side, for the standard error
 _LEAST = 300  # pixels with an edge in them
 _FLAT = 0.02  # of ln light: less than that between neighbours is no edge
+_SMOOTH_PER_RAD = 4.0  # of ln light: a smooth room's shading changes by less, and says nothing of a turn
 _RIM = 0.97  # of a lens's circle: its edge stays where it is
 _TINY_RAD = 1e-4
 
@@ -162,7 +163,8 @@ def _step(
     both = cv2.erode(both, near, borderValue=0).view(np.bool_)
     mean = 0.5 * (one + other)
     down, right = np.gradient(mean, axis=0), np.gradient(mean, axis=1)
-    rows, columns = np.nonzero(both & (down**2 + right**2 > _FLAT**2))
+    flat = max(_FLAT, _SMOOTH_PER_RAD / max(float(np.abs(flow).max()), 1e-6))
+    rows, columns = np.nonzero(both & (down**2 + right**2 > flat**2))
     if len(rows) < _LEAST:
         return None
     thin = len(rows) // _MOST + 1
