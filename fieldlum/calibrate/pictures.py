@@ -13,7 +13,7 @@ from fieldlum.photometry import response_table, vignetting_at
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fieldlum.calibrate import colour, lens, response, scale, shutter, vignette
+    from fieldlum.calibrate import colour, lens, pixels, response, scale, shutter, vignette
 
 INK, POINT, CURVE = "#1d2733", "#c4441c", "#1f5fa8"
 
@@ -159,4 +159,14 @@ def of_shutter(found: shutter.Fit) -> Figure:
         axes.axhline(0, color=CURVE, linewidth=1)
         axes.errorbar(nominal, 100 * (true / against - 1), 200 * u, fmt="o", color=POINT, markersize=3.5, linewidth=1)
         axes.set(xscale="log", xlabel="time on the dial [s]", ylabel=label)
+    return figure
+
+
+def of_pixels(found: pixels.Found, width_px: int, height_px: int) -> Figure:
+    figure, left, right = _two(f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1))
+    x, y = np.array(found.bad_px, float).reshape(-1, 2).T
+    left.plot(x, y, "o", color=POINT, markersize=3)
+    left.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="column", ylabel="row")
+    right.hist(np.hypot(x - width_px / 2, y - height_px / 2), bins=12, color=CURVE)
+    right.set(xlabel="from the middle [px]", ylabel="pixels")
     return figure

@@ -354,3 +354,35 @@ def _shutter(sessions: tuple[Path, ...], camera: str, out: Path, picture: Path |
     figures: dict[str, Any] = {"times": rows} if as_json else {"times": len(rows)}
     files = [file for _, sidecars in read for file in sidecars]
     _write(out, profile, files, [found.line], figures, as_json, shutter=shutter.with_times(profile, found))
+
+
+@command.command("pixels")
+@click.argument("sources", metavar="FRAME|FOLDER...", nargs=-1, required=True, type=PATH)
+@click.option("--dark", is_flag=True, help="The frames were taken with the cap on.")
+@_shared
+def _pixels(sources: tuple[Path, ...], dark: bool, camera: str, out: Path, picture: Path | None, as_json: bool) -> None:
+    """Hot, dead and stuck pixels, into the profile's list (raw cameras).
+
+    Frames of three different views or more, a FOLDER for each (turn the camera: what stays is the sensor's); or two or
+    more long frames with the cap on (--dark), which show no dead pixels. Pixels listed before stay listed.
+
+    \b
+    fieldlum calibrate pixels north south west --camera mine.toml --out mine.toml
+    """
+    from dataclasses import replace
+
+    from fieldlum.calibrate import pictures, pixels
+
+    profile = _profile(camera)
+    found = pixels.find(sources, profile, dark=dark)
+    if picture:
+        pictures.save(pictures.of_pixels(found, profile.camera.width_px, profile.camera.height_px), picture)
+    known = tuple(sorted({*profile.sensor.bad_px, *found.bad_px}))
+    figures: dict[str, Any] = {
+        "found": len(found.bad_px), "new": len(known) - len(profile.sensor.bad_px), "views": found.views,
+        "by_chance": found.by_chance,
+    }  # fmt: skip
+    if as_json:
+        figures["bad_px"] = [list(place) for place in found.bad_px]
+    sensor = replace(profile.sensor, bad_px=known)
+    _write(out, profile, found.frames, [found.line], figures, as_json, sensor=sensor)
