@@ -96,8 +96,8 @@ def _decide(views: list[Mask], frames: tuple[Path, ...], pixels: int, dark: bool
     rows, columns = np.nonzero(count >= need)
     if by_chance[need] > _CHANCE:
         raise NotEnoughDataError(
-            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in a view, {by_chance[need]:.2g} would do so "
-            f"in all {len(views)} by chance: take more views, or frames with the cap on (--dark)"
+            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in a view, {by_chance[need]:.2g} would do "
+            f"so in all {len(views)} by chance: take more views, or frames with the cap on (--dark)"
         )
     if len(rows) > MOST * pixels:
         raise NotEnoughDataError(
