@@ -197,7 +197,8 @@ def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     u = np.sqrt(view.variance + light**2 * relative + floor**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
-    flags[seen & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
+    quiet = (view.flags & Flag.MOTION) == 0  # where frames disagree, their variance is no noise
+    flags[seen & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
     shape = target.shape
