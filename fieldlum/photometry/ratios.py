@@ -97,14 +97,15 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -
     for row, pair in enumerate(pairs):
         design[row, pair.short], design[row, pair.long] = 1.0, -1.0
     observed = np.array([p.log_ratio for p in pairs])
-    shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])  # one short frame's noise is in them all
-    sigma = np.array([p.u_log for p in pairs]) * np.sqrt(shared)
+    sigma = np.array([p.u_log for p in pairs])
     weight = 1.0 / sigma**2
-    delta, normal = np.zeros(frames), prior
+    delta = np.zeros(frames)
     for _ in range(10):
         normal = design.T @ (weight[:, None] * design) + prior
         delta = np.linalg.solve(normal, design.T @ (weight * observed))
         pull = np.abs(observed - design @ delta) / sigma if pairs else np.zeros(0)
         weight = 1.0 / sigma**2 * np.minimum(1.0, 2.5 / np.maximum(pull, 1e-12))
-    covariance = np.asarray(np.linalg.inv(normal), np.float64)
+    shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])  # one short frame's noise is in them all
+    known = design.T @ ((weight / shared)[:, None] * design) if pairs else 0.0
+    covariance = np.asarray(np.linalg.inv(known + prior), np.float64)
     return RatioFit(np.exp(delta), covariance, tuple(pairs))
