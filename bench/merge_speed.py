@@ -83,9 +83,12 @@ def _scaling(files: list[Path], p: CameraProfile, brackets: int = 6) -> tuple[fl
     """Wall seconds of several brackets by one and by two workers, matrices built before. [s]"""
     import multiprocessing
 
+    import cv2
+
     walls = []
     for workers in (1, 2):
-        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
             list(pool.map(panorama, [files] * workers, [p] * workers))
             started = time.perf_counter()
             list(pool.map(panorama, [files] * brackets, [p] * brackets))

@@ -15,7 +15,7 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import Light
 from fieldlum.errors import InputError
-from fieldlum.merge import MergeResult, Shot, merge_frames
+from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor
 from fieldlum.merge.disc import take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
@@ -216,6 +216,15 @@ def test_the_order_of_frames_does_not_matter(bracket) -> None:  # property
     b = merge([shots[i] for i in np.random.default_rng(1).permutation(len(shots))], profile).panorama
     assert np.array_equal(a.luminance_cdm2, b.luminance_cdm2)
     assert np.array_equal(a.flags, b.flags)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("name", "headings"), [("sim-fisheye", (180.0,)), ("sim-dual-fisheye-jpeg", (None,))])
+def test_frames_that_are_read_again_give_the_same(bracket, name: str, headings: tuple) -> None:  # property
+    shots, profile = bracket(name, headings=headings)
+    shots = sorted_shots(shots, profile)
+    a, b = (merge_sensor(shots, profile, budget_bytes=n).merged for n in (600_000_000, 0))
+    assert np.array_equal(a.value_cdm2, b.value_cdm2) and np.array_equal(a.variance, b.variance)
+    assert np.array_equal(a.flags, b.flags)
 
 
 def test_a_turned_heading_turns_the_panorama(bracket) -> None:  # property: whole columns

@@ -113,7 +113,8 @@ def merge_sensor(
     shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
     tolerance = max(0.003, 3 * apart)
     frames = [lambda i=i: store[i] for i in range(len(shots))]
-    merged, dropped = merge_signals(frames, shape, u_ratio=tolerance, progress=progress), ()
+    merged = merge_signals(frames, shape, u_ratio=tolerance, resident=store.resident, progress=progress)
+    dropped: tuple[float, ...] = ()
     if drop_moved:
         over = over_mosaic if raw else over_colours
         merged, dropped = leave_out_moved(frames, merged, u_ratio=tolerance, over_picture=over)

@@ -9,7 +9,7 @@ dark.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,8 +123,7 @@ def _weigh(
                 off *= w
                 off /= signal.per_cdm2
                 sums.chi2[a:b] += off
-            counts *= w
-            sums.value[a:b] += counts
+            sums.value[a:b] += counts * w
             w *= signal.per_cdm2
             sums.information[a:b] += w
             if sums.unfiltered is not None and not signal.through_nd:
@@ -140,15 +139,21 @@ def merge_signals(
     passes: int = 2,
     u_ratio: float = 0.003,
     motion_sigma: float = 5.0,
+    resident: bool = False,
     progress: Progress = quiet,
 ) -> Merged:
     """Merge frames of one `shape`, given as loaders that are called once a pass, in the order given.
+
+    resident: all frames lie in memory, so that loading them again costs nothing: then the work goes strip by strip
+    through all passes and stays in a core's cache, with the same result; main memory is what cores wait for.
 
     Callers sort the frames, most exposed first, so that the order of files never matters. u_ratio is the relative
     disagreement between frames that is no motion. A pixel that saturates everywhere gets its lower bound and
     CLIPPED_HIGH; one that is only next to such a pixel gets the value of the most exposed frame that can be read there,
     and BLOOM.
     """
+    if resident:
+        return _merge_by_strips(frames, shape, passes, u_ratio, motion_sigma, progress)
     done, total = [0], len(frames) * (passes + 1)
 
     def tick() -> None:
@@ -164,6 +169,41 @@ def merge_signals(
         for a, b in _strips(shape):
             _settle(sums, value, variance, flags, slice(a, b), len(frames), u_ratio, motion_sigma, last)
     _fill_lost(frames, value, variance, flags)
+    return Merged(value, variance, flags)
+
+
+class _Rows:
+    """Some rows of a frame as a frame of its own, read once."""
+
+    def __init__(self, whole: Signal, first: int, last: int) -> None:
+        self._whole, self._strip = whole, whole.strip(first, last)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._whole, name)
+
+    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+        counts, full = self._strip
+        return counts[first:last], None if full is None else full[first:last]
+
+
+def _merge_by_strips(
+    frames: Sequence[Callable[[], Signal]],
+    shape: tuple[int, ...],
+    passes: int,
+    u_ratio: float,
+    motion_sigma: float,
+    progress: Progress,
+) -> Merged:
+    signals, strips = [load() for load in frames], list(_strips(shape))
+    value, variance, flags = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    for number, (a, b) in enumerate(strips, start=1):
+        rows: list[Any] = [_Rows(signal, a, b) for signal in signals]
+        part = merge_signals(
+            [lambda r=r: r for r in rows], (b - a, *shape[1:]), passes=passes, u_ratio=u_ratio,
+            motion_sigma=motion_sigma,
+        )  # fmt: skip
+        value[a:b], variance[a:b], flags[a:b] = part.value_cdm2, part.variance, part.flags
+        progress(number, len(strips), "strips")
     return Merged(value, variance, flags)
 
 

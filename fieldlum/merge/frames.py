@@ -355,6 +355,11 @@ class FrameStore:
     def __len__(self) -> int:
         return len(self._loaders)
 
+    @property
+    def resident(self) -> bool:
+        """Whether every frame was read and kept."""
+        return len(self._kept) == len(self)
+
     def correct(self, factors: NDArray[np.floating]) -> None:
         """Multiply the frames' assumed exposures, now and for all later reads."""
         self._scale = self._scale * factors

@@ -178,8 +178,11 @@ def _sun_table(sun: SunSource | None) -> dict[str, Any] | None:
 # ---------------------------------------------------------------------------------------------- many brackets
 
 
-def _die_with_parent() -> None:
-    """In a worker: end when the parent is killed, instead of waiting for work for ever."""
+def _start_worker() -> None:
+    """One thread a worker (OpenCV would take every core); end when the parent is killed, not wait for work for ever."""
+    import cv2
+
+    cv2.setNumThreads(1)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
@@ -191,7 +194,7 @@ def _merged(jobs: list[_Job], workers: int, progress: Progress) -> Iterator[Verd
             yield merge_slot(job)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_die_with_parent) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker) as pool:
         for future in as_completed([pool.submit(merge_slot, job) for job in jobs]):
             yield future.result()
 
