@@ -12,12 +12,11 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
-from fieldlum.models.transport.checks import north_scan, odd_captures
+from fieldlum.models.transport.checks import odd_captures
 from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.scene import sun_patches
 from fieldlum.sky import reinhart_patches
 
 SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
@@ -191,18 +190,6 @@ def test_property_room_physics_is_linear_used_and_survives_saving(tmp_path: Path
 
 
 # ---------------------------------------------------------------------------------------------- checks
-
-
-def test_analytic_north_is_found_from_the_captures() -> None:
-    true = toy([60, 100, 250, 300])
-    setup = replace(SETUP, room=ROOM)
-    sunlit = sun_patches(ROOM, setup, true.light.sun_direction, true.light.direct_lx, height=HEIGHT, heading_deg=180.0)
-    maps = true.light.total_lx[:, None, None] * 0.01 + sunlit.luminance_cdm2
-    stated = replace(true.light, sun_azimuth_deg=true.light.sun_azimuth_deg + 3.0)
-    data = replace(true, luminance_cdm2=maps.astype(np.float32), light=stated, setup=setup)
-    found = north_scan(data, (-3.0, 0.0, 3.0, 6.0))
-    assert found is not None and found.best_deg == pytest.approx(3.0, abs=1.0) and found.wrong
-    assert north_scan(replace(data, setup=SETUP)) is None
 
 
 def test_contract_a_capture_unlike_all_others_is_named() -> None:

@@ -24,6 +24,7 @@ from fieldlum.models.scores import Scores, evaluate, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.train import fit_timed, patch_mode
 from fieldlum.train.doubts import doubts
+from fieldlum.train.setting import settle
 
 FEWEST = 8  # hours on either side that a regime needs
 HEIGHT = 20  # regimes are made at full size, then every few pixels are kept: thirty fits in a minute or two
@@ -214,7 +215,8 @@ def run(
         fitted, spent = fit_timed(
             spec.name, train, patch=patch_mode(train, spec.patch), seed=case.seed, budget_s=budget_s
         )
-        warned = bool(doubts(fitted, train))
+        fitted, wrong = settle(fitted, case.train, patch_mode(train, spec.patch))
+        warned = bool(doubts(fitted, train) or wrong)
         row = _row(case, evaluate(fitted, truth(asked, glare=False)), spent.cpu_s, warned)
         normal.setdefault(case.name, row["log10_mse_weighted"])
         row["times_normal"] = row["log10_mse_weighted"] / normal[case.normal]

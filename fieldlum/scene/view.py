@@ -41,10 +41,18 @@ class View:
     sky: NDArray[np.float32]
     plain: NDArray[np.float32]
 
-    def sun_points(self) -> SunPoints:
+    def sun_points(self, pixels: NDArray[np.intp] | None = None) -> SunPoints:
+        """What takes the sun of all pixels, or of some flat `pixels` alone."""
         weight = self.weight * self.scene.reflectance[self.box] / np.pi
         count = 2 * self.height**2
-        return sun_points(self.scene, self.position, self.axis, self.sign, weight, self.pixel, count)
+        if pixels is None:
+            return sun_points(self.scene, self.position, self.axis, self.sign, weight, self.pixel, count)
+        place = np.full(count, -1)
+        place[pixels] = np.arange(len(pixels))
+        target = place[self.pixel]
+        of = target >= 0
+        parts = (self.position[of], self.axis[of], self.sign[of], weight[of], target[of])
+        return sun_points(self.scene, *parts, len(pixels))
 
 
 def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Array]:

@@ -22,6 +22,7 @@ from fieldlum.session import replacing
 from fieldlum.train.choice import Choice, Trial, choose
 from fieldlum.train.doubts import doubts
 from fieldlum.train.folds import MOST_FOLDS, Fold, day_folds, one_day_only
+from fieldlum.train.setting import settle
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -167,7 +168,8 @@ def fit_and_score(
     fitted, spent = fit_timed(
         choice.name, data, patch=patch, seed=seed, budget_s=(1.0 - FOLD_SHARE) * budget_s, progress=progress, **more
     )
-    notes = (*_notes(data, patch, model, trials), *left_out, *doubts(fitted, data))
+    fitted, warned = settle(fitted, data, patch, progress)
+    notes = (*_notes(data, patch, model, trials), *left_out, *doubts(fitted, data), *warned)
     return Result(fitted, tuple(trials), choice, spent.wall_s, notes)
 
 

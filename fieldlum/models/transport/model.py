@@ -29,7 +29,17 @@ from fieldlum.models.transport.recipe import (
     second_inverse,
     second_own,
 )
-from fieldlum.models.transport.trust import LOG10_E, Trust, calibrate, held_out_variance, log_sd, residual_noise
+from fieldlum.models.transport.trust import (
+    LOG10_E,
+    SLIP_MSE,
+    Trust,
+    calibrate,
+    experience,
+    held_out_variance,
+    log_sd,
+    residual_noise,
+    slip_variance,
+)
 from fieldlum.profiles import build, plain
 from fieldlum.records import Progress, Room, quiet
 
@@ -139,7 +149,22 @@ class Transport:
         sd = log_sd(total * scale / luminance, share, variance, doubt, noise, self.trust.patch)
         sd *= (LOG10_E * self.trust.factor(features.beam)).astype(np.float32)[:, None]
         expected = self.trust.mse * np.einsum("ij,ij,j->i", sd, sd, self._weights(), dtype=np.float64)
-        return surface, sd, expected, self.trust.trusted(variance)
+        trusted = self.trust.trusted(variance)
+        if self.patchwork is None and self.held_out_mse is not None:
+            known = self.train_light, self.train.beam, self.held_out_mse
+            expected = experience(light, features.beam, *known, expected)
+        if patch is not None and self.trust.slip_deg > 0.0:
+            gain = np.float32(self.patch_scale) * pixels.patch_gain.astype(np.float32)
+            dark = np.maximum(luminance * (1.0 - share), np.float32(LEAST_CDM2))
+            slip_px = self.trust.slip_deg * self.shape[0] / 180.0
+            slip = np.float32(LOG10_E**2) * slip_variance(patch, self.seen, gain, dark, slip_px)
+            off = (slip @ self._weights()).astype(float)
+            sd, expected, trusted = np.sqrt(sd**2 + slip), expected + off, trusted & (off < SLIP_MSE)
+        return surface, sd, expected, trusted
+
+    def doubting(self, slip_deg: float) -> Transport:
+        """The same model, told that its sun patches lie so far beside the captured ones."""
+        return replace(self, trust=replace(self.trust, slip_deg=slip_deg))
 
     def _second(self, light: Light, features: Features) -> NDArray[np.float32]:
         width = self.recipe.second
@@ -164,7 +189,7 @@ class Transport:
                 "patch_scale": self.patch_scale,
                 "room": None if self.physics is None else plain(self.physics.room),
                 "patchwork": None if self.patchwork is None else asdict(self.patchwork),
-                "trust": {name: getattr(self.trust, name) for name in ("novelty", "patch", "mse")},
+                "trust": {name: getattr(self.trust, name) for name in ("novelty", "patch", "mse", "slip_deg")},
                 "tried": list(self.table),
             },
         }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.light import Light
 from fieldlum.models.transport.material import LEAST_CDM2, Material
 from fieldlum.models.transport.recipe import FLOOR_CDM2, SECOND_SEASON, HeldOut
 
@@ -17,6 +19,9 @@ LOG10_E = float(np.log10(np.e))
 NORMAL_90 = 1.6449  # 90 % of a normal distribution lie within so many standard deviations
 CLASSES = (0.05, 0.5)  # the sun's share of the light that parts overcast, intermediate and clear hours
 LEAST_SD = 1e-4
+MOST_SD = 2.3  # a factor of ten, in ln L: more says nothing, and a single such pixel would rule the mean of an hour
+NEAR_SUN, NEAR_BEAM, FEW = 0.2, 0.1, 0.1  # hours alike: chord of the sun's direction, its share; weight of the guess
+SLIP_MSE = 0.01  # log10: an hour that a shift of its sun patch would put off by over a quarter is not trusted
 NOVEL = 1.5  # an hour may be so much further from the captures than a held-out day was, and still be trusted
 
 
@@ -34,7 +39,8 @@ def held_out_variance(covariance: Array, noise: float, days: NDArray) -> Array:
 class Trust:
     """inverse [n, n] of (K + noise); novelty that a held-out day had at most; factors on the standard deviation in
     overcast, intermediate and clear hours [3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out error
-    to its guess; second [n, n]: as inverse, of the second stage (n may be 0)."""
+    to its guess; second [n, n]: as inverse, of the second stage (n may be 0); slip_deg: how far the computed sun
+    patches lie beside the captured ones, where the captures say so (`setting`)."""
 
     inverse: Array
     novelty: float
@@ -42,6 +48,7 @@ class Trust:
     patch: float
     mse: float
     second: Array
+    slip_deg: float = 0.0
 
     def variance(self, cross: Array, own: Array) -> Array:
         """Predictive variance of hours with covariance `cross` [m, n] to the captures and `own` [m] prior variance."""
@@ -64,6 +71,40 @@ class Trust:
         return np.interp(beam, (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2), self.factors)
 
 
+def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
+    """Least and most of sun patches [n, H, W] within `slip_px` of each pixel (one at least), and how likely a pixel in
+    that range is on the other side of an edge which is off by so much: a straight edge has both its sides in it."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    reach = max(1, math.ceil(slip_px))
+    size = (1, 2 * reach + 1, 2 * reach + 1)
+    wide = np.pad(patch, ((0, 0), (0, 0), (reach, reach)), mode="wrap")
+    inner = (slice(None), slice(None), slice(reach, -reach))
+    low, high = minimum_filter(wide, size, mode="nearest"), maximum_filter(wide, size, mode="nearest")
+    return low[inner], high[inner], slip_px / (2.0 * reach)
+
+
+def slip_variance(
+    patch: NDArray[np.float32], seen: NDArray[np.bool_], gain: NDArray[np.float32], dark: NDArray[np.floating],
+    slip_px: float,
+) -> NDArray[np.floating]:  # fmt: skip
+    """Variance of ln L from sun patches [n, H, W] that may lie `slip_px` beside the true ones, [n, P].
+
+    dark [n, P]: luminance without the patch; gain [P] of the patch.
+    """
+    low, high, odds = edge_range(patch, slip_px)
+    span = np.log((dark + gain * high[:, seen]) / (dark + gain * low[:, seen]))
+    return np.float32(odds) * span**2
+
+
+def experience(light: Light, beam: Array, train: Light, train_beam: Array, held_out_mse: Array, guess: Array) -> Array:
+    """Mean held-out error of the captures with the sun near there and as strong, [m]; never under the `guess` [m],
+    which also stands where there is none such. beam, train_beam: the sun's share of the light."""
+    cosine = np.clip(light.sun_direction @ train.sun_direction.T, -1.0, 1.0)
+    near = np.exp((cosine - 1.0) / NEAR_SUN**2 - (beam[:, None] - train_beam) ** 2 / (2.0 * NEAR_BEAM**2))
+    return np.maximum((near @ held_out_mse + FEW * guess) / (near.sum(axis=1) + FEW), guess)
+
+
 def log_sd(
     surface_share: NDArray[np.floating],
     patch_share: NDArray[np.floating] | float,
@@ -81,7 +122,7 @@ def log_sd(
     total = surface_share**2 * variance.astype(kind)[:, None]
     total += noise[0] ** 2 + (doubt.astype(kind)[:, None] * noise[1]) ** 2
     total += (kind.type(patch_sd) * patch_share) ** 2
-    return np.sqrt(total)
+    return np.minimum(np.sqrt(total), kind.type(MOST_SD))
 
 
 def residual_noise(material: Material, fitted: NDArray[np.floating], doubt: Array) -> tuple[Array, Array]:

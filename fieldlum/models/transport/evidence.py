@@ -1,0 +1,176 @@
+"""Sunny captures beside computed sun patches: what stands where, for any setting of north, clock, room and camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.light import Kernel, facades_of
+from fieldlum.models.transport.material import LEAST_CDM2, material_of, patch_flux
+from fieldlum.models.transport.recipe import Recipe, basis_of, fit_pixels
+from fieldlum.projection import equirect_solid_angles
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+    from fieldlum.scene.points import SunPoints
+
+Array = NDArray[Any]
+
+HOURS = 48  # those with most direct sun in view
+LEAST_HOURS = 3
+FAINT = 0.02  # of the most direct sun in view: hours below it say little
+PIXELS = 4000
+SUB = 2  # rays a pixel is parted into, each way
+WITHOUT_PATCH = Recipe(1e-2, rounds=4, rank=40)  # robust rounds find the light below the patches
+WIDTH = 0.4  # log error at which a pixel counts as half wrong
+MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Sunny hours [n] at the pixels [m] that sun patches reach or pass by: captured light, the light without any patch,
+    the patches as given [n, H, W], and what it takes to make others."""
+
+    data: Dataset
+    rows: NDArray[np.intp]
+    pixels: NDArray[np.intp]
+    weights: Array
+    log_seen: Array
+    background: Array
+    groups: NDArray  # hours of one group stand or fall together
+    points: SunPoints | None  # at the pixels alone
+    everywhere: SunPoints | None  # at all pixels
+    rates: tuple[Array, Array]  # of the sun's altitude and azimuth, degrees a minute
+    gains: tuple[float, float]  # of the given and of the computed patches
+
+    def given(self, right_px: float = 0.0, down_px: float = 0.0) -> Array:
+        """The given patches, moved."""
+        assert self.data.patch_cdm2 is not None
+        return moved(self.data.patch_cdm2[self.rows], self.pixels, right_px, down_px)
+
+    def computed(self, turn_deg: float = 0.0, fast_min: float = 0.0, *, whole: bool = False) -> Array:
+        """The room's patches if it stood turned and the clock were fast, [n, m] (whole: [n, H, W])."""
+        points = self.everywhere if whole else self.points
+        assert points is not None
+        light = self.data.light[self.rows]
+        towards = sun.direction(
+            light.sun_altitude_deg - fast_min * self.rates[0],
+            light.sun_azimuth_deg - turn_deg - fast_min * self.rates[1],
+        )
+        maps = [points.direct(d) * e for d, e in zip(points.scene.to_room(towards), light.direct_lx, strict=True)]
+        return np.stack(maps).reshape(len(maps), *(self.data.shape if whole else (len(self.pixels),)))
+
+    def walled(self, turn_deg: float) -> Array:
+        """The room's patches if it alone stood turned: sun and camera stay, all it holds moves across the picture."""
+        right_px = turn_deg * self.data.shape[1] / 360.0
+        return moved(self.computed(turn_deg, whole=True), self.pixels, right_px, 0.0)
+
+    def light(self, patch: Array, gain: float) -> Array:
+        """ln L with a patch [n, m]."""
+        return np.log(self.background + gain * patch)
+
+    def misfit(self, patch: Array, gain: float) -> Array:
+        """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log errors that saturate, so
+        that a sunlit pixel taken for a dark one counts one and shades of grey count little."""
+        error = (self.light(patch, gain) - self.log_seen) ** 2
+        return (error / (error + WIDTH**2)) @ self.weights
+
+
+def moved(maps: NDArray[np.floating], pixels: NDArray[np.intp], right_px: float, down_px: float) -> Array:
+    """maps [n, H, W] moved right and down, linear between pixels, at flat `pixels`, [n, m]."""
+    height, width = maps.shape[1:]
+    row, column = np.divmod(pixels, width)
+    y, x = np.clip(row - down_px, 0.0, height - 1.0), column - right_px
+    i, j = np.floor(y).astype(int), np.floor(x).astype(int)
+    v, u = y - i, x - j
+    below = np.minimum(i + 1, height - 1)
+    upper = maps[:, i, j % width] * (1.0 - u) + maps[:, i, (j + 1) % width] * u
+    lower = maps[:, below, j % width] * (1.0 - u) + maps[:, below, (j + 1) % width] * u
+    return upper * (1.0 - v) + lower * v
+
+
+def evidence_of(data: Dataset) -> Evidence | None:
+    """None without patches or with fewer than three hours of direct sun in view."""
+    if data.patch_cdm2 is None:
+        return None
+    flux = patch_flux(data.patch_cdm2, ~data.seen)[0]
+    order = np.argsort(flux)[::-1][:HOURS]
+    rows = np.sort(order[flux[order] > FAINT * flux.max()])
+    if len(rows) < LEAST_HOURS:
+        return None
+    light, site = data.light[rows], data.setup.site
+    now, then = (sun.position([t + timedelta(minutes=m) for t in light.t_utc], site) for m in (-0.5, 0.5))
+    azimuth = (then.azimuth_deg - now.azimuth_deg + 180.0) % 360.0 - 180.0
+    days = data.days[rows]
+    parts = Evidence(
+        data, rows, np.empty(0, np.intp), np.empty(0), np.empty(0), np.empty(0),
+        days if len(np.unique(days)) >= LEAST_HOURS else np.arange(len(rows)),
+        None, None, (then.altitude_deg - now.altitude_deg, azimuth), (1.0, 1.0),
+    )  # fmt: skip
+    return _filled(parts, data)
+
+
+def _filled(parts: Evidence, data: Dataset) -> Evidence | None:
+    """Choose the pixels, and find the light without patches there."""
+    from scipy.ndimage import binary_dilation
+
+    room = data.setup.room
+    view = None
+    assert data.patch_cdm2 is not None
+    lit = (data.patch_cdm2[parts.rows] > 0.0).any(axis=0)
+    near = np.asarray(binary_dilation(lit, iterations=MOST_SHIFT_PX), bool)
+    if room is not None and room.kind == "box" and room.window:
+        from fieldlum.scene.view import look
+
+        view = look(room, data.shape[0], data.heading_deg, SUB)
+        parts = replace(parts, everywhere=view.sun_points())
+        for turn in (-MOST_TURN_DEG, 0.0, MOST_TURN_DEG):
+            near = near | (parts.computed(turn, whole=True) > 0.0).any(axis=0)
+    pixels = np.flatnonzero(near & data.seen)
+    if not len(pixels):
+        return None
+    weights = equirect_solid_angles(*data.shape).ravel()[pixels]
+    if len(pixels) > PIXELS:
+        drawn = np.random.default_rng(0).choice(len(pixels), PIXELS, replace=False, p=weights / weights.sum())
+        pixels, weights = np.sort(pixels[drawn]), np.ones(PIXELS)
+    points = None if view is None else view.sun_points(pixels)
+    seen, background = _without_patches(data, pixels)
+    background = background[parts.rows]
+    seen = seen[parts.rows]
+    parts = replace(
+        parts, pixels=pixels, weights=weights / weights.sum(), log_seen=np.log(seen), background=background,
+        points=points,
+    )  # fmt: skip
+    made = [parts.given(), parts.given() if points is None else parts.computed()]
+    given, computed = (_brightness(seen - background, patch) for patch in made)
+    return replace(parts, gains=(given, computed))
+
+
+def _without_patches(data: Dataset, pixels: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Captured light, and what robust rounds find below the patches without knowing them, [n, m] each."""
+    only = np.zeros(data.seen.size, bool)
+    only[pixels] = True
+    material = material_of(replace(data, seen=only.reshape(data.shape)), with_patch=False)
+    kernel = Kernel(facades_of(data.setup.room))
+    basis = basis_of(kernel(material.features, material.features), WITHOUT_PATCH.rank)
+    found = fit_pixels(material, basis, WITHOUT_PATCH)
+    surface = np.maximum(basis.values @ found.b.T, found.least) * material.light.total_lx[:, None] * found.scale
+    background = surface + found.sky_gain * material.sky
+    return np.maximum(material.luminance, LEAST_CDM2), np.maximum(background, LEAST_CDM2)
+
+
+def _brightness(excess: Array, patch: Array) -> float:
+    """The patches' gain wherever they lie: in each hour the brighter half of the pixels that a patch must fill, against
+    as many of the brightest pixels; the median over hours."""
+    ratios = []
+    for over, lit in zip(excess, patch, strict=True):
+        count = int((lit > 0.0).sum() + 1) // 2
+        if count >= 4:
+            ratios.append(np.sort(over)[-count:].mean() / np.sort(lit)[-count:].mean())
+    gain = float(np.median(ratios)) if ratios else 1.0
+    return gain if gain > 0.0 else 1.0

@@ -1,0 +1,238 @@
+"""What the captures say about their own setting: north, clock, and how camera and room stand, by where the sun falls.
+
+Sun patches have edges as sharp as the pixels. Where computed ones lie beside the captured ones, a sunlit pixel is
+predicted dark and a dark one sunlit, in every capture alike: held-out days show a poor fit, and not its cause. Here
+patches are computed anew for other settings, and the setting under which they cover the captured ones is looked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.models.transport.evidence import MOST_SHIFT_PX, MOST_TURN_DEG, Evidence, evidence_of
+from fieldlum.models.transport.trust import edge_range
+from fieldlum.records import Progress, quiet
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+Array = NDArray[Any]
+Amount = tuple[float, ...]
+
+TURNS_DEG = (MOST_TURN_DEG, 1.0, 0.125)  # reach, coarse and fine step
+MINUTES, SHIFTS_PX = (20.0, 4.0, 0.5), (float(MOST_SHIFT_PX), 1.0, 0.25)
+RESAMPLES = 200
+MOST_MOVES = 6
+SURE = 3.0  # standard errors that an amount must have
+LEAST_GAIN = 0.005  # share of the misfit that another setting must take away, and in most of the days
+ALIKE = 0.8  # a cause that takes away so much of what the best one does may be it as well
+BLUR_PX = 0.25  # patches moved by parts of a pixel are blurred, which draws the best amount to whole pixels
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one cause alone would explain: the amounts by which it is off, their standard errors over days, the misfit
+    that is left and that of the setting as stated, and by how many standard errors over days it is less."""
+
+    cause: str
+    amount: Amount
+    error: Amount
+    misfit: float
+    stated: float
+    sigmas: float
+
+    @property
+    def gain(self) -> float:
+        """Misfit taken away."""
+        return self.stated - self.misfit
+
+    @property
+    def sure(self) -> bool:
+        far = max(abs(a) / e for a, e in zip(self.amount, self.error, strict=True))
+        return far > SURE and self.gain > LEAST_GAIN * self.stated and self.sigmas > 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Findings, those that explain most first: "north" (deg: room and camera stand so much further clockwise than
+    stated), "clock" (min: the stated times are so much after the true ones), "north and clock" (both), "wall" (deg: the
+    room alone stands further clockwise), "camera" (px: patches must move right and down). misfit is the share of the
+    pixels near sun patches that are wrong, over `hours` sunny hours. alike: other causes that explain nearly as much
+    as the first. slip_deg: how far the patches lie beside the captured ones, seen from the camera; 0 when no cause is
+    sure: then the setting is right as far as the captures can tell.
+    """
+
+    findings: tuple[Finding, ...]
+    alike: tuple[Finding, ...]
+    slip_deg: float
+    hours: int
+
+    @property
+    def wrong(self) -> Finding | None:
+        """What explains most, when any cause is sure."""
+        return self.findings[0] if self.slip_deg > 0.0 else None
+
+
+# ---------------------------------------------------------------------------------------------- search
+
+
+class _Curve:
+    """Misfits [n] at amounts that have been tried."""
+
+    def __init__(self, misfit: Callable[..., Array]) -> None:
+        self.misfit = misfit
+        self.tried: dict[Amount, Array] = {}
+
+    def at(self, *amount: float) -> Array:
+        key = tuple(round(a, 6) for a in amount)
+        if key not in self.tried:
+            self.tried[key] = self.misfit(*key)
+        return self.tried[key]
+
+    def best(self) -> Amount:
+        return min(self.tried, key=lambda key: float(self.tried[key].mean()))
+
+
+def _along(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
+    """Coarse steps over the whole reach, then fine ones from the best to its neighbours."""
+    for amount in np.arange(-reach, reach + coarse / 2, coarse):
+        curve.at(float(amount))
+    middle = curve.best()[0]
+    for amount in np.arange(-coarse, coarse + fine / 2, fine):
+        curve.at(middle + float(amount))
+
+
+def _across(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
+    """As `_along` in two directions."""
+    steps = np.arange(-reach, reach + coarse / 2, coarse)
+    for a in steps:
+        for b in steps:
+            curve.at(float(a), float(b))
+    right, down = curve.best()
+    near = np.arange(-coarse, coarse + fine / 2, fine)
+    for a in near:
+        curve.at(right + float(a), down)
+    right = curve.best()[0]
+    for b in near:
+        curve.at(right, down + float(b))
+
+
+def _jointly(curve: _Curve, start: Amount) -> None:
+    """Turn and clock together: from `start` to the best neighbour, in ever smaller steps."""
+    at = start
+    curve.at(*at)
+    for halving in (4.0, 2.0, 1.0):
+        for _ in range(MOST_MOVES):
+            a, b = halving * TURNS_DEG[2], halving * MINUTES[2]
+            for i in (-1, 0, 1):
+                for j in (-1, 0, 1):
+                    curve.at(at[0] + i * a, at[1] + j * b)
+            if curve.best() == tuple(round(x, 6) for x in at):
+                break
+            at = curve.best()
+
+
+def _spread(curve: _Curve, groups: NDArray) -> Amount:
+    """Standard errors of the best amount among those tried: whole groups drawn again with replacement."""
+    amounts = np.array(list(curve.tried))
+    losses = np.array(list(curve.tried.values()))
+    unique, which = np.unique(groups, return_inverse=True)
+    sums = np.stack([losses[:, which == g].sum(axis=1) for g in range(len(unique))], axis=1)
+    rng = np.random.default_rng(0)
+    drawn = rng.multinomial(len(unique), np.full(len(unique), 1.0 / len(unique)), RESAMPLES)
+    best = amounts[np.argmin(sums @ drawn.T, axis=0)]
+    return tuple(float(s) for s in best.std(axis=0))
+
+
+def _sigmas(gain: Array, groups: NDArray) -> float:
+    """Mean of `gain` [n] over its standard error, groups being what is independent."""
+    sums = np.array([gain[groups == g].sum() for g in np.unique(groups)])
+    spread = float(sums.std(ddof=1)) * np.sqrt(len(sums))
+    return float(sums.sum() / spread) if spread > 0.0 else 0.0
+
+
+def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
+    """Which setting makes the computed sun patches cover the captured ones.
+
+    Needs patches; north, clock and wall need a box room too. None where too few hours have direct sun in view.
+    """
+    progress(0, 100, "setting: light without patches")
+    found = evidence_of(data)
+    if found is None:
+        return None
+    makers: dict[str, Callable[..., Array]] = {"camera": found.given}
+    if found.points is not None:
+        makers |= {
+            "north": found.computed,
+            "clock": lambda fast_min: found.computed(0.0, fast_min),
+            "wall": found.walled,
+            "north and clock": found.computed,
+        }
+    curves = {cause: _Curve(_misfit(found, cause, make)) for cause, make in makers.items()}
+    pixel_deg = 360.0 / data.shape[1]
+    findings: list[Finding] = []
+    for k, (cause, curve) in enumerate(curves.items()):
+        progress(30 + 14 * k, 100, f"setting: {cause}")
+        if cause == "north and clock":
+            single = max((f for f in findings if f.cause in ("north", "clock")), key=lambda f: f.gain)
+            if not single.sure:
+                continue
+            _jointly(curve, (single.amount[0], 0.0) if single.cause == "north" else (0.0, single.amount[0]))
+            steps = TURNS_DEG[2], MINUTES[2]
+        elif cause == "camera":
+            _across(curve, *SHIFTS_PX)
+            steps = BLUR_PX, BLUR_PX
+        else:
+            _along(curve, *(MINUTES if cause == "clock" else TURNS_DEG))
+            steps = {"clock": (MINUTES[2] / 2,), "wall": (BLUR_PX * pixel_deg,)}.get(cause, (TURNS_DEG[2] / 2,))
+        findings.append(_finding(cause, curve, found.groups, steps))
+    findings = _ranked(findings)
+    if not any(f.sure for f in findings):
+        return Setting(tuple(findings), (), 0.0, len(found.rows))
+    first = findings[0]
+    slip = _slip_deg(found, first.cause, makers[first.cause](*first.amount))
+    alike = tuple(f for f in findings[1:] if f.gain > ALIKE * first.gain)
+    return Setting(tuple(findings), alike, slip, len(found.rows))
+
+
+def _misfit(found: Evidence, cause: str, make: Callable[..., Array]) -> Callable[..., Array]:
+    gain = found.gains[0 if cause == "camera" else 1]
+    return lambda *amount: found.misfit(make(*amount), gain)
+
+
+def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) -> Finding:
+    best = curve.best()
+    misfit, stated = curve.at(*best), curve.at(*(0.0,) * len(best))
+    error = tuple(float(np.hypot(s, e)) for s, e in zip(_spread(curve, groups), least_error, strict=True))
+    return Finding(cause, best, error, float(misfit.mean()), float(stated.mean()), _sigmas(stated - misfit, groups))
+
+
+def _ranked(findings: list[Finding]) -> list[Finding]:
+    """By what they take away, the most first; two causes at once must each be sure and do better by far."""
+    single = [f for f in findings if f.cause != "north and clock"]
+    most = max(f.gain for f in single)
+    both = [
+        f for f in findings
+        if f not in single and ALIKE * f.gain > most
+        and min(abs(a) / e for a, e in zip(f.amount, f.error, strict=True)) > SURE
+    ]  # fmt: skip
+    return sorted(single + both, key=lambda f: -f.gain)
+
+
+def _slip_deg(found: Evidence, cause: str, best: Array) -> float:
+    """The shift across edges whose expected square equals that between the patches as stated and at best."""
+    camera = cause == "camera"
+    assert found.data.patch_cdm2 is not None
+    maps = found.data.patch_cdm2[found.rows] if camera else found.computed(whole=True)
+    gain = found.gains[0 if camera else 1]
+    low, high, _ = edge_range(maps, 1.0)
+    flat = [part.reshape(len(part), -1)[:, found.pixels] for part in (maps, low, high)]
+    stated, darkest, brightest = (found.light(part, gain) for part in flat)
+    change = ((found.light(best, gain) - stated) ** 2).sum()
+    span = ((brightest - darkest) ** 2).sum()
+    return float(2.0 * change / max(span, 1e-12) * 180.0 / found.data.shape[0])

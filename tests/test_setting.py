@@ -1,0 +1,170 @@
+"""North, clock and camera from the captures: found when off, quiet when right, and the doubt that follows."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from typing import cast
+
+import numpy as np
+import pytest
+
+from fieldlum import sun
+from fieldlum.light import light_at
+from fieldlum.models import Fitted
+from fieldlum.models.data import Dataset
+from fieldlum.models.transport import fit
+from fieldlum.models.transport.evidence import moved
+from fieldlum.models.transport.setting import Finding, Setting, setting_scan
+from fieldlum.models.transport.trust import edge_range, experience, slip_variance
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.scene import sun_patches
+from fieldlum.train.setting import settle, warnings_of
+
+SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+ROOM = Room(width_m=5.0, depth_m=6.0, height_m=3.0, camera_x_m=2.5, camera_y_m=3.0,
+            window=(Window("south", 0.5, 4.0, 0.6, 2.1),))  # fmt: skip
+SETUP = SiteFile(SITE, CameraSetup(heading_deg=180.0), ROOM)
+HEIGHT = 30
+
+
+def with_patches(data: Dataset) -> Dataset:
+    """Patches for the sun that is believed in."""
+    light = data.light
+    made = sun_patches(ROOM, SETUP, light.sun_direction, light.direct_lx, height=HEIGHT)
+    return replace(data, patch_cdm2=made.luminance_cdm2)
+
+
+@cache
+def captured() -> Dataset:
+    """Six clear days; walls that follow the light and the patches of the room itself."""
+    start = datetime(2027, 1, 1, 17, 0, tzinfo=UTC)
+    times = [start + timedelta(days=d, hours=h) for d in (20, 50, 75, 260, 290, 330) for h in range(7)]
+    n = len(times)
+    light = light_at(times, SITE, np.where(np.arange(n) % 5 == 0, 0.0, 700.0), np.full(n, 120.0))
+    light = light[light.sun_altitude_deg > 3.0]
+    n = len(light)
+    data = Dataset(
+        light, np.empty((n, HEIGHT, 2 * HEIGHT), np.float32), None, np.zeros(n), 180.0,
+        np.array([sun.standard_date(t, SITE.timezone) for t in light.t_utc], "datetime64[D]"),
+        tuple(slot_id(t) for t in light.t_utc), SETUP, np.ones((HEIGHT, 2 * HEIGHT), bool), np.zeros(n),
+    )  # fmt: skip
+    data = with_patches(data)
+    assert data.patch_cdm2 is not None
+    walls = light.diffuse_lx * 0.01 + light.direct_lx * 0.003 * np.maximum(-light.sun_direction[:, 1], 0.0)
+    return replace(data, luminance_cdm2=(walls[:, None, None] + data.patch_cdm2).astype(np.float32))
+
+
+def stated_otherwise(turn_deg: float = 0.0, fast_min: float = 0.0) -> Dataset:
+    data = captured()
+    light = data.light
+    now, then = (sun.position([t + timedelta(minutes=m) for t in light.t_utc], SITE) for m in (0.0, fast_min))
+    other = replace(
+        light, sun_altitude_deg=light.sun_altitude_deg + then.altitude_deg - now.altitude_deg,
+        sun_azimuth_deg=light.sun_azimuth_deg + turn_deg + then.azimuth_deg - now.azimuth_deg,
+    )  # fmt: skip
+    return with_patches(replace(data, light=other))
+
+
+def found_in(data: Dataset) -> Setting:
+    found = setting_scan(data)
+    assert found is not None
+    return found
+
+
+# ---------------------------------------------------------------------------------------------- the scan
+
+
+def test_analytic_a_right_setting_raises_no_alarm() -> None:
+    found = found_in(captured())
+    assert found.wrong is None and found.slip_deg == 0.0
+    assert settle(FITTED, captured(), "absolute") == (FITTED, [])
+
+
+@pytest.mark.parametrize("turn_deg", [-1.5])
+def test_analytic_north_is_found(turn_deg: float) -> None:
+    found = found_in(stated_otherwise(turn_deg))
+    assert found.wrong is not None and found.wrong.cause == "north"
+    assert found.wrong.amount[0] == pytest.approx(turn_deg, abs=0.2)
+
+
+def test_analytic_a_clock_is_told_from_north() -> None:
+    found = found_in(stated_otherwise(fast_min=15.0))
+    assert found.wrong is not None and found.wrong.cause == "clock"
+    assert found.wrong.amount[0] == pytest.approx(15.0, abs=1.0)
+
+
+def test_analytic_moved_patches_and_unknown_gain() -> None:
+    data = captured()
+    assert data.patch_cdm2 is not None
+    found = found_in(replace(data, patch_cdm2=3.0 * np.roll(data.patch_cdm2, 2, axis=2)))
+    assert found.wrong is not None and found.wrong.cause == "camera"
+    assert found.wrong.amount == pytest.approx((-2.0, 0.0), abs=0.3)
+    assert 0.5 < found.slip_deg * HEIGHT / 180.0 < 3.0
+
+
+def test_contract_nothing_to_scan() -> None:
+    assert setting_scan(replace(captured(), patch_cdm2=None)) is None
+    dull = captured().take(captured().light.dni_wm2 == 0.0)
+    assert setting_scan(dull) is None
+    no_room = found_in(replace(captured(), setup=replace(SETUP, room=None)))
+    assert [f.cause for f in no_room.findings] == ["camera"]
+
+
+# ---------------------------------------------------------------------------------------------- the doubt
+
+FITTED = cast(Fitted, fit(captured()))
+
+
+def test_property_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
+    data = stated_otherwise(2.0)
+    model = fit(data)
+    doubting, said = settle(cast(Fitted, model), data, "absolute")
+    assert said[0].startswith("WARNING") and "north is off by +2." in said[0]
+    assert "wall_azimuth_deg = 182." in said[1] and "heading_deg = 182." in said[1]
+    plain = model.predict(data.light, data.patch_cdm2)
+    wide = doubting.predict(data.light, data.patch_cdm2)
+    assert np.array_equal(plain.luminance_cdm2, wide.luminance_cdm2)
+    sunny = data.light.dni_wm2 > 0.0
+    assert (wide.expected_mse[sunny] > plain.expected_mse[sunny]).mean() > 0.8
+    assert np.allclose(wide.expected_mse[~sunny], plain.expected_mse[~sunny])
+    assert settle(FITTED, captured(), "none") == (FITTED, [])
+
+
+def test_analytic_slip_of_a_straight_edge() -> None:
+    patch = np.zeros((1, 6, 12), np.float32)
+    patch[:, :, 6:9] = 90.0
+    seen, gain = np.ones((6, 12), bool), np.ones(72, np.float32)
+    dark = np.full((1, 72), 10.0)
+    found = slip_variance(patch, seen, gain, dark, 0.5).reshape(6, 12)
+    per_edge = found[3, :8].sum()  # a shift by half a pixel changes half a pixel along the edge, by ln 10 squared
+    assert per_edge == pytest.approx(0.5 * np.log(10.0) ** 2)
+    wrapped = np.roll(patch, 5, axis=2)  # across the seam
+    low, high, odds = edge_range(wrapped, 2.0)
+    assert odds == 0.5 and high[0, 3, 10] == 90.0 and low[0, 3, 11] == 0.0 and high[0, 3, 3] == 90.0
+
+
+def test_property_experience_of_like_suns_raises_the_expectation() -> None:
+    light = captured().light
+    beam = light.direct_lx / light.total_lx
+    held = np.where(beam > 0.3, 0.02, 1e-4)
+    found = experience(light, beam, light, beam, held, np.full(len(beam), 1e-3))
+    assert (found[beam > 0.3] > 0.015).all() and np.allclose(found[beam == 0.0], 1e-3)
+    nowhere = experience(light[:1], np.array([-9.0]), light, beam, held, np.array([3e-3]))
+    assert nowhere == pytest.approx([3e-3])
+
+
+def test_analytic_moved_by_whole_and_half_pixels() -> None:
+    maps = np.random.default_rng(0).random((2, 5, 10))
+    every = np.arange(50)
+    assert np.allclose(moved(maps, every, 3.0, 0.0).reshape(maps.shape), np.roll(maps, 3, axis=2))
+    half = moved(maps, every, 0.0, 0.5).reshape(maps.shape)
+    assert np.allclose(half[:, 1:], (maps[:, 1:] + maps[:, :-1]) / 2)
+
+
+@pytest.mark.parametrize("cause", ["north", "clock", "north and clock", "wall", "camera"])
+def test_contract_every_cause_has_words_and_a_remedy(cause: str) -> None:
+    amount = (1.0, 2.0) if cause in ("camera", "north and clock") else (1.0,)
+    finding = Finding(cause, amount, (0.1,) * len(amount), 0.02, 0.04, 5.0)
+    lines = warnings_of(Setting((finding,), (), 0.5, 40), SETUP, 4.5)
+    assert len(lines) == 2 and lines[0].startswith("WARNING") and lines[1].startswith("to mend")
+    assert warnings_of(Setting((finding,), (), 0.0, 40), SETUP, 4.5) == []
