@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import (
     Crop,
     FrameStore,
-    good_pixels,
     lens_crop,
     load_jpeg,
     load_raw,
@@ -138,7 +138,7 @@ def look_through(
         part = merge_sensor(list(group), profile, fit=fit, drop_moved=drop_moved, progress=progress)
         parts.append(part)
         turn = 0.0 if heading is None else heading - heading_deg
-        good = good_pixels(profile, part.crop)
+        good = good_pixels(profile, part.crop, part.merged.flags)
         sensor = SensorMap(part.merged, part.crop, turn, part.shots[0].exposure.f_number, part.u_curve, good)
         views += [view_through(sensor, lens, profile, target) for lens in profile.lens]
     return parts, views

@@ -55,18 +55,6 @@ def lens_crop(profile: CameraProfile) -> Crop:
     return Crop(top, left, bottom - top, right - left)
 
 
-def good_pixels(profile: CameraProfile, crop: Crop) -> NDArray[np.bool_] | None:
-    """False at the profile's bad pixels, [height, width] of the crop; None when there are none."""
-    places = [(x - crop.left, y - crop.top) for x, y in profile.sensor.bad_px]
-    inside = [(x, y) for x, y in places if 0 <= x < crop.width and 0 <= y < crop.height]
-    if not inside:
-        return None
-    good = np.ones((crop.height, crop.width), bool)
-    for x, y in inside:
-        good[y, x] = False
-    return good
-
-
 # ---------------------------------------------------------------------------------------------- which frames
 
 

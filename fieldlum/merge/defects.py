@@ -1,0 +1,41 @@
+"""Pixels of the sensor that are not used: those that the profile lists, and those that contradict themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.merge.frames import Crop
+from fieldlum.profiles import CameraProfile
+from fieldlum.records import Flag
+
+
+def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
+    """False at the profile's bad pixels and, of a mosaic, at `odd_pixels`; [height, width] of the crop.
+
+    flags: of the merge, in the frames' shape. None when every pixel is good.
+    """
+    places = [(y - crop.top, x - crop.left) for x, y in profile.sensor.bad_px]
+    inside = [(y, x) for y, x in places if 0 <= x < crop.width and 0 <= y < crop.height]
+    bad = np.array(inside, np.intp).reshape(-1, 2)
+    if profile.camera.kind == "raw":
+        bad = np.concatenate((bad, odd_pixels(flags.reshape(crop.height, crop.width))))
+    if not len(bad):
+        return None
+    good = np.ones((crop.height, crop.width), bool)
+    good[bad[:, 0], bad[:, 1]] = False
+    return good
+
+
+def odd_pixels(flags: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Row and column of pixels of a mosaic [h, w] whose frames contradict each other (MOTION) while those of all eight
+    neighbours of their colour agree: stuck pixels, and noise; what moves is larger. [n, 2]"""
+    import cv2
+
+    found = [np.empty((0, 2), np.intp)]
+    for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        moved = ((flags[row::2, column::2] & Flag.MOTION) > 0).view(np.uint8)
+        if moved.any():
+            around = cv2.boxFilter(moved, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            found.append(2 * np.argwhere((moved > 0) & (np.asarray(around) == 1)) + (row, column))
+    return np.concatenate(found)
