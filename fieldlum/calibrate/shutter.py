@@ -29,6 +29,7 @@ LEAST = 5  # brackets that must show a pair of times
 WIDEST = 0.02  # relative spread of a pair over brackets: beyond it light or shutter wandered
 _NOISY = 0.01  # relative u of one bracket's pair: what is known worse is left out
 _FLOOR = 2e-4  # of a time's u
+_LINEAR = 5e-4  # of a pair's ratio, however many brackets: linearity of the sensor
 _SAME = 0.02  # times nearer than this are one setting of the dial
 
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
@@ -148,7 +149,7 @@ def _pair_table(pair: Pair, values: NDArray[np.float64]) -> PairTable:
     n, median = len(values), float(np.median(values[:, 0]))
     apart = 1.4826 * float(np.median(np.abs(values[:, 0] - median)))
     noise = float(np.median(values[:, 1]))
-    error = 1.2533 * max(apart, noise) / np.sqrt(n)
+    error = np.hypot(1.2533 * max(apart, noise) / np.sqrt(n), _LINEAR)
     spread, seconds = float(np.sqrt(max(apart**2 - noise**2, 0.0))), float(np.median(values[:, 2]))
     return PairTable(pair, median, spread, float(error), n, seconds)
 
@@ -245,7 +246,7 @@ def _levelled(
     design = np.zeros((len(chain), len(nominal)))
     for row, table in enumerate(chain):
         design[row, nominal.index(table.pair[0])], design[row, nominal.index(table.pair[1])] = -1.0, 1.0
-    weight = 1.0 / np.array([max(t.error, _FLOOR / 2) for t in chain]) ** 2
+    weight = 1.0 / np.array([t.error for t in chain]) ** 2
     normal = design.T @ (weight[:, None] * design) + np.diag(u_prior**-2.0)
     known = np.array([(t.median, t.seconds) for t in chain])
     delta, seconds = np.linalg.solve(normal, design.T @ (weight[:, None] * known)).T
