@@ -197,6 +197,7 @@ class Kernel:
     constant: float = 1.0  # a room that follows the total light; the sun as a whole; the sun on the ground
     sky: float = 2.0
     beam_width: float = 0.5
+    facade: float = 1.0  # sun on the facades, smooth in its direction
     flux_width: float = 0.8
     cells: float = 0.5
     around: float = 0.0  # sun reflected by upright surfaces that may face any way
@@ -208,7 +209,8 @@ class Kernel:
         beam = np.outer(a.beam, b.beam)
         k = self.constant * (1.0 + beam + np.outer(_ground(a), _ground(b)))
         k += self.sky * (a.sky @ b.sky.T)
-        k += _facade(a, self.facades) @ _facade(b, self.facades).T * np.exp((cosine - 1.0) / self.beam_width**2)
+        on = _facade(a, self.facades) @ _facade(b, self.facades).T
+        k += self.facade * on * np.exp((cosine - 1.0) / self.beam_width**2)
         if self.around:
             k += self.around * beam * _upright(a.direction, b.direction)
         if a.flux is not None and b.flux is not None:
@@ -224,7 +226,7 @@ class Kernel:
         """Prior variance of each hour, [len(a)]."""
         k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
         k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
-        k += (_facade(a, self.facades) ** 2).sum(axis=1)
+        k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
         if self.around:
             k += self.around * a.beam**2 * (a.direction[:, :2] ** 2).sum(axis=1)
         if a.flux is not None:

@@ -15,6 +15,7 @@ from fieldlum.models import Patch, Prediction
 from fieldlum.models.transport.material import LEAST_CDM2, Material, OpenSky, Patchwork, material_of
 from fieldlum.models.transport.physics import Physics, physics_of
 from fieldlum.models.transport.recipe import (
+    RANK,
     SECOND_NOISE,
     Basis,
     HeldOut,
@@ -52,7 +53,7 @@ NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the others: take no less noise than this
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 SAMPLE = 600  # pixels that choose the recipe, drawn by solid angle
-CHOOSING_RANK = 40
+BESIDE_ROOM = (0.3, 0.03)  # weight of the facade term beside a room model, which knows when the sun is hidden
 HOURS_AT_ONCE = 64
 LEAST_HOURS = 3
 PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece")
@@ -304,23 +305,55 @@ def fit(
     physics = physics_of(data.setup, data.light)
     progress(10, 100, "choosing by held-out days")
     drawn = _sample(material, seed)
-    covariance = kernel(material.features, material.features)
-    recipe, held, table = choose(drawn, basis_of(covariance, CHOOSING_RANK), recipes)
-    if physics is not None:
-        features = replace(material.features, bounced=physics.features(data.light))
-        with_room = kernel(features, features)
-        second = choose(drawn, basis_of(with_room, CHOOSING_RANK), recipes)
-        table = [*table, *second[2]]
-        worse = second[1].per_hour - held.per_hour
-        if worse.mean() <= day_standard_error(worse, data.days):
-            material, covariance = replace(material, features=features), with_room
-            recipe, held = second[:2]
-        else:
-            physics = None
+    chosen = _choose_kernel(drawn, kernel, recipes, None if physics is None else physics.features(data.light))
+    if chosen.features.bounced is None:
+        physics = None
+    material, covariance = replace(material, features=chosen.features), chosen.covariance
+    kernel, recipe, held, table = chosen.kernel, chosen.recipe, chosen.held, chosen.table
     basis = basis_of(covariance, recipe.rank)
     pixels = fit_pixels(material, basis, recipe, lambda done, total: progress(20 + 70 * done // total, 100, "fitting"))
     progress(90, 100, "calibrating uncertainty")
     return _finish(data, material, kernel, covariance, basis, recipe, pixels, held, drawn, scale, table, seed, physics)
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """What held-out days chose: the kernel, what it looks at, the recipe; table of all that was tried."""
+
+    kernel: Kernel
+    features: Features
+    covariance: Array
+    recipe: Recipe
+    held: HeldOut
+    table: list[tuple[Recipe, float, float]]
+
+
+def _choose_kernel(
+    drawn: Material, kernel: Kernel, recipes: list[Recipe], bounced: NDArray[np.float32] | None
+) -> _Chosen:
+    """The kernel and recipe that serve held-out days best, asked of some pixels.
+
+    A room model (its features `bounced`) stays unless it makes them worse by more than a standard error. Beside it the
+    facade term counts less; next to nothing where that makes them better by more than a standard error.
+    """
+
+    def tried(kernel: Kernel, features: Features) -> _Chosen:
+        covariance = kernel(features, features)
+        recipe, held, table = choose(drawn, basis_of(covariance, RANK), recipes)
+        return _Chosen(kernel, features, covariance, recipe, held, table)
+
+    best = tried(kernel, drawn.features)
+    table = best.table
+    if bounced is not None:
+        features = replace(drawn.features, bounced=bounced)
+        for facade, errors in zip(BESIDE_ROOM, (-1.0, 1.0), strict=True):
+            other = tried(replace(kernel, facade=facade), features)
+            table = [*table, *other.table]
+            gain = best.held.per_hour - other.held.per_hour
+            if gain.mean() < errors * day_standard_error(gain, drawn.days):
+                break
+            best = other
+    return replace(best, table=table)
 
 
 def _sample(material: Material, seed: int) -> Material:

@@ -21,7 +21,7 @@ from fieldlum.models.transport.solve import (
 
 Array = NDArray[Any]
 
-RANK = 60
+RANK = 100
 FLOOR_CDM2 = 1.0  # scores look no deeper (the paper's floor)
 SKY_GAIN_VARIANCE = 0.04
 ROBUST_WIDTH = 0.15  # log residual at which a capture counts half
