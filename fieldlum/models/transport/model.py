@@ -53,7 +53,7 @@ NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the others: take no less noise than this
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 SAMPLE = 600  # pixels that choose the recipe, drawn by solid angle
-BESIDE_ROOM = (0.3, 0.03)  # weight of the facade term beside a room model, which knows when the sun is hidden
+BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
 HOURS_AT_ONCE = 64
 LEAST_HOURS = 3
 PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece")
@@ -333,8 +333,8 @@ def _choose_kernel(
 ) -> _Chosen:
     """The kernel and recipe that serve held-out days best, asked of some pixels.
 
-    A room model (its features `bounced`) stays unless it makes them worse by more than a standard error. Beside it the
-    facade term counts less; next to nothing where that makes them better by more than a standard error.
+    A room model (its features `bounced`) stays unless it makes them worse by more than a standard error; beside it the
+    facade term counts less.
     """
 
     def tried(kernel: Kernel, features: Features) -> _Chosen:
@@ -342,18 +342,13 @@ def _choose_kernel(
         recipe, held, table = choose(drawn, basis_of(covariance, RANK), recipes)
         return _Chosen(kernel, features, covariance, recipe, held, table)
 
-    best = tried(kernel, drawn.features)
-    table = best.table
-    if bounced is not None:
-        features = replace(drawn.features, bounced=bounced)
-        for facade, errors in zip(BESIDE_ROOM, (-1.0, 1.0), strict=True):
-            other = tried(replace(kernel, facade=facade), features)
-            table = [*table, *other.table]
-            gain = best.held.per_hour - other.held.per_hour
-            if gain.mean() < errors * day_standard_error(gain, drawn.days):
-                break
-            best = other
-    return replace(best, table=table)
+    without = tried(kernel, drawn.features)
+    if bounced is None:
+        return without
+    with_room = tried(replace(kernel, facade=BESIDE_ROOM), replace(drawn.features, bounced=bounced))
+    worse = with_room.held.per_hour - without.held.per_hour
+    kept = with_room if worse.mean() <= day_standard_error(worse, drawn.days) else without
+    return replace(kept, table=[*without.table, *with_room.table])
 
 
 def _sample(material: Material, seed: int) -> Material:
