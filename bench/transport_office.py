@@ -1,9 +1,10 @@
 """Light transport on the 1 378 rendered hours of the paper's office: weighted log10 MSE on its 500 test hours.
 
-    python bench/transport_office.py office_seattle.npz [--sets k200,9d,12d,4d,mar] [--modes absolute,gain,none]
+    python bench/transport_office.py office_seattle.npz [--sets k200,9d,12d,4d,mar] [--modes absolute,gain,none,tape]
         [--noise 0.05] [--seed 0] [--coverage]
 
 The archive is described where it lies; it is not part of the project. Maps are compared with the sun's disc put back.
+Mode "tape": the patches are not the rendering's but made from a box with one clear window and no furniture.
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ from fieldlum.models.data import Dataset, add_disc, split_disc
 from fieldlum.models.transport import Transport, fit
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.scene import sun_patches
 from fieldlum.sky import PerezSky
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 HEADING_DEG = 180.0
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1, 0.88, 4, 0.08, 2.9),))
 SETUP = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(heading_deg=HEADING_DEG), ROOM)
+TAPE = replace(ROOM, window=(replace(ROOM.window[0], panes=1, frame_m=0.0, transom_m=0.0),))
 UNKNOWN_GAIN = 3.7  # factor that the "gain" mode has to find
 
 
@@ -62,6 +65,19 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
     seen, steady = np.ones(maps.shape[1:], bool), np.zeros(len(rows))
     slots = tuple(slot_id(t) for t in times)
     return Dataset(light, maps, patch, disc, HEADING_DEG, days, slots, SETUP, seen, steady), whole
+
+
+def told(data: Dataset, mode: str) -> Dataset:
+    """The captures as a mode knows them: the rendering's patches, those off by a factor, or a tape measure's."""
+    if mode == "tape":
+        light = data.light
+        made = sun_patches(
+            TAPE, SETUP, light.sun_direction, light.direct_lx, height=data.shape[0], heading_deg=HEADING_DEG
+        )
+        return replace(data, patch_cdm2=made.luminance_cdm2, setup=replace(SETUP, room=TAPE))
+    assert data.patch_cdm2 is not None
+    factor = np.float32(UNKNOWN_GAIN if mode == "gain" else 1.0)
+    return replace(data, patch_cdm2=data.patch_cdm2 / factor)
 
 
 def errors(truth: NDArray, predicted: NDArray, light: Light, disc_lx: NDArray) -> NDArray[np.float64]:
@@ -115,12 +131,11 @@ def main() -> None:
         noisy = train.luminance_cdm2 * (1.0 + options.noise * rng.standard_normal(train.luminance_cdm2.shape))
         train = replace(train, luminance_cdm2=np.maximum(noisy, 1e-3).astype(np.float32))
         for mode in options.modes.split(","):
-            assert train.patch_cdm2 is not None and test.patch_cdm2 is not None
-            factor = np.float32(UNKNOWN_GAIN if mode == "gain" else 1.0)
+            known, asked = told(train, mode), told(test, mode)
             start = time.process_time()
-            model = fit(replace(train, patch_cdm2=train.patch_cdm2 / factor), patch=mode, seed=options.seed)
+            model = fit(known, patch="absolute" if mode == "tape" else mode, seed=options.seed)
             fitted = time.process_time()
-            patch = None if mode == "none" else test.patch_cdm2 / factor
+            patch = None if mode == "none" else asked.patch_cdm2
             maps = model.predict(test.light, patch).luminance_cdm2
             done = time.process_time()
             e = errors(truth, maps, test.light, test.disc_lx)
