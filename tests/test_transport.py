@@ -12,7 +12,6 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
-from fieldlum.models.transport.checks import odd_captures
 from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
 from fieldlum.projection import equirect_rays
@@ -187,17 +186,6 @@ def test_property_room_physics_is_linear_used_and_survives_saving(tmp_path: Path
     models.save(tmp_path / "m", kept, with_room)
     again = models.load(tmp_path / "m").predict(TEST.light, TEST.patch_cdm2)
     assert np.allclose(again.luminance_cdm2, kept.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, rtol=1e-4)
-
-
-# ---------------------------------------------------------------------------------------------- checks
-
-
-def test_contract_a_capture_unlike_all_others_is_named() -> None:
-    assert odd_captures(MODEL, TRAIN) == []
-    maps = TRAIN.luminance_cdm2.copy()
-    maps[20] *= 4.0  # a lamp
-    changed = replace(TRAIN, luminance_cdm2=maps)
-    assert TRAIN.slots[20] in odd_captures(fit(changed), changed)
 
 
 # ---------------------------------------------------------------------------------------------- files
