@@ -154,6 +154,22 @@ def test_two_headings_are_told_apart_and_filters_left_out() -> None:
     assert shutter.readings_of(lame) == []
 
 
+def test_sidecars_that_are_none_are_passed_over(session: Session, tmp_path: Path) -> None:
+    digest = sha256(session.root.parent / "small.toml")
+    whole = json.loads(next(session.panoramas.glob("*Z.json")).read_text())
+    broken: list[object] = [[], {}, {"profile": 3}]
+    for key, value in (("correction", 0.0), ("correction", -1.0), ("exposure", "1/0 f/4 ISO100"), ("t_utc", "noon")):
+        frames = [{**f, key: value} for f in whole["quality"]["frames"]]
+        broken.append({**whole, "quality": {**whole["quality"], "frames": frames}})
+    broken.append({**whole, "quality": {**whole["quality"], "frames": whole["quality"]["frames"][:2]}})
+    other = Session(tmp_path)
+    other.panoramas.mkdir()
+    for number, table in enumerate(broken):
+        (other.panoramas / f"{number}Z.json").write_text(json.dumps(table), encoding="utf-8")
+    with pytest.raises(NotEnoughDataError, match="no merged bracket"):
+        shutter.from_session(other, digest)
+
+
 def test_brackets_that_disagree_and_times_that_are_right_are_refused() -> None:
     rng = np.random.default_rng(2)
     wild = [shutter.readings_of(quality(OFF * np.exp(0.05 * rng.standard_normal(5)))) for _ in range(12)]

@@ -9,6 +9,7 @@ the bracket's seconds takes out. Pictures tell ratios only: the profile's times,
 from __future__ import annotations
 
 import json
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ def from_session(session: Session, profile_sha256: str) -> tuple[list[list[Readi
             note = json.loads(path.read_text(encoding="utf-8"))
             mine = note["profile"]["sha256"] == profile_sha256
             found = readings_of(note["quality"]) if mine else []
-        except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError):
+        except (OSError, ValueError, LookupError, TypeError, ArithmeticError, AttributeError):
             continue  # no sidecar of a merge
         others += not mine
         if found:
@@ -120,9 +121,9 @@ def _reading(long: dict[str, Any], short: dict[str, Any], neighbour: dict[str, A
     a, b = (e.shutter_s for e in exposures)
     if any(e.nd for e in exposures) or abs(b / a - 1) < _SAME:
         return None
-    corrected = float(np.log(short["correction"] / long["correction"]))
+    corrected = math.log(short["correction"]) - math.log(long["correction"])
     log_ratio, u_log = neighbour["residual_percent"] / 100 + corrected, neighbour["u_percent"] / 100
-    if not np.isfinite([log_ratio, u_log]).all():
+    if not (math.isfinite(log_ratio) and u_log > 0):
         return None
     times = [parse_utc(f["t_utc"]).timestamp() if f.get("t_utc") else None for f in (long, short)]
     apart = None if times[0] is None or times[1] is None else times[1] - times[0]
