@@ -26,6 +26,7 @@ from fieldlum.models.transport.recipe import (
     day_standard_error,
     find_patch_gain,
     fit_pixels,
+    hold_out,
     second_covariance,
     second_inverse,
     second_own,
@@ -52,7 +53,8 @@ Array = NDArray[Any]
 NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the others: take no less noise than this
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
-SAMPLE = 600  # pixels that choose the recipe, drawn by solid angle
+SAMPLE = 600  # pixels that say how far to believe the model, drawn by solid angle
+CHOOSING = 250  # of them, those that choose kernel and recipe
 BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
 HOURS_AT_ONCE = 64
 LEAST_HOURS = 3
@@ -305,12 +307,14 @@ def fit(
     physics = physics_of(data.setup, data.light)
     progress(10, 100, "choosing by held-out days")
     drawn = _sample(material, seed)
-    chosen = _choose_kernel(drawn, kernel, recipes, None if physics is None else physics.features(data.light))
+    bounced = None if physics is None else physics.features(data.light)
+    chosen = _choose_kernel(drawn[slice(CHOOSING)], kernel, recipes, bounced)
     if chosen.features.bounced is None:
         physics = None
     material, covariance = replace(material, features=chosen.features), chosen.covariance
-    kernel, recipe, held, table = chosen.kernel, chosen.recipe, chosen.held, chosen.table
+    kernel, recipe, table = chosen.kernel, chosen.recipe, chosen.table
     basis = basis_of(covariance, recipe.rank)
+    held = hold_out(drawn, basis, recipe)
     pixels = fit_pixels(material, basis, recipe, lambda done, total: progress(20 + 70 * done // total, 100, "fitting"))
     progress(90, 100, "calibrating uncertainty")
     return _finish(data, material, kernel, covariance, basis, recipe, pixels, held, drawn, scale, table, seed, physics)

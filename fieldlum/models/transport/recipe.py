@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from fieldlum.light import Kernel, Light
 from fieldlum.models.transport.material import LEAST_CDM2, Material, pixel_scale
 from fieldlum.models.transport.solve import (
     Columns,
-    chunks,
+    each_chunk,
     held_out_days,
     held_out_days_shared,
     pair_products,
@@ -133,7 +134,9 @@ def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width:
     return sharp + SECOND_SEASON * np.exp((cosine - 1.0) / 0.25)
 
 
-def fit_pixels(material: Material, basis: Basis, recipe: Recipe, tick=None) -> Pixels:
+def fit_pixels(
+    material: Material, basis: Basis, recipe: Recipe, tick: Callable[[int, int], None] = lambda done, total: None
+) -> Pixels:
     """Fit all pixels in chunks of bounded memory."""
     count, r = material.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
@@ -142,7 +145,8 @@ def fit_pixels(material: Material, basis: Basis, recipe: Recipe, tick=None) -> P
         np.empty((len(material.light) if recipe.second else 0, count), np.float32),
     )  # fmt: skip
     inverse = second_inverse(material, recipe)
-    for part in chunks(count):
+
+    def one(part: slice) -> None:
         some, scale = material[part], out.scale[part]
         fit = _fit_chunk(some, scale, basis, recipe, products)
         out.b[part], out.sky_gain[part] = fit.b, np.maximum(fit.gains[:, -1], 0.0)
@@ -152,8 +156,9 @@ def fit_pixels(material: Material, basis: Basis, recipe: Recipe, tick=None) -> P
         if recipe.second:
             found = compose(basis.values @ fit.b.T, out.least[part], fit.gains, fit.columns.values)
             out.second[:, part] = inverse @ np.log(fit.target / found)
-        if tick:
-            tick(part.stop, count)
+
+    for done in each_chunk(one, count):
+        tick(done, count)
     return out
 
 

@@ -6,16 +6,21 @@ with features F shared by all pixels and columns C of its own. Everything is clo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 Array = NDArray[Any]
 
-CHUNK = 2048  # pixels at a time: bounds the memory of the normal matrices to some 100 MB
+CHUNK = 1024  # pixels at a time and core: bounds the memory of the normal matrices to some 100 MB each
+HELD_OUT_CHUNK = 128
+MOST_THREADS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +42,18 @@ def no_columns(hours: int, pixels: int) -> Columns:
 def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
+
+
+def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> Iterator[int]:
+    """Call `work` for every chunk, on all cores; yields how far it is.
+
+    BLAS keeps to one thread meanwhile: on systems of a hundred unknowns its own threads wait for each other.
+    """
+    parts = list(chunks(count, size))
+    workers = min(os.cpu_count() or 1, MOST_THREADS)
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(workers) as pool:
+        for part, _ in zip(parts, pool.map(work, parts), strict=True):
+            yield part.stop
 
 
 def pair_products(features: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
@@ -93,14 +110,21 @@ def held_out_days(
     (1 - H_DD)^-1 e_D (block form of the leave-one-out identity): no refit is needed. Features and weights stay.
     """
     out = np.empty(target.shape)
-    for part in chunks(target.shape[1], 256):
-        out[:, part] = _held_out(features, columns[part], target[:, part], weights[:, part], noise, days)
+    products = pair_products(features)
+
+    def one(part: slice) -> None:
+        out[:, part] = _held_out(features, columns[part], target[:, part], weights[:, part], noise, days, products)
+
+    for _ in each_chunk(one, target.shape[1], HELD_OUT_CHUNK):
+        pass
     return out
 
 
-def _held_out(features: Array, columns: Columns, target: Array, weights: Array, noise: float, days: NDArray) -> Array:
+def _held_out(
+    features: Array, columns: Columns, target: Array, weights: Array, noise: float, days: NDArray, products: tuple
+) -> Array:
     count = target.shape[1]
-    matrix, right = normal_matrices(features, columns, target, weights, noise)
+    matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     shared = np.broadcast_to(features, (count, *features.shape))
     design = np.concatenate((shared, columns.values.transpose(2, 1, 0)), axis=2)
     solved = np.linalg.solve(matrix, np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2))
