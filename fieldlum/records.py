@@ -158,6 +158,11 @@ class Exposure:
     nd: str = ""  # name of a neutral-density filter of the profile; empty: none
 
 
+def shutter_text(shutter_s: float) -> str:
+    """A time as a camera's dial writes it, without its unit: 1/250, 0.4, 2."""
+    return f"1/{1 / shutter_s:.6g}" if shutter_s < 0.3 else f"{shutter_s:.6g}"
+
+
 @dataclass(frozen=True, slots=True)
 class Slot:
     """One planned bracket."""

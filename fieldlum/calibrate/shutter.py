@@ -23,7 +23,7 @@ from fieldlum.calibrate.order import Candidate, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import prior_u_log, snap_shutter_s
 from fieldlum.profiles import CameraProfile, ShutterTime
-from fieldlum.records import parse_utc
+from fieldlum.records import parse_utc, shutter_text
 from fieldlum.session import Session, parse_exposure
 
 LEAST = 5  # brackets that must show a pair of times
@@ -205,7 +205,7 @@ def fit(brackets: Sequence[Sequence[Reading]], profile: CameraProfile) -> Fit:
 
 
 def _why(table: PairTable) -> str:
-    a, b = (f"1/{1 / t:.4g}" if t < 0.5 else f"{t:.4g}" for t in table.pair)
+    a, b = map(shutter_text, table.pair)
     if table.brackets < LEAST:
         return f"{a} to {b} s: {table.brackets} of {LEAST} brackets"
     return f"{a} to {b} s: brackets differ by {100 * table.spread:.1f} %"

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from fieldlum.errors import DeviceError, InputError
-from fieldlum.records import Exposure
+from fieldlum.records import Exposure, shutter_text
 
 LARGEST_STEP_EV = 1.0 / 6.0  # half of a third of a stop
 
@@ -19,7 +19,7 @@ def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -
         raise DeviceError(f"{what}: {asked:g} {unit} asked, nothing to choose from".replace("  ", " "))
     best = min(choices, key=lambda value: abs(math.log2(value / asked)))
     if abs(math.log2(best / asked)) > LARGEST_STEP_EV:
-        shown = f"1/{1 / best:.5g}" if unit == "s" and best < 0.4 else f"{best:.5g}"
+        shown = shutter_text(best) if unit == "s" else f"{best:.5g}"
         raise DeviceError(f"{what}: {asked:.5g} {unit} is not offered, the nearest is {shown}".replace("  ", " "))
     return best
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from fieldlum.errors import InputError
-from fieldlum.records import Exposure, Slot, parse_utc, slot_id, utc_text
+from fieldlum.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
 from fieldlum.session.writing import replacing
 
 PLAN_COLUMNS = ("slot", "t_utc", "t_local", "sun_altitude_deg", "sun_azimuth_deg", "exposures", "tags")
@@ -17,8 +17,7 @@ PLAN_COLUMNS = ("slot", "t_utc", "t_local", "sun_altitude_deg", "sun_azimuth_deg
 
 def exposure_text(exposure: Exposure) -> str:
     """``1/250 f/5.6 ISO100`` with an optional `` ND=name``; read back by `parse_exposure`."""
-    shutter = exposure.shutter_s
-    shown = f"1/{1 / shutter:.6g}" if shutter < 0.5 else f"{shutter:.6g}"
+    shown = shutter_text(exposure.shutter_s)
     return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}" + (f" ND={exposure.nd}" if exposure.nd else "")
 
 
