@@ -13,7 +13,7 @@ from learning_room import dataset
 
 from fieldlum import models
 from fieldlum.errors import InputError
-from fieldlum.models import dense, dense_training
+from fieldlum.models import dense, dense_training, ranks
 from fieldlum.models.dense import Net, Shape, decode, encode, parameter_count
 from fieldlum.models.dense_training import Plan
 from fieldlum.models.scores import compare, evaluate, summary, truth
@@ -86,13 +86,13 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
     pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:333]
 
-    def parts_and_gradient(ranks: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+    def parts_and_gradient(members: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
         net.zero_grad()
-        monkeypatch.setattr(dense_training, "world", lambda: len(ranks))
-        monkeypatch.setattr(dense_training, "_sum_over_ranks", lambda tensor: tensor)
+        monkeypatch.setattr(ranks, "world", lambda: len(members))
+        monkeypatch.setattr(ranks, "total", lambda tensor: tensor)
         total = torch.zeros(3, dtype=torch.float64)
-        for mine in ranks:
-            monkeypatch.setattr(dense_training, "rank", lambda mine=mine: mine)
+        for mine in members:
+            monkeypatch.setattr(ranks, "rank", lambda mine=mine: mine)
             total += dense_training._loss_parts(net, pixels, numbers, 50, half=False, learn=True)
         return total, torch.cat([p.grad.reshape(-1).clone() for p in net.parameters() if p.grad is not None])
 

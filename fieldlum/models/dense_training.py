@@ -8,7 +8,6 @@ makes it the exact gradient of the whole batch's loss. Memory is that of one mic
 from __future__ import annotations
 
 import math
-import os
 import pickle
 import time
 import warnings
@@ -21,9 +20,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch import distributed as dist
 
 from fieldlum.errors import InputError
+from fieldlum.models import ranks
 from fieldlum.models.dense import (
     Canvas,
     Hours,
@@ -65,37 +64,6 @@ class Plan:
     batch_pixels: int = 0
     rate: float = 1e-3
     micro_pixels: int = 8192
-
-
-# ---------------------------------------------------------------------------------------------- torchrun
-
-
-def rank() -> int:
-    return int(os.environ.get("RANK", "0"))
-
-
-def world() -> int:
-    return int(os.environ.get("WORLD_SIZE", "1"))
-
-
-def _join_world(device: torch.device) -> None:
-    if world() > 1 and not dist.is_initialized():
-        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
-
-
-def _sum_over_ranks(tensor: Tensor) -> Tensor:
-    if world() > 1:
-        dist.all_reduce(tensor)
-    return tensor
-
-
-def _agreed(value: float) -> float:
-    """Rank 0's clock and speed hold for all: ranks that disagree about the end would wait for each other for ever."""
-    if world() == 1:
-        return value
-    shared = torch.tensor([value], dtype=torch.float64, device=pick_device())
-    dist.broadcast(shared, 0)
-    return float(shared.item())
 
 
 # ---------------------------------------------------------------------------------------------- pixels
@@ -149,7 +117,7 @@ def _pixels(data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: tor
 def _loss_parts(net: Net, pixels: Pixels, numbers: Tensor, micro: int, half: bool, learn: bool) -> Tensor:
     """[S_error, S_target, count] summed over the batch and all ranks; with `learn`, gradients of S_error are added."""
     parts = torch.zeros(3, dtype=torch.float64)
-    for mine in numbers[rank() :: world()].split(micro):
+    for mine in numbers[ranks.rank() :: ranks.world()].split(micro):
         scene, direct, target, weight = pixels.batch(mine)
         with torch.set_grad_enabled(learn):
             with torch.autocast(scene.device.type, torch.bfloat16, enabled=half):
@@ -159,7 +127,7 @@ def _loss_parts(net: Net, pixels: Pixels, numbers: Tensor, micro: int, half: boo
             squares.backward()
         target2 = (weight * target.square()).sum()
         parts += torch.tensor([squares.item(), target2.item(), len(mine)], dtype=torch.float64)
-    return _sum_over_ranks(parts.to(pixels.target.device)).cpu()
+    return ranks.total(parts.to(pixels.target.device)).cpu()
 
 
 def loss_value(parts: Tensor) -> float:
@@ -178,7 +146,7 @@ def _step(net: Net, optimiser: torch.optim.Optimizer, pixels: Pixels, numbers: T
     factor = 1.0 / count + 0.5 * RER_SHARE / math.sqrt(max(error * target, 1e-24))
     for parameter in net.parameters():
         if parameter.grad is not None:
-            _sum_over_ranks(parameter.grad).mul_(factor)
+            ranks.total(parameter.grad).mul_(factor)
     optimiser.step()
     return loss_value(parts)
 
@@ -269,7 +237,7 @@ def train(
     """
     started, cpu_started = time.monotonic(), time.process_time()
     device = pick_device()
-    _join_world(device)
+    ranks.join(device)
     half = bfloat16_pays(device) if bfloat16 is None else bfloat16
     if shape.form == "cnn":
         shape = replace(shape, patch_width=200)
@@ -295,7 +263,7 @@ def train(
             optimiser.param_groups[0]["lr"] = rate
             loss = _step(net, optimiser, pixels, batch, plan.micro_pixels, half)
             run.step += 1
-            run.elapsed_s = _agreed(before_s + time.monotonic() - started)
+            run.elapsed_s = ranks.agreed(before_s + time.monotonic() - started, device)
             progress(*_how_far(run, plan, budget_s), f"loss {loss:.4f}  best {run.best:.4f}")
             if not math.isfinite(loss):
                 run.skipped += 1
@@ -312,7 +280,7 @@ def train(
         run.cpu_s = before_cpu_s + time.process_time() - cpu_started
         if plan.schedule == "paper":
             _paper_rate(run, improved)
-        if checkpoint is not None and rank() == 0:
+        if checkpoint is not None and ranks.rank() == 0:
             _keep(checkpoint, net, optimiser, run, plan, shape, best_weights)
         if stop_after_epochs is not None and run.epoch - first_epoch >= stop_after_epochs:
             break
@@ -368,7 +336,7 @@ def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> 
     micro = 8192 if pixels.target.device.type == "cpu" else 131_072
     if budget_s is None:
         return Plan(micro_pixels=micro)
-    speed = _agreed(_pixels_per_second(net, pixels, micro, half))
+    speed = ranks.agreed(_pixels_per_second(net, pixels, micro, half), pixels.target.device)
     affordable = speed * budget_s
     if affordable >= Plan().epochs * len(pixels):
         return Plan(micro_pixels=micro)
@@ -378,7 +346,7 @@ def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> 
 
 
 def _pixels_per_second(net: Net, pixels: Pixels, micro: int, half: bool) -> float:
-    numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device).repeat(world())
+    numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device).repeat(ranks.world())
     _loss_parts(net, pixels, numbers, micro, half, learn=True)  # the first call also compiles and allocates
     start = time.monotonic()
     for _ in range(3):

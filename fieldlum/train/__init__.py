@@ -203,7 +203,7 @@ def run(
     A dense training that was cut off goes on from `out`/checkpoint.pt when the data, the model and the seed are the
     same. captures: also say how many captures would have been enough.
     """
-    from fieldlum.models import dense_training
+    from fieldlum.models import ranks
     from fieldlum.train.captures import how_many
 
     same = hashlib.sha256(" ".join((str(seed), patch, *data.slots)).encode()).hexdigest()[:12]
@@ -222,7 +222,7 @@ def run(
     }
     text = json.dumps(answer, default=lambda value: value.tolist())
     answer = json.loads(text, parse_constant=lambda _: None)  # JSON has no NaN
-    if dense_training.rank() == 0:
+    if ranks.rank() == 0:
         mode = patch_mode(data, patch)
         models.save(out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason)
         with replacing(out / "scores.json", "w", encoding="utf-8") as file:

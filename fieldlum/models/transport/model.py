@@ -55,6 +55,7 @@ ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the other
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 SAMPLE = 600  # pixels that say how far to believe the model, drawn by solid angle
 CHOOSING = 250  # of them, those that choose kernel and recipe
+CLEARLY = 2.0  # standard errors that a room model must make held-out days worse by before it is dropped
 BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
 HOURS_AT_ONCE = 64
 LEAST_HOURS = 3
@@ -337,8 +338,8 @@ def _choose_kernel(
 ) -> _Chosen:
     """The kernel and recipe that serve held-out days best, asked of some pixels.
 
-    A room model (its features `bounced`) stays unless it makes them worse by more than a standard error; beside it the
-    facade term counts less.
+    A room model (its features `bounced`) speaks for suns that no capture had, held-out days do not: it stays unless it
+    makes them clearly worse. Beside it the facade term counts less.
     """
 
     def tried(kernel: Kernel, features: Features) -> _Chosen:
@@ -351,7 +352,7 @@ def _choose_kernel(
         return without
     with_room = tried(replace(kernel, facade=BESIDE_ROOM), replace(drawn.features, bounced=bounced))
     worse = with_room.held.per_hour - without.held.per_hour
-    kept = with_room if worse.mean() <= day_standard_error(worse, drawn.days) else without
+    kept = with_room if worse.mean() <= CLEARLY * day_standard_error(worse, drawn.days) else without
     return replace(kept, table=[*without.table, *with_room.table])
 
 
