@@ -27,6 +27,7 @@ from fieldlum.models.transport.recipe import (
     find_patch_gain,
     fit_pixels,
     hold_out,
+    one_season,
     second_covariance,
     second_inverse,
     second_own,
@@ -52,10 +53,8 @@ Array = NDArray[Any]
 
 NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the others: take no less noise than this
-ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 SAMPLE = 600  # pixels that say how far to believe the model, drawn by solid angle
 CHOOSING = 250  # of them, those that choose kernel and recipe
-CLEARLY = 2.0  # standard errors that a room model must make held-out days worse by before it is dropped
 BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
 HOURS_AT_ONCE = 64
 LEAST_HOURS = 3
@@ -260,14 +259,6 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
 # ---------------------------------------------------------------------------------------------- fit
 
 
-def declination_range_deg(data: Dataset) -> float:
-    """How far the sun's declination moved between the captures."""
-    day = data.days.astype("datetime64[D]")
-    of_year = (day - day.astype("datetime64[Y]")).astype(float)
-    declination = 23.44 * np.sin(2.0 * np.pi * (of_year - 80.0) / 365.25)
-    return float(np.ptp(declination))
-
-
 def recipes_for(patch: Patch, one_season: bool) -> list[Recipe]:
     """What held-out days choose among, plainest first."""
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
@@ -303,22 +294,21 @@ def fit(
     if patch == "gain":
         scale = find_patch_gain(material, kernel)
         material = material.with_patch_scaled(scale)
-    recipes = recipes_for(patch, declination_range_deg(data) < ONE_SEASON_DEG)
+    recipes = recipes_for(patch, one_season(data.days))
     progress(5, 100, "light between surfaces")
     physics = physics_of(data.setup, data.light)
     progress(10, 100, "choosing by held-out days")
-    drawn = _sample(material, seed)
+    drawn = _draw(material, seed)
     bounced = None if physics is None else physics.features(data.light)
-    chosen = _choose_kernel(drawn[slice(CHOOSING)], kernel, recipes, bounced)
+    chosen = _choose_kernel(material[drawn], kernel, recipes, bounced)
     if chosen.features.bounced is None:
         physics = None
-    material, covariance = replace(material, features=chosen.features), chosen.covariance
-    kernel, recipe, table = chosen.kernel, chosen.recipe, chosen.table
-    basis = basis_of(covariance, recipe.rank)
-    held = hold_out(drawn, basis, recipe)
-    pixels = fit_pixels(material, basis, recipe, lambda done, total: progress(20 + 70 * done // total, 100, "fitting"))
+    material = replace(material, features=chosen.features)
+    pixels = fit_pixels(
+        material, chosen.basis, chosen.recipe, lambda done, total: progress(20 + 70 * done // total, 100, "fitting")
+    )
     progress(90, 100, "calibrating uncertainty")
-    return _finish(data, material, kernel, covariance, basis, recipe, pixels, held, drawn, scale, table, seed, physics)
+    return _finish(data, material, chosen, pixels, drawn, scale, physics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,6 +318,7 @@ class _Chosen:
     kernel: Kernel
     features: Features
     covariance: Array
+    basis: Basis
     recipe: Recipe
     held: HeldOut
     table: list[tuple[Recipe, float, float]]
@@ -339,43 +330,46 @@ def _choose_kernel(
     """The kernel and recipe that serve held-out days best, asked of some pixels.
 
     A room model (its features `bounced`) speaks for suns that no capture had, held-out days do not: it stays unless it
-    makes them clearly worse. Beside it the facade term counts less.
+    makes them worse by more than a standard error. Beside it the facade term counts less.
     """
 
     def tried(kernel: Kernel, features: Features) -> _Chosen:
         covariance = kernel(features, features)
-        recipe, held, table = choose(drawn, basis_of(covariance, RANK), recipes)
-        return _Chosen(kernel, features, covariance, recipe, held, table)
+        basis = basis_of(covariance, RANK)
+        recipe, table = choose(drawn[slice(CHOOSING)], basis, recipes)
+        return _Chosen(kernel, features, covariance, basis, recipe, hold_out(drawn, basis, recipe), table)
 
     without = tried(kernel, drawn.features)
     if bounced is None:
         return without
     with_room = tried(replace(kernel, facade=BESIDE_ROOM), replace(drawn.features, bounced=bounced))
     worse = with_room.held.per_hour - without.held.per_hour
-    kept = with_room if worse.mean() <= CLEARLY * day_standard_error(worse, drawn.days) else without
+    kept = with_room if worse.mean() <= day_standard_error(worse, drawn.days) else without
     return replace(kept, table=[*without.table, *with_room.table])
 
 
-def _sample(material: Material, seed: int) -> Material:
+def _draw(material: Material, seed: int) -> NDArray[np.intp]:
+    """Numbers of some pixels, by solid angle."""
     rng = np.random.default_rng(seed)
     count = min(SAMPLE, len(material.weights))
-    return material[rng.choice(len(material.weights), count, p=material.weights / material.weights.sum())]
+    return rng.choice(len(material.weights), count, p=material.weights / material.weights.sum())
 
 
 def _finish(
-    data: Dataset, material: Material, kernel: Kernel, covariance: Array, basis: Basis, recipe: Recipe, pixels: Pixels,
-    held: HeldOut, drawn: Material, scale: float, table: list, seed: int, physics: Physics | None,
+    data: Dataset, material: Material, chosen: _Chosen, pixels: Pixels, drawn: NDArray[np.intp], scale: float,
+    physics: Physics | None,
 ) -> Transport:  # fmt: skip
-    count = len(material.weights)
+    """The model with its uncertainty, by the pixels `drawn`."""
+    recipe, covariance, count = chosen.recipe, chosen.covariance, len(material.weights)
     model = Transport(
-        shape=data.shape, seen=data.seen, heading_deg=data.heading_deg, kernel=kernel, train=material.features,
-        train_light=data.light, projector=basis.projector, pixels=pixels, open_sky=material.open_sky,
+        shape=data.shape, seen=data.seen, heading_deg=data.heading_deg, kernel=chosen.kernel, train=material.features,
+        train_light=data.light, projector=chosen.basis.projector, pixels=pixels, open_sky=material.open_sky,
         patchwork=material.patchwork, patch_scale=scale, physics=physics,
         noise_dull=np.zeros(count), noise_sun=np.zeros(count),
         trust=Trust(np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))), 0.0, np.ones(3), 0.0, 1.0,
                     np.empty((0, 0))),
-        recipe=recipe, held_out_mse=held.per_hour,
-        table=tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in table),
+        recipe=recipe, held_out_mse=chosen.held.per_hour,
+        table=tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in chosen.table),
     )  # fmt: skip
     patch = None if material.patch is None else data.patch_cdm2
     parts = [
@@ -386,8 +380,7 @@ def _finish(
     if recipe.second:
         doubt = np.sqrt(held_out_variance(second_own(material, recipe), SECOND_NOISE, material.days))
     residual = residual_noise(material, np.concatenate(parts), doubt)
-    again = np.random.default_rng(seed)
-    chosen = again.choice(count, min(SAMPLE, count), p=material.weights / material.weights.sum())
-    some = residual[0][chosen], residual[1][chosen]
-    trust = calibrate(drawn, held, covariance, recipe.noise, some, doubt, second_inverse(material, recipe))
+    some = residual[0][drawn], residual[1][drawn]
+    second = second_inverse(material, recipe)
+    trust = calibrate(material[drawn], chosen.held, covariance, recipe.noise, some, doubt, second)
     return replace(model, noise_dull=residual[0], noise_sun=residual[1], trust=trust)

@@ -29,6 +29,7 @@ ROBUST_WIDTH = 0.15  # log residual at which a capture counts half
 SECOND_NOISE = 0.06
 SECOND_SEASON = 0.02  # variance of what changes with the season whether the sun shines or not
 DARK_SHARE = 0.03  # of its usual light: a pixel darker than that (a hand before the lens) gets no more weight
+ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no lower
 
 
@@ -177,6 +178,14 @@ def second_own(material: Material, recipe: Recipe) -> Array:
 # ---------------------------------------------------------------------------------------------- held-out days
 
 
+def one_season(days: NDArray) -> bool:
+    """Whether the sun's declination hardly moved between the captures' days: what they say of others is little."""
+    day = days.astype("datetime64[D]")
+    of_year = (day - day.astype("datetime64[Y]")).astype(float)
+    declination = 23.44 * np.sin(2.0 * np.pi * (of_year - 80.0) / 365.25)
+    return float(np.ptp(declination)) < ONE_SEASON_DEG
+
+
 @dataclass(frozen=True, slots=True)
 class HeldOut:
     """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of 1 cd/m2."""
@@ -241,20 +250,13 @@ def find_patch_gain(material: Material, kernel: Kernel, noise: float = 1e-2) -> 
     return gain
 
 
-def choose(
-    material: Material, basis: Basis, recipes: list[Recipe], least_gain: float = 0.0
-) -> tuple[Recipe, HeldOut, list[tuple[Recipe, float, float]]]:
-    """The recipe of least held-out-day error; a later one must be better than an earlier by more than one standard
-    error of their difference over days. Also the table (recipe, error, its standard error)."""
-    table, best, held = [], None, None
+def choose(material: Material, basis: Basis, recipes: list[Recipe]) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
+    """The recipe of least error on held-out days, and the table (recipe, error, its standard error over days)."""
+    table = []
     for recipe in recipes:
-        tried = hold_out(material, basis, recipe)
-        error = float(tried.per_hour.mean())
-        table.append((recipe, error, day_standard_error(tried.per_hour, material.days)))
-        if held is None or error < held.per_hour.mean():
-            best, held = recipe, tried
-    assert best is not None and held is not None
-    return best, held, table
+        per_hour = hold_out(material, basis, recipe).per_hour
+        table.append((recipe, float(per_hour.mean()), day_standard_error(per_hour, material.days)))
+    return min(table, key=lambda row: row[1])[0], table
 
 
 def day_standard_error(per_hour: Array, days: NDArray) -> float:
