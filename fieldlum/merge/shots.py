@@ -133,6 +133,3 @@ def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -
 
 def nd_factors(exposure: Exposure, profile: CameraProfile) -> tuple[float, float, float]:
     return next((nd.factor_rgb for nd in profile.nd if nd.name == exposure.nd), (1.0, 1.0, 1.0))
-
-
-# ---------------------------------------------------------------------------------------------- raw
