@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 SOLAR_CONSTANT_WM2 = 1367.0  # as gendaylit has it
 WATER_CM = 2.0  # precipitable water of gendaylit's default
 GROUND_REFLECTANCE = 0.2
-_WHITE_LM_PER_W = 179.0
 
 # Upper bounds of the clearness bins of Perez 1990 and 1993.
 _BINS = np.array([1.065, 1.23, 1.5, 1.95, 2.8, 4.5, 6.2])

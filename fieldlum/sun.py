@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SUN_SOLID_ANGLE_SR = 6.797e-5  # 2 pi (1 - cos 0.2665 deg): the mean disc, as Radiance's gendaylit uses it
-SEASONS = ("March equinox", "June solstice", "September equinox", "December solstice")
 LOW_SUN_DEG = 5.0  # below it a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark, do not trust
 
 

@@ -18,7 +18,7 @@ from fieldlum.devices.cl200a import EXT_ON, HOLD, MEASURE, PC_MODE, READ_EVXY, C
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.serial_lines import LineInstrument
 from fieldlum.devices.simulated.spn1 import PtyInstrument
-from fieldlum.devices.toa5 import parse_toa5, read_toa5
+from fieldlum.devices.toa5 import parse_toa5
 from fieldlum.errors import DeviceError, InputError
 
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
@@ -178,9 +178,8 @@ TOA5 = (
 )
 
 
-def test_authority_toa5_table(tmp_path: Path) -> None:
-    (tmp_path / "t.dat").write_text(TOA5)
-    table = read_toa5(tmp_path / "t.dat", timedelta(hours=-8))
+def test_authority_toa5_table() -> None:
+    table = parse_toa5(TOA5, timedelta(hours=-8))
     assert (table.station, table.model, table.serial) == ("Roof", "CR1000X", "12345")
     first, second, third = table.samples
     assert first.t_utc == datetime(2027, 3, 20, 16, 0, tzinfo=UTC)

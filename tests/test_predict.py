@@ -147,7 +147,6 @@ def test_dark_occupied_hours_count_as_without_glare() -> None:
     dgp = np.full((6, 1), 0.6)
     assert standards.exceeded_in_share(dgp, 100)[0] == 0.6
     assert standards.exceeded_in_share(dgp, 120)[0] == 0.0
-    assert standards.exceedance_curve(dgp, 120, np.array([0.5]))[0, 0] == pytest.approx(0.05)
 
 
 def test_an_interval_across_a_limit_cannot_tell_yet() -> None:

@@ -162,12 +162,3 @@ def number_of(text: str, quantity: str) -> float | None:
     if quantity.endswith("_wm2") and not LOWEST_WM2 <= value <= HIGHEST_WM2:
         raise ValueError(f"{quantity} is {text[:30]}, expected {LOWEST_WM2:g} to {HIGHEST_WM2:g}")
     return value
-
-
-def read_toa5(path: Path, utc_offset: timedelta, columns: Mapping[str, str] | None = None) -> Toa5:
-    """As `parse_toa5`, from a file. Raises InputError."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig", "replace")
-    except OSError as error:
-        raise InputError(path, error.strerror or str(error), "a readable file") from None
-    return parse_toa5(text, utc_offset, columns, source=path)

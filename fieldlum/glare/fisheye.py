@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fieldlum.glare.geometry import view_frame
 from fieldlum.projection import direction, equirect_pixel
-from fieldlum.records import Float, Panorama, SunSource
+from fieldlum.records import Float, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 FISHEYE_VIEW = "-vta -vh 180 -vv 180"
@@ -106,8 +106,3 @@ def _disc_shares(centre: Float, towards: Float, size: int, samples: int = 8) -> 
     cells = hit.reshape(bottom - top, samples, right - left, samples).mean(axis=(1, 3))
     out[top:bottom, left:right] = cells
     return out
-
-
-def fisheye_of(panorama: Panorama, azimuth_deg: float, size: int = 800) -> NDArray[np.float32]:
-    """`panorama_to_fisheye` of a panorama with its own sun."""
-    return panorama_to_fisheye(panorama.luminance_cdm2, panorama.heading_deg, azimuth_deg, size=size, sun=panorama.sun)

@@ -17,7 +17,6 @@ from fieldlum.glare.fisheye import FISHEYE_VIEW
 from fieldlum.images import write_radiance_hdr
 from fieldlum.records import Float
 
-SMALLEST_PX = 800  # the manual page's recommendation
 FLAGS = ("-b", "2000", "-C", "l-", "-d")
 
 

@@ -69,13 +69,6 @@ def exceeded_in_share(dgp: Float, occupied_hours: int, share: float = EXCEEDED_S
     return np.partition(np.asarray(dgp, float), lit - 1 - rank, axis=-2)[..., lit - 1 - rank, :]
 
 
-def exceedance_curve(dgp: Float, occupied_hours: int, limits: Float) -> NDArray[np.float64]:
-    """Share of the occupied hours above each limit, [limits, d]."""
-    ranked = np.sort(dgp, axis=0)
-    counts = [len(dgp) - np.searchsorted(ranked[:, i], limits, side="right") for i in range(dgp.shape[1])]
-    return np.stack(counts, axis=1) / max(occupied_hours, 1)
-
-
 def dgp_uncertainty(ev_lx: Float, contrast: Float, ev_relative: Float, source_relative: Float) -> NDArray[np.float64]:
     """Standard uncertainty of DGP from the relative ones of Ev and of the sources' luminance, [n, d].
 

@@ -27,7 +27,6 @@ _SIGMA_CODE = 1.0
 _Z_STEPS = 1 << 14
 _TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
 _SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges
-_COLOUR = {"R": 0, "G": 1, "B": 2}
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -164,7 +163,3 @@ def read_pictures(folder: Path) -> Pictures:
             )  # fmt: skip
     except (OSError, ValueError, KeyError) as error:
         raise InputError(path, str(error), "pictures of a predicted year", "predict again") from None
-
-
-def azimuth_columns(azimuths_deg: Sequence[float]) -> list[str]:
-    return [azimuth_text(a) for a in azimuths_deg]

@@ -35,10 +35,6 @@ class Columns:
         return Columns(self.values[:, :, pixels], self.mean, self.variance)
 
 
-def no_columns(hours: int, pixels: int) -> Columns:
-    return Columns(np.empty((0, hours, pixels)), np.empty(0), np.empty(0))
-
-
 def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
