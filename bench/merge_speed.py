@@ -79,21 +79,33 @@ def _fresh(files: list[Path], p: CameraProfile, kind: str) -> tuple[list[float],
         return pool.submit(_child, files, p, kind).result()
 
 
-def _scaling(files: list[Path], p: CameraProfile, brackets: int = 6) -> tuple[float, float]:
-    """Wall seconds of several brackets by one and by two workers, matrices built before. [s]"""
+def _scaling(files: list[Path], p: CameraProfile, brackets: int = 6, rounds: int = 4) -> list[tuple[float, float]]:
+    """Wall seconds of several brackets by one and by two workers, a pair for each round. [s]
+
+    Matrices are built before. The two take turns, because a machine's speed drifts over minutes by more than the
+    difference that is asked about.
+    """
     import multiprocessing
 
     import cv2
 
-    walls = []
-    for workers in (1, 2):
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
-            list(pool.map(panorama, [files] * workers, [p] * workers))
-            started = time.perf_counter()
-            list(pool.map(panorama, [files] * brackets, [p] * brackets))
-            walls.append(time.perf_counter() - started)
-    return walls[0], walls[1]
+    context = multiprocessing.get_context("spawn")
+    once, twice = (
+        ProcessPoolExecutor(workers, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,))
+        for workers in (1, 2)
+    )
+    walls: list[tuple[float, float]] = []
+    with once, twice:
+        for pool in (once, twice, twice):
+            list(pool.map(panorama, [files] * 2, [p] * 2))
+        for _ in range(rounds):
+            pair = []
+            for pool in (once, twice):
+                started = time.perf_counter()
+                list(pool.map(panorama, [files] * brackets, [p] * brackets))
+                pair.append(time.perf_counter() - started)
+            walls.append((pair[0], pair[1]))
+    return walls
 
 
 def main() -> None:
@@ -116,8 +128,12 @@ def main() -> None:
             seconds, peak = _fresh(files, p, kind)
             print(f"| {label} | {seconds[0]:.1f} | {min(seconds[1:]):.1f} | {peak:.2f} |", flush=True)
         if options.workers:
-            one, two = _scaling(files, dual)
-            print(f"\nsix brackets: one worker {one:.1f} s, two workers {two:.1f} s, {one / two:.2f} times as fast")
+            print("\n| six brackets: one worker s | two workers s | times as fast |\n|---|---|---|")
+            ratios = []
+            for one, two in _scaling(files, dual):
+                ratios.append(one / two)
+                print(f"| {one:.1f} | {two:.1f} | {ratios[-1]:.2f} |")
+            print(f"\nmedian of {len(ratios)} rounds: {np.median(ratios):.2f} times as fast")
 
 
 if __name__ == "__main__":
