@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fieldlum.capture.verify import doubts
 from fieldlum.devices import open_camera
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.theta import ThetaCamera
@@ -166,12 +167,17 @@ def test_contract_nothing_snaps_silently(theta: dict[str, Any], tmp_path: Path) 
         camera.expose(Exposure(1 / 30, 5.6), tmp_path / "f")
     with pytest.raises(DeviceError, match=r"theta aperture: 8 is not offered"):
         camera.expose(Exposure(0.004, 8.0), tmp_path / "f")
-    theta["lie"] = 2.0
-    with pytest.raises(DeviceError, match=r"EXIF says exposure time 0.008, asked was 0.004"):
-        camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
     assert not list(tmp_path.glob("f*"))
     with pytest.raises(DeviceError, match="no head that turns"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f", heading_deg=0.0)
+
+
+def test_contract_what_the_camera_made_is_kept(theta: dict[str, Any], tmp_path: Path) -> None:
+    theta["lie"] = 2.0
+    asked = Exposure(0.004, 5.6)
+    path = opened(theta, "?delete=1").expose(asked, tmp_path / "f")
+    assert path.read_bytes() == theta["files"]["/files/R0001.DNG"] and len(theta["deleted"]) == 2
+    assert doubts(path, asked) == "shutter 0.008 instead of 0.004"
 
 
 def test_contract_its_errors_become_ours(theta: dict[str, Any], tmp_path: Path) -> None:

@@ -11,16 +11,18 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from fieldlum.capture.keeper import Keeper, plain_info
-from fieldlum.capture.recorder import Recorder, disk_is_full
+from fieldlum.capture.keeper import FIRST_PAUSE_S, LONGEST_PAUSE_S, Keeper, plain_info
+from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.state import Frame, SlotState, frame_fields
 from fieldlum.capture.steady import SteadyClock
+from fieldlum.capture.verify import as_taken
 from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter
 from fieldlum.errors import DeviceError
 from fieldlum.records import CameraSetup, Exposure, Slot, utc_text
-from fieldlum.session import Session, replacing, sha256, sync_folder
+from fieldlum.session import Session, disk_is_full, replacing, sha256, sync_folder
 
-LONGEST_PAUSE_S = 60.0  # between two frames of one bracket; the light has changed after a longer one
+STALE_S = 60.0  # between two frames of one bracket; the light has changed after a longer one
+_FOLDER_BYTES = 1 << 14
 Check = Callable[[Path, Exposure], str]
 """Looks at a new frame; returns what is wrong with it, or nothing."""
 
@@ -59,13 +61,14 @@ class Bracket:
     check_shortest: Callable[[Path], str]
     between: Callable[[Frame | None], None]
     meter: Keeper[IlluminanceMeter] | None = None
+    frame_bytes: int = 0  # of the largest frame yet
 
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
         """Go on from `state` until done; after a failure try again while a new start is still in the slot's window."""
         folder = self.session.raw / slot.id
         wanted = shots(slot.exposures, self.setup)
-        for scrap in folder.glob(".*"):  # of a killed process: never acknowledged
-            scrap.unlink()
+        _sweep(folder)
+        disk_pause_s = 0.0
         if state.outcome == "":
             state = self._start(slot, 1)
         while True:
@@ -85,9 +88,14 @@ class Bracket:
                 why = f"{type(error).__name__}: {error}"[:300]
                 if disk_is_full(error):
                     self.recorder.make_room()
-                elif not isinstance(error, _Away):
-                    self.camera.lost(error)
-                if disk_is_full(error) or not self._wait_for_camera(deadline):
+                    _sweep(folder)  # half a frame takes room
+                    on = self._wait_for_room(deadline, disk_pause_s)
+                    disk_pause_s = min(max(FIRST_PAUSE_S, 2.0 * disk_pause_s), LONGEST_PAUSE_S)
+                else:
+                    if not isinstance(error, _Away):
+                        self.camera.lost(error)
+                    on = self._wait_for_camera(deadline)
+                if not on:
                     return self.abort(slot, state, why)
                 continue
             for frame in taken:
@@ -102,7 +110,7 @@ class Bracket:
         """Whether an interrupted bracket is whole, or so fresh that its light is still the same."""
         if len(state.frames) == len(shots(slot.exposures, self.setup)):
             return True
-        return bool(state.frames) and self._pause_s(state) <= LONGEST_PAUSE_S
+        return bool(state.frames) and self._pause_s(state) <= STALE_S
 
     def _pause_s(self, state: SlotState) -> float:
         last = max(state.frames, key=lambda frame: frame.t_utc)
@@ -141,6 +149,7 @@ class Bracket:
         """A bracket with too long a pause in it begins anew; its frames are kept in a folder beside."""
         if not state.frames or self.resumable(slot, state):
             return state
+        self.recorder.claim(_FOLDER_BYTES)
         aside = folder / f"attempt-{state.attempt}"
         aside.mkdir(exist_ok=True)
         for name in (name for frame in state.frames for name in (frame.file, frame.instead_of) if name):
@@ -152,6 +161,7 @@ class Bracket:
     def _expose(self, shot: Shot, folder: Path, attempt: int, instead_of: str = "") -> Frame:
         if self.camera.get() is None:
             raise _Away("camera is away")
+        self.recorder.claim(self.frame_bytes)
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
         # A name of its own for each try: a frame that a hung camera delivers late must not land in another's place.
@@ -159,13 +169,19 @@ class Bracket:
         written = self.camera.call(
             lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg), shot.exposure.shutter_s
         )
-        doubt = self.check(written, shot.exposure)
+        doubt, exposure = self._judged(written, shot.exposure)
         final = folder / f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}"
         _settle(written, final, flush=self.recorder.flush)
+        self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
         seconds, hashed = self.clock.boottime() - boot, sha256(final)
         return Frame(
-            shot.index, final.name, shot.exposure, shot.heading_deg, begun, seconds, hashed, doubt, instead_of
+            shot.index, final.name, exposure, shot.heading_deg, begun, seconds, hashed, doubt, instead_of
         )  # fmt: skip
+
+    def _judged(self, written: Path, asked: Exposure) -> tuple[str, Exposure]:
+        """What looks wrong with a new frame, and the exposure to write down for it."""
+        doubt = self.check(written, asked)
+        return doubt, as_taken(written, asked) if doubt else asked
 
     def _takes_whole_brackets(self, wanted: Sequence[Shot]) -> bool:
         """A camera that brackets by itself is several times faster than one asked frame by frame."""
@@ -175,6 +191,7 @@ class Bracket:
 
     def _expose_whole(self, wanted: Sequence[Shot], folder: Path) -> list[Frame]:
         """All frames in one go; nothing is acknowledged before all are here."""
+        self.recorder.claim(self.frame_bytes * len(wanted))
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
         exposures = [shot.exposure for shot in wanted]
@@ -188,19 +205,28 @@ class Bracket:
         try:
             files = self.camera.call(take, sum(e.shutter_s for e in exposures))
         except Exception:
-            for target in targets:
-                for half in folder.glob(f"{target.name}*"):
-                    half.unlink()
+            _sweep(folder)
             raise
         each_s = (self.clock.boottime() - boot) / len(wanted)
         frames = []
         for shot, written in zip(wanted, files, strict=True):
-            doubt = self.check(written, shot.exposure)
+            doubt, exposure = self._judged(written, shot.exposure)
             final = folder / f"{shot.stem}{written.suffix}"
             _settle(written, final, flush=self.recorder.flush)
+            self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
             at = begun + timedelta(seconds=each_s * shot.index)
-            frames.append(Frame(shot.index, final.name, shot.exposure, None, at, each_s, sha256(final), doubt))
+            frames.append(Frame(shot.index, final.name, exposure, None, at, each_s, sha256(final), doubt))
         return frames
+
+    def _wait_for_room(self, deadline: datetime, pause_s: float) -> bool:
+        """Until a frame has room; after a pause in any case, for a quota does not show beforehand."""
+        earliest = self.clock.now() + timedelta(seconds=pause_s)
+        while (now := self.clock.now()) < deadline:
+            if now >= earliest and not self.recorder.missing_bytes(self.frame_bytes):
+                return True
+            self.clock.sleep(1.0)
+            self.between(None)
+        return False
 
     def _wait_for_camera(self, deadline: datetime) -> bool:
         while self.clock.now() < deadline:
@@ -243,8 +269,7 @@ class Bracket:
     def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
         """Close a slot that will not be finished; the frames there are stay, marked as incomplete."""
         folder = self.session.raw / slot.id
-        for scrap in folder.glob(".*"):
-            scrap.unlink(missing_ok=True)
+        _sweep(folder)
         if state.frames:
             with suppress(OSError):  # the journal has it all
                 whole = len(state.frames) == len(shots(slot.exposures, self.setup))
@@ -255,6 +280,12 @@ class Bracket:
     def _camera_info(self) -> dict[str, Any]:
         camera = self.camera.get()
         return plain_info(camera.info) if camera is not None else {}
+
+
+def _sweep(folder: Path) -> None:
+    """What was begun under a passing name and never acknowledged."""
+    for scrap in folder.glob(".*"):
+        scrap.unlink(missing_ok=True)
 
 
 def _settle(written: Path, final: Path, *, flush: bool) -> None:

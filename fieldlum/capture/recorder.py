@@ -10,17 +10,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any
 
 from fieldlum.records import IrradianceSample
-from fieldlum.session import DayFiles, Journal, Session
+from fieldlum.session import DayFiles, Journal, Session, disk_is_full
 
 RESERVE_BYTES = 16 << 20
 _KEPT_ROWS = 100_000  # almost six days at 5 s
-
-
-def disk_is_full(error: BaseException) -> bool:
-    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class Recorder:
@@ -53,13 +50,33 @@ class Recorder:
             self._rows.append(sample)
             return self._flush_rows()
 
+    def missing_bytes(self, size: float) -> int:
+        """How much room a file of `size` bytes lacks, half of the reserve left to the journal and the rows."""
+        return max(0, round(size) + self._reserve_bytes // 2 - self._free_bytes() - self._reserved_bytes())
+
+    def claim(self, size: float) -> None:
+        """See that a file of `size` bytes has room, if need be in the reserve. Raises OSError (ENOSPC) when not."""
+        with self._lock:
+            if missing := self.missing_bytes(size):
+                self.make_room()
+                self.last_event = f"disk-full: {missing / 1e6:.1f} MB more are needed"
+                raise OSError(errno.ENOSPC, self.last_event)
+            if self._free_bytes() < size:
+                self.make_room()
+
+    def _free_bytes(self) -> int:
+        return disk_usage(self._reserve.parent).free
+
+    def _reserved_bytes(self) -> int:
+        return self._reserve.stat().st_size if self._reserve.is_file() else 0
+
     def make_room(self) -> None:
         """The disk is full: give the reserve back so that this can be written down."""
         with self._lock:
             if not self.full:
                 self.full = True
                 self._reserve.unlink(missing_ok=True)
-                self.tell("disk-full")
+                self.tell("disk-full", bytes_free=self._free_bytes())
 
     def refill(self) -> None:
         """Set the reserve aside (again), and write what waited. Called before each bracket."""
@@ -106,7 +123,7 @@ class Recorder:
                 self.full = True
                 self._reserve.unlink(missing_ok=True)
                 with suppress(OSError):
-                    self.journal.append("disk-full", self._now())
+                    self.journal.append("disk-full", self._now(), bytes_free=self._free_bytes())
         return False
 
     def close(self) -> None:

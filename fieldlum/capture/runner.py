@@ -16,14 +16,14 @@ from fieldlum import __version__
 from fieldlum.capture.bracket import Bracket, Check, shots
 from fieldlum.capture.keeper import Keeper, plain_info
 from fieldlum.capture.logger import Logger
-from fieldlum.capture.recorder import RESERVE_BYTES, Recorder, disk_is_full
+from fieldlum.capture.recorder import RESERVE_BYTES, Recorder
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import Clock, FastClock, RealClock
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure, Slot, parse_utc
-from fieldlum.session import Session, read_journal, sole_user, update_session
+from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +76,7 @@ class Live:
     camera: str
     pyranometer: str
     bytes_free: int
+    bytes_missing: int  # what the next bracket lacks, beside what is kept for the journal and the rows
     disk_days: float | None
     last_event: str
 
@@ -154,8 +155,10 @@ class _Runner:
         self.camera: Keeper[Camera] | None = None
         self.logger: Logger | None = None
         self.meter: Keeper[IlluminanceMeter] | None = None
-        self.bytes_per_slot = 0.0
+        self.frame_bytes, self.bytes_per_slot = 0, 0.0
         self.last_frame = ""
+        for slot in [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames][-1:]:
+            self._learn_sizes(slot, self.states[slot.id])
         self._misses_in_a_row = 0
         self._state, self._next = "waiting", ""
 
@@ -213,6 +216,7 @@ class _Runner:
             self.check_shortest,
             self._between,
             self.meter,
+            self.frame_bytes,
         )
         grace = timedelta(seconds=self.options.grace_s)
         todo = owed(self.slots, Ledger(dict(self.states)))
@@ -258,9 +262,13 @@ class _Runner:
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
-        paths = [self.session.raw / slot.id / frame.file for frame in state.frames[:3]]
+        self._learn_sizes(slot, state)
+
+    def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
+        paths = [self.session.raw / slot.id / frame.file for frame in state.frames]
         sizes = [path.stat().st_size for path in paths if path.is_file()]
         if sizes:
+            self.frame_bytes = max(sizes)
             self.bytes_per_slot = sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))
 
     def _wait_until(self, t_utc: datetime, slot: Slot) -> None:
@@ -320,7 +328,8 @@ class _Runner:
             sample.ghi_wm2 if sample else None,
             (now - sample.t_utc).total_seconds() if sample else None,
             self.camera.state if self.camera else "", self.logger.keeper.state if self.logger else "",
-            free, free / per_day if per_day else None, self.recorder.last_event,
+            free, self.recorder.missing_bytes(self.bytes_per_slot), free / per_day if per_day else None,
+            self.recorder.last_event,
         )  # fmt: skip
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ class Frame:
 
     index: int
     file: str
-    exposure: Exposure
+    exposure: Exposure  # as asked; EXIF's where that departs from it, and then `doubt` says so
     heading_deg: float | None
     t_utc: datetime
     seconds: float  # from the request to the file on disk

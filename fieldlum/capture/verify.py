@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,17 @@ def doubts(path: Path, asked: Exposure) -> str:
     except InputError as error:
         return error.found
     return wrong_settings(info, asked)
+
+
+def as_taken(path: Path, asked: Exposure) -> Exposure:
+    """The exposure of a doubtful frame: EXIF's where that can be read and departs from the request, else as asked."""
+    try:
+        info = read_exif(path)
+    except InputError:
+        return asked
+    found = info.exposure
+    known = found.shutter_s > 0 and found.f_number > 0 and found.iso > 0
+    return replace(found, nd=asked.nd) if known and wrong_settings(info, asked) else asked
 
 
 def wrong_settings(info: FrameInfo, asked: Exposure) -> str:

@@ -1,11 +1,13 @@
 """A driver in a process of its own: when it hangs it is killed, when it crashes it is started anew, and the rest lives.
 
-The child runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result) or ("error", text).
+The child runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result), ("error", text), or ("full",
+errno) when the disk is: that is no fault of the device's.
 """
 
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Callable
@@ -14,8 +16,14 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from fieldlum.errors import DeviceError
+from fieldlum.session import disk_is_full
 
 Serve = Callable[[Connection], None]
+
+
+def failure(error: Exception) -> tuple[str, Any]:
+    """What a child answers for an error of its own."""
+    return ("full", error.errno) if isinstance(error, OSError) and disk_is_full(error) else ("error", str(error))
 
 
 class Child:
@@ -33,7 +41,10 @@ class Child:
         return self._process is not None and self._process.is_alive()
 
     def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
-        """The child's answer. Raises DeviceError for its error, its silence (it is killed then) and its death."""
+        """The child's answer. Raises DeviceError for its error, its silence (it is killed then) and its death.
+
+        Raises OSError when the child found the disk full.
+        """
         with self._lock:
             pipe = self._ready()
             try:
@@ -46,6 +57,8 @@ class Child:
                 code = self._kill(grace_s=5.0)  # it is ending by itself: let it tell how
                 why = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
                 raise DeviceError(f"{self._name}: the driver crashed in '{command}' ({why})") from None
+        if kind == "full":
+            raise OSError(result, os.strerror(result))
         if kind == "error":
             raise DeviceError(f"{self._name}: {result}")
         return result

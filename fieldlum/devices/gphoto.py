@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from fieldlum.devices import CameraInfo
 from fieldlum.devices.child import Child, Serve
-from fieldlum.devices.settings import check_frame, nearest
+from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, whole
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure
@@ -73,7 +73,10 @@ class GphotoCamera:
         return CameraInfo("gphoto", **about)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set, read back, take, copy, compare with EXIF. Raises DeviceError; the frame is then not kept."""
+        """Set, read back, take, copy. What was taken is kept, whatever its EXIF says: the caller compares it.
+
+        Raises DeviceError, and OSError when the disk is full.
+        """
         if heading_deg is not None:
             raise DeviceError("gphoto: this camera has no head that turns: leave headings out of the site file")
         if not self._child.alive or self._child.starts != self._opened_at_start:
@@ -81,16 +84,10 @@ class GphotoCamera:
         for role, asked in (("aperture", exposure.f_number), ("iso", exposure.iso), ("shutter", exposure.shutter_s)):
             self._set(role, asked)
         wait_s = exposure.shutter_s + self._readout_s
-        path = Path(self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s))
-        try:
-            check_frame(path, exposure, "gphoto")
-        except DeviceError:
-            path.unlink(missing_ok=True)
-            raise
-        return path
+        return Path(self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s))
 
     def _set(self, role: str, asked: float) -> None:
-        if role not in self._about["settings"]:  # a manual lens, or fixed: EXIF has the last word
+        if role not in self._about["settings"]:  # a manual lens, or fixed: EXIF has the last word, in `capture`
             return
         widget, choices = self._about["settings"][role]
         text = choose(role, asked, choices)

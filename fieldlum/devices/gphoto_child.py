@@ -9,6 +9,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from fieldlum.devices.child import failure
+
 # What brands call the three settings; the first that a camera has is used.
 WIDGETS = {
     "shutter": ("shutterspeed", "shutterspeed2", "exptime"),
@@ -57,7 +59,7 @@ def serve(pipe: Connection) -> None:
         except gp.GPhoto2Error as error:
             pipe.send(("error", _SAID.get(error.code, f"{error.string} ({error.code})")))
         except (OSError, ValueError) as error:
-            pipe.send(("error", str(error)))
+            pipe.send(failure(error))
 
 
 def _open(gp: Any, model: str) -> Any:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from pathlib import Path
 
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.records import Exposure, shutter_text
+from fieldlum.errors import DeviceError
+from fieldlum.records import shutter_text
 
 LARGEST_STEP_EV = 1.0 / 6.0  # half of a third of a stop
 
@@ -22,21 +21,3 @@ def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -
         shown = shutter_text(best) if unit == "s" else f"{best:.5g}"
         raise DeviceError(f"{what}: {asked:.5g} {unit} is not offered, the nearest is {shown}".replace("  ", " "))
     return best
-
-
-def check_frame(path: Path, asked: Exposure, who: str) -> None:
-    """Raises DeviceError when a new frame cannot be read, or its EXIF says another exposure than was asked for."""
-    from fieldlum.raw import read_exif
-
-    try:
-        got = read_exif(path).exposure
-    except InputError as error:
-        raise DeviceError(f"{who}: the frame is unusable: {error}") from None
-    pairs = (
-        ("exposure time", got.shutter_s, asked.shutter_s),
-        ("f-number", got.f_number, asked.f_number),
-        ("ISO", got.iso, asked.iso),
-    )
-    for name, found, wanted in pairs:
-        if abs(math.log2(found / wanted)) > LARGEST_STEP_EV:
-            raise DeviceError(f"{who}: EXIF says {name} {found:.5g}, asked was {wanted:.5g}: set the camera to manual")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from fieldlum.devices import CameraInfo
-from fieldlum.devices.settings import check_frame, nearest
+from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, whole
 from fieldlum.errors import DeviceError
 from fieldlum.records import Exposure
@@ -70,7 +70,10 @@ class ThetaCamera:
     # -------------------------------------------------------------------------------------- pictures
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set, read back, take, fetch, compare with EXIF. Raises DeviceError; the frame is then not kept."""
+        """Set, read back, take, fetch. What was taken is kept, whatever its EXIF says: the caller compares it.
+
+        Raises DeviceError, and OSError when the disk is full.
+        """
         self._refuse_turning(heading_deg)
         wanted = self._chosen(exposure)
         self._set({**_MANUAL, **wanted})
@@ -82,7 +85,7 @@ class ThetaCamera:
         urls = [url for name in ("_dngFileUrl", "fileUrl") if isinstance(url := results.get(name), str) and url]
         if not urls:
             raise DeviceError("theta: the picture was taken, but the camera names no file")
-        path = self._fetch(urls[0], target, exposure)
+        path = self._fetch(urls[0], target)
         self._clear(urls)
         return path
 
@@ -98,11 +101,11 @@ class ThetaCamera:
         shots = [{"exposureProgram": 1, "whiteBalance": "daylight", **self._chosen(e)} for e in exposures]
         self._set({**_MANUAL, "_autoBracket": {"_bracketNumber": len(shots), "_bracketParameters": shots}})
         patience = sum(e.shutter_s for e in exposures) + READOUT_S + 2.0 * len(shots)
-        # The camera tells only how many frames it will take, not their settings: EXIF is the check.
+        # The camera tells only how many frames it will take, not their settings: their EXIF says it.
         urls = self._command("camera.startCapture", {"_mode": "bracket"}, patience).get("fileUrls")
         if not isinstance(urls, list) or len(urls) != len(shots):
             raise DeviceError(f"theta: {len(urls) if isinstance(urls, list) else 'no'} files, {len(shots)} were asked")
-        paths = [self._fetch(str(u), t, e) for u, t, e in zip(urls, targets, exposures, strict=True)]
+        paths = [self._fetch(str(url), target) for url, target in zip(urls, targets, strict=True)]
         self._clear([str(u) for u in urls])
         return paths
 
@@ -120,7 +123,7 @@ class ThetaCamera:
             out["aperture"] = nearest(exposure.f_number, self._offers["aperture"], "theta aperture")
         return out
 
-    def _fetch(self, url: str, target: Path, asked: Exposure) -> Path:
+    def _fetch(self, url: str, target: Path) -> Path:
         parts = urlsplit(url)
         if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
             raise DeviceError(f"theta: it names {url}, which is not on {self._address}")
@@ -130,11 +133,6 @@ class ThetaCamera:
             file.write(body)
             file.flush()
             os.fsync(file.fileno())
-        try:
-            check_frame(path, asked, "theta")
-        except DeviceError:
-            path.unlink(missing_ok=True)
-            raise
         return path
 
     def _clear(self, urls: list[str]) -> None:

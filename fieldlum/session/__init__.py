@@ -9,7 +9,7 @@ from fieldlum.session.folder import Session, create_session, open_session, sole_
 from fieldlum.session.journal import Journal, read_journal
 from fieldlum.session.lines import append_durably, append_whole, cut_torn_tail, decode_line, encode_line
 from fieldlum.session.plan_file import PLAN_COLUMNS, exposure_text, parse_exposure, read_plan, write_plan
-from fieldlum.session.writing import replacing, replacing_path, sha256, sync_folder
+from fieldlum.session.writing import disk_is_full, replacing, replacing_path, sha256, sync_folder
 
 __all__ = [
     "DAY_COLUMNS",
@@ -24,6 +24,7 @@ __all__ = [
     "day_files",
     "decode_line",
     "decode_sample",
+    "disk_is_full",
     "encode_line",
     "encode_sample",
     "exposure_text",
