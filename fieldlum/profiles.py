@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from fieldlum.errors import InputError
+from fieldlum.projection import LensGeometry, angle_of_radius
 from fieldlum.records import Exposure, SiteFile
 
 T = TypeVar("T")
@@ -110,6 +111,8 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
         raise InputError(where, f"latitude_deg = {site.latitude_deg:g}", "-90 to 90", "south is negative")
     if not -180 <= site.longitude_deg <= 180:
         raise InputError(where, f"longitude_deg = {site.longitude_deg:g}", "-180 to 180", "east is positive")
+    if not -500 <= site.altitude_m <= 9000:
+        raise InputError(where, f"altitude_m = {site.altitude_m:g}", "-500 to 9000", "metres above the sea")
     try:
         ZoneInfo(site.timezone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
@@ -200,6 +203,14 @@ class Lens:
     tilt_deg: float = 0.0  # up
     roll_deg: float = 0.0  # clockwise as seen from behind the camera
     vignetting: tuple[Vignetting, ...] = ()
+
+    @property
+    def geometry(self) -> LensGeometry:
+        """Where it puts a direction, on the whole sensor, relative to the camera's heading."""
+        return LensGeometry(
+            self.centre_px, self.radius_px, self.full_angle_deg, self.mapping, self.coefficients,
+            self.azimuth_deg, self.tilt_deg, self.roll_deg,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,8 +323,16 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         for value in values:
             if not 0 < value < 1e12:
                 raise InputError(where, f"{key} = {value:g}", "a number above 0")
+    relative = (p.colour.u_rel, p.scale.u_rel, p.response.u_rel, p.glare_floor_rel, *(x.u_rel for x in p.shutter))
+    relative += (*(x.u_rel for x in p.nd), *(v.u_rel for x in p.lens for v in x.vignetting))
+    if not all(0 <= value < 1 for value in relative):
+        raise InputError(where, f"a share of {next(v for v in relative if not 0 <= v < 1):g}", "u_rel: 0 to below 1")
+    if min(p.sensor.read_noise_e, p.bracket.seconds_per_frame, p.bracket.megabytes_per_frame) < 0:
+        raise InputError(where, "read_noise_e, seconds_per_frame or megabytes_per_frame below 0", "0 or more")
     if max(x.full_angle_deg for x in p.lens) > 300 or max(p.camera.width_px, p.camera.height_px) > 100_000:
         raise InputError(where, "a lens beyond 300 degrees or a sensor beyond 100 000 pixels", "a real camera")
+    for lens in p.lens:
+        _check_mapping(lens, where)
     if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
         raise InputError(where, "[sensor] black_dn or saturation_dn", "four values: R, G1, G2, B")
     if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
@@ -322,6 +341,20 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         raise InputError(where, f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values", "9, or none")
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
         raise InputError(where, "response.low_code, high_code", "0 <= low < high <= 255")
+
+
+def _check_mapping(lens: Lens, where: str) -> None:
+    """The radius must rise with the angle up to the edge of the circle, and reach 1 there."""
+    if lens.mapping != "polynomial":
+        return
+    found = f"lens '{lens.name}': polynomial of {', '.join(f'{c:g}' for c in lens.coefficients) or 'no coefficients'}"
+    remedy = "fit it again: fieldlum calibrate lens"
+    try:
+        angle_of_radius(lens.geometry, 1.0)
+    except ValueError as error:
+        raise InputError(where, f"{found} ({error})", "one that rises up to the edge of the circle", remedy) from None
+    if abs(sum(lens.coefficients) - 1.0) > 0.02:
+        raise InputError(where, f"{found}, in all {sum(lens.coefficients):g}", "coefficients that sum to 1", remedy)
 
 
 def save_profile(path: Path, profile: CameraProfile) -> None:

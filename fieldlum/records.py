@@ -40,7 +40,9 @@ def parse_utc(text: str) -> datetime:
 
 
 def slot_id(t_utc: datetime) -> str:
-    """A slot is named by its UTC start: ``20270320T153000Z``."""
+    """A slot is named by its UTC start: ``20270320T153000Z``. Raises ValueError for a naive time."""
+    if t_utc.tzinfo is None:
+        raise ValueError(f"naive time {t_utc}: give it a time zone")
     return t_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 

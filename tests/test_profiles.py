@@ -34,6 +34,7 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg', did you mean 'latitude_deg'"),
         ({"latitude_deg": "north"}, "'north', expected a number"),
         ({"latitude_deg": True}, "expected a number"),
+        ({"altitude_m": 52000.0}, "altitude_m = 52000, expected -500 to 9000"),
     ],
 )
 def test_a_bad_site_is_refused_with_the_finding(change: dict, said: str) -> None:
@@ -86,3 +87,22 @@ def test_a_misspelt_profile_key_is_refused(tmp_path: Path) -> None:
 def test_an_unknown_profile_lists_what_there_is() -> None:
     with pytest.raises(InputError, match="sim-dual-fisheye"):
         find_camera_profile("nikon-z99")
+
+
+@pytest.mark.parametrize(
+    ("line", "new", "said"),
+    [
+        ('mapping = "equisolid"', 'mapping = "polynomial"\ncoefficients = [2.0, -1.5]', "rises up to the edge"),
+        ('mapping = "equisolid"', 'mapping = "polynomial"\ncoefficients = [0.8]', "in all 0.8, expected coefficients"),
+        ('mapping = "equisolid"', 'mapping = "polynomial"', "no coefficients"),
+        ("read_noise_e = ", "read_noise_e = -", "read_noise_e"),
+        ("u_rel = 0.002", "u_rel = -0.002", "a share of -0.002"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, line: str, new: str, said: str) -> None:
+    """contract: a lens that folds back or ends before its edge would put light where none came from."""
+    text = find_camera_profile("sim-fisheye").read_text(encoding="utf-8")
+    assert line in text
+    (tmp_path / "odd.toml").write_text(text.replace(line, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        load_camera_profile(tmp_path / "odd.toml")

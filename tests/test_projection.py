@@ -1,5 +1,7 @@
 """Lens mappings, poses and the flux-conserving resampling."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -64,6 +66,17 @@ def test_a_pose_turns_tilts_and_rolls_as_the_profile_says() -> None:
 def test_a_polynomial_that_falls_inside_the_circle_is_refused() -> None:
     with pytest.raises(ValueError, match="does not rise"):
         angle_of_radius(LensGeometry((0.0, 0.0), 1.0, 180.0, "polynomial", (2.0, -1.5)), 0.5)
+
+
+@pytest.mark.parametrize("height", [8, 33, 115])
+def test_a_polynomial_that_falls_beyond_the_circle_shows_nothing_there(height: int) -> None:
+    """analytic: r = 1.5 a - .5 a^3 is 1 at the edge and falls again, so directions beyond it land within the circle."""
+    flat = replace(lens(), mapping="polynomial", coefficients=(1.5, 0.0, -0.5))
+    r = resampler(Equirect(height), flat, (300, 300))
+    angle = lens_pixels(flat, equirect_rays(height, 2 * height, 0.0))[2].ravel()
+    beyond = angle > flat.half_angle_rad + np.pi / height
+    assert beyond.any() and not r.coverage[beyond].any()
+    assert r.coverage[angle < flat.half_angle_rad - 0.2 - np.pi / height].min() > 0.9
 
 
 @pytest.mark.parametrize("height", [8, 33, 64])

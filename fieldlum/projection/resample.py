@@ -19,7 +19,9 @@ from fieldlum.projection.panorama import direction, equirect_solid_angles
 
 _BLOCK_SAMPLES = 250_000  # worked on at a time: what stays near a core
 _WINDOWS = 1_000_000  # places of all windows that are summed at a time
-_EDGE_RAD = 0.12  # target pixels further outside the lens than this are not even looked at
+# Cells with no corner within the lens, give or take this, are not looked at: some polynomials fall again beyond the
+# edge and would show what lies behind the lens as a mirror image of its rim.
+_EDGE_RAD = 0.002
 _SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}  # of a colour's pixels [px]
 _LEAST = 3  # samples along an edge of a target pixel
 _STEP = 1.1  # of that spacing, between samples
