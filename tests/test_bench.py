@@ -57,6 +57,25 @@ def test_training_hours_are_never_asked() -> None:
         without_training_hours(mixed, DATA)
 
 
+def test_hours_of_a_kept_model_are_never_asked(tmp_path: Path) -> None:
+    """contract: a model trained before knows its own hours, wherever they came from."""
+    early, late = DATA.take(range(10)), DATA.take(range(10, 20))
+    models.save(tmp_path / "kept", models.fit("mean", early), early, patch="absolute")
+    assert set(without_training_hours(DATA, late, tmp_path / "kept").slots) == set(DATA.slots[20:])
+
+
+def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
+    """contract: the nearest hour of a training hour is itself, so an error of nothing would mean that it was asked."""
+    write_pairs(tmp_path, DATA)
+    options = ["--models", "nearest", "--render", "0", "--stress", "--out", str(tmp_path / "out"), "--json"]
+    result = CliRunner().invoke(main, ["bench", str(tmp_path / "pairs.csv"), *options])
+    assert result.exit_code == 0, result.output
+    with (tmp_path / "out/stress.csv").open() as file:
+        normal = next(csv.DictReader(file))
+    assert int(normal["n_train"]) + int(normal["n_test"]) == len(DATA)
+    assert float(normal["log10_mse_weighted"]) > 1e-5
+
+
 def test_the_front_holds_what_nothing_beats() -> None:
     """analytic: (3, 3) is beaten by (2, 2)."""
     points = [(3.0, 3.0), (1.0, 5.0), (2.0, 2.0), (9.0, 1.0), (9.5, 1.5)]

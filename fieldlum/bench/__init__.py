@@ -102,14 +102,17 @@ def run(
 ) -> dict[str, Any]:
     """Score table, chart, learning curves, collection periods (where a year is at hand) and stress, into `out`.
 
-    test: hours to ask about; without it held-out days of `data`. whole: all hours at hand, to draw seasons from.
+    test: hours to ask about; without it held-out days of `data`. Hours that any model was trained on are never asked.
+    whole: all hours at hand, to draw seasons from.
     """
     from fieldlum.bench import charts, stress
     from fieldlum.bench.cost import radiance_row
-    from fieldlum.bench.rows import over_seeds, parse_specs, score_table
+    from fieldlum.bench.rows import over_seeds, parse_specs, score_table, without_training_hours
     from fieldlum.train.choice import choose
 
     specs = parse_specs(models)
+    if test is not None:
+        test = without_training_hours(test, data, *(spec.folder for spec in specs if spec.folder is not None))
     rows, trials = score_table(specs, data, test, seeds=seeds, budget_s=60.0 * budget_min, progress=progress)
     asked = data if test is None else test
     chosen = choose(list(trials.values()), asked)
@@ -124,7 +127,8 @@ def run(
     parts += _curves(data, test, specs, out, progress)
     if with_stress:
         spec = next((s for s in specs if s.name == "transport"), specs[0])
-        found = stress.run(spec, data, asked, _apart(whole, data, asked), progress=progress)
+        teach, check = (data, test) if test is not None else _parted(data)
+        found = stress.run(spec, teach, check, _apart(whole, data, check), progress=progress)
         _keep(out, "stress", found, charts.stress)
         parts.append(f"## Stress\n\n{markdown(found, STRESS)}")
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
@@ -134,12 +138,22 @@ def run(
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
 
 
+def _parted(data: Dataset) -> tuple[Dataset, Dataset]:
+    """Data to train on and held-out days (hours, where there is one day only) to ask about, a fifth of all."""
+    from fieldlum.errors import NotEnoughDataError
+    from fieldlum.train.folds import day_folds
+
+    folds = day_folds(data)
+    if not folds:
+        raise NotEnoughDataError(f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check")
+    return data.take(folds[0].teach), data.take(folds[0].check)
+
+
 def _apart(whole: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
     """All hours at hand but the test's."""
     import numpy as np
 
-    everything = data if whole is None else whole
-    asked = set(test.slots) if test is not data else set()
+    everything, asked = data if whole is None else whole, set(test.slots)
     return everything.take(np.array([slot not in asked for slot in everything.slots]))
 
 

@@ -51,9 +51,12 @@ def _parse_spec(text: str) -> Spec:
     raise InputError("--models", f"'{text}'", wanted)
 
 
-def without_training_hours(test: Dataset, train: Dataset) -> Dataset:
-    """The test hours that were not trained on. Raises NotEnoughDataError when none is left."""
-    known = set(train.slots)
+def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:
+    """The test hours that neither `train` nor the models kept in `folders` hold.
+
+    Raises NotEnoughDataError when none is left.
+    """
+    known = set(train.slots).union(*(models.read_config(folder)["training"]["slots"] for folder in folders))
     fresh = np.array([slot not in known for slot in test.slots])
     if not fresh.any():
         raise NotEnoughDataError(f"{test.source}: every test hour is a training hour")
@@ -102,8 +105,11 @@ def score_table(
     budget_s: float = 300.0,
     progress: Progress = quiet,
 ) -> tuple[list[dict[str, Any]], dict[str, Trial]]:
-    """Rows of all models and seeds, and each model's first trial. Models without chance in them run once."""
-    asked = None if test is None else truth(without_training_hours(test, data))
+    """Rows of all models and seeds, and each model's first trial. Models without chance in them run once.
+
+    test: hours that no model was trained on (`without_training_hours`); None: held-out days of `data`.
+    """
+    asked = None if test is None else truth(test)
     rows: list[dict[str, Any]] = []
     trials: dict[str, Trial] = {}
     for k, spec in enumerate(specs):
