@@ -27,7 +27,7 @@ from fieldlum.profiles import (
     save_profile,
 )  # fmt: skip
 from fieldlum.projection import LensGeometry, angle_of_radius, direction, lens_pixels
-from fieldlum.raw import write_dng, write_jpeg
+from fieldlum.raw import read_jpeg, write_dng, write_jpeg
 from fieldlum.records import Exposure, Panorama
 
 SIZE = 240
@@ -180,6 +180,20 @@ def test_analytic_a_plain_srgb_camera_is_recognised(tmp_path: Path) -> None:
     places = response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
     found = response.fit(places)
     assert found.response.kind == "srgb" and "srgb" in found.choice.line
+
+
+def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
+    still = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)
+    assert "CAUTION" not in _fitted(still).choice.line
+    for path in sorted(still.glob("*.jpg"))[::2]:
+        frame = read_jpeg(path)
+        write_jpeg(path, np.roll(frame.codes, 6, axis=1), exposure=frame.exposure)
+    found = _fitted(still)
+    assert found.response.u_rel > response.DOUBTFUL and "did the camera or the light move" in found.choice.line
+
+
+def _fitted(folder: Path) -> response.Fit:
+    return response.fit(response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0)))
 
 
 def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:

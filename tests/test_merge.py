@@ -1,6 +1,7 @@
 """The estimator, one bracket against known luminance, flags, the sun, and bad frames."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
@@ -311,6 +312,18 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     write_dng(path, np.zeros((64, 128), np.uint16), Exposure(0.1, 5.6), black_dn=(0, 0, 0, 0), white_dn=4095)
     with pytest.raises(InputError, match="128 x 64 pixels, expected 968 x 484"):
         load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile), 0.1, None)
+    own = replace(profile, camera=replace(profile.camera, width_px=128, height_px=64, model="Alpha 2"))
+    own = replace(own, lens=(replace(own.lens[0], centre_px=(64.0, 32.0), radius_px=30.0),))
+    for model, said in (
+        ("ALPHA  2", ""),
+        ("Maker Alpha 2", ""),
+        ("", ""),
+        ("Alpha 3", "taken by Alpha 3, expected Alpha 2"),
+    ):
+        counts = np.zeros((64, 128), np.uint16)
+        write_dng(path, counts, Exposure(0.1, 5.6), black_dn=(0, 0, 0, 0), white_dn=4095, model=model)
+        with pytest.raises(InputError, match=said) if said else nullcontext():
+            load_raw(Shot(path, Exposure(0.1, 5.6)), own, lens_crop(own), 0.1, None)
     with pytest.raises(InputError, match="filter 'nd9'"):
         sorted_shots([Shot(path, Exposure(0.1, 5.6, 100, "nd9"))], profile)
     with pytest.raises(InputError, match="a JPEG frame"):

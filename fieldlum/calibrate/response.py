@@ -22,6 +22,7 @@ BLOCKS = 60_000  # looked at for them
 LOW, HIGH = 27, 228  # codes that count for the residual, and later carry weight
 FLAT = 3.0  # codes: a place's neighbours differ by at most this in a frame that holds it
 NEGLIGIBLE = 0.002  # of light
+DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)
 TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 
@@ -168,6 +169,9 @@ def fit(places: Places) -> Fit:
         for c, t in enumerate(tables)
     ]
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
+    if u > DOUBTFUL:
+        doubt = f"CAUTION: the same places differ by {100 * u:.0f} % between frames; did the camera or the light move?"
+        choice = replace(choice, line=f"{choice.line}. {doubt}")
     return Fit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)
 
 

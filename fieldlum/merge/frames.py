@@ -171,7 +171,7 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, p
     """Raises InputError for a frame that is none of this camera's."""
     mosaic = read_mosaic(shot.path)
     sensor, body = profile.sensor, profile.camera
-    _check_size(shot.path, mosaic.counts.shape, profile)
+    _check_camera(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:
         raise InputError(shot.path, f"mosaic {mosaic.cfa}", f"{sensor.cfa}, as {body.name} says")
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
@@ -194,11 +194,16 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, p
     )
 
 
-def _check_size(path: Path, shape: tuple[int, ...], profile: CameraProfile) -> None:
+def _check_camera(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
+    """By size and, where both tell it, by the model's name, whole or in part (a maker's name may stand before it)."""
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
-        found = f"{shape[1]} x {shape[0]} pixels"
-        raise InputError(path, found, f"{body.width_px} x {body.height_px}, as {body.name} says", "use its own profile")
+        size = f"{shape[1]} x {shape[0]} pixels"
+        raise InputError(path, size, f"{body.width_px} x {body.height_px}, as {body.name} says", "use its own profile")
+    known, found = (" ".join(name.split()).casefold() for name in (body.model, model))
+    if known not in found and found not in known:
+        remedy = "use its own profile; where this is its own, write that model under [camera]"
+        raise InputError(path, f"taken by {model}", f"{body.model}, as {body.name} says", remedy)
 
 
 def plateau_of(shots: Sequence[Shot], profile: CameraProfile) -> float | None:
@@ -314,7 +319,7 @@ def load_jpeg(
 ) -> JpegSignal:
     """ends: whether this is the bracket's most and least exposed frame. Raises InputError."""
     frame = read_jpeg(shot.path)
-    _check_size(shot.path, frame.codes.shape, profile)
+    _check_camera(shot.path, frame.codes.shape, frame.model, profile)
     exposure = shot.exposure
     per = z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     return JpegSignal(

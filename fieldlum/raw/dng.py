@@ -94,7 +94,7 @@ def write_dng(
             262: (_SHORT, [32803]),  # colour filter array
             **({270: (_ASCII, f"ND={exposure.nd}")} if exposure.nd else {}),
             271: (_ASCII, make),
-            272: (_ASCII, model or "camera"),
+            **({272: (_ASCII, model)} if model else {}),
             273: (_LONG, [pixels_at]),
             274: (_SHORT, [1]),
             277: (_SHORT, [1]),
