@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from fieldlum import models
 from fieldlum.errors import InputError
 from fieldlum.models import dense, dense_training, ranks
 from fieldlum.models.dense import Net, Shape, decode, encode, parameter_count
-from fieldlum.models.dense_training import Plan
+from fieldlum.models.dense_state import Plan, Run
 from fieldlum.models.scores import compare, evaluate, summary, truth
 
 DATA = dataset(("2027-03-20", "2027-03-21"), height=8)
@@ -121,6 +122,17 @@ def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> No
         np.testing.assert_array_equal(value, resumed.state()[1][name])
 
 
+def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
+    """contract: pictures merged anew under the same slots must not go on from weights taught by the old ones."""
+    kept = tmp_path / "checkpoint.pt"
+    models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=1, plan=FEW, **SMALL)
+    brighter = replace(DATA, luminance_cdm2=DATA.luminance_cdm2 * np.float32(1.02))
+    with pytest.raises(InputError, match="of other pictures, irradiance or seed"):
+        models.fit("dense", brighter, checkpoint=kept, plan=FEW, **SMALL)
+    with pytest.raises(InputError, match="of other pictures, irradiance or seed"):
+        models.fit("dense", DATA, checkpoint=kept, plan=FEW, seed=1, **SMALL)
+
+
 def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
     a, b, c = (models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state()[1] for seed in (1, 1, 2))
     assert all((a[name] == b[name]).all() for name in a)
@@ -197,13 +209,21 @@ def test_a_network_without_patches_and_its_other_forms() -> None:
 
 
 def test_the_papers_schedule_halves_rate_and_batch() -> None:
-    run = dense_training.Run()
+    run = Run()
     for _ in range(2):
         dense_training._paper_rate(run, improved=False)
     assert run.rate == 5e-4 and run.stage == 0
     for _ in range(28):
         dense_training._paper_rate(run, improved=True)
     assert run.stage == 1 and run.rate == 5e-4
+
+
+def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
+    """analytic: in the middle of a short schedule the rate is half of what it starts from."""
+    run = Run(step=500)
+    assert dense_training._short_rate(Plan("short", steps=1000), run, None) == pytest.approx(5e-4)
+    run.rate /= 2.0
+    assert dense_training._short_rate(Plan("short", steps=1000), run, None) == pytest.approx(2.5e-4)
 
 
 def test_a_loss_that_is_no_number_changes_nothing() -> None:

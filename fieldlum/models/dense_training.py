@@ -8,20 +8,17 @@ makes it the exact gradient of the whole batch's loss. Memory is that of one mic
 from __future__ import annotations
 
 import math
-import pickle
 import time
-import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fieldlum.errors import InputError
 from fieldlum.models import ranks
 from fieldlum.models.dense import (
     Canvas,
@@ -35,8 +32,8 @@ from fieldlum.models.dense import (
     pick_device,
     scene_inputs,
 )
+from fieldlum.models.dense_state import STAGE_EPOCHS, STAGES, Plan, Run, fingerprint, keep, restore
 from fieldlum.records import Progress, quiet
-from fieldlum.session import replacing
 
 if TYPE_CHECKING:
     from fieldlum.models import Patch
@@ -46,24 +43,10 @@ RER_SHARE = 10.0
 VALIDATION_SHARE = 0.1
 PATIENCE_EPOCHS = 2
 LEAST_RATE = 1e-10
-STAGES = (6, 3, 1)  # batch in images' worth of pixels
-STAGE_EPOCHS = 30
 SHORT_EPOCHS = 25  # how often the short schedule looks at the validation pixels
 SHORT_VALIDATION_PIXELS = 60_000
 SHORT_STEPS = 3000  # what a short schedule tries to reach before it lets its batches grow
 SHORT_BATCH = (512, 8192)
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, the rate falling to 0."""
-
-    schedule: Literal["paper", "short"] = "paper"
-    epochs: int = STAGE_EPOCHS * len(STAGES)
-    steps: int = 0
-    batch_pixels: int = 0
-    rate: float = 1e-3
-    micro_pixels: int = 8192
 
 
 # ---------------------------------------------------------------------------------------------- pixels
@@ -154,22 +137,6 @@ def _step(net: Net, optimiser: torch.optim.Optimizer, pixels: Pixels, numbers: T
 # ---------------------------------------------------------------------------------------------- the loop
 
 
-@dataclass(slots=True)
-class Run:
-    """Everything that a checkpoint must hold besides the tensors."""
-
-    epoch: int = 0
-    step: int = 0
-    stage: int = 0
-    stage_epoch: int = 0
-    stale: int = 0
-    rate: float = 1e-3
-    best: float = math.inf
-    elapsed_s: float = 0.0
-    cpu_s: float = 0.0
-    skipped: int = 0
-
-
 def _epoch_batches(pixels: Pixels, plan: Plan, run: Run, shape: Shape, seed: int) -> Iterator[Tensor]:
     """The epoch's batches of pair numbers; they follow from (seed, epoch) alone, so that resuming repeats nothing."""
     generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
@@ -203,7 +170,7 @@ def _short_rate(plan: Plan, run: Run, budget_s: float | None) -> float:
     if budget_s:
         done = max(done, run.elapsed_s / budget_s)
     warm = min(1.0, (run.step + 1) / (0.03 * plan.steps + 1))
-    return plan.rate * warm * 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))
+    return run.rate * warm * 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))
 
 
 def _paper_rate(run: Run, improved: bool) -> None:
@@ -235,7 +202,7 @@ def train(
     plan None: the paper's schedule when it fits in the budget, else a short one measured to fit. checkpoint: written
     after each epoch; when it is there already, training goes on from it. stop_after_epochs ends early as a kill would.
     """
-    started, cpu_started = time.monotonic(), time.process_time()
+    clock = _Clock(time.monotonic(), time.process_time())
     device = pick_device()
     ranks.join(device)
     half = bfloat16_pays(device) if bfloat16 is None else bfloat16
@@ -250,41 +217,28 @@ def train(
     pixels, exam = (_pixels(data.take(rows), base, shape, patch, device) for rows in (teach, check))
     if plan is None:
         plan = _make_plan(net, pixels, budget_s, half)
-    best_weights = {name: value.clone() for name, value in net.state_dict().items()}
-    run = Run(rate=plan.rate)
+    best = {name: value.clone() for name, value in net.state_dict().items()}
+    run, mark = Run(rate=plan.rate), fingerprint(data, patch, seed)
     if checkpoint is not None and checkpoint.is_file():
-        plan, best_weights = _restore(checkpoint, net, optimiser, run, shape)
+        plan, best = restore(checkpoint, net, optimiser, run, shape, mark)
+    loop = _Loop(net, optimiser, pixels, plan, run, shape, seed, half, budget_s, clock.resumed(run), progress)
     numbers = _exam_numbers(len(exam), plan, seed).to(device)
-    first_epoch, before_s, before_cpu_s = run.epoch, run.elapsed_s, run.cpu_s
+    first_epoch = run.epoch
     while not _finished(run, plan, budget_s):
-        loss = math.nan
-        for batch in _epoch_batches(pixels, plan, run, shape, seed):
-            rate = _short_rate(plan, run, budget_s) if plan.schedule == "short" else run.rate
-            optimiser.param_groups[0]["lr"] = rate
-            loss = _step(net, optimiser, pixels, batch, plan.micro_pixels, half)
-            run.step += 1
-            run.elapsed_s = ranks.agreed(before_s + time.monotonic() - started, device)
-            progress(*_how_far(run, plan, budget_s), f"loss {loss:.4f}  best {run.best:.4f}")
-            if not math.isfinite(loss):
-                run.skipped += 1
-                net.load_state_dict(best_weights)
-                run.rate /= 2.0
-            if budget_s and run.elapsed_s > budget_s:
-                break
+        loop.epoch(best)
         score = loss_value(_loss_parts(net, exam, numbers, 4 * plan.micro_pixels, half, learn=False))
-        improved = math.isfinite(score) and score < run.best
-        if improved:
+        if improved := math.isfinite(score) and score < run.best:
             run.best = score
-            best_weights = {name: value.clone() for name, value in net.state_dict().items()}
+            best = {name: value.clone() for name, value in net.state_dict().items()}
         run.epoch += 1
-        run.cpu_s = before_cpu_s + time.process_time() - cpu_started
+        run.cpu_s = loop.clock.cpu_s()
         if plan.schedule == "paper":
             _paper_rate(run, improved)
         if checkpoint is not None and ranks.rank() == 0:
-            _keep(checkpoint, net, optimiser, run, plan, shape, best_weights)
+            keep(checkpoint, net, optimiser, run, plan, shape, mark, best)
         if stop_after_epochs is not None and run.epoch - first_epoch >= stop_after_epochs:
             break
-    net.load_state_dict(best_weights)
+    net.load_state_dict(best)
     about = {
         "schedule": plan.schedule, "epochs": run.epoch, "steps": run.step, "seconds": round(run.elapsed_s, 1),
         "cpu_seconds": round(run.cpu_s, 1),
@@ -293,6 +247,59 @@ def train(
         "validation_slots": [data.slots[i] for i in check],
     }  # fmt: skip
     return net, average, about
+
+
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """Seconds of this training, those before a cut included."""
+
+    wall_s: float
+    process_s: float
+    wall_before_s: float = 0.0
+    cpu_before_s: float = 0.0
+
+    def resumed(self, run: Run) -> _Clock:
+        return replace(self, wall_before_s=run.elapsed_s, cpu_before_s=run.cpu_s)
+
+    def elapsed_s(self) -> float:
+        return self.wall_before_s + time.monotonic() - self.wall_s
+
+    def cpu_s(self) -> float:
+        return self.cpu_before_s + time.process_time() - self.process_s
+
+
+@dataclass(frozen=True, slots=True)
+class _Loop:
+    """All that the batches of an epoch need."""
+
+    net: Net
+    optimiser: torch.optim.Optimizer
+    pixels: Pixels
+    plan: Plan
+    run: Run
+    shape: Shape
+    seed: int
+    half: bool
+    budget_s: float | None
+    clock: _Clock
+    progress: Progress
+
+    def epoch(self, best: dict[str, Tensor]) -> None:
+        """One epoch's updates, or as many as the budget allows. A loss that is no number takes up `best` again."""
+        run, plan = self.run, self.plan
+        for batch in _epoch_batches(self.pixels, plan, run, self.shape, self.seed):
+            rate = _short_rate(plan, run, self.budget_s) if plan.schedule == "short" else run.rate
+            self.optimiser.param_groups[0]["lr"] = rate
+            loss = _step(self.net, self.optimiser, self.pixels, batch, plan.micro_pixels, self.half)
+            run.step += 1
+            run.elapsed_s = ranks.agreed(self.clock.elapsed_s(), self.pixels.target.device)
+            self.progress(*_how_far(run, plan, self.budget_s), f"loss {loss:.4f}  best {run.best:.4f}")
+            if not math.isfinite(loss):
+                run.skipped += 1
+                self.net.load_state_dict(best)
+                run.rate /= 2.0
+            if self.budget_s and run.elapsed_s > self.budget_s:
+                break
 
 
 def _passes(run: Run, plan: Plan, pixels: Pixels) -> float:
@@ -352,43 +359,3 @@ def _pixels_per_second(net: Net, pixels: Pixels, micro: int, half: bool) -> floa
     for _ in range(3):
         _loss_parts(net, pixels, numbers, micro, half, learn=True)
     return 3 * len(numbers) / max(time.monotonic() - start, 1e-6)
-
-
-# ---------------------------------------------------------------------------------------------- checkpoints
-
-
-def _keep(
-    path: Path,
-    net: Net,
-    optimiser: torch.optim.Optimizer,
-    run: Run,
-    plan: Plan,
-    shape: Shape,
-    best: dict[str, Tensor],
-) -> None:
-    state = {
-        "net": net.state_dict(), "best": best, "optimiser": optimiser.state_dict(),
-        "run": asdict(run), "plan": asdict(plan), "shape": asdict(shape),
-    }  # fmt: skip
-    with replacing(path) as file:
-        torch.save(state, file)
-
-
-def _restore(
-    path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape
-) -> tuple[Plan, dict[str, Tensor]]:
-    """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but tensors and numbers."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # torch warns before it refuses what no torch.save wrote
-            state = torch.load(path, map_location=pick_device(), weights_only=True)
-        if state["shape"] != asdict(shape):
-            raise KeyError("another network's checkpoint")
-        net.load_state_dict(state["net"])
-        optimiser.load_state_dict(state["optimiser"])
-        for name, value in state["run"].items():
-            setattr(run, name, value)
-        return Plan(**state["plan"]), state["best"]
-    except (pickle.UnpicklingError, Warning, RuntimeError, KeyError, TypeError, EOFError, AttributeError) as error:
-        found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
-        raise InputError(path, found, "one of this training", "remove it to start anew") from None

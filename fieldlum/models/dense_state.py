@@ -1,0 +1,111 @@
+"""What a training is at a moment: its plan, how far it has come, and both on disk with the weights."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import pickle
+import warnings
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fieldlum.errors import InputError
+from fieldlum.models.dense import Net, Shape, pick_device
+from fieldlum.session import replacing
+
+if TYPE_CHECKING:
+    from fieldlum.models import Patch
+    from fieldlum.models.data import Dataset
+
+STAGES = (6, 3, 1)  # batch in images' worth of pixels
+STAGE_EPOCHS = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, the rate falling to 0."""
+
+    schedule: Literal["paper", "short"] = "paper"
+    epochs: int = STAGE_EPOCHS * len(STAGES)
+    steps: int = 0
+    batch_pixels: int = 0
+    rate: float = 1e-3
+    micro_pixels: int = 8192
+
+
+@dataclass(slots=True)
+class Run:
+    """Everything that a checkpoint must hold besides the tensors."""
+
+    epoch: int = 0
+    step: int = 0
+    stage: int = 0
+    stage_epoch: int = 0
+    stale: int = 0
+    rate: float = 1e-3
+    best: float = math.inf
+    elapsed_s: float = 0.0
+    cpu_s: float = 0.0
+    skipped: int = 0
+
+
+# ---------------------------------------------------------------------------------------------- checkpoints
+
+
+def fingerprint(data: Dataset, patch: Patch, seed: int) -> str:
+    """Of what is trained on: hours, light, and each picture's mean. Pictures merged anew are another training."""
+    light = data.light
+    parts = [light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, light.sun_azimuth_deg, np.array(data.shape, float)]
+    maps = [data.luminance_cdm2] + ([data.patch_cdm2] if patch != "none" and data.patch_cdm2 is not None else [])
+    parts += [np.array([m.mean(dtype=np.float64) for m in series]) for series in maps]
+    figures = " ".join(f"{value:.6g}" for part in parts for value in part)
+    return hashlib.sha256(
+        f"{seed} {patch} {data.heading_deg:.6g} {' '.join(data.slots)} {figures}".encode()
+    ).hexdigest()
+
+
+def keep(
+    path: Path,
+    net: Net,
+    optimiser: torch.optim.Optimizer,
+    run: Run,
+    plan: Plan,
+    shape: Shape,
+    mark: str,
+    best: dict[str, Tensor],
+) -> None:
+    """Write a checkpoint, whole or not at all; mark: the fingerprint of the data."""
+    state = {
+        "net": net.state_dict(), "best": best, "optimiser": optimiser.state_dict(),
+        "run": asdict(run), "plan": asdict(plan), "shape": asdict(shape),
+        "data": mark,
+    }  # fmt: skip
+    with replacing(path) as file:
+        torch.save(state, file)
+
+
+def restore(
+    path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape, mark: str
+) -> tuple[Plan, dict[str, Tensor]]:
+    """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but tensors and numbers."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # torch warns before it refuses what no torch.save wrote
+            state = torch.load(path, map_location=pick_device(), weights_only=True)
+        if state["shape"] != asdict(shape):
+            raise KeyError("another network's checkpoint")
+        if state.get("data", mark) != mark:
+            raise KeyError("of other pictures, irradiance or seed")
+        net.load_state_dict(state["net"])
+        optimiser.load_state_dict(state["optimiser"])
+        for name, value in state["run"].items():
+            setattr(run, name, value)
+        return Plan(**state["plan"]), state["best"]
+    except (pickle.UnpicklingError, Warning, RuntimeError, KeyError, TypeError, EOFError, AttributeError) as error:
+        found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
+        raise InputError(path, found, "one of this training", "remove it to start anew") from None
