@@ -53,6 +53,55 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
     assert said in str(caught.value) and caught.value.exit_code == 3
 
 
+@pytest.mark.parametrize(
+    ("column", "change", "said"),
+    [
+        ("panorama", lambda _: "m0.exr", "lines 2 and 3: the same panorama"),
+        ("t_utc", lambda text: text.replace("Z", "+01:00"), "line 3: sun at altitude"),  # a clock in summer time
+        ("sun_azimuth_deg", lambda text: str(float(text) + 15.0), "line 3: sun at altitude"),
+        ("dhi_wm2", lambda _: "1200", "more diffuse light than any sky gives, expected W/m2, is it the global"),
+        ("dni_wm2", lambda _: "1500", "more direct light than there is above the air"),
+    ],
+)
+def test_rows_that_contradict_each_other_are_named(pairs: Path, column: str, change, said: str) -> None:
+    """Contract: what an edited or a joined table gets wrong would be learned without a word."""
+    lines = pairs.read_text().splitlines()
+    cells = lines[2].split(",")
+    at = lines[0].split(",").index(column)
+    cells[at] = change(cells[at])
+    lines[2] = ",".join(cells)
+    pairs.write_text("\n".join(lines))
+    with pytest.raises(InputError) as caught:
+        load_pairs(pairs)
+    assert said in str(caught.value)
+
+
+def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
+    text = pairs.read_text()
+    pairs.write_text(text.rstrip() + "\n" + text.splitlines()[1] + "\n")
+    with pytest.raises(InputError, match=f"lines 2 and {len(DATA) + 2}: the same t_utc"):
+        load_pairs(pairs)
+    rows = [line.split(",") for line in text.splitlines()]
+    kilowatts = [[*row[:2], *(str(float(cell) / 1e3) for cell in row[2:4]), *row[4:]] for row in rows[1:]]
+    pairs.write_text("\n".join(",".join(row) for row in (rows[0], *kilowatts)))
+    with pytest.raises(InputError, match="is it in kW/m2"):
+        load_pairs(pairs)
+    pairs.write_text(text.replace(",", ";").replace(".", ","))
+    with pytest.raises(InputError, match="parted by ';'"):
+        load_pairs(pairs)
+
+
+def test_what_spreadsheets_do_is_read(pairs: Path) -> None:
+    """Contract: a BOM, Windows line ends, another order of rows and full paths change nothing."""
+    before = load_pairs(pairs)
+    head, *rows = pairs.read_text().splitlines()
+    rows = [row.replace(",m", f",{pairs.parent}/m") for row in rows[::-1]]
+    pairs.write_bytes(("\ufeff" + "\r\n".join([head, *rows]) + "\r\n").encode())
+    after = load_pairs(pairs)
+    assert after.slots == before.slots
+    np.testing.assert_array_equal(after.luminance_cdm2, before.luminance_cdm2)
+
+
 def test_rows_that_are_not_ok_are_left_out_and_counted(pairs: Path) -> None:
     text = pairs.read_text().splitlines()
     pairs.write_text("\n".join([text[0], *(line[:-1] + "0" for line in text[1:3]), *text[3:]]))

@@ -218,3 +218,75 @@ def test_a_mistyped_year_is_named(tmp_path) -> None:
     path.write_text(_SMALL.decode().replace("2027-06-21T12", "9027-06-21T12"))
     with pytest.raises(InputError, match="is followed by 9027"):
         weather.read_weather(path, SEATTLE)
+
+
+# ---------------------------------------------------------------------------------------------- what it can mean
+
+
+def _write_dated(path: Path, year: weather.Weather, *, shift_min: float = 0.0, ghi: bool = False, **columns) -> None:
+    """The year with its labels moved and its columns exchanged or scaled."""
+    dni, dhi = (columns.get(name, getattr(year, f"{name}_wm2")) for name in ("dni", "dhi"))
+    rows = ["t_utc,dni_wm2,dhi_wm2" + (",ghi_wm2" if ghi else "")]
+    for k, t in enumerate(year.t_utc):
+        rows.append(f"{t + timedelta(minutes=shift_min):%Y-%m-%dT%H:%M:%SZ},{dni[k]:.3f},{dhi[k]:.3f}")
+        rows[-1] += f",{year.ghi_wm2[k]:.3f}" if ghi else ""
+    path.write_text("\n".join(rows))
+
+
+@pytest.mark.parametrize("shift_min", [-60, -30, 30, 60])
+def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_min: int) -> None:
+    """Contract: hour-end labels, hour-start labels and daylight saving all look like weather; the sun says no."""
+    _write_dated(tmp_path / "w.csv", weather.shipped_seattle(), shift_min=shift_min)
+    with pytest.raises(InputError, match=rf"if labels stood {-shift_min:+d} min".replace("+", r"\+")):
+        weather.read_weather(tmp_path / "w.csv", SEATTLE)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda y: {"dni": y.dhi_wm2, "dhi": y.dni_wm2}, "DHI above what any sky gives"),
+        (lambda y: {"dhi": y.ghi_wm2}, "DHI above what any sky gives"),
+        (lambda y: {"dni": y.ghi_wm2}, "does the column of DNI hold the global"),
+        (lambda y: {"dni": y.dni_wm2 / 1e3, "dhi": y.dhi_wm2 / 1e3}, "is it in kW"),
+        (lambda y: {"dni": 0.5 * y.dni_wm2, "dhi": 0.6 * y.dhi_wm2, "ghi": True}, "GHI is off DHI"),
+    ],
+)
+def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected: str) -> None:
+    """Contract: numbers that look like weather, and are another component or another unit."""
+    year = weather.shipped_seattle()
+    _write_dated(tmp_path / "w.csv", year, **change(year))
+    with pytest.raises(InputError, match=expected):
+        weather.read_weather(tmp_path / "w.csv", SEATTLE)
+
+
+@pytest.mark.parametrize(("latitude_deg", "expected"), [(47.6, "sun is down"), (20.0, "another place")])
+def test_weather_of_the_other_hemisphere_is_refused(tmp_path, latitude_deg: float, expected: str) -> None:
+    """Contract: hours of local time fit any longitude; the length of the days does not."""
+    north, south = (Site("Somewhere", sign * latitude_deg, -122.3, "America/Los_Angeles") for sign in (1, -1))
+    _write_csv(tmp_path / "w.csv", _year(south), dated=False)
+    with pytest.raises(InputError, match=expected):
+        weather.read_weather(tmp_path / "w.csv", north)
+
+
+@pytest.mark.parametrize("step_min", [10, 30, 180])
+def test_rows_that_are_no_hours_are_refused(tmp_path, step_min: int) -> None:
+    """Contract: ten-minute rows would count each hour of glare six times."""
+    start = datetime(2027, 6, 20, tzinfo=UTC)
+    times = [start + timedelta(minutes=step_min * k) for k in range(20)]
+    rows = [f"{t:%Y-%m-%dT%H:%M:%SZ},100,100" for t in times]
+    (tmp_path / "w.csv").write_text("\n".join(["t_utc,dni_wm2,dhi_wm2", *rows]))
+    with pytest.raises(InputError, match=f"rows {step_min} min apart"):
+        weather.read_weather(tmp_path / "w.csv", SEATTLE)
+
+
+def test_measured_tmy3_files_pass() -> None:
+    """Authority: the two TMY3 files that pvlib ships, of 36 and 55 degrees north, are read without a word."""
+    import pvlib
+
+    data = Path(pvlib.__file__).parent / "data"
+    for name, place in (
+        ("703165TY.csv", Site("Sand Point", 55.32, -160.52, "America/Anchorage")),
+        ("723170TYA.CSV", Site("Greensboro", 36.1, -79.95, "America/New_York")),
+    ):
+        found = weather.read_weather(data / name, place)
+        assert len(found) == 8760 and not found.repairs

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama
+from fieldlum.models.plausible import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_pixel, equirect_solid_angles
 from fieldlum.records import Flag, Panorama, Progress, SiteFile, parse_utc, quiet, slot_id
@@ -219,7 +220,9 @@ def _read_rows(path: Path) -> tuple[list[_Row], int]:
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
     missing = [name for name in NEEDED if name not in (reader.fieldnames or ())]
     if missing:
-        raise InputError(path, f"no column {', '.join(missing)}", f"a csv with {', '.join(NEEDED)}")
+        parted = next((mark for mark in (";", "\t") if mark in (reader.fieldnames or ("",))[0]), "")
+        remedy = f"it is parted by {parted!r}: save it with commas, and points in numbers" if parted else ""
+        raise InputError(path, f"no column {', '.join(missing)}", f"a csv with {', '.join(NEEDED)}", remedy)
     rows: list[_Row] = []
     refused = 0
     for cells in reader:
@@ -269,6 +272,7 @@ def load_pairs(where: Path | Session, site: Path | None = None, *, progress: Pro
 def _assemble(path: Path, rows: list[_Row], setup: SiteFile, notes: list[str], progress: Progress) -> Dataset:
     from fieldlum.light import Light
 
+    check_plausible(path, _stated(rows), setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
     dni = np.array([row.dni_wm2 for row in rows])
     maps, patches, disc, masks, heading = _read_pictures(path, rows, altitude, azimuth, setup, progress)
@@ -288,6 +292,11 @@ def _assemble(path: Path, rows: list[_Row], setup: SiteFile, notes: list[str], p
         slots=tuple(slot_id(t) for t in times), setup=setup, seen=seen,
         steadiness=np.array([row.steadiness for row in rows]), source=str(path), notes=tuple(notes),
     )  # fmt: skip
+
+
+def _stated(rows: list[_Row]) -> Stated:
+    numbers = np.array([(row.dni_wm2, row.dhi_wm2, row.altitude_deg, row.azimuth_deg) for row in rows]).T
+    return Stated([row.line for row in rows], [row.t_utc for row in rows], [row.panorama for row in rows], *numbers)
 
 
 def _sun_columns(rows: list[_Row], setup: SiteFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

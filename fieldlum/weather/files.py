@@ -17,6 +17,7 @@ from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import shipped
 from fieldlum.records import Site, parse_utc
+from fieldlum.weather.sense import check_hourly, check_sense
 from fieldlum.weather.year import TYPICAL_YEAR, Weather
 
 HIGHEST_WM2 = 1600.0
@@ -53,8 +54,9 @@ def read_weather(path: Path, site: Site) -> Weather:
     """An EPW, TMY3 or CSV file (DESIGN section 5) as hours at `site`.
 
     Raises InputError naming the line for what cannot be read, for irradiance outside -10 to 1600 W/m2, for a station
-    over 300 km away, and for light at night (a wrong time zone). Smaller troubles are mended and listed in `.repairs`:
-    night offsets, 29 February of a typical year, gaps up to three hours; longer gaps are left out and listed.
+    over 300 km away, for light at night (a wrong time zone), and for what `sense` finds: wrong units, columns in each
+    other's place, labels beside their hours. Smaller troubles are mended and listed in `.repairs`: night offsets,
+    29 February of a typical year, gaps up to three hours; longer gaps are left out and listed.
     """
     path = Path(path)
     try:
@@ -66,8 +68,10 @@ def read_weather(path: Path, site: Site) -> Weather:
     repairs = _check_place(path, found.place, site)
     rows = _in_order(path, found, site, repairs)
     columns = _values(rows, repairs)
+    check_hourly(path, [row.when for row in rows])
     weather = _fill_gaps(found, site, rows, columns, repairs)
     _check_night(path, weather)
+    _check_sense(path, found, rows, columns, weather)
     return replace(weather, repairs=tuple(repairs))
 
 
@@ -355,3 +359,10 @@ def _check_night(path: Path, weather: Weather) -> None:
         found = f"{100 * at_night / total:.0f} % of the light falls while the sun is down at {weather.site.name}"
         remedy = "check the time zone, the sign of the longitude, and whether labels are hour centres"
         raise InputError(path, found, "none", remedy)
+
+
+def _check_sense(path: Path, found: _File, rows: list[_Row], columns: NDArray[np.float64], weather: Weather) -> None:
+    """With the global irradiance only where the file itself gave it: elsewhere it was made from the other two."""
+    given = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
+    ghi = np.array([given.get(t, math.nan) for t in weather.t_utc])
+    check_sense(path, weather, found.place or weather.site, ghi)
