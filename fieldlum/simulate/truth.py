@@ -26,7 +26,7 @@ from fieldlum.session import replacing_path
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
 
 Array = NDArray[np.float64]
-VERSION = 2  # of the coefficients; a new one makes old caches stale
+VERSION = 3  # of the coefficients; a new one makes old caches stale
 
 
 @dataclass(frozen=True, slots=True)
