@@ -58,6 +58,8 @@ class Set:
 
     kind: str  # raw: two lenses; headings: one lens turned; jpeg: two lenses
     parts: tuple[str, ...]
+    quality: int = 97  # of the JPEG files
+    sensor_px: int = 64  # height; a lens's circle fills it
 
     @property
     def headings(self) -> tuple[float | None, ...]:
@@ -68,8 +70,9 @@ def profile_of(which: Set) -> CameraProfile:
     """A small camera whose stated uncertainties are those of the parts asked for; the rest are zero."""
     has = which.parts.__contains__
     curve = (Vignetting(5.6, (1.0, 0.0, -0.10, 0.0, -0.25), 0.03 if has("vignetting") else 0.0),)
-    one = Lens((32.4, 31.7), 30.0, 200.0, vignetting=curve, name="front")
-    two = replace(one, centre_px=(96.3, 32.2), azimuth_deg=180.0, name="back")
+    px = which.sensor_px / 64
+    one = Lens((32.4 * px, 31.7 * px), 30.0 * px, 200.0, vignetting=curve, name="front")
+    two = replace(one, centre_px=(96.3 * px, 32.2 * px), azimuth_deg=180.0, name="back")
     lenses = (one,) if which.kind == "headings" else (one, two)
     jpeg = which.kind == "jpeg"
     if has("random"):
@@ -82,7 +85,7 @@ def profile_of(which: Set) -> CameraProfile:
     table = tuple(float(z) for z in srgb_table())
     response = Response("table", table, table, table, u_rel=0.02 if has("response") else 0.0)
     return CameraProfile(
-        CameraBody("budget", "jpeg" if jpeg else "raw", 64 if len(lenses) == 1 else 128, 64),
+        CameraBody("budget", "jpeg" if jpeg else "raw", len(lenses) * which.sensor_px, which.sensor_px),
         lenses, Bracket(5.6, 100.0, DIAL_S, **tail), sensor, known,
         response if jpeg else Response(),
         Colour((0.45, 0.70, 0.12), u_rel=0.02 if has("colour") else 0.0),
@@ -176,7 +179,7 @@ def realise(which: Set, profile: CameraProfile, folder: Path, target: Equirect, 
     shape = np.concatenate([rng.normal(size=(5, 3)), rng.uniform(0, 6, (5, 1))], axis=1)
     bright = 3e5 if profile.nd else 0.0
     crop, size = lens_crop(profile), (profile.camera.height_px, profile.camera.width_px)
-    sample = scene(lens_rays(lens_geometry(profile.lens[0], crop, 0.0), *np.mgrid[8:56:4, 8:56:4]), shape, bright)
+    sample = scene(lens_rays(lens_geometry(profile.lens[0], crop, 0.0), *_grid(size[0])), shape, bright)
     shares = (sample * profile.colour.y_from_rgb / (sample @ profile.colour.y_from_rgb)[..., None]).reshape(-1, 3)
     true = true_camera(profile, shares, rng)
     has_ratios = "ratios" in which.parts
@@ -193,7 +196,7 @@ def realise(which: Set, profile: CameraProfile, folder: Path, target: Equirect, 
             true_s = true_shutter_s(e, profile)[0] * (off[e.shutter_s] if has_ratios else 1.0)
             true_s *= np.exp(U_REPEAT * rng.normal())  # the merge always reckons with it
             path = folder / f"{i:02d}_{heading}"
-            shots.append(Shot(_photograph(exposed, e, true_s, true, path, size, rng), e, heading))
+            shots.append(Shot(_photograph(exposed, e, true_s, true, path, which.quality, rng), e, heading))
     _, merged = look_through(sorted_shots(shots, profile), profile, target=target, heading_deg=180.0)
     result = finish(blend(merged), profile, target)
     # The truth through the merge's own blend: how lenses of other sharpness part a pixel is geometry, judged elsewhere.
@@ -202,6 +205,12 @@ def realise(which: Set, profile: CameraProfile, folder: Path, target: Equirect, 
     good = (result.flags & (Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.OUTSIDE_LENS)) == 0
     pull = (result.luminance_cdm2 - truth) / np.maximum(result.u_cdm2, 1e-12)
     return Outcome(pull[good], truth[good], _seam(views).reshape(target.shape)[good])
+
+
+def _grid(height_px: int) -> np.ndarray:
+    """12 x 12 sensor columns and rows within the first lens."""
+    at = np.arange(8, 56, 4) * (height_px / 64)
+    return np.stack(np.meshgrid(at, at, indexing="ij"))
 
 
 def _mean_colour(shape: np.ndarray, bright: float, target: Equirect) -> np.ndarray:
@@ -231,15 +240,15 @@ def _seam(views: Sequence) -> np.ndarray:
     return np.sum([v.coverage > 0.5 for v in views], axis=0) > 1
 
 
-def _photograph(exposed, e: Exposure, true_s: float, true: CameraProfile, path: Path, size, rng) -> Path:
+def _photograph(exposed, e: Exposure, true_s: float, true: CameraProfile, path: Path, quality: int, rng) -> Path:
     s = true.sensor
     if true.camera.kind == "jpeg":
         z = exposed * z_per_cdm2(true_s, e.f_number, e.iso, true.scale.k)
         table = np.asarray(response_table("table", true.response.red)) + np.arange(256) * 1e-12
         codes = np.interp(z, table, np.arange(256.0)) + rng.normal(0, JPEG_CODE_SIGMA, z.shape)
-        write_jpeg(path.with_suffix(".jpg"), np.clip(np.rint(codes), 0, 255).astype(np.uint8), e)
+        write_jpeg(path.with_suffix(".jpg"), np.clip(np.rint(codes), 0, 255).astype(np.uint8), e, quality=quality)
         return path.with_suffix(".jpg")
-    mosaic = np.empty(size, np.float32)
+    mosaic = np.empty(exposed.shape[:2], np.float32)
     for i, letter in enumerate(s.cfa):
         mosaic[i // 2 :: 2, i % 2 :: 2] = exposed[i // 2 :: 2, i % 2 :: 2, "RGB".index(letter)]
     counts = RawSensor(true).counts(mosaic, e, true_s, rng)
@@ -280,6 +289,8 @@ def main() -> None:
     parser.add_argument("--kind", choices=("raw", "headings", "jpeg"), default="raw")
     parser.add_argument("--only", choices=("total", *PARTS))
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--quality", type=int, default=97, help="of the JPEG files")
+    parser.add_argument("--sensor-px", type=int, default=64, help="height of the sensor")
     options = parser.parse_args()
     there = [p for p in PARTS if p not in (("filter",) if options.kind == "jpeg" else ("response",))]
     if options.kind == "jpeg":  # codes always have their noise
@@ -291,7 +302,8 @@ def main() -> None:
     started = process_time()
     for name, parts in rows.items():
         if options.only in (None, name):
-            print(row(name, *run(Set(options.kind, tuple(parts)), options.realisations, options.seed)), flush=True)
+            which = Set(options.kind, tuple(parts), options.quality, options.sensor_px)
+            print(row(name, *run(which, options.realisations, options.seed)), flush=True)
     print(f"{process_time() - started:.0f} CPU s")
 
 

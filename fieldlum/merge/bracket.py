@@ -32,6 +32,7 @@ from fieldlum.merge.ratios import (
     take_samples,
     unexplained,
 )  # fmt: skip
+from fieldlum.merge.scatter import footprint_px, with_seen_noise
 from fieldlum.merge.shift import Moved, shifts
 from fieldlum.merge.shots import Shot, exposure_covariance, shots_of_files, sorted_shots, true_shutter_s
 from fieldlum.merge.stitch import SensorMap, View, blend, finish, lens_geometry, view_through
@@ -78,11 +79,13 @@ def merge_sensor(
     *,
     fit: bool | None = None,
     drop_moved: bool = False,
+    target: Target | None = None,
     budget_bytes: int = 600_000_000,
     progress: Progress = quiet,
 ) -> SensorMerge:
     """Merge frames of one heading, sorted by exposure. fit: estimate exposure ratios (default: of raw frames).
 
+    target: what the result is meant for: a JPEG's noise depends on how many of its pixels go into one.
     drop_moved: leave frames out of pixels where most others agree that something moved through them.
 
     Raises InputError for a frame that cannot be read or does not belong.
@@ -118,6 +121,9 @@ def merge_sensor(
     if drop_moved:
         over = over_mosaic if raw else over_colours
         merged, dropped = leave_out_moved(frames, merged, u_ratio=tolerance, over_picture=over)
+    if not raw and target is not None:
+        edge_px = float(np.mean([footprint_px(lens, target) for lens in lenses]))
+        merged = with_seen_noise(merged, store, profile.colour.y_from_rgb, edge_px)
     u_ratio, curve = float(np.hypot(typical, extra)), ratio_curve(samples, ratios.covariance, extra)
     return SensorMerge(merged, tuple(shots), crop, ratios, tuple(left), tuple(moved), plateau, u_ratio, curve, dropped)
 
@@ -135,7 +141,7 @@ def look_through(
     """Merge each heading of sorted shots on the sensor, and look at the target grid through every lens of each."""
     views, parts = [], []
     for heading, group in groupby(shots, key=lambda s: s.heading_deg):
-        part = merge_sensor(list(group), profile, fit=fit, drop_moved=drop_moved, progress=progress)
+        part = merge_sensor(list(group), profile, fit=fit, drop_moved=drop_moved, target=target, progress=progress)
         parts.append(part)
         turn = 0.0 if heading is None else heading - heading_deg
         good = good_pixels(profile, part.crop, part.merged.flags)
