@@ -1,5 +1,7 @@
 """Contract: every command has help with an example, is documented, and `--help` is light."""
 
+import errno
+import os
 import re
 import subprocess
 import sys
@@ -50,6 +52,19 @@ def test_an_unknown_command_is_a_usage_error_that_names_its_neighbour() -> None:
     result = CliRunner().invoke(main, ["inf"])
     assert result.exit_code == 2
     assert "Did you mean 'info'?" in result.output
+
+
+@pytest.mark.parametrize(("code", "expected"), [(errno.EACCES, 3), (errno.ENOSPC, 3), (errno.ENOENT, 1)])
+def test_what_a_disk_does_is_one_line_with_a_remedy(monkeypatch: pytest.MonkeyPatch, code: int, expected: int) -> None:
+    """A folder without rights or a full disk is no defect of the tool; a file that it lost is."""
+
+    def trouble(*_: object) -> None:
+        raise OSError(code, os.strerror(code), "session/report")
+
+    monkeypatch.setattr("fieldlum.session.open_session", trouble)
+    result = CliRunner().invoke(main, ["report", "session"])
+    assert result.exit_code == expected
+    assert expected != 3 or f"fieldlum report: session/report: {os.strerror(code)}, " in result.output
 
 
 def test_ctrl_c_ends_with_130_and_says_how_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:

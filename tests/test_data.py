@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from learning_room import dataset, write_pairs
 
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import write_panorama
+from fieldlum.images import write_panorama, write_radiance_hdr
 from fieldlum.models.data import add_disc, load_pairs, split_disc
 from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles
 from fieldlum.records import Flag, Panorama
@@ -100,6 +100,20 @@ def test_what_spreadsheets_do_is_read(pairs: Path) -> None:
     after = load_pairs(pairs)
     assert after.slots == before.slots
     np.testing.assert_array_equal(after.luminance_cdm2, before.luminance_cdm2)
+
+
+def test_a_heading_in_a_radiance_picture_is_obeyed(pairs: Path) -> None:
+    """Contract: a rendering that says where it faces is not turned to the site's heading."""
+    for k in range(len(DATA)):
+        write_radiance_hdr(pairs.parent / f"m{k}.hdr", DATA.luminance_cdm2[k], heading_deg=90.0)
+    lines = [line.split(",") for line in pairs.read_text().splitlines()]
+    at = lines[0].index("sunpatch")
+    rows = [",".join(cells[:at] + cells[at + 1 :]).replace(".exr", ".hdr") for cells in lines]
+    pairs.write_text("\n".join(rows))
+    assert load_pairs(pairs).heading_deg == 90.0
+    write_radiance_hdr(pairs.parent / "m3.hdr", DATA.luminance_cdm2[3], header=("made by hand",))
+    with pytest.raises(InputError, match=r"m3\.hdr: heading 180, expected 90"):
+        load_pairs(pairs)
 
 
 def test_rows_that_are_not_ok_are_left_out_and_counted(pairs: Path) -> None:

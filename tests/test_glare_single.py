@@ -198,3 +198,4 @@ def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> N
     assert "write VIEW= -vta" in done.stderr
     assert CliRunner().invoke(main, ["glare", str(tmp_path / "none.hdr")]).exit_code == 3
     assert CliRunner().invoke(main, ["glare", str(_fisheye(path, maps)), "--view-azimuth", "90"]).exit_code == 3
+    assert CliRunner().invoke(main, ["glare", str(path), "--view-azimuth", "nan"]).exit_code == 2

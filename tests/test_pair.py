@@ -14,7 +14,7 @@ import pytest
 from fieldlum import irradiance, pair
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Log, outside, read_clean
+from fieldlum.pair.interval import Log, outside, read_clean, too_weak
 from fieldlum.pair.source import Seen, complete_sun
 from fieldlum.records import (
     CameraSetup,
@@ -86,6 +86,22 @@ def test_unsteady_light_is_cautioned_then_refused() -> None:
         assert (light.why == "") is ok and "light changed" in light.caution + light.why
 
 
+def test_exchanged_components_are_refused() -> None:
+    """Contract: global and diffuse in each other's column would be hours without any sun."""
+    known = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
+    exchanged = replace(known, ghi_wm2=known.dhi_wm2, dhi_wm2=known.ghi_wm2, dni_wm2=np.zeros(40))
+    assert "exchanged" in outside(exchanged, NOON, NOON + timedelta(seconds=30)).why
+
+
+def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
+    top = 1400.0
+    assert too_weak([0.4, 3.0, 20.0], 20.0, top).tolist() == [True, False, False]
+    assert not too_weak([0.0, 0.0], [5.0, -20.0], top).any()
+    light = outside(log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30))
+    taken = pair.Taken("x", Path("x.exr"), NOON, NOON)
+    assert "in kW/m2" in pair.judge(taken, light, 19.0, 178.0).why
+
+
 def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:
     return Panorama(np.full((8, 16), level, np.float32), 180.0, t_utc=NOON, sun=sun)
 
@@ -93,6 +109,8 @@ def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:
 def test_a_measured_sun_is_kept_and_a_hidden_one_never_added() -> None:
     own = replace(SOUTH, origin="nd-frames")
     assert complete_sun(picture(own), 90_000.0, Seen(1.0, 0.8, True), None) == (own, "")
+    strong = replace(own, normal_illuminance_lx=60_000.0)
+    assert "brighter than DNI" in complete_sun(picture(strong), 1_000.0, Seen(), None)[1]
     source, caution = complete_sun(picture(None), 90_000.0, Seen(1.0, 0.8, True), None)
     assert source is None and "the picture does not" in caution
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import sys
 from pathlib import Path
@@ -18,6 +19,20 @@ COMMANDS = (
 )  # fmt: skip
 
 INTERRUPTED = 130  # as a shell says it of Ctrl-C
+BAD_FILE = 3
+
+# What a folder or a disk can do to any command: no defect of the tool, and nothing that a stage could mend.
+DISK_TROUBLE = {
+    errno.EACCES: "give yourself the right to it, or choose another place",
+    errno.EPERM: "give yourself the right to it, or choose another place",
+    errno.EROFS: "it is read-only: choose another place",
+    errno.ENOSPC: "make room on the disk, then start it again: what is done is kept",
+    errno.EDQUOT: "make room on the disk, then start it again: what is done is kept",
+    errno.EIO: "the disk or card does not answer: copy what can be read to another one",
+    errno.ENOTDIR: "name a folder",
+    errno.EISDIR: "name a file",
+    errno.ENAMETOOLONG: "choose shorter names",
+}
 
 
 class _Job(click.Group):
@@ -47,6 +62,13 @@ class _Job(click.Group):
         except FieldlumError as error:
             click.echo(f"fieldlum {ctx.invoked_subcommand}: {error}", err=True)
             sys.exit(error.exit_code)
+        except OSError as error:
+            if error.errno not in DISK_TROUBLE:
+                raise
+            place = f"{error.filename}: " if error.filename else ""
+            said = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
+            click.echo(f"fieldlum {ctx.invoked_subcommand}: {said}", err=True)
+            sys.exit(BAD_FILE)
         except KeyboardInterrupt:
             click.echo(f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True)
             sys.exit(INTERRUPTED)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,8 @@ def command(images: tuple[Path, ...], azimuths: tuple[float, ...], as_json: bool
     Example:
       fieldlum glare panoramas/20270320T193000Z.exr --view-azimuth 180 --view-azimuth 216 --json
     """
+    if not all(math.isfinite(azimuth) for azimuth in azimuths):
+        raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
     from fieldlum.glare.single import picture_glare
 
     for path in images:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import read_panorama
+from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.plausible import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_pixel, equirect_solid_angles
@@ -349,8 +349,13 @@ def _read_pictures(
 
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
-    """Of the picture where it says so (.exr), else of the site."""
-    return panorama.heading_deg if path.suffix.lower() == ".exr" else setup.camera.heading_deg
+    """Of the picture where it says so (.exr, or a .hdr with a heading line), else of the site."""
+    return panorama.heading_deg if path.suffix.lower() == ".exr" or _says_heading(path) else setup.camera.heading_deg
+
+
+def _says_heading(path: Path) -> bool:
+    with path.open("rb") as file:
+        return PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
 
 
 def _checked(panorama: Panorama, path: Path, shape: tuple[int, ...], heading: float, setup: SiteFile) -> Panorama:
@@ -359,7 +364,8 @@ def _checked(panorama: Panorama, path: Path, shape: tuple[int, ...], heading: fl
         said = f"{found[1]} x {found[0]} pixels", f"{shape[1]} x {shape[0]} as in the first row"
         raise InputError(path, *said, "merge all brackets at one size")
     if abs((_heading(panorama, path, setup) - heading + 180.0) % 360.0 - 180.0) > 0.01:
-        raise InputError(path, f"heading {panorama.heading_deg:g}", f"{heading:g} as in the first row")
+        found = f"heading {_heading(panorama, path, setup):g}"
+        raise InputError(path, found, f"{heading:g} as in the first row", "render or merge all with one heading")
     return panorama
 
 

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import InputError
+from fieldlum.pair.interval import CLEAR_SUN_DEG, too_weak
 from fieldlum.records import Site
 
 MOST_SUN_DEG = 2.5  # Radiance's own sun stands up to 1.1 from SPA; a wrong hour is 15, a wrong half hour 7
-CLEAR_SUN_DEG = 10.0
-LEAST_CLEARNESS = 0.005  # of the light above the air; the darkest storm lets ten times that through, kW a thousandth
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
     sine = np.sin(np.radians(np.maximum(altitude_deg, 0.0)))
     up = altitude_deg > CLEAR_SUN_DEG
     limits = sun.bsrn_limits(altitude_deg, top)
-    weak = rows.dhi_wm2 + rows.dni_wm2 * sine < LEAST_CLEARNESS * top * sine
+    weak = too_weak(rows.dhi_wm2 + rows.dni_wm2 * sine, altitude_deg, top)
     for wrong, said, remedy in (
         (rows.dhi_wm2 > limits.dhi_wm2[1], "more diffuse light than any sky gives", "is it the global irradiance?"),
         (rows.dni_wm2 > limits.dni_wm2[1], "more direct light than there is above the air", "mend that row"),

@@ -17,7 +17,7 @@ from typing import Any
 from fieldlum import sun
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Outside, outside, read_clean
+from fieldlum.pair.interval import Outside, outside, read_clean, too_weak
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.source import Seen, complete_sun
 from fieldlum.records import Panorama, Progress, SiteFile, SunSource, parse_utc, quiet, utc_text
@@ -112,6 +112,8 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
         why = f"merge: {taken.verdict}"
     elif not why and altitude_deg < 0.0:
         why = "the sun is down"
+    elif not why and too_weak(light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]):
+        why = f"irradiance of {light.ghi_wm2:.2g} W/m2 by day: covered, dead, or in kW/m2"
     caution = "" if taken.complete else "bracket incomplete"
     return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=_joined(caution, light.caution))
 

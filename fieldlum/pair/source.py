@@ -12,6 +12,7 @@ from fieldlum.records import Panorama, SunSource
 
 OWN = ("nd-frames", "merge", "rendering")  # the picture itself measured the disc
 CLIPPED, METER, DNI = "clipped", "meter", "dni"
+MOST_OVER_DNI, FAINT_SUN_LX = 1.5, 10_000.0  # a picture's sun above both: clock, units or columns are wrong
 _LEAST_COSINE = 0.2  # a meter that sees the sun more aslant tells little about it
 
 
@@ -38,7 +39,8 @@ def complete_sun(
         hidden = seen.known and seen.visible_fraction > 0.5 and full_normal_lx > 20_000.0
         return None, "the room shows the sun, the picture does not" if hidden else ""
     if found.origin in OWN:
-        return found, ""
+        brighter = found.normal_illuminance_lx > MOST_OVER_DNI * full_normal_lx + FAINT_SUN_LX
+        return found, "the picture's sun is brighter than DNI allows" if brighter else ""
     bound_lx = found.normal_illuminance_lx if found.origin == CLIPPED else 0.0
     if seen.known and seen.visible_fraction == 0.0:
         return found, "the picture shows the sun, the room does not"
