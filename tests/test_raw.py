@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import struct
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -60,6 +61,26 @@ def test_analytic_jpeg_round_trip(tmp_path: Path) -> None:
 
 def test_green_one_stands_in_the_rows_of_red() -> None:
     assert channel_positions("GBRG") == ((1, 0), (1, 1), (0, 0), (0, 1))
+
+
+@pytest.mark.parametrize("magic", [b"IIU\0", b"IIRO", b"IIRS"])
+def test_contract_a_cut_raw_of_a_maker_with_a_tiff_of_its_own_is_refused(tmp_path: Path, magic: bytes) -> None:
+    """Panasonic (whose newer files name the place of their pixels in tag 280) and Olympus."""
+    dng(tmp_path / "f.dng")
+    whole = bytearray((tmp_path / "f.dng").read_bytes())
+    whole[:4] = magic
+    if magic == b"IIU\0":
+        strips, planar = whole.index(struct.pack("<HHI", 273, 4, 1)), whole.index(struct.pack("<HHI", 284, 3, 1))
+        whole[planar : planar + 12] = struct.pack("<HHI", 280, 4, 1) + whole[strips + 8 : strips + 12]
+        whole[strips + 8 : strips + 12] = b"\xff" * 4
+    for size, cut in ((len(whole), False), (len(whole) - 2, True), (2000, True)):
+        (tmp_path / "f.raw").write_bytes(whole[:size])
+        said = ""
+        try:
+            read_mosaic(tmp_path / "f.raw")
+        except InputError as error:  # of the whole one too: LibRaw may know that it is none of theirs
+            said = str(error)
+        assert ("its pixels end later" in said) == cut
 
 
 def test_contract_a_cut_raw_is_refused(tmp_path: Path) -> None:

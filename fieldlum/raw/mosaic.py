@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
@@ -25,6 +26,9 @@ from fieldlum.records import Exposure
 _LARGEST_PIXELS = 400_000_000
 _DAMAGE = ("data corrupted", "Unexpected end of file")
 _STDERR = threading.Lock()
+# Panasonic (RW2) and Olympus (ORF): LibRaw fills up what is missing of them without a word.
+_TIFF_COUSINS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
+_PANASONIC_OFFSET = 280  # RawDataOffset: in newer files StripOffsets is a placeholder
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +57,10 @@ def _check_strips(path: Path) -> None:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     size = path.stat().st_size
     with path.open("rb") as file:
-        head = file.read(12)
-    if head[:4] not in (b"II*\0", b"MM\0*"):
+        head = file.read(4)
+    if head in _TIFF_COUSINS:
+        return _check_cousin(path, _TIFF_COUSINS[head])
+    if head not in (b"II*\0", b"MM\0*"):
         return
     try:
         with tifffile.TiffFile(path) as tiff:
@@ -72,6 +78,22 @@ def _check_strips(path: Path) -> None:
     except Exception as error:
         found = f"broken TIFF structure ({type(error).__name__})"
         raise InputError(path, found, "a raw file", "copy it from the card again") from None
+
+
+def _check_cousin(path: Path, magic: bytes) -> None:
+    """The same for a maker's own kind of TIFF, by offsets and lengths alone: its other tags keep to their own rules."""
+    import tifffile
+
+    size, end = path.stat().st_size, 0
+    with suppress(Exception), path.open("rb") as file:
+        content = io.BytesIO(magic + file.read()[4:])
+        with tifffile.TiffFile(content) as tiff:
+            tags = tiff.pages.first.tags
+            lengths = np.ravel(tags.valueof("StripByteCounts", 0))
+            offsets = np.ravel(tags.valueof(_PANASONIC_OFFSET) or tags.valueof("StripOffsets", 0))
+            end = max(int(at) + int(n) for at, n in zip(offsets, lengths, strict=False))
+    if end > size:
+        raise InputError(path, f"{size} bytes, its pixels end later", "a whole file", "copy it again")
 
 
 def _bytes_at(path: Path, at: int) -> bytes:
