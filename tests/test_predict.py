@@ -22,10 +22,13 @@ from fieldlum.predict.annual import rounded
 from fieldlum.predict.blocks import Room, blocks, guessed_disc
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.year import light_of
+from fieldlum.records import Room as Room3d
+from fieldlum.records import Site
 from fieldlum.weather import read_weather
 
 DATA = dataset(("2027-03-20", "2027-06-21"), height=16)
-ZONE = DATA.setup.site.timezone
+SITE = DATA.setup.site
+GREENWICH = Site("Greenwich", 51.5, 0.0)
 UTC_YEAR = [datetime(2027, 1, 1, 0, 30, tzinfo=UTC) + timedelta(hours=h) for h in range(8760)]
 YEAR = [t + timedelta(hours=8) for t in UTC_YEAR]  # of Pacific standard time
 
@@ -109,6 +112,36 @@ def test_the_same_inputs_are_not_predicted_twice(model: Path, weather: Path, tmp
     assert (tmp_path / "hourly.csv").stat().st_mtime_ns == stamp
     assert run(model, weather, out=tmp_path, views=5)[1]
     assert run(model, weather, out=tmp_path, views=5, force=True)[1]
+
+
+def test_a_year_cut_off_by_a_kill_is_no_year(model: Path, weather: Path, tmp_path: Path, monkeypatch) -> None:
+    """Contract: figures of a new weather never stand beside classes and maps of an older one."""
+    run(model, weather, out=tmp_path, maps=True)
+    assert not run(model, weather, out=tmp_path)[1], "maps that were asked for before do no harm"
+    assert (tmp_path / "maps.zarr").is_dir()
+    other = tmp_path / "other.csv"
+    other.write_text(weather.read_text().replace("\n6,22,", "\n6,23,"))
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("fieldlum.predict.year.write_pictures", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run(model, other, out=tmp_path)
+    assert not (tmp_path / "maps.zarr").exists()
+    with pytest.raises(InputError, match=r"no predict.json"):
+        read_annual(tmp_path)
+    assert run(model, weather, out=tmp_path)[1]
+
+
+def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:
+    run(model, weather, out=tmp_path)
+    lines = (tmp_path / "hourly.csv").read_text().splitlines()
+    for kept in (lines[:10], []):
+        (tmp_path / "hourly.csv").write_text("\n".join(kept))
+        with pytest.raises(InputError, match="what fieldlum predict wrote"):
+            read_annual(tmp_path)
 
 
 def test_it_says_that_hourly_means_are_not_instants(year: Annual) -> None:
@@ -212,18 +245,26 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
 
 
 def test_default_occupancy_is_3650_hours() -> None:
-    assert occupied_hours(default_occupancy(), YEAR, ZONE) == (3650, 365)
-    assert occupied_hours(default_occupancy(), YEAR[:24], ZONE) == (10, 1)
+    assert occupied_hours(default_occupancy(), YEAR, SITE) == (3650, 365)
+    assert occupied_hours(default_occupancy(), YEAR[:24], SITE) == (10, 1)
+
+
+def test_daylight_hours_without_weather_are_not_hours_without_glare() -> None:
+    """Contract: a file that lacks noon must not make the room look darker than it is; the night may be left out."""
+    noon = [t for t in YEAR if (t - timedelta(hours=8)).hour != 12]
+    assert occupied_hours(default_occupancy(), noon, SITE) == (3650 - 365, 365)
+    night = [t for t in YEAR if 3 <= (t - timedelta(hours=8)).hour < 21]
+    assert occupied_hours(default_occupancy(), night, SITE) == (3650, 365)
 
 
 def test_occupancy_files(tmp_path: Path) -> None:
     weekly = tmp_path / "o.csv"
     weekly.write_text("days,start,end\nmon-fri,08:00,12:00\nsat,10:00,12:00\n")
-    assert occupied_hours(read_occupancy(weekly), UTC_YEAR, "UTC")[0] == 261 * 4 + 52 * 2  # 2027 has 261 weekdays
+    assert occupied_hours(read_occupancy(weekly), UTC_YEAR, GREENWICH)[0] == 261 * 4 + 52 * 2  # 2027 has 261 weekdays
     hourly = tmp_path / "h.csv"
     hourly.write_text("occupied\n" + "\n".join("1" if h % 24 == 9 else "0" for h in range(8760)) + "\n")
     occupancy = read_occupancy(hourly)
-    assert occupied_hours(occupancy, UTC_YEAR, "UTC")[0] == 365
+    assert occupied_hours(occupancy, UTC_YEAR, GREENWICH)[0] == 365
     assert occupancy.at([datetime(2028, 2, 29, 9, 30, tzinfo=UTC)], "UTC")[0]
 
 
@@ -335,6 +376,11 @@ def test_a_model_of_another_site_or_camera_is_refused(model: Path, weather: Path
     shutil.copytree(model, other.models / "nearest")
     with pytest.raises(InputError, match="a model of"):
         run(other.models / "nearest", weather)
+    turned = replace(DATA.setup, room=Room3d(wall_azimuth_deg=170.0))
+    mended = create_session(tmp_path / "mended", turned, [], {})
+    shutil.copytree(model, mended.models / "nearest")
+    with pytest.raises(InputError, match=r"\[room\] .*merge, pair and train again"):
+        run(mended.models / "nearest", weather)
     same = create_session(tmp_path / "same", DATA.setup, [], {})
     shutil.copytree(model, same.models / "nearest")
     same.panoramas.mkdir()

@@ -125,9 +125,11 @@ def read_annual(folder: Path) -> Annual:
             rows = list(csv.reader(file))
     except OSError as error:
         raise InputError(path, error.strerror or str(error), "hourly.csv", "make it with: fieldlum predict") from None
-    head, body = rows[0], rows[1:]
-    azimuths = np.array(about["azimuths_deg"], float)
     try:
+        head, body = rows[0], rows[1:]
+        azimuths = np.array(about["azimuths_deg"], float)
+        if len(body) != about["hours"]:
+            raise ValueError(f"{len(body)} hours, {about['hours']} in predict.json")
         times = tuple(parse_utc(row[0]) for row in body)
         values = np.array([[float(cell) if cell else np.nan for cell in row[2:]] for row in body])
         column = {name: values[:, k] for k, name in enumerate(head[2:])}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from fieldlum.errors import InputError
 from fieldlum.predict.annual import Annual, read_annual
 from fieldlum.predict.blocks import Room
 from fieldlum.predict.occupancy import Occupancy
+from fieldlum.profiles import site_table
 from fieldlum.session import open_session, sha256
 
 
@@ -35,6 +37,11 @@ def check_session(model_folder: Path, room: Room) -> None:
             model_folder, f"a model of {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g})",
             f"one of {theirs.name} ({theirs.latitude_deg:g}, {theirs.longitude_deg:g})", "train one in this session",
         )  # fmt: skip
+    if changed := _changes(site_table(room.setup), site_table(setup)):
+        raise InputError(
+            model_folder, f"a model of {changed[0]}", f"{changed[1]} as in {session.toml}",
+            "merge, pair and train again, or take the model that was trained here",
+        )  # fmt: skip
     pictures = sorted(session.panoramas.glob("*.exr"))[:1]
     if pictures:
         from fieldlum.images import read_panorama
@@ -47,6 +54,16 @@ def check_session(model_folder: Path, room: Room) -> None:
         if abs((first.heading_deg - room.heading_deg + 180.0) % 360.0 - 180.0) > 0.1:
             found = f"a model that faces {room.heading_deg:g}"
             raise InputError(model_folder, found, f"{first.heading_deg:g} as in this session", "train it again")
+
+
+def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> tuple[str, str] | None:
+    """What first differs of camera and room, of a model and of its session: both bear on every map."""
+    for table in ("camera", "room"):
+        a, b = mine.get(table) or {}, theirs.get(table) or {}
+        for name in sorted({*a, *b} - {"profile"}):
+            if a.get(name) != b.get(name):
+                return f"[{table}] {name} = {a.get(name, 'none')}", f"{b.get(name, 'none')}"
+    return None
 
 
 def inputs_of(
@@ -68,12 +85,22 @@ def inputs_of(
 
 
 def already(folder: Path, inputs: dict[str, Any]) -> Annual | None:
-    """The year in `folder` when it came from the same inputs by the same version."""
+    """The year in `folder` when it came from the same inputs by the same version; more maps than asked for may stay."""
     try:
         annual = read_annual(folder)
     except InputError:
         return None
     about = annual.about
     whole = not inputs["maps"] or (folder / "maps.zarr").is_dir()
-    same = about.get("inputs") == inputs and about.get("software", {}).get("fieldlum") == __version__
+    wanted = inputs if inputs["maps"] else {**inputs, "maps": (about.get("inputs") or {}).get("maps")}
+    same = about.get("inputs") == wanted and about.get("software", {}).get("fieldlum") == __version__
     return annual if same and whole else None
+
+
+def begin_anew(folder: Path) -> None:
+    """Take away what says that a year is whole, and maps of another one, before anything of a new year is written.
+
+    Else a kill in between leaves the figures of one weather beside the classes of another.
+    """
+    (folder / "predict.json").unlink(missing_ok=True)
+    shutil.rmtree(folder / "maps.zarr", ignore_errors=True)

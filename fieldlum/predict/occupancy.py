@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.sun import standard_date, standard_offset
+from fieldlum.records import Site
+from fieldlum.sun import position, standard_date, standard_offset
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 HOURS_OF_YEAR = 8760
+_HOUR = timedelta(hours=1)
 HOW = "columns days,start,end (mon-fri,08:00,18:00), or one column occupied with 8760 rows of 0 or 1"
 
 
@@ -107,14 +109,20 @@ def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
 
 
-def occupied_hours(occupancy: Occupancy, times_utc: Sequence[datetime], timezone: str) -> tuple[int, int]:
+def occupied_hours(occupancy: Occupancy, times_utc: Sequence[datetime], site: Site) -> tuple[int, int]:
     """Occupied hours, dark ones too, of the local standard dates that the weather holds, and how many dates those are.
 
+    An hour with the sun up of which the weather says nothing is not counted: it would pass for one without glare.
     Raises NotEnoughDataError when there is no such hour.
     """
-    days = sorted({standard_date(t, timezone) for t in times_utc})
-    starts = [datetime.combine(day, time(0, 30), UTC) - standard_offset(timezone, day.year) for day in days]
-    used = occupancy.at([start + timedelta(hours=k) for start in starts for k in range(24)], timezone)
+    zone = site.timezone
+    days = sorted({standard_date(t, zone) for t in times_utc})
+    starts = [datetime.combine(day, time(), UTC) - standard_offset(zone, day.year) for day in days]
+    hours = [start + timedelta(hours=k) for start in starts for k in range(24)]
+    known = {(t - starts[0]) // _HOUR for t in times_utc}
+    blank = np.array([(t - starts[0]) // _HOUR not in known for t in hours])
+    middles = [t + _HOUR / 2 for t in hours]
+    used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
     if not used.any():
         raise NotEnoughDataError(f"the occupancy ({occupancy.text}) has no hour in the weather's {len(days)} days")
     return int(used.sum()), len(days)

@@ -17,7 +17,7 @@ from fieldlum.glare.sources import SOURCE_CDM2
 from fieldlum.glare.standards import dgp_uncertainty
 from fieldlum.predict.annual import HOUR_COLUMNS, VIEW_COLUMNS, Annual, write_about, write_hourly, write_pictures
 from fieldlum.predict.blocks import Block, Room, blocks, room_of
-from fieldlum.predict.checks import already, check_session, default_folder, inputs_of
+from fieldlum.predict.checks import already, begin_anew, check_session, default_folder, inputs_of
 from fieldlum.predict.maps import MapStore
 from fieldlum.predict.meaning import about_year, judge
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
@@ -67,10 +67,11 @@ def run(
     light = light_of(hours)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     fitted = load(model_folder)
+    begin_anew(folder)
     annual = measure(fitted, room, light, azimuths, folder, maps=maps, progress=progress)
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
-    hours_used, days = occupied_hours(occupancy, weather.t_utc, zone)
+    hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     found = judge(annual, hours_used, seed)
     annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found, days))
     # predict.json comes last: a folder that has it is whole.
