@@ -62,5 +62,5 @@ def test_analytic_camera_sees_the_sun_in_line_with_the_window() -> None:
 def test_property_a_sun_in_view_enters(altitude: float, azimuth: float) -> None:
     room = Room(window=(SOUTH, Window("west", 2.0, 6.0, 0.5, 3.0)))
     at = (np.array([altitude]), np.array([azimuth]))
-    wide = Room(window=room.window, wall_thickness_m=0.0)
+    wide = Room(window=room.window, wall_thickness_m=0.001)
     assert not sun_in_view(wide, *at)[0] or sun_enters(wide, *at)[0]

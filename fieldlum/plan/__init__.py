@@ -16,7 +16,7 @@ from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.plan import choose
 from fieldlum.plan.coverage import Coverage, coverage
-from fieldlum.plan.days import Hours, dark_days, daylight_hours, season_tag, set_days
+from fieldlum.plan.days import Hours, dark_days, daylight_hours, hours_of, season_tag, set_days
 from fieldlum.plan.days import today_at as today_at
 from fieldlum.plan.window import sun_enters, sun_in_view
 from fieldlum.profiles import Bracket, bracket_exposures, load_camera_profile
@@ -77,11 +77,6 @@ class Plan:
             "megabytes_per_slot": self.megabytes_per_slot,
             "sun_band_percent": round(self.coverage.sun_band_percent, 1),
         }
-
-
-def hours_of(slots: Sequence[Slot]) -> Hours:
-    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
-    return Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
 def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet) -> Plan:
@@ -174,13 +169,17 @@ def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) 
     said, all_year = [], request.set in ("even", "best")
     dark = [] if all_year else dark_days(days, hours, site)
     if dark:
-        said.append(f"polar night: no slot on {len(dark)} of {len(days)} days, {dark[0]} to {dark[-1]}")
+        said.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
     if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
-        said.append(f"midnight sun: the sun does not set on {len(midnight)} days, {midnight[0]} to {midnight[-1]}")
+        said.append(f"midnight sun: a slot every hour of {len(midnight)} of {len(days)} days ({_from_to(midnight)})")
     said += clock_texts(days, site)
     if days[0] < request.today:
         said.append(f"the plan starts on {days[0]}, which is past: its slots before now can only be missed")
     return said
+
+
+def _from_to(days: Sequence[date]) -> str:
+    return f"{days[0]}" if len(days) == 1 else f"{days[0]} to {days[-1]}"
 
 
 def _per_day(hours: Hours, site: Site) -> dict[date, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NEAR_DEG = 10.0  # a sun position is covered when a planned one is at most this far: hourly suns are 15 deg apart
 DNI_CELL_WM2, DHI_CELL_WM2 = 100.0, 50.0
 OBLIQUITY_DEG = 23.44
-INK, PLANNED, BAND, REACHED = "#1d2733", "#c4441c", "#f5e3bf", "#edb95c"
+INK, PALE, PLANNED, BAND, REACHED = "#1d2733", "#8a96a3", "#c4441c", "#f5e3bf", "#edb95c"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,53 +86,53 @@ def coverage(hours: Hours, site: Site, weather: Weather | None = None) -> Covera
 
 
 def sun_figure(hours: Hours, site: Site) -> Figure:
-    """The band of sun positions by azimuth and altitude with the planned suns (the paper's Figure 15)."""
+    """The band of sun positions on a sky chart, north up and east right, with the planned suns (the paper's Figure 15).
+
+    A chart and not azimuth against altitude: the sun of the tropics passes the zenith on either side.
+    """
     from matplotlib.figure import Figure
 
     year = hours.t_utc[0].year if len(hours) else datetime.now(UTC).year
-    figure = Figure(figsize=(7.2, 3.8), layout="constrained")
-    axes = figure.add_subplot()
-    middle = 180.0 if site.latitude_deg >= 0 else 0.0  # where the sun culminates stands in the middle
-
-    def across(azimuth_deg: ArrayLike) -> NDArray[np.float64]:
-        return middle + (np.asarray(azimuth_deg) - middle + 180.0) % 360.0 - 180.0
-
+    figure = Figure(figsize=(7.2, 4.0), layout="constrained")
+    axes: Any = figure.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
     band = band_directions(site)
-    altitude, azimuth = np.degrees(np.arcsin(band[:, 2])), across(np.degrees(np.arctan2(band[:, 0], band[:, 1])))
+    altitude, azimuth = np.degrees(np.arcsin(band[:, 2])), np.arctan2(band[:, 0], band[:, 1])
     reached = _near(band, sun.direction(hours.altitude_deg, hours.azimuth_deg)) if len(hours) else altitude < 0
-    for part, colour, label in ((~reached, BAND, "not reached"), (reached, REACHED, "reached")):
-        axes.scatter(
-            azimuth[part], altitude[part], s=16, marker="s", c=colour, linewidths=0, label=label, rasterized=True
-        )
+    for part, colour, label in ((~reached, BAND, "not reached"), (reached, REACHED, f"within {NEAR_DEG:g} deg")):
+        axes.scatter(azimuth[part], 90 - altitude[part], s=7, c=colour, linewidths=0, label=label, rasterized=True)
     for which, label in ((1, "June solstice"), (0, "equinoxes"), (3, "December solstice")):
         arc_azimuth, arc_altitude = day_arc(sun.standard_date(sun.season(year, which), site.timezone), site)
-        arc_azimuth = across(arc_azimuth)
-        order = np.argsort(arc_azimuth)
-        axes.plot(arc_azimuth[order], arc_altitude[order], color=INK, linewidth=0.6)
-        if len(arc_altitude):
-            top = int(np.argmax(arc_altitude))
-            axes.annotate(label, (arc_azimuth[top], arc_altitude[top]), ha="center", va="bottom", color=INK, fontsize=8)
-    axes.scatter(across(hours.azimuth_deg), hours.altitude_deg, s=9, color=PLANNED, linewidths=0, label="planned")
-    ticks = np.arange(middle - 180, middle + 181, 45)
-    axes.set(xlim=(ticks[0], ticks[-1]), ylim=(0, 95), xlabel="sun azimuth [deg, clockwise from north]")
-    axes.set_xticks(ticks, [f"{tick % 360:g}" for tick in ticks])
-    axes.set_yticks(range(0, 91, 15))
-    axes.set_ylabel("sun altitude [deg]")
-    title = (
-        f"{site.name}: {len(hours)} captures reach {100 * reached.mean():.0f} % "
-        f"of the year's sun band (within {NEAR_DEG:g} deg)"
+        axes.plot(np.radians(arc_azimuth), 90 - arc_altitude, color=INK, linewidth=0.6)
+        if np.isfinite(arc_altitude).any():
+            top = int(np.nanargmax(arc_altitude))
+            at = float(np.radians(arc_azimuth[top])), float(90 - arc_altitude[top])
+            axes.annotate(
+                label, at, (0, 3), textcoords="offset points", ha="center", va="bottom", color=INK, fontsize=7
+            )
+    axes.scatter(
+        np.radians(hours.azimuth_deg), 90 - hours.altitude_deg, s=9, color=PLANNED, linewidths=0, label="planned"
     )
-    axes.set_title(title, fontsize=10, loc="left")
-    axes.legend(frameon=False, fontsize=8, loc="upper left")
-    return _quiet_axes(figure)
+    axes.set_ylim(0, 90)
+    axes.set_yticks((30, 60), ("60", "30"), fontsize=7, color=PALE)
+    axes.set_xticks(np.radians(range(0, 360, 45)), ("N", "", "E", "", "S", "", "W", ""))
+    axes.tick_params(colors=INK, labelsize=8)
+    axes.tick_params(axis="y", colors=PALE)
+    axes.grid(color=PALE, linewidth=0.4)
+    axes.spines["polar"].set_color(PALE)
+    reach = f"{len(hours)} captures reach {100 * reached.mean():.0f} % of the year's sun band"
+    figure.suptitle(f"{site.name}: {reach}", fontsize=10, x=0.01, ha="left")
+    figure.legend(frameon=False, fontsize=8, markerscale=2, loc="outside right upper")
+    return figure
 
 
 def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Azimuth and altitude of the sun every ten minutes of a local standard day while it is up."""
+    """Azimuth and altitude of the sun every ten minutes of a local standard day; no numbers while it is down."""
     start = sun.standard_midnight(day, site.timezone)
-    at = sun.position([start + timedelta(minutes=10 * k) for k in range(144)], site)
+    at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
     up = at.altitude_deg > 0
-    return at.azimuth_deg[up], at.altitude_deg[up]
+    return np.where(up, at.azimuth_deg, np.nan), np.where(up, at.altitude_deg, np.nan)
 
 
 def irradiance_figure(hours: Hours, site: Site, weather: Weather) -> Figure:
@@ -140,27 +140,25 @@ def irradiance_figure(hours: Hours, site: Site, weather: Weather) -> Figure:
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.2, 4.2), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.8), layout="constrained")
     axes = figure.add_subplot()
     lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
     dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
     bins = np.arange(0, 1150, DNI_CELL_WM2 / 2), np.arange(0, max(float(dhi.max()), 500) + 25, DHI_CELL_WM2 / 2)
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
-    figure.colorbar(picture, ax=axes, label="hours a year in a cell")
+    bar = figure.colorbar(picture, ax=axes)
+    bar.set_label("hours a year in a cell", fontsize=8)
+    bar.ax.tick_params(labelsize=8)
     planned = weather.at(hours.t_utc)
     axes.scatter(
         planned.dni_wm2, planned.dhi_wm2, s=9, color=INK, linewidths=0, label="planned, as the weather year has them"
     )
-    axes.set(xlabel="direct normal [W/m2]", ylabel="diffuse horizontal [W/m2]")
+    axes.set_xlabel("direct normal [W/m2]", fontsize=8)
+    axes.set_ylabel("diffuse horizontal [W/m2]", fontsize=8)
     found = coverage(hours, site, weather)
     title = f"{site.name}: skies met by the plan make up {found.irradiance_percent:.0f} % of the year's daylight hours"
     axes.set_title(title, fontsize=10, loc="left")
     axes.legend(frameon=False, fontsize=8, loc="upper right")
-    return _quiet_axes(figure)
-
-
-def _quiet_axes(figure: Figure) -> Figure:
-    for axes in figure.axes[:1]:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(colors=INK, labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(colors=INK, labelsize=8)
     return figure

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-from fieldlum.records import Site
+from fieldlum.records import Site, Slot
 
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
 """Set: (seasons, days on either side of the event)."""
@@ -32,6 +32,12 @@ class Hours:
     def __getitem__(self, chosen: Iterable[int]) -> Hours:
         index = [int(i) for i in chosen]
         return Hours(tuple(self.t_utc[i] for i in index), self.altitude_deg[index], self.azimuth_deg[index])
+
+
+def hours_of(slots: Sequence[Slot]) -> Hours:
+    """The moments of slots, and where their suns stand."""
+    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
+    return Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
 def daylight_hours(days: Iterable[date], site: Site) -> Hours:

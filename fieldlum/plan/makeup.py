@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldlum import sun
 from fieldlum.plan.coverage import coverage
-from fieldlum.plan.days import Hours, span
+from fieldlum.plan.days import hours_of, span
 from fieldlum.records import Site, SiteFile, Slot, slot_id
 from fieldlum.session import Session, read_journal, replacing, sha256, update_session, write_plan
 
@@ -117,7 +117,7 @@ def run(session: Session, now_utc: datetime) -> Answer:
         about = _keep_and_write(session, [*slots, *added], about, setup)
     left = [slot for slot in slots if slot.id in done or slot.t_utc + GRACE >= now_utc]
     band = {
-        name: round(coverage(_hours(some), setup.site).sun_band_percent, 1)
+        name: round(coverage(hours_of(some), setup.site).sun_band_percent, 1)
         for name, some in (("planned", slots), ("without", left), ("with", [*left, *added]))
     }
     return Answer(
@@ -161,11 +161,6 @@ def _resumed(session: Session) -> dict[str, Any]:
     if _kept(session, about).exists() and sha256(session.plan) != about.get("sha256"):
         return _record(session, about)
     return about
-
-
-def _hours(slots: Sequence[Slot]) -> Hours:
-    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
-    return Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
 def as_table(answer: Answer) -> dict[str, Any]:

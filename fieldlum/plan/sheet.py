@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fieldlum import sun
 from fieldlum.plan.calendar import by_day
 from fieldlum.plan.coverage import day_arc, irradiance_figure, sun_figure
-from fieldlum.plan.days import SEASON_TAGS, Hours
+from fieldlum.plan.days import SEASON_TAGS, hours_of
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session import exposure_text
 from fieldlum.weather import Weather
@@ -49,8 +49,7 @@ def html(
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
     """The coverage plots as inline SVG."""
-    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
-    hours = Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
+    hours = hours_of(slots)
     figures = [sun_figure(hours, setup.site)]
     if weather is not None:
         figures.append(irradiance_figure(hours, setup.site, weather))
@@ -70,7 +69,9 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
     return {
         "number": number,
         "date": f"{day:%A %d %B %Y}".replace(" 0", " "),
-        "season": " ".join(sorted({tag.replace("-", " ") for s in slots for tag in s.tags if tag in SEASON_TAGS})),
+        "season": " ".join(
+            sorted({tag.replace("-", " ") for s in slots for tag in s.tags if tag in SEASON_TAGS})
+        ).capitalize(),
         "rise": f"{today.rise.astimezone(zone):%H:%M}" if today.rise else "does not rise or set",
         "set": f"{today.set.astimezone(zone):%H:%M}" if today.set else "",
         "clock_change": [
@@ -107,15 +108,16 @@ def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
-    points = _xy(altitude_deg, azimuth_deg)
-    if len(points) < 2:
-        return ""
-    jump = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1) > 30
+    """A line through the points that are numbers."""
+    known = np.isfinite(altitude_deg)
+    begins = known & ~np.concatenate(([False], known[:-1]))
     words = (
-        f"{'M' if i == 0 or gap else 'L'}{x:.1f} {y:.1f}"
-        for i, ((x, y), gap) in enumerate(zip(points, jump, strict=True))
+        f"{'M' if first else 'L'}{x:.1f} {y:.1f}"
+        for (x, y), first, seen in zip(_xy(altitude_deg, azimuth_deg), begins, known, strict=True)
+        if seen
     )
-    return f'<path d="{"".join(words)}" fill="none" {style}/>'
+    line = "".join(words)
+    return f'<path d="{line}" fill="none" {style}/>' if line else ""
 
 
 def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
