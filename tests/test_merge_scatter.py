@@ -106,6 +106,16 @@ def test_frames_that_do_not_overlap_say_nothing() -> None:  # contract
     assert np.array_equal(with_seen_noise(before, alone, Y, 4.0).variance, before.variance)
 
 
+@pytest.mark.parametrize("dark", [slice(None), slice(0, 1)])
+def test_black_colours_are_no_trouble(dark: slice) -> None:  # contract
+    store = frames(white(np.random.default_rng(8)))
+    for i in range(len(store)):
+        codes = store[i].codes  # type: ignore[attr-defined]
+        codes[..., dark] = 0
+    after = with_seen_noise(merged(store), store, Y, 4.0)
+    assert np.isfinite(after.variance).all() and (after.variance >= 0).all()
+
+
 def test_frames_that_are_read_again_give_the_same() -> None:  # property
     kept = frames(white(np.random.default_rng(7)))
     again = FrameStore([lambda i=i: kept[i] for i in range(3)], budget_bytes=0)

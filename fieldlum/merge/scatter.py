@@ -98,13 +98,12 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
     enough = pixels >= 0.5 * both.shape[1] ** 2
     if enough.sum() < _IN_A_STEP:
         return pull2
-    a, b, u2_a, u2_b = (
-        _cell_sums(v * both[..., None])[enough] for v in (long.light, short.light, long.variance, short.variance)
-    )
-    apart = np.log(np.maximum(b, 1e-12) / np.maximum(a, 1e-12))
-    apart -= np.stack([_by_level(np.log(np.maximum(a[:, c], 1e-12)), apart[:, c]) for c in range(3)], axis=1)
+    sums = (_cell_sums(v * both[..., None])[enough] for v in (long.light, short.light, long.variance, short.variance))
+    a, b, u2_a, u2_b = (np.maximum(v, 1e-12) for v in sums)  # black in one colour: no light, but no division either
+    apart = np.log(b / a)
+    apart -= np.stack([_by_level(np.log(a[:, c]), apart[:, c]) for c in range(3)], axis=1)
     share = y_from_rgb * a
-    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-12)
+    share /= share.sum(axis=1, keepdims=True)
     variance = (share**2 * (u2_a / a**2 + u2_b / b**2)).sum(axis=1)
     found = (share * apart).sum(axis=1) ** 2 / variance
     pull2[enough] = np.minimum(found, (_FAR * 1.4826) ** 2 * np.median(found))
