@@ -3,10 +3,12 @@
     python bench/damaged_series.py [--hours 160] [--turns 20] [--seed 1]
 
 First table: readings of undamaged series that the spike guard flags, by sky and step. Second table: lines of undamaged
-readings are damaged one in a hundred, each once; how many then read as another number by their form, how many after
-asking again (the SPN1; one answer in ten of the further ones is damaged too), and how many of those quality control
-leaves without a flag. Skies are made of clouds whose lengths follow a power law (exponent -1.66, as clouds' chords do),
-blown over the place at 5 to 20 m/s, their shadows' edges blurred by the sun's disc and their own softness.
+readings are damaged one in a hundred, each once; how many then read as another number by the profile alone, how many
+the driver lets through, and how many of those quality control leaves without a flag. The driver asks the SPN1 again. Of
+what talks by itself it knows the form of sixty lines before, and of a line a second it takes the median of the newest
+three since the last reading. Of these further answers and lines one in ten is damaged too. A TOA5 row stands in a file
+of 59. Skies are made of clouds whose lengths follow a power law (exponent -1.66, as clouds' chords do), blown over the
+place at 5 to 20 m/s, their shadows' edges blurred by the sun's disc and their own softness.
 """
 
 from __future__ import annotations
@@ -14,10 +16,13 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from datetime import UTC, datetime, timedelta
-from typing import Any, NamedTuple
+from functools import partial
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 from fuzz_parsers import FIXED, TOA5_HEAD, nmea
@@ -27,6 +32,7 @@ from scipy.ndimage import gaussian_filter1d
 from fieldlum import irradiance
 from fieldlum.devices import ascii_lines, spn1, toa5
 from fieldlum.devices.agreeing import said_twice
+from fieldlum.devices.line_form import LineForm
 from fieldlum.errors import FieldlumError
 
 Array = NDArray[np.float64]
@@ -76,31 +82,40 @@ def checked(t: Array, ghi: Array, dhi: Array | None) -> NDArray[np.int64]:
 # ---------------------------------------------------------------------------------------------- lines
 
 
+Reading = tuple[float, float | None]
+"""Global and diffuse."""
+
+
 class Protocol(NamedTuple):
     name: str
     line: Callable[[float, float], bytes]
-    read: Callable[[bytes], tuple[float, float | None]]
-    asked_again: bool = False
+    read: Callable[[bytes], Reading]  # by the profile alone
+    accept: Callable[..., tuple[Reading, Reading]]  # what the driver makes of it, and of the same lines undamaged
+    heard: int = 1  # lines between two readings, a second apart
 
 
-def _values(profile: ascii_lines.AsciiProfile) -> Callable[[bytes], tuple[float, float | None]]:
-    def read(line: bytes) -> tuple[float, float | None]:
+def _values(profile: ascii_lines.AsciiProfile) -> Callable[[bytes], Reading]:
+    def read(line: bytes) -> Reading:
         found = ascii_lines.parse_line(profile, line)
         return found["ghi_wm2"], found.get("dhi_wm2")
 
     return read
 
 
-def _toa5(line: bytes) -> tuple[float, float | None]:
-    """A row between four neighbours of a minute's step."""
-    rows = [_toa5_row(minute, 500.0, 100.0) for minute in range(5)]
-    rows[2] = line
-    text = (TOA5_HEAD + b"".join(rows)).decode("utf-8", "replace")
-    due = NOON.replace(hour=8) + timedelta(minutes=2)
+def _toa5(rows: int, line: bytes) -> Reading:
+    """A row in the middle of as many at a minute's step, whose light goes up and down."""
+    minutes = range(_TOA5_MINUTE - rows // 2, _TOA5_MINUTE + rows // 2 + 1)
+    lines = [_toa5_row(minute, 500.0 + 470.0 * np.sin(minute), 60.0 + 50.0 * np.sin(minute)) for minute in minutes]
+    lines[rows // 2] = line
+    text = (TOA5_HEAD + b"".join(lines)).decode("utf-8", "replace")
+    due = NOON.replace(hour=8) + timedelta(minutes=_TOA5_MINUTE)
     found = [s for s in toa5.parse_toa5(text, timedelta()).samples if s.t_utc == due]
     if len(found) != 1 or found[0].ghi_wm2 is None:
         raise FieldlumError("left out, or blank")
     return found[0].ghi_wm2, found[0].dhi_wm2
+
+
+_TOA5_MINUTE = 30  # of the damaged row
 
 
 def _toa5_row(minute: int, ghi: float, dhi: float) -> bytes:
@@ -108,24 +123,88 @@ def _toa5_row(minute: int, ghi: float, dhi: float) -> bytes:
 
 
 def protocols() -> list[Protocol]:
-    keys, js = (ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "arduino-json"))
+    keys, js, crc = (ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "arduino-json", "arduino-crc"))
 
-    def spn1_read(line: bytes) -> tuple[float, float | None]:
+    def spn1_read(line: bytes) -> Reading:
         found = spn1.parse_reading(line)
         return found.total_wm2, found.diffuse_wm2
 
+    def body(g: float, d: float) -> str:
+        return f"$G={g:.1f} D={d:.1f} T=24.1"
+
+    def streams(
+        name: str, line: Callable[[float, float], bytes], profile: ascii_lines.AsciiProfile, heard: int
+    ) -> Protocol:
+        read = _values(profile)
+        often = f"{name}, 1 line/s" if heard > 1 else name
+        return Protocol(often, line, read, partial(_heard, read, partial(ascii_lines.body_of, profile)), heard)
+
+    def json_line(g: float, d: float) -> bytes:
+        return json.dumps({"G": round(g, 1), "T": 24.1}).encode() + b"\n"
+
     return [
-        Protocol("SPN1", lambda g, d: b"S%6.1f,%6.1f,1\r" % (g, d), spn1_read, asked_again=True),
-        Protocol("ASCII, XOR", lambda g, d: nmea(f"$G={g:.1f} D={d:.1f} T=24.1"), _values(keys)),
-        Protocol("ASCII JSON, nothing stated", lambda g, d: json.dumps({"G": round(g, 1), "T": 24.1}).encode() + b"\n",
-                 _values(js)),
-        Protocol("ASCII key=value, all stated", lambda g, d: b"G=%06.1f T=024.1\n" % g, _values(FIXED)),
-        Protocol("TOA5 row", lambda g, d: _toa5_row(2, g, d), _toa5),
-    ]  # fmt: skip
+        Protocol("SPN1", lambda g, d: b"S%6.1f,%6.1f,1\r" % (g, d), spn1_read, partial(_asked_again, spn1_read)),
+        streams("ASCII, CRC-16", lambda g, d: with_crc16(body(g, d)), crc, 1),
+        *(streams("ASCII, XOR", lambda g, d: nmea(body(g, d)), keys, heard) for heard in (1, 5)),
+        *(streams("ASCII JSON, nothing stated", json_line, js, heard) for heard in (1, 5)),
+        *(streams("ASCII key=value, all stated", lambda g, d: b"G=%06.1f T=024.1\n" % g, FIXED, n) for n in (1, 5)),
+        Protocol("TOA5 row", partial(_toa5_row, _TOA5_MINUTE), partial(_toa5, 5), _left_in),
+    ]
+
+
+def _asked_again(
+    read: Callable[[bytes], Reading], came: bytes, whole: Sequence[bytes], before: bytes, form: LineForm,
+    rng: np.random.Generator,
+) -> tuple[Reading, Reading]:  # fmt: skip
+    """An SPN1, whose first answer is damaged, is asked twice more. Raises FieldlumError, as the others do."""
+    left = [came, *(maybe_damaged(whole[-1], before, rng) for _ in range(2))]
+    reading, _ = said_twice(
+        lambda: left.pop(0), spn1.parse_reading, spn1.apart_wm2, (spn1.NOISE_WM2, spn1.AGREE_WM2), spn1.in_line
+    )
+    return (reading.total_wm2, reading.diffuse_wm2), read(whole[-1])
+
+
+def _heard(
+    read: Callable[[bytes], Reading], body_of: Callable[[bytes], str], came: bytes, whole: Sequence[bytes],
+    before: bytes, form: LineForm, rng: np.random.Generator,
+) -> tuple[Reading, Reading]:  # fmt: skip
+    """As `LineInstrument` does with the lines since the last reading, the newest damaged."""
+    sound: list[tuple[Reading, Reading]] = []
+    lines = [*(maybe_damaged(line, before, rng) for line in whole[:-1]), came]
+    for line, true in zip(lines, whole, strict=True):
+        with suppress(FieldlumError):
+            value = read(line)
+            if not deepcopy(form).unlike(body_of(line)):
+                sound.append((value, read(true)))
+    if not sound:
+        raise FieldlumError("no sound line")
+    used = sound[-3:] if len(sound) >= 3 else sound[-1:]
+    return voted([got for got, _ in used]), voted([true for _, true in used])
+
+
+def voted(readings: Sequence[Reading]) -> Reading:
+    diffuse = [d for _, d in readings if d is not None]
+    return median(g for g, _ in readings), median(diffuse) if diffuse else None
+
+
+def _left_in(
+    came: bytes, whole: Sequence[bytes], before: bytes, form: LineForm, rng: np.random.Generator
+) -> tuple[Reading, Reading]:
+    """A row in a file of 59."""
+    return _toa5(59, came), _toa5(59, whole[-1])
+
+
+def with_crc16(body: str) -> bytes:
+    return f"{body}*{ascii_lines.crc16(body.removeprefix('$').encode()):04X}\r\n".encode()
+
+
+def maybe_damaged(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:
+    """One in ten is."""
+    return damage(line, other, rng) if rng.random() < 0.1 else line
 
 
 def damage(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """As bench/fuzz_parsers.py: cut, lost, added, changed, joined, noise; never the line itself."""
+    """As bench/fuzz_parsers.py: cut, lost, added, changed, joined, noise; never one of the two lines."""
     while True:
         at, size = int(rng.integers(len(line))), int(rng.integers(1, 4))
         kind = rng.choice(["cut", "lost", "added", "changed", "joined", "noise"])
@@ -137,7 +216,7 @@ def damage(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:
             "joined": line[: max(at, 1)] + other[int(rng.integers(1, len(line))) :],
             "noise": rng.bytes(int(rng.integers(60))),
         }[str(kind)]
-        if came != line:
+        if came not in (line, other):
             return came
 
 
@@ -147,50 +226,59 @@ class Tally:
         self.far = [0, 0]
 
 
-def answers_of(protocol: Protocol, true: bytes, came: bytes, other: bytes, rng: np.random.Generator) -> Any:
-    """What the driver makes of a damaged first answer. Raises FieldlumError."""
-    if not protocol.asked_again:
-        return protocol.read(came)
-    left = [came] + [damage(true, other, rng) if rng.random() < 0.1 else true for _ in range(2)]
-    reading, _ = said_twice(
-        lambda: left.pop(0), spn1.parse_reading, spn1.apart_wm2, (spn1.NOISE_WM2, spn1.AGREE_WM2), spn1.in_line
-    )
-    return reading.total_wm2, reading.diffuse_wm2
+def learned(protocol: Protocol, ghi: Array, dhi: Array) -> LineForm:
+    """The form of sixty undamaged lines of the day."""
+    form = LineForm()
+    for i in np.linspace(0, len(ghi) - 1, 60).astype(int):
+        text = protocol.line(float(ghi[i]), float(dhi[i])).decode("ascii").strip()
+        if said := form.unlike(text.rpartition("*")[0] or text):
+            raise AssertionError(f"an undamaged line was refused: {said}")
+    return form
 
 
-def one_series(protocol: Protocol, t: Array, ghi: Array, dhi: Array, rng: np.random.Generator, tally: Tally) -> None:
+def one_series(protocol: Protocol, every: int, ghi: Array, dhi: Array, rng: np.random.Generator, tally: Tally) -> None:
+    """ghi, dhi [seconds] W/m2 of a day, read each `every` seconds."""
     ghi, dhi = ghi.round(1), dhi.round(1)
-    seen_ghi, seen_dhi = ghi.copy(), dhi.copy()
-    wrong = []
+    form = learned(protocol, ghi, dhi)
+    rows = np.arange(every, len(ghi), every)
+    t = 1.8e9 + rows.astype(float)
+    votes = [rows - back for back in range(3 if protocol.heard >= 3 else 1)]
+    seen_ghi, seen_dhi = (np.median([value[row] for row in votes], axis=0) for value in (ghi, dhi))
     has_dhi = protocol.read(protocol.line(800.0, 100.0))[1] is not None
-    for i in np.flatnonzero(rng.random(len(t)) < 0.01):
-        true, other = (protocol.line(ghi[j], dhi[j]) for j in (i, max(i - 1, 0)))
-        came = damage(true, other, rng)
+    wrong: list[int] = []
+    off = np.zeros(len(rows))
+    for i in np.flatnonzero(rng.random(len(rows)) < 0.01).tolist():
+        now = int(rows[i])
+        whole = [protocol.line(float(ghi[j]), float(dhi[j])) for j in range(now - protocol.heard + 1, now + 1)]
+        before = protocol.line(float(ghi[now - every]), float(dhi[now - every]))
+        came = damage(whole[-1], before, rng)
         tally.damaged += 1
-        value = protocol.read(true)
+        value = protocol.read(whole[-1])
         with suppress(FieldlumError):
             first = protocol.read(came)
             tally.by_form += first != value
-            tally.form_far += any(abs((x or 0.0) - (y or 0.0)) > FEW_WM2[0] for x, y in zip(first, value, strict=True))
+            tally.form_far += _apart(first, value) > FEW_WM2[0]
         try:
-            got = answers_of(protocol, true, came, other, rng)
+            got, true = protocol.accept(came, whole, before, form, rng)
         except FieldlumError:
             seen_ghi[i] = seen_dhi[i] = np.nan  # no row
             continue
-        if got != value:
+        seen_ghi[i], seen_dhi[i] = got[0], got[1] if got[1] is not None else np.nan
+        if got != true:
             wrong.append(i)
-            seen_ghi[i], seen_dhi[i] = got[0], got[1] if has_dhi else np.nan
+            off[i] = _apart(got, true)
     there = np.isfinite(seen_ghi)
     marks = np.zeros(len(t), np.int64)
     marks[there] = checked(t[there], seen_ghi[there], seen_dhi[there] if has_dhi else None)
     bad = np.array(wrong, int)
     unflagged = bad[(marks[bad] & ~int(irradiance.Mark.GAP)) == 0]
-    off = np.abs(seen_ghi - ghi)
-    if has_dhi:
-        off = np.fmax(off, np.abs(seen_dhi - dhi))
     tally.accepted += len(bad)
     tally.unflagged += len(unflagged)
     tally.far = [n + int((off[unflagged] > few).sum()) for n, few in zip(tally.far, FEW_WM2, strict=True)]
+
+
+def _apart(a: Reading, b: Reading) -> float:
+    return max(abs((x or 0.0) - (y or 0.0)) for x, y in zip(a, b, strict=True))
 
 
 def main() -> None:
@@ -216,7 +304,7 @@ def main() -> None:
         "step",
         "sky",
         "damaged",
-        "another number by form",
+        "another number by the profile",
         f"by over {FEW_WM2[0]:g} W/m2",
         "accepted",
         "unflagged",
@@ -229,9 +317,7 @@ def main() -> None:
                 rng, tally = np.random.default_rng([options.seed, every, 7]), Tally()
                 for kind in kinds:
                     for turn in range(options.turns * every // 5):
-                        ghi, dhi = (value[::every] for value in days[kind][turn % len(days[kind])])
-                        t = 1.8e9 + every * np.arange(len(ghi), dtype=float)
-                        one_series(protocol, t, ghi, dhi, rng, tally)
+                        one_series(protocol, every, *days[kind][turn % len(days[kind])], rng, tally)
                 share = [f"{n} ({100 * n / tally.damaged:.2f} %)" for n in
                          (tally.by_form, tally.form_far, tally.accepted, tally.unflagged, *tally.far)]  # fmt: skip
                 name = "steady" if kinds[0] == "clear" else "changing"

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from zoneinfo import ZoneInfo
 
 from fieldlum import sun
-from fieldlum.devices import CameraInfo, InstrumentInfo, open_camera, open_pyranometer
+from fieldlum.devices import FORM_ALONE, CameraInfo, InstrumentInfo, open_camera, open_pyranometer
 from fieldlum.devices.clock import RealClock
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.profiles import CameraProfile, load_camera_profile
@@ -211,6 +211,9 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
     if info.gives == ("ghi",):
         text = "gives global only: direct and diffuse will be derived, with an error of about 30 % of direct"
         found.append(Finding("pyranometer", "warn", text))
+    if info.guard == FORM_ALONE:
+        text = "its lines have no checksum, so that a damaged number may look whole: let the sketch print a CRC-16"
+        found.append(Finding("pyranometer", "warn", f"{text} (arduino-crc), or log less often than every third line"))
     made = _date(info.calibration_date)
     if made and (sample.t_utc.date() - made).days > CALIBRATION_YEARS * 365.25:
         found.append(Finding("pyranometer", "warn", f"calibrated on {made}, over {CALIBRATION_YEARS:g} years ago"))

@@ -256,6 +256,24 @@ def test_bad_readings_and_a_lost_pyranometer(site: Field) -> None:
     assert site.outcomes() == ["done"] * 3
 
 
+def test_refused_lines_are_journalled_as_they_came_and_never_fill_the_disk(site: Field) -> None:
+    class Rig(TinyPyranometer):
+        """Hands out three refused lines a reading."""
+
+        def refused(self) -> list[str]:
+            return [f"line {3 * self.count + i}" for i in range(3)]
+
+    run(
+        site.session, "tiny:", "tiny:", clock=site.clock, options=FAST, trusted=lambda: False,
+        open_cam=site.open_camera, open_pyr=lambda: Rig(site.clock),
+    )  # fmt: skip
+    told = [e["why"] for e in read_journal(site.session) if e["event"] == "bad-reading"]
+    lines, counts = [w for w in told if w.startswith("line")], [w for w in told if w.startswith("and ")]
+    assert lines[:4] == ["line 3", "line 4", "line 5", "line 6"] and len(lines) <= 20 * 4
+    assert counts and all(text.endswith("more lines in that hour") for text in counts)
+    assert site.outcomes() == ["done"] * 3
+
+
 EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
 
 

@@ -12,10 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum.devices import open_meter, open_pyranometer
-from fieldlum.devices.ascii_lines import AsciiField, AsciiProfile, load_ascii_profile, parse_line
+from fieldlum.devices import FORM_ALONE, Streaming, open_meter, open_pyranometer
+from fieldlum.devices.ascii_lines import AsciiField, AsciiProfile, crc16, load_ascii_profile, parse_line
 from fieldlum.devices.cl200a import EXT_ON, HOLD, MEASURE, PC_MODE, READ_EVXY, Cl200a, bcc, frame, parse_answer, unframe
 from fieldlum.devices.clock import FastClock
+from fieldlum.devices.line_form import LineForm
 from fieldlum.devices.serial_lines import LineInstrument
 from fieldlum.devices.simulated.spn1 import PtyInstrument
 from fieldlum.devices.toa5 import parse_toa5
@@ -116,8 +117,61 @@ def test_what_is_known_of_a_line_is_held_against_it() -> None:
             parse_line(FIXED, line)
 
 
+def test_analytic_crc_of_a_line() -> None:
+    assert crc16(b"123456789") == 0x4B37  # the check value that Greg Cook's catalogue gives for CRC-16/MODBUS
+    profile = load_ascii_profile("arduino-crc")
+    line = f"$G=812.4 D=104.9 T=24.1*{crc16(b'G=812.4 D=104.9 T=24.1'):04x}\r\n".encode()
+    assert parse_line(profile, line) == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1}
+    for harmed in (line.replace(b"812", b"821"), line.replace(b"*", b""), line.replace(b"104.9", b"04.9")):
+        with pytest.raises(DeviceError, match="its checksum is not"):
+            parse_line(profile, harmed)
+
+
+# ------------------------------------------------------------------------------------------ the form of a stream
+
+
+def learned(*lines: str) -> LineForm:
+    form = LineForm()
+    for _ in range(60 // len(lines)):
+        assert [form.unlike(line) for line in lines] == [""] * len(lines)
+    return form
+
+
+@pytest.mark.parametrize(
+    ("lines", "odd", "said"),
+    [
+        (['{"G": 812.4, "T": 24.1}'], '{"G": 812, "T": 24.1}', "812 has 0 decimals, usual are 1"),
+        (['{"G": 812.4, "T": 24.1}'], '{"G": 8124, "T": 24.1}', "8124 has 0 decimals"),
+        (['{"G": 812.4, "T": 24.1}'], '{"G": 812.4, "U": 24.1}', "around its numbers"),
+        (["G=812.4 T=24.1"], "G=812.4  24.1", "around its numbers"),
+        (["G=0812.4", "G=1012.4"], "G=812.4", "fills 5 characters, usual are 6"),
+        (["G= 812.4", "G=  92.4"], "G= 12.4", "fills 5 characters, usual are 6"),
+    ],
+)
+def test_a_line_unlike_all_before_it_is_noticed(lines: list[str], odd: str, said: str) -> None:
+    assert said in learned(*lines).unlike(odd)
+
+
+def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
+    assert not learned("G=812.4 T=24.1", "G=812 T=24.1").unlike("G=813 T=24.1"), "noughts that are not printed"
+    assert not learned("G=812.4", "G=9.4", "G=1012.4").unlike("G=88.1"), "numbers that are not filled to a width"
+    form = learned("G=812.4 sky=clear")
+    assert [bool(form.unlike("G=812.4 sky=cloudy")) for _ in range(5)] == [True, True, False, False, False]
+    few = LineForm()
+    assert {few.unlike(text) for text in ("G=1.0", "G=1", "H=1", "G=1.00")} == {""}, "too few to know"
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.tuples(st.integers(-20, 14000), st.integers(-300, 600)), min_size=60, max_size=100), st.sampled_from(
+    ["G={0:.1f} T={1:.1f}", "G={0:6.1f},{1:5.1f}", "G={0:06.1f} T={1:05.1f}", '{{"G": {0}, "T": {1}}}']
+))  # fmt: skip
+def test_property_no_whole_line_is_refused(values: list[tuple[int, int]], how: str) -> None:
+    form = LineForm()
+    assert not [said for g, t in values if (said := form.unlike(how.format(g / 10, t / 10)))]
+
+
 def test_contract_profiles_are_checked(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="no profile of lines 'x', there are arduino-json"):
+    with pytest.raises(DeviceError, match=r"no profile of lines 'x', there are .*arduino-json"):
         load_ascii_profile("x")
     own = tmp_path / "own.toml"
     for text, said in (
@@ -154,6 +208,35 @@ def test_newest_whole_line_counts_and_the_rest_waits(talker: tuple[int, str]) ->
     os.write(ours, b'00, "T": 2}\n')
     sample = device.read()
     assert (sample.ghi_wm2, sample.raw, sample.t_utc) == (500.0, '{"G": 500, "T": 2}', START)
+    device.close()
+
+
+def test_of_three_quick_lines_the_median_counts(talker: tuple[int, str]) -> None:
+    ours, port = talker
+    device = LineInstrument(port, load_ascii_profile("arduino-json"), CLOCK, silence_s=0.3)
+    os.write(ours, b'\n{"G": 1, "T": 2}\n{"G": 811, "T": 22}\n{"G": 81, "T": 21}\n{"G": 812, "T": 23}\n')
+    sample = device.read()
+    assert (sample.ghi_wm2, sample.temperature_c) == (811.0, 22.0)
+    assert sample.raw == '{"G": 811, "T": 22} | {"G": 81, "T": 21} | {"G": 812, "T": 23}'
+    slow = FastClock(START)
+    device._clock = slow
+    slow.sleep(60.0)
+    os.write(ours, b'{"G": 1, "T": 2}\n{"G": 2, "T": 2}\n{"G": 400, "T": 21}\n')
+    assert device.read().ghi_wm2 == 400.0, "lines that are far apart do not vote"
+    device.close()
+
+
+def test_a_line_of_another_form_gives_no_number_and_is_handed_out(talker: tuple[int, str]) -> None:
+    ours, port = talker
+    device = LineInstrument(port, load_ascii_profile("arduino-json"), CLOCK, silence_s=0.3)
+    assert isinstance(device, Streaming) and device.info.guard == FORM_ALONE
+    os.write(ours, b"\n" + 30 * b'{"G": 811.5, "T": 22.0}\n')
+    assert device.read().ghi_wm2 == 811.5 and device.refused() == []
+    os.write(ours, b'{"G": 811, "T": 22.0}\nboot\n{"G": 811.0, "T": 22.0}\n')
+    assert device.read().ghi_wm2 == 811.0 and device.ignored == 2
+    first, second = device.refused()
+    assert "811 has 0 decimals, usual are 1" in first and r"""b'{"G": 811, "T": 22.0}\n'""" in first
+    assert "boot" in second and device.refused() == []
     device.close()
 
 
@@ -217,6 +300,22 @@ def test_a_toa5_row_out_of_step_is_left_out() -> None:
     # Rows that are missing, and a clock that was set by an hour, are no damage.
     moved = rows[:9] + [row.replace(" 08:", " 09:") for row in rows[12:]]
     assert len(parse_toa5(head + "".join(moved), timedelta()).samples) == 27
+
+
+def toa5_of(values: list[str]) -> str:
+    rows = [f'"2027-03-20 08:{m:02d}:00",{100 + m},{value},88.1,21.5\n' for m, value in enumerate(values)]
+    return "".join(TOA5.splitlines(keepends=True)[:4]) + "".join(rows)
+
+
+def test_a_toa5_number_with_other_decimals_than_its_column_is_left_out() -> None:
+    values = [f"{40 + m}.5" for m in range(20)] + [f"{500 + m}.5" for m in range(30)]
+    assert not parse_toa5(toa5_of(values), timedelta()).broken
+    for damage in ("512", "1125", "51.25"):
+        table = parse_toa5(toa5_of([*values[:40], damage, *values[41:]]), timedelta())
+        assert len(table.samples) == 49 and table.broken[0].startswith("line 45: ghi_wm2 has"), damage
+    # Campbell's FP2 writes four digits, whatever the size; other loggers drop noughts.
+    assert not parse_toa5(toa5_of([f"{990 + m}.5" if m < 10 else f"{990 + m}" for m in range(40)]), timedelta()).broken
+    assert not parse_toa5(toa5_of([f"{500 + m / 10:g}" for m in range(40)]), timedelta()).broken
 
 
 @settings(deadline=None, max_examples=200)

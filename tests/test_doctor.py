@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from fieldlum import doctor
 from fieldlum.cli import main
-from fieldlum.devices import CameraInfo, InstrumentInfo
+from fieldlum.devices import FORM_ALONE, CameraInfo, InstrumentInfo
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, NeutralDensity, Scale, save_profile
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
 from fieldlum.session import Journal, Session, create_session
@@ -105,6 +105,9 @@ def test_pyranometer_readings() -> None:
     old = InstrumentInfo("smp", calibration_date="2022-01-01")
     said = " ".join(f.text for f in doctor.judge_pyranometer(old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE))
     assert "status" in said and "global only" in said and "years ago" in said
+    rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), guard=FORM_ALONE)
+    told = doctor.judge_pyranometer(rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
+    assert [f.verdict for f in told] == ["ok", "warn"] and "let the sketch print a CRC-16" in told[1].text
 
 
 # What systemd 252 printed for three real locks (systemd-logind on a bus of its own), and the form of before 240.

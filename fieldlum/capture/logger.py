@@ -10,12 +10,13 @@ from datetime import datetime
 from fieldlum.capture.keeper import Keeper, plain_info
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.steady import SteadyClock
-from fieldlum.devices import Pyranometer, open_pyranometer
+from fieldlum.devices import Pyranometer, Streaming, open_pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.records import IrradianceSample
 from fieldlum.session import Session, sole_user
 
 _BAD_IN_A_ROW = 3  # readings that fail before the port is opened anew
+_TOLD_AN_HOUR = 20  # refused lines that are journalled one by one; a sketch that prints remarks must not fill the disk
 
 
 class Logger:
@@ -30,6 +31,7 @@ class Logger:
         self._thread: threading.Thread | None = None
         self.last: IrradianceSample | None = None
         self.bad = 0
+        self._hour, self._refused = -1, 0
 
     def poll(self) -> IrradianceSample | None:
         """Read and write one row; None when the instrument is away or answered with something broken."""
@@ -49,11 +51,26 @@ class Logger:
                 self._failed = 0
                 self.keeper.lost(error)
             return None
+        finally:
+            self._tell_refused(device)
         self._failed = 0
         sample = replace(sample, t_utc=asked)  # steady time, not the instrument's nor a stepped wall clock's
         self._recorder.sample(sample)
         self.last = sample
         return sample
+
+    def _tell_refused(self, device: Pyranometer) -> None:
+        """Journal the lines that gave no number, as they came; of more than twenty an hour how many there were."""
+        lines = device.refused() if isinstance(device, Streaming) else []
+        hour = int(self._clock.boottime() // 3600)
+        if hour != self._hour:
+            if self._refused > _TOLD_AN_HOUR:
+                untold = self._refused - _TOLD_AN_HOUR
+                self._recorder.tell("bad-reading", device=self.keeper.name, why=f"and {untold} more lines in that hour")
+            self._hour, self._refused = hour, 0
+        for line in lines[: max(0, _TOLD_AN_HOUR - self._refused)]:
+            self._recorder.tell("bad-reading", device=self.keeper.name, why=line[:600])
+        self._refused += len(lines)
 
     @property
     def due_in_s(self) -> float:

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 
+FORM_ALONE = "form alone"
+
+
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
     kind: str  # the driver
@@ -53,6 +56,7 @@ class InstrumentInfo:
     status: str = ""  # empty: all well
     port: str = ""
     gives: tuple[str, ...] = ("ghi",)  # of ghi, dhi, dni, illuminance
+    guard: str = ""  # what shows a damaged answer: CRC-16, exclusive or, asked twice; FORM_ALONE is none
 
 
 class Camera(Protocol):
@@ -92,6 +96,15 @@ class Pyranometer(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class Streaming(Protocol):
+    """An instrument that talks by itself."""
+
+    def refused(self) -> list[str]:
+        """What of its lines was refused since this was last asked: why, and the line as it came."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import Any, Literal
 
@@ -65,7 +67,9 @@ class AsciiProfile:
     entry: tuple[AsciiField, ...]
     pattern: str = ""  # of a regex; groups are named as the entries' keys
     only: bool = False  # key-value, json: these keys, in this order, and no others
-    checksum: Literal["none", "xor"] = "none"  # xor: the line ends in * and two hexadecimal digits, as NMEA's do
+    # The line ends in * and hexadecimal digits over what stands before it (less a leading $): the exclusive or of its
+    # bytes in two, as NMEA's do; or CRC-16/MODBUS in four, which lets no damage of a few bytes pass.
+    checksum: Literal["none", "xor", "crc16"] = "none"
     model: str = ""
     serial: str = ""
     calibration_date: str = ""
@@ -97,9 +101,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     """Quantities of one whole line, its end mark included. Raises DeviceError for everything that does not fit."""
-    text = _whole_text(line)
-    if profile.checksum == "xor":
-        text = _without_checksum(text)
+    text = body_of(profile, line)
     found = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](profile, text)
     values = {e.quantity: e.scale * _number(found[e.key], e, text) + e.offset for e in profile.entry}
     for entry in profile.entry:
@@ -113,6 +115,12 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     return values
 
 
+def body_of(profile: AsciiProfile, line: bytes) -> str:
+    """The text of a whole line, its checksum looked at and taken off. Raises DeviceError."""
+    text = _whole_text(line)
+    return text if profile.checksum == "none" else _without_checksum(text, profile.checksum)
+
+
 def _whole_text(line: bytes) -> str:
     if not line.endswith(b"\n") or len(line) > _LONGEST:
         raise DeviceError(f"line {line[:60]!r} has no end")
@@ -122,14 +130,23 @@ def _whole_text(line: bytes) -> str:
     return body.decode("ascii")
 
 
-def _without_checksum(text: str) -> str:
+def _without_checksum(text: str, kind: Literal["xor", "crc16"]) -> str:
     body, star, digits = text.rpartition("*")
-    total = 0
-    for character in body.removeprefix("$"):
-        total ^= ord(character)
-    if not star or not re.fullmatch(r"[0-9A-Fa-f]{2}", digits) or int(digits, 16) != total:
-        raise DeviceError(f"line {text[:60]!r}: its checksum is not *{total:02X}")
+    data = body.removeprefix("$").encode("ascii")
+    due = f"{reduce(xor, data, 0):02X}" if kind == "xor" else f"{crc16(data):04X}"
+    if not star or digits.upper() != due:
+        raise DeviceError(f"line {text[:60]!r}: its checksum is not *{due}")
     return body
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/MODBUS: polynomial 0x8005 reflected, from 0xFFFF; `_crc16_update` of avr-libc."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
+    return crc
 
 
 def _by_regex(profile: AsciiProfile, text: str) -> dict[str, Any]:

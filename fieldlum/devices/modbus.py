@@ -62,6 +62,7 @@ class ModbusPyranometer:
             " ".join(d.status for d in self._about if d.status),
             self._port.name,
             tuple(unit.measures for unit in self._units),
+            "CRC-16",
         )
 
     def read(self) -> IrradianceSample:

@@ -52,7 +52,7 @@ class Spn1:
     def info(self) -> InstrumentInfo:
         return InstrumentInfo(
             "spn1", "Delta-T SPN1", self._status.serial, self._status.firmware, port=self._port.name,
-            gives=("ghi", "dhi"),
+            gives=("ghi", "dhi"), guard="asked twice",
         )  # fmt: skip
 
     def read(self) -> IrradianceSample:

@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from fieldlum.devices.ascii_lines import sample_of
+from fieldlum.devices.line_form import ENOUGH, constant
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample
@@ -52,8 +53,9 @@ def parse_toa5(
 ) -> Toa5:
     """columns: quantity (ghi_wm2 ...) to column name, else the usual names. utc_offset: the logger's clock minus UTC.
 
-    A row that is cut, or whose time or number is no such thing, is left out and listed. Raises InputError for what is
-    no TOA5 table, has no such column, or has another unit than W/m2.
+    A row that is cut, whose time or number is no such thing or out of step, or which has other decimals than the rest
+    of its column, is left out and listed. Raises InputError for what is no TOA5 table, has no such column, or has
+    another unit than W/m2.
     """
     lines = text.split("\n")
     if not is_toa5(text) or len(lines) < 4:
@@ -69,6 +71,7 @@ def parse_toa5(
     broken: list[str] = []
     records: list[int] = []
     numbered: list[tuple[int, int, int]] = []  # line, its sample, its record number
+    read: list[tuple[int, list[str]]] = []  # line, its values
     for number, line in enumerate(lines[4:], start=5):
         if not line.strip():
             continue
@@ -79,6 +82,7 @@ def parse_toa5(
             if len(row) != len(names):
                 raise ValueError(f"{len(row)} values, expected {len(names)}")
             samples.append(_sample(row, names, chosen, utc_offset))
+            read.append((number, row))
         except (ValueError, csv.Error, OverflowError) as error:
             broken.append(f"line {number}: {error}")
             continue
@@ -87,11 +91,34 @@ def parse_toa5(
             numbered.append((number, len(samples) - 1, int(record)))
     strays = _out_of_step(numbered, [sample.t_utc for sample in samples])
     broken += [f"line {line}: its time or record number fits neither neighbour's" for line, _ in strays]
-    left_out = {i for _, i in strays}
+    odd = _odd_decimals([row for _, row in read], chosen)
+    broken += [f"line {read[i][0]}: {why}" for i, why in odd.items()]
+    left_out = {i for _, i in strays} | set(odd)
     samples = [sample for i, sample in enumerate(samples) if i not in left_out]
     missing = sum(b - a - 1 for a, b in pairwise(records) if 1 < b - a < 1_000_000)
     station, model, serial = (*about[1:4], "", "", "")[:3]
     return Toa5(tuple(samples), station, model, serial, tuple(broken), missing)
+
+
+def _odd_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[int, str]:
+    """Row to reason: a number has other decimals than all the rest of its column but one in sixty.
+
+    Compared are numbers with as many digits before the point: Campbell's FP2 writes 99.99, 999.9 and 1023. Where
+    numbers of several sizes have the same decimals, all are compared. A logger that drops noughts has no usual ones.
+    """
+    odd: dict[int, str] = {}
+    for quantity, i in chosen.items():
+        parts = {k: row[i].lstrip("+-").partition(".") for k, row in enumerate(rows) if _NUMBER.fullmatch(row[i])}
+        sizes: dict[int, list[int]] = {}
+        for whole, _, decimals in parts.values():
+            sizes.setdefault(len(whole), []).append(len(decimals))
+        usual = {size: constant(found) for size, found in sizes.items() if len(found) >= ENOUGH}
+        everywhere = next(iter(usual.values())) if len(usual) > 1 and len(set(usual.values())) == 1 else None
+        for k, (whole, _, decimals) in parts.items():
+            due = usual.get(len(whole), everywhere)
+            if due not in (None, len(decimals)):
+                odd[k] = f"{quantity} has {len(decimals)} decimals, usual are {due}"
+    return odd
 
 
 def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> list[tuple[int, int]]:
