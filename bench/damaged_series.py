@@ -25,7 +25,7 @@ from statistics import median
 from typing import NamedTuple
 
 import numpy as np
-from fuzz_parsers import FIXED, TOA5_HEAD, nmea
+from fuzz_parsers import FIXED, TOA5_HEAD, nmea, with_crc16
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
@@ -192,10 +192,6 @@ def _left_in(
 ) -> tuple[Reading, Reading]:
     """A row in a file of 59."""
     return _toa5(59, came), _toa5(59, whole[-1])
-
-
-def with_crc16(body: str) -> bytes:
-    return f"{body}*{ascii_lines.crc16(body.removeprefix('$').encode()):04X}\r\n".encode()
 
 
 def maybe_damaged(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:

@@ -65,7 +65,7 @@ def modbus() -> Parser:
     def line(tenths: int, warm: int, status: int) -> bytes:
         words = [1, status, 1, tenths, tenths, 0, warm & 0xFFFF, 234]
         body = bytes([1, 4, 16]) + b"".join(w.to_bytes(2, "big") for w in words)
-        return body + _crc16(body)
+        return body + ascii_lines.crc16(body).to_bytes(2, "little")
 
     def read(data: bytes) -> Any:
         port.answer = data
@@ -78,20 +78,15 @@ def modbus() -> Parser:
     return Parser("Modbus RTU (SMP)", "CRC-16", st.builds(line, WATTS, CELSIUS, st.just(0)), read)
 
 
-def _crc16(data: bytes) -> bytes:
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
-    return crc.to_bytes(2, "little")
-
-
 def nmea(body: str) -> bytes:
     total = 0
     for character in body.removeprefix("$"):
         total ^= ord(character)
     return f"{body}*{total:02X}\r\n".encode()
+
+
+def with_crc16(body: str) -> bytes:
+    return f"{body}*{ascii_lines.crc16(body.removeprefix('$').encode()):04X}\r\n".encode()
 
 
 # Lines of one's own, with all that can be stated of them.
@@ -119,7 +114,12 @@ def _toa5_row(data: bytes) -> Any:
 
 
 def parsers() -> list[Parser]:
-    keys, words, js = (ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "millivolts", "arduino-json"))
+    names = ("arduino-keys", "arduino-crc", "millivolts", "arduino-json")
+    keys, crc, words, js = (ascii_lines.load_ascii_profile(name) for name in names)
+
+    def body(v: tuple[int, int, int]) -> str:
+        return f"$G={v[0] / 10:.1f} D={v[1] / 10:.1f} T={v[2] / 10:.1f}"
+
     tenths = st.tuples(WATTS, WATTS, CELSIUS)
     return [
         Parser(
@@ -132,9 +132,11 @@ def parsers() -> list[Parser]:
         ),
         modbus(),
         Parser(
-            "ASCII pattern", "XOR",
-            tenths.map(lambda v: nmea(f"$G={v[0] / 10:.1f} D={v[1] / 10:.1f} T={v[2] / 10:.1f}")),
-            lambda d: ascii_lines.parse_line(keys, d),
+            "ASCII pattern", "XOR", tenths.map(lambda v: nmea(body(v))), lambda d: ascii_lines.parse_line(keys, d),
+        ),
+        Parser(
+            "ASCII pattern, CRC", "CRC-16", tenths.map(lambda v: with_crc16(body(v))),
+            lambda d: ascii_lines.parse_line(crc, d),
         ),
         Parser(
             "ASCII key=value", "", st.integers(0, 20000).map(lambda v: b"G_mV=%.3f\n" % (v / 1000)),
