@@ -76,6 +76,12 @@ def test_polar_night_warns_and_midnight_sun_is_listed(profile: str) -> None:
     assert "polar night: no slot on 3 of 9 days" in said and "midnight sun" in said
 
 
+def test_fewer_hours_than_asked_for_are_said(profile: str) -> None:
+    """contract: three June days in Seattle hold 48 half-past hours of daylight."""
+    made = _plan(SEATTLE, profile, "even", start=date(2027, 6, 1), days=3, count=500)
+    assert len(made.slots) == 48 and "500 hours were asked for, the window has 48 that can be had" in made.warnings
+
+
 def test_nothing_but_polar_night_is_not_enough_data(profile: str) -> None:
     with pytest.raises(NotEnoughDataError, match="polar night"):
         _plan(Site("Longyearbyen", 78.2, 15.6, "Arctic/Longyearbyen"), profile, "month", start=date(2026, 12, 1))

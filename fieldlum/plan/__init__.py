@@ -172,6 +172,8 @@ def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) 
         said.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
     if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
         said.append(f"midnight sun: a slot every hour of {len(midnight)} of {len(days)} days ({_from_to(midnight)})")
+    if request.count and len(hours) < request.count:
+        said.append(f"{request.count} hours were asked for, the window has {len(hours)} that can be had")
     said += clock_texts(days, site)
     if days[0] < request.today:
         said.append(f"the plan starts on {days[0]}, which is past: its slots before now can only be missed")
