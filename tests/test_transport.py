@@ -9,10 +9,13 @@ import pytest
 
 from fieldlum import models
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.light import light_at
+from fieldlum.light import Kernel, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
+from fieldlum.models.transport.choice import recipes_for
+from fieldlum.models.transport.material import material_of
 from fieldlum.models.transport.physics import physics_of
+from fieldlum.models.transport.recipe import Recipe, basis_of, fit_pixels
 from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
@@ -144,6 +147,29 @@ def test_contract_no_patch_is_learnt_and_needs_none() -> None:
         MODEL.predict(TEST.light)
 
 
+def test_property_doubtful_patches_do_not_teach_the_light() -> None:
+    material = material_of(TRAIN, with_patch=True)
+    kernel, plain = Kernel(material.facades), replace(material.features, flux=None, cells=None)
+    basis, below = basis_of(kernel(plain, plain), 20), Recipe(1e-2, rounds=4, second=0.1, below=True)
+    once = fit_pixels(material, basis, below)
+    twice = fit_pixels(material.with_patch_scaled(2.0), basis, below)
+    assert np.array_equal(once.b, twice.b) and np.array_equal(once.scale, twice.scale)
+    assert (once.patch_gain == 1.0).all() and not np.allclose(once.second, twice.second)
+
+
+def test_contract_patches_that_needed_mending_are_doubted(tmp_path: Path) -> None:
+    assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
+    shaded = np.random.default_rng(3).random((HEIGHT, WIDTH)) < 0.5  # by furniture that nobody measured
+    wrong = replace(TRAIN, patch_cdm2=np.where(shaded, np.float32(0.0), TRAIN.patch_cdm2))
+    model = fit(wrong)
+    assert {row["below"] for row in model.table} == {False, True}
+    assert not any(row["below"] for row in MODEL.table)  # right ones are not
+    assert model.recipe.below and model.train.flux is None
+    models.save(tmp_path / "m", model, wrong)
+    again = models.load(tmp_path / "m").predict(TEST.light, TEST.patch_cdm2)
+    assert np.allclose(again.luminance_cdm2, model.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, rtol=1e-4)
+
+
 @pytest.mark.parametrize("rows", [[0, 1, 2], [3, 3, 3, 3], list(range(5))])
 @pytest.mark.parametrize("patch", ["absolute", "gain", "none"])
 def test_property_tiny_or_doubled_sets_give_finite_maps(rows: list[int], patch: models.Patch) -> None:
@@ -152,6 +178,11 @@ def test_property_tiny_or_doubled_sets_give_finite_maps(rows: list[int], patch: 
     found = model.predict(TEST.light, None if patch == "none" else TEST.patch_cdm2)
     assert np.isfinite(found.luminance_cdm2).all() and found.luminance_cdm2.min() > 0.0
     assert found.log10_sd is not None and np.isfinite(found.log10_sd).all() and np.isfinite(found.expected_mse).all()
+
+
+def test_property_days_of_one_season_choose_no_width() -> None:
+    assert {r.second for r in recipes_for("none", one_season=True)} == {0.1}
+    assert len({r.second for r in recipes_for("none", one_season=False)}) > 1
 
 
 def test_contract_two_captures_are_not_enough() -> None:

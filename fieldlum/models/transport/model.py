@@ -12,22 +12,15 @@ from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Facades, Features, Kernel, Light, light_features
 from fieldlum.models import Patch, Prediction
+from fieldlum.models.transport.choice import Chosen, choose_model
 from fieldlum.models.transport.material import LEAST_CDM2, Material, OpenSky, Patchwork, material_of
 from fieldlum.models.transport.physics import Physics, physics_of
 from fieldlum.models.transport.recipe import (
-    RANK,
     SECOND_NOISE,
-    Basis,
-    HeldOut,
     Pixels,
     Recipe,
-    basis_of,
-    choose,
-    day_standard_error,
     find_patch_gain,
     fit_pixels,
-    hold_out,
-    one_season,
     second_covariance,
     second_inverse,
     second_own,
@@ -51,11 +44,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
-ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the others: take no less noise than this
 SAMPLE = 600  # pixels that say how far to believe the model, drawn by solid angle
-CHOOSING = 250  # of them, those that choose kernel and recipe
-BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
 HOURS_AT_ONCE = 64
 LEAST_HOURS = 3
 PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece")
@@ -121,7 +110,7 @@ class Transport:
         features = light_features(light)
         if self.physics is not None:
             features = replace(features, bounced=self.physics.features(light))
-        if self.patchwork is None or patch is None:
+        if self.patchwork is None or patch is None or self.recipe.below:
             return features
         return self.patchwork.add(features, patch, light, self.open_sky.mask(self.seen))
 
@@ -259,17 +248,6 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
 # ---------------------------------------------------------------------------------------------- fit
 
 
-def recipes_for(patch: Patch, one_season: bool) -> list[Recipe]:
-    """What held-out days choose among, plainest first."""
-    noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
-    if patch == "none":
-        return [Recipe(s, rounds=4, second=0.1) for s in (1e-2, 3e-2, 1e-1)]
-    variance = 0.0625 if patch == "gain" else 0.0025
-    plain = [Recipe(s, variance, rounds=1 if patch == "gain" else 0) for s in noises]
-    robust = [Recipe(s, 0.0625, rounds=3, second=0.15) for s in (1e-2, 3e-2)]
-    return plain + robust
-
-
 def fit(
     data: Dataset,
     *,
@@ -294,13 +272,11 @@ def fit(
     if patch == "gain":
         scale = find_patch_gain(material, kernel)
         material = material.with_patch_scaled(scale)
-    recipes = recipes_for(patch, one_season(data.days))
     progress(5, 100, "light between surfaces")
     physics = physics_of(data.setup, data.light)
     progress(10, 100, "choosing by held-out days")
     drawn = _draw(material, seed)
-    bounced = None if physics is None else physics.features(data.light)
-    chosen = _choose_kernel(material[drawn], kernel, recipes, bounced)
+    chosen = choose_model(material[drawn], kernel, patch, None if physics is None else physics.features(data.light))
     if chosen.features.bounced is None:
         physics = None
     material = replace(material, features=chosen.features)
@@ -311,43 +287,6 @@ def fit(
     return _finish(data, material, chosen, pixels, drawn, scale, physics)
 
 
-@dataclass(frozen=True, slots=True)
-class _Chosen:
-    """What held-out days chose: the kernel, what it looks at, the recipe; table of all that was tried."""
-
-    kernel: Kernel
-    features: Features
-    covariance: Array
-    basis: Basis
-    recipe: Recipe
-    held: HeldOut
-    table: list[tuple[Recipe, float, float]]
-
-
-def _choose_kernel(
-    drawn: Material, kernel: Kernel, recipes: list[Recipe], bounced: NDArray[np.float32] | None
-) -> _Chosen:
-    """The kernel and recipe that serve held-out days best, asked of some pixels.
-
-    A room model (its features `bounced`) speaks for suns that no capture had, held-out days do not: it stays unless it
-    makes them worse by more than a standard error. Beside it the facade term counts less.
-    """
-
-    def tried(kernel: Kernel, features: Features) -> _Chosen:
-        covariance = kernel(features, features)
-        basis = basis_of(covariance, RANK)
-        recipe, table = choose(drawn[slice(CHOOSING)], basis, recipes)
-        return _Chosen(kernel, features, covariance, basis, recipe, hold_out(drawn, basis, recipe), table)
-
-    without = tried(kernel, drawn.features)
-    if bounced is None:
-        return without
-    with_room = tried(replace(kernel, facade=BESIDE_ROOM), replace(drawn.features, bounced=bounced))
-    worse = with_room.held.per_hour - without.held.per_hour
-    kept = with_room if worse.mean() <= day_standard_error(worse, drawn.days) else without
-    return replace(kept, table=[*without.table, *with_room.table])
-
-
 def _draw(material: Material, seed: int) -> NDArray[np.intp]:
     """Numbers of some pixels, by solid angle."""
     rng = np.random.default_rng(seed)
@@ -356,7 +295,7 @@ def _draw(material: Material, seed: int) -> NDArray[np.intp]:
 
 
 def _finish(
-    data: Dataset, material: Material, chosen: _Chosen, pixels: Pixels, drawn: NDArray[np.intp], scale: float,
+    data: Dataset, material: Material, chosen: Chosen, pixels: Pixels, drawn: NDArray[np.intp], scale: float,
     physics: Physics | None,
 ) -> Transport:  # fmt: skip
     """The model with its uncertainty, by the pixels `drawn`."""

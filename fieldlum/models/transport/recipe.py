@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,13 +36,15 @@ LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no low
 @dataclass(frozen=True, slots=True)
 class Recipe:
     """What is left to choose. noise is relative variance; patch_variance the prior variance of each pixel's patch gain;
-    rounds of robust reweighting; second: width of the second stage on the log residual (0: none)."""
+    rounds of robust reweighting; second: width of the second stage on the log residual (0: none); below: doubtful
+    patches do not teach the light, it is found below them as if there were none, and they are added as they are."""
 
     noise: float
     patch_variance: float = 0.0025
     rounds: int = 0
     second: float = 0.0
     rank: int = RANK
+    below: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,16 @@ class Pixels:
     sky_gain: Array
     least: Array
     second: NDArray[np.floating]
+
+
+def _teaching(material: Material, recipe: Recipe) -> Material:
+    """What the light is learnt from."""
+    return replace(material, patch=None) if recipe.below else material
+
+
+def _with_patches(surface: Array, material: Material, unit: Array, recipe: Recipe) -> Array:
+    """A fit and the patches that it was not taught, [n, P]."""
+    return surface + material.patch / unit if recipe.below and material.patch is not None else surface
 
 
 def _columns(material: Material, unit: Array, recipe: Recipe) -> Columns:
@@ -141,21 +153,23 @@ def fit_pixels(
     """Fit all pixels in chunks of bounded memory."""
     count, r = material.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
+    taught = _teaching(material, recipe)
     out = Pixels(
-        pixel_scale(material), np.empty((count, r), np.float32), np.ones(count), np.ones(count), np.empty(count),
+        pixel_scale(taught), np.empty((count, r), np.float32), np.ones(count), np.ones(count), np.empty(count),
         np.empty((len(material.light) if recipe.second else 0, count), np.float32),
     )  # fmt: skip
     inverse = second_inverse(material, recipe)
 
     def one(part: slice) -> None:
-        some, scale = material[part], out.scale[part]
+        some, scale = taught[part], out.scale[part]
         fit = _fit_chunk(some, scale, basis, recipe, products)
         out.b[part], out.sky_gain[part] = fit.b, np.maximum(fit.gains[:, -1], 0.0)
-        if material.patch is not None:
+        if taught.patch is not None:
             out.patch_gain[part] = np.maximum(fit.gains[:, 0], 0.0)
         out.least[part] = _least(some, fit, basis, scale)
         if recipe.second:
             found = compose(basis.values @ fit.b.T, out.least[part], fit.gains, fit.columns.values)
+            found = _with_patches(found, material[part], material.light.total_lx[:, None] * scale, recipe)
             out.second[:, part] = inverse @ np.log(fit.target / found)
 
     for done in each_chunk(one, count):
@@ -204,20 +218,38 @@ def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 
 
-def hold_out(material: Material, basis: Basis, recipe: Recipe) -> HeldOut:
+@dataclass(frozen=True, slots=True)
+class _First:
+    """The first stage's prediction of each hour without its day, and what was seen, [n, P] in units of the scale."""
+
+    found: Array
+    target: Array
+    scale: Array
+
+
+def _hold_out_first(material: Material, basis: Basis, recipe: Recipe) -> _First:
     """Leave one day out in closed form: features, robust weights and pixel scales are those of the full fit."""
-    scale = pixel_scale(material)
-    fit = _fit_chunk(material, scale, basis, recipe, pair_products(basis.values))
-    least = _least(material, fit, basis, scale)
+    taught = _teaching(material, recipe)
+    scale = pixel_scale(taught)
+    fit = _fit_chunk(taught, scale, basis, recipe, pair_products(basis.values))
+    least = _least(taught, fit, basis, scale)
     whole = held_out_days(basis.values, fit.columns, fit.target, fit.weights, recipe.noise, material.days)
     direct = np.einsum("knp,pk->np", fit.columns.values, fit.gains)
     found = compose(whole - direct, least, fit.gains, fit.columns.values)
+    found = _with_patches(found, material, material.light.total_lx[:, None] * scale, recipe)
+    return _First(found, fit.target, scale)
+
+
+def hold_out(material: Material, basis: Basis, recipe: Recipe, first: _First | None = None) -> HeldOut:
+    """What each hour would be predicted as by the others without its day; `first` where it is known already."""
+    first = first or _hold_out_first(material, basis, recipe)
+    found = first.found
     if recipe.second:
-        residual = np.log(fit.target / found)
+        residual = np.log(first.target / found)
         own = second_own(material, recipe)
-        found *= np.exp(held_out_days_shared(own, SECOND_NOISE, residual, material.days))
-    luminance = found * material.light.total_lx[:, None] * scale
-    return HeldOut(luminance, score(luminance, material.luminance), scale)
+        found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, material.days))
+    luminance = found * material.light.total_lx[:, None] * first.scale
+    return HeldOut(luminance, score(luminance, material.luminance), first.scale)
 
 
 def find_patch_gain(material: Material, kernel: Kernel, noise: float = 1e-2) -> float:
@@ -252,9 +284,12 @@ def find_patch_gain(material: Material, kernel: Kernel, noise: float = 1e-2) -> 
 
 def choose(material: Material, basis: Basis, recipes: list[Recipe]) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
     """The recipe of least error on held-out days, and the table (recipe, error, its standard error over days)."""
-    table = []
+    table, firsts = [], dict[Recipe, _First]()
     for recipe in recipes:
-        per_hour = hold_out(material, basis, recipe).per_hour
+        alone = replace(recipe, second=0.0)
+        if alone not in firsts:
+            firsts[alone] = _hold_out_first(material, basis, recipe)
+        per_hour = hold_out(material, basis, recipe, firsts[alone]).per_hour
         table.append((recipe, float(per_hour.mean()), day_standard_error(per_hour, material.days)))
     return min(table, key=lambda row: row[1])[0], table
 
