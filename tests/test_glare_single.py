@@ -199,3 +199,12 @@ def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> N
     assert CliRunner().invoke(main, ["glare", str(tmp_path / "none.hdr")]).exit_code == 3
     assert CliRunner().invoke(main, ["glare", str(_fisheye(path, maps)), "--view-azimuth", "90"]).exit_code == 3
     assert CliRunner().invoke(main, ["glare", str(path), "--view-azimuth", "nan"]).exit_code == 2
+
+
+def test_a_view_without_a_direction_says_that_north_is_a_guess(tmp_path: Path, maps: np.ndarray) -> None:
+    """Contract: a fisheye of a hand-written VIEW is right in its glare, and must not seem to know where it looks."""
+    told = picture_glare(_fisheye(tmp_path / "a.hdr", maps))
+    bare = picture_glare(_fisheye(tmp_path / "b.hdr", maps, "-vta -vh 180 -vv 180"))
+    assert not any("-vd" in text for text in told["warnings"])
+    assert any("-vd" in text for text in bare["warnings"])
+    assert bare["views"][0]["dgp"] == pytest.approx(told["views"][0]["dgp"], abs=2e-3)

@@ -195,6 +195,19 @@ def test_a_refused_row_stays_in_the_table(tmp_path: Path) -> None:
     assert rows[2]["ok"] == "0" and rows[2]["why"].startswith("no irradiance") and rows[2]["dni_wm2"] == ""
 
 
+def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
+    """Contract: the same frames in two slots: one of the two is hours away from its light."""
+    session = make_session(tmp_path / "s", None, hours=3)
+    for hour, frames in enumerate(("ab", "cd", "ab")):
+        note = session.raw / slot_id(NOON + timedelta(hours=hour)) / "capture.json"
+        table = {**json.loads(note.read_text()), "frames": [{"sha256": frame} for frame in frames]}
+        note.write_text(json.dumps(table))
+    pair.run(session)
+    first, second, third = rows_of(session)
+    assert first["why"] == f"the same frames as {slot_id(NOON + timedelta(hours=2))}: imported with two clock offsets"
+    assert third["ok"] == "0" and slot_id(NOON) in third["why"] and second["ok"] == "1"
+
+
 def test_bad_inputs_are_named(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     clean = session.irradiance / "clean.csv"

@@ -19,7 +19,7 @@ def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
     """Log irradiance alone, until stopped.
 
     \b
-    fieldlum log office-2027 --pyranometer serial:/dev/ttyUSB0?kind=spn1
+    fieldlum log office-2027 --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum.capture.logger import log
     from fieldlum.devices.clock import RealClock

@@ -44,11 +44,15 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """view is None for a panorama. covered_sr: how much of the hemisphere in front the picture covers, at most 2 pi."""
+    """view is None for a panorama. covered_sr: how much of the hemisphere in front the picture covers, at most 2 pi.
+
+    directed: it says where it looks; else its azimuth is Radiance's default, north.
+    """
 
     panorama: Panorama
     view: View | None
     covered_sr: float
+    directed: bool = True
 
 
 def read_picture(path: Path) -> Picture:
@@ -67,7 +71,8 @@ def read_picture(path: Path) -> Picture:
     view = parse_view(text, path, found.heading_deg)
     _check_shape(view, height, width, path)
     luminance, covered = to_panorama(pixels, view)
-    return Picture(Panorama(luminance, view.azimuth_deg, sun=found.sun), view, covered)
+    directed = "-vd" in text.split() or path.suffix.lower() == ".exr"
+    return Picture(Panorama(luminance, view.azimuth_deg, sun=found.sun), view, covered, directed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,6 +129,8 @@ def _warnings(picture: Picture) -> list[str]:
     share = picture.covered_sr / (2.0 * np.pi)
     if share < 0.98:
         said.append(f"covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds")
+    if not picture.directed:
+        said.append("its VIEW has no -vd: glare holds, but whether it looks to azimuth 0 is not known")
     flags = picture.panorama.flags
     clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
     if clipped:

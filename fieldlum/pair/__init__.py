@@ -42,6 +42,8 @@ class Taken:
     verdict: str = ""
     meter_lx: float | None = None
     complete: bool = True
+    frames: frozenset[str] = frozenset()  # sha256 of each
+    double_of: str = ""  # another slot that has the same frames
 
     @property
     def t_utc(self) -> datetime:
@@ -100,9 +102,20 @@ def taken_brackets(session: Session) -> list[Taken]:
                 str(note.get("verdict", "")),
                 None if meter is None else float(meter),
                 bool(capture.get("complete", True)),
+                frozenset(str(frame["sha256"]) for frame in capture.get("frames", ()) if "sha256" in frame),
             )
         )
-    return found
+    return _doubles_named(found)
+
+
+def _doubles_named(brackets: list[Taken]) -> list[Taken]:
+    """A card that was imported twice, with two clock offsets, stands in two slots: one of them is wrong, or both."""
+    at: dict[str, list[str]] = {}
+    for taken in brackets:
+        for frame in taken.frames:
+            at.setdefault(frame, []).append(taken.slot)
+    others = [next((s for f in t.frames for s in at[f] if s != t.slot), "") for t in brackets]
+    return [replace(taken, double_of=other) for taken, other in zip(brackets, others, strict=True)]
 
 
 def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
@@ -110,6 +123,8 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
     why = light.why
     if taken.verdict.lower().split(":")[0].strip() in _REJECTED:
         why = f"merge: {taken.verdict}"
+    elif taken.double_of:
+        why = f"the same frames as {taken.double_of}: imported with two clock offsets"
     elif not why and altitude_deg < 0.0:
         why = "the sun is down"
     elif not why and too_weak(light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]):
