@@ -59,7 +59,7 @@ class Recorder:
         with self._lock:
             if missing := self.missing_bytes(size):
                 self.make_room()
-                self.last_event = f"disk-full: {missing / 1e6:.1f} MB more are needed"
+                self.last_event = f"disk-full: {missing / 1e6:.2f} MB more are needed"
                 raise OSError(errno.ENOSPC, self.last_event)
             if self._free_bytes() < size:
                 self.make_room()
