@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
+from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.projection import LensGeometry, angle_of_radius
-from fieldlum.records import Exposure, SiteFile
+from fieldlum.records import Exposure, Site, SiteFile
 
 T = TypeVar("T")
 _HERE = Path(__file__).parent
@@ -82,11 +83,16 @@ def _value(hint: Any, value: Any, where: str) -> Any:
 def read_toml(path: Path) -> dict[str, Any]:
     """Raises InputError for a missing file or for what is not TOML."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # editors of Windows put a mark before the text
     except OSError as error:
         raise InputError(path, error.strerror or str(error), "a readable TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "TOML", "mend that line") from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            path, f"byte {error.object[error.start]:#04x} that is no UTF-8", "TOML in UTF-8",
+            "save it again with the encoding UTF-8",
+        ) from None  # fmt: skip
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path, str(error), "TOML", "mend that line: text in quotes, decimals with a point") from None
 
 
 def plain(value: Any) -> Any:
@@ -119,7 +125,22 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
         raise InputError(
             where, f"unknown time zone '{site.timezone}'", "an IANA name such as America/Los_Angeles"
         ) from None
+    if abs(site.latitude_deg) < _MERIDIANS_MEET_DEG and abs(off_h := zone_off_sun_h(site)) > _MOST_OFF_SUN_H:
+        found = f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, {abs(off_h):.1f} h off the sun"
+        raise InputError(where, found, f"at most {_MOST_OFF_SUN_H:g} h", "east is positive, west negative")
     return setup
+
+
+_MOST_OFF_SUN_H = 4.0  # western China's clocks are 3.1 h ahead of their sun, more than any other's
+_MERIDIANS_MEET_DEG = 85.0  # stations near the poles keep the time of whoever supplies them
+
+
+def zone_off_sun_h(site: Site) -> float:
+    """Standard time of the zone minus mean solar time of the longitude, -12 to 12 h; 0 for UTC, which is no place's."""
+    if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
+        return 0.0
+    standard = sun.standard_offset(site.timezone, 2027)
+    return (standard.total_seconds() / 3600 - site.longitude_deg / 15 + 12) % 24 - 12
 
 
 def site_table(setup: SiteFile) -> dict[str, Any]:

@@ -151,6 +151,31 @@ def test_contract_usage_errors_exit_two(tmp_path: Path) -> None:
     assert CliRunner().invoke(main, ["plan", str(site), "--set", "5-day", "--out", "x"]).exit_code == 2
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ["--set", "month", "--count", "5"],
+        ["--set", "9-day", "--days", "3"],
+        ["--set", "month", "--start", "2027-03-01", "--year", "2028"],
+    ],
+)
+def test_contract_what_would_be_passed_over_is_a_usage_error(tmp_path: Path, asked: list[str]) -> None:
+    found = CliRunner().invoke(main, ["plan", str(_site_file(tmp_path, GOOD)), *asked, "--out", str(tmp_path / "o")])
+    assert found.exit_code == 2 and asked[2] in found.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_contract_a_session_cannot_be_a_file(tmp_path: Path) -> None:
+    site = _site_file(tmp_path, GOOD)
+    found = CliRunner().invoke(main, ["plan", str(site), "--set", "4-day", "--out", str(site)])
+    assert found.exit_code == 3 and "File exists, name a folder" in found.stderr
+
+
+def test_a_place_without_time_zone_is_told(profile: str) -> None:
+    made = _plan(Site("Seattle", 47.6, -122.3), profile, "4-day")
+    assert any("timezone is UTC at longitude -122.3" in said for said in made.warnings)
+
+
 def test_today_is_the_sites_own() -> None:
     assert plan.today_at(SEATTLE, datetime(2027, 3, 20, 3, tzinfo=UTC)) == date(2027, 3, 19)
     assert sun.standard_date(datetime(2027, 7, 1, 7, 30, tzinfo=UTC), SEATTLE.timezone) == date(2027, 6, 30)

@@ -1,5 +1,7 @@
 """Strict TOML: what is misspelt, impossible or missing is said; what is right comes back the same."""
 
+import re
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -35,6 +37,8 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"latitude_deg": "north"}, "'north', expected a number"),
         ({"latitude_deg": True}, "expected a number"),
         ({"altitude_m": 52000.0}, "altitude_m = 52000, expected -500 to 9000"),
+        ({"longitude_deg": 122.3}, r"longitude_deg = 122.3 with timezone America/Los_Angeles, 7.8 h off the sun"),
+        ({"timezone": "Europe/Berlin"}, "9.2 h off the sun, expected at most 4 h, east is positive, west negative"),
     ],
 )
 def test_a_bad_site_is_refused_with_the_finding(change: dict, said: str) -> None:
@@ -52,6 +56,30 @@ def test_what_is_no_toml_names_the_line(tmp_path: Path) -> None:
         load_site(_site(tmp_path, "[site]\nname = \n"))
     with pytest.raises(InputError, match=r"gone\.toml"):
         load_site(tmp_path / "gone.toml")
+
+
+def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
+    path, text = tmp_path / "site.toml", '[site]\nname = "Büro"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
+    path.write_bytes(text.encode("utf-8-sig"))
+    assert load_site(path).site.name == "Büro"
+    for encoding in ("cp1252", "utf-16"):
+        path.write_bytes(text.encode(encoding))
+        with pytest.raises(InputError, match="no UTF-8, expected TOML in UTF-8, save it again"):
+            load_site(path)
+
+
+def test_authority_every_place_of_the_time_zone_data_fits_its_zone() -> None:
+    lines = (files("tzdata") / "zoneinfo" / "zone.tab").read_text("utf-8").splitlines()
+    for line in lines:
+        if line.startswith("#"):
+            continue
+        _, at, zone, *_ = line.split("\t")
+        found = re.fullmatch(r"([+-]\d{2})\d{2,4}([+-]\d{3})(\d{2})\d*", at)
+        assert found, line
+        longitude = float(found[2]) + float(found[2][0] + found[3]) / 60
+        place = {"name": zone, "latitude_deg": float(found[1]), "longitude_deg": longitude, "timezone": zone}
+        assert site_from_table({"site": place}, zone).site.timezone == zone
+    assert len(lines) > 300
 
 
 def test_only_the_site_is_required() -> None:

@@ -31,6 +31,7 @@ DISK_TROUBLE = {
     errno.EIO: "the disk or card does not answer: copy what can be read to another one",
     errno.ENOTDIR: "name a folder",
     errno.EISDIR: "name a file",
+    errno.EEXIST: "name a folder that is new, or a folder that is there",
     errno.ENAMETOOLONG: "choose shorter names",
 }
 

@@ -56,6 +56,8 @@ def command(
         raise click.UsageError("give --set and --out, like: fieldlum plan SITE.toml --set 9-day --out my-session")
     elif set_ == "best" and weather_file is None:
         raise click.UsageError("the best hours depend on the climate: give a weather year with --weather FILE")
+    elif said := _meaningless(set_, start, year, days, count):
+        raise click.UsageError(said)
     else:
         asked = (set_, start.date() if start else None, year, days, count)
         answer, said = _planned(target, asked, weather_file, out, ics, html)
@@ -63,6 +65,17 @@ def command(
         terminal.emit_json(answer)
     else:
         click.echo("\n".join(said))
+
+
+def _meaningless(set_: str, start: datetime | None, year: int | None, days: int | None, count: int | None) -> str:
+    """What is asked for and would be passed over, or nothing."""
+    if start and year:
+        return "--start and --year both say when: give one of them"
+    if count and set_ not in ("even", "best"):
+        return f"--count is for even and best; the hours of {set_} follow from its days"
+    if days and set_ in ("9-day", "12-day", "4-day"):
+        return f"--days is for month, even and best; {set_} has its own"
+    return ""
 
 
 def _planned(

@@ -175,6 +175,8 @@ def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) 
     if request.count and len(hours) < request.count:
         said.append(f"{request.count} hours were asked for, the window has {len(hours)} that can be had")
     said += clock_texts(days, site)
+    if site.timezone == "UTC" and abs(site.longitude_deg) > 30:
+        said.append(f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours are UTC's, not the place's")
     if days[0] < request.today:
         said.append(f"the plan starts on {days[0]}, which is past: its slots before now can only be missed")
     return said
