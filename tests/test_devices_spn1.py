@@ -5,6 +5,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -221,7 +222,7 @@ def test_contract_unplugged_is_a_device_error() -> None:
 
 def test_contract_a_port_is_used_by_one_only() -> None:
     wire = Wire()
-    with spn1(wire) as device, pytest.raises(DeviceError, match="lock"):
+    with spn1(wire) as device, pytest.raises(DeviceError, match="another program holds it"):
         Spn1(device.info.port, FastClock(START), timeout_s=0.15)
 
 
@@ -265,3 +266,35 @@ def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(DeviceError, match=r"not plugged in; USB ports there are: 0403:6001:ft9z"):
         resolve("usb=0403:6015")
     assert resolve("COM3") == "COM3"
+
+
+def test_contract_a_port_that_does_not_open_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from serial.tools.list_ports_common import ListPortInfo
+
+    from fieldlum.devices.serial_port import SerialPort
+
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [ListPortInfo("/dev/ttyUSB1")])
+    with pytest.raises(DeviceError, match=r"gone: no such port; ports there are: /dev/ttyUSB1$"):
+        SerialPort(str(tmp_path / "gone"), baud=9600, timeout_s=0.1)
+    with pytest.raises(DeviceError, match=r"/dev/null: is no serial port"):
+        SerialPort("/dev/null", baud=9600, timeout_s=0.1)
+
+
+@pytest.mark.parametrize(
+    ("windows", "said"),
+    [
+        (FileNotFoundError(2, "The system cannot find the file specified.", None, 2), "COM9: no such port"),
+        (PermissionError(13, "Access is denied.", None, 5), "COM9: another program holds it"),
+    ],
+)
+def test_contract_windows_ports_too(monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str) -> None:
+    import serial
+
+    from fieldlum.devices.serial_port import SerialPort
+
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(f"could not open port 'COM9': {windows!r}")
+
+    monkeypatch.setattr("serial.Serial", refuse)
+    with pytest.raises(DeviceError, match=said):
+        SerialPort("COM9", baud=9600, timeout_s=0.1)

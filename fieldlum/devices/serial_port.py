@@ -25,6 +25,23 @@ def told(port: str) -> Iterator[None]:
         raise DeviceError(f"{port}: {said[0] if said else type(error).__name__}") from None
 
 
+def _cannot_open(port: str, error: DeviceError) -> str:
+    """What to do about a port that does not open. pyserial tells the reason in its text alone on Windows."""
+    said = str(error)
+    if "[Errno 2]" in said or "FileNotFoundError" in said:
+        from serial.tools.list_ports import comports
+
+        known = ", ".join(sorted(found.device for found in comports()))
+        return f"{port}: no such port; ports there are: {known or 'none, so check cable and power'}"
+    if "[Errno 13]" in said:
+        return f"{port}: no right to open it; join the port's group (often dialout) and log in again"
+    if "exclusively lock" in said or "[Errno 16]" in said or "PermissionError" in said:
+        return f"{port}: another program holds it; close that one (a terminal, another capture or log)"
+    if "[Errno 25]" in said or "Inappropriate ioctl" in said:
+        return f"{port}: is no serial port"
+    return said
+
+
 def resolve(place: str) -> str:
     """The device file of a place: itself, or the port of ``usb=VID:PID`` or ``usb=VID:PID:SERIAL``.
 
@@ -55,11 +72,14 @@ class SerialPort:
         import serial
 
         self.name, self.timeout_s = resolve(place), timeout_s
-        with told(self.name):
-            self._port: Any = serial.Serial(
-                self.name, baud, bytesize=bits, parity=parity, stopbits=stop, timeout=timeout_s,
-                write_timeout=timeout_s, exclusive=True,
-            )  # fmt: skip
+        try:
+            with told(self.name):
+                self._port: Any = serial.Serial(
+                    self.name, baud, bytesize=bits, parity=parity, stopbits=stop, timeout=timeout_s,
+                    write_timeout=timeout_s, exclusive=True,
+                )  # fmt: skip
+        except DeviceError as error:
+            raise DeviceError(_cannot_open(self.name, error)) from None
 
     @property
     def handle(self) -> Any:
