@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s
 from fieldlum.records import Float, IrradianceSample, Progress, Site, quiet
 from fieldlum.session import Session, day_files, read_day, replacing
 
@@ -33,7 +34,7 @@ SPIKE_OVER_USUAL = 3.0  # and than the light changes around it
 _SPIKE_ROWS = 120  # "around it": rows on either side, ten minutes at 5 s
 _SPIKE_RANK = 9  # of the steps around it: four other spikes there hide none
 _BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all would take much memory
-_RECIPE = 2  # raise it when the arithmetic changes: clean.csv is then made again
+_RECIPE = 3  # raise it when the arithmetic changes: clean.csv is then made again
 
 
 class Mark(IntFlag):
@@ -81,6 +82,7 @@ class Health:
     longest_gap_s: float
     night_offset_wm2: float | None  # median of the global with the sun under -6 degrees; never subtracted
     closure_pass: float | None  # share of testable rows, where direct is measured too
+    clock_off_s: float | None  # by the light itself (`light_clock`); None without a whole day, dark on either side
     marks: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -245,7 +247,7 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
 # ---------------------------------------------------------------------------------------------- health
 
 
-def health(raw: Series, clean: Series, altitude: Array, broken: int) -> Health:
+def health(raw: Series, clean: Series, altitude: Array, broken: int, site: Site) -> Health:
     """raw and clean: the same rows before and after the checks."""
     night = raw.ghi_wm2[(altitude < NIGHT_SUN_DEG) & np.isfinite(raw.ghi_wm2)]
     offset = float(np.median(night)) if len(night) >= 10 else None
@@ -263,12 +265,18 @@ def health(raw: Series, clean: Series, altitude: Array, broken: int) -> Health:
         warnings.append(
             f"global = diffuse + direct holds in {100 * passed:.0f} % of the rows only: check clock and tilt"
         )
+    clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
+    if clock_off is not None and abs(clock_off) > CLOCK_WARN_S:
+        warnings.append(
+            f"the days' light is centred {clock_off / 60:+.0f} min from solar noon: check the logger's clock, its "
+            "--utc-offset (daylight saving?) and longitude_deg, and import it anew"
+        )
     if broken:
         warnings.append(f"{broken} broken lines in the day files were skipped")
     usable = int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum())
     longest = float(gaps.max()) if len(gaps) else 0.0
     return Health(
-        len(clean), broken, usable, period, len(gaps), longest, offset, passed,
+        len(clean), broken, usable, period, len(gaps), longest, offset, passed, clock_off,
         {name: count for name, count in counts.items() if count}, tuple(warnings),
     )  # fmt: skip
 
@@ -327,7 +335,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     site = session.site_file().site
     altitude, top = sky_geometry(raw.t_unix_s, site)
     series = derive(check(raw, altitude, top), altitude, site)
-    found = health(raw, series, altitude, broken)
+    found = health(raw, series, altitude, broken, site)
     write_clean(clean, series)
     with replacing(note, "w", encoding="utf-8") as file:
         json.dump({**asdict(found), "inputs": inputs}, file, indent=1)

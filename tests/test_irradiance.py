@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum import irradiance, sun
+from fieldlum import irradiance, light_clock, sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance import Mark, check, derive, health, minute_means, series_of, sky_geometry
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
@@ -161,9 +161,50 @@ def test_night_offset_is_told_and_not_subtracted() -> None:
     series = series_of([IrradianceSample(night + timedelta(seconds=5 * i), -2.5 - 0.1 * (i % 3)) for i in range(50)])
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     found = check(series, altitude, top)
-    told = health(series, found, altitude, 0)
+    told = health(series, found, altitude, 0, SEATTLE)
     assert told.night_offset_wm2 == pytest.approx(-2.6)
     np.testing.assert_array_equal(found.ghi_wm2, series.ghi_wm2)
+
+
+SYDNEY = Site("Sydney", -33.9, 151.2, "Australia/Sydney")
+
+
+def logged(site: Site, first: datetime, days: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Rows every five minutes under clouds that let 5 to 100 % through, other ones each half day. [unix s], [W/m2]"""
+    times = [first + timedelta(minutes=5 * i) for i in range(288 * days)]
+    t = np.array([moment.timestamp() for moment in times])
+    half = (t // 43200).astype(int)
+    through = np.random.default_rng(seed).uniform(0.05, 1.0, half.max() - half.min() + 1)[half - half.min()]
+    return t, through * sun.clearsky(times, site).ghi_wm2 - 1.5
+
+
+@pytest.mark.parametrize("site", [SEATTLE, SYDNEY], ids=lambda site: site.name)
+@pytest.mark.parametrize("month", [3, 6, 12])
+@pytest.mark.parametrize("off_h", [0.0, 1.0, -8.0, 11.0])
+def test_the_light_tells_how_far_a_clock_is_off(site: Site, month: int, off_h: float) -> None:  # analytic
+    t, ghi = logged(site, datetime(2027, month, 18, tzinfo=UTC), 3, seed=month)
+    off = light_clock.clock_off_s(t + 3600.0 * off_h, ghi, site)
+    assert off == pytest.approx(3600.0 * off_h, abs=0.6 * light_clock.CLOCK_WARN_S)
+
+
+def test_a_clock_is_judged_by_whole_days_alone() -> None:
+    t, ghi = logged(SEATTLE, datetime(2027, 6, 18, tzinfo=UTC), 3)
+    around_slots = t % 3600.0 == 1800.0
+    assert light_clock.clock_off_s(t[around_slots], ghi[around_slots], SEATTLE) is None
+    assert light_clock.clock_off_s(t[:100], ghi[:100], SEATTLE) is None
+    assert light_clock.clock_off_s(t, np.full_like(ghi, np.nan), SEATTLE) is None
+    assert light_clock.clock_off_s(t, ghi, Site("Tromso", 69.65, 18.96)) is None  # midnight sun: clouds make the dark
+
+
+def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
+    made = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 60.0, 180.0, ())], {})
+    log = DayFiles(made, flush=False)
+    for when, value in zip(*logged(SEATTLE, datetime(2027, 6, 18, tzinfo=UTC), 2), strict=True):
+        log.append(IrradianceSample(datetime.fromtimestamp(when + 3600.0, UTC), float(value)))
+    log.close()
+    told = irradiance.run(made)
+    assert [said for said in told.warnings if "min from solar noon: check the logger's clock" in said]
+    assert irradiance.run(made) == told
 
 
 @pytest.fixture
