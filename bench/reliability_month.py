@@ -1,6 +1,6 @@
 """A simulated month in the field with everything going wrong: what survives, and what is lost.
 
-    python bench/reliability_month.py --work DIR [--every 5] [--seed 1] [--days 31]
+    python bench/reliability_month.py --work DIR [--every 5] [--seed 1]
 
 The month runs in fast-clock time through the real capture loop, the real SPN1 driver on a pseudo-terminal and a camera
 in a watched child process, in a process that is killed at random. DIR should lie on a small file system of its own,
@@ -24,7 +24,9 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from multiprocessing.connection import Connection
@@ -245,13 +247,9 @@ class World:
         self.quiet_until = next((t for t in self.moments if t > now), datetime.max.replace(tzinfo=UTC))
 
     def fill(self) -> None:
-        with self.ballast.open("wb") as file:
-            try:
-                while True:
-                    file.write(b"\0" * 65536)
-                    file.flush()
-            except OSError:
-                pass
+        with self.ballast.open("wb", buffering=0) as file, suppress(OSError):  # a buffer would fail again on closing
+            while True:
+                file.write(b"\0" * 65536)
 
     def answer(self, data: bytes) -> bytes:
         out = b""
@@ -333,7 +331,7 @@ def run_month(session: Session, faults: list[Fault], every_s: float) -> dict[str
                 one_life(session, faults, shared, down_s, every_s)
                 code = 0
             except BaseException as error:
-                print(f"life ended: {type(error).__name__}: {error}", file=sys.stderr)
+                traceback.print_exception(error)
                 code = 3
             finally:
                 os._exit(code)
@@ -420,7 +418,6 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--every", type=float, default=5.0)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--days", type=int, default=31)
     asked = parser.parse_args()
     folder = asked.work / "month"
     shutil.rmtree(folder, ignore_errors=True)
@@ -431,8 +428,6 @@ def main() -> None:
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
     session = open_session(folder / "s")
     slots = session.slots()
-    if asked.days < 31:
-        raise SystemExit("only whole months are planned")
     faults = schedule(slots, random.Random(asked.seed))
     begun = time.monotonic()
     outcome = run_month(session, faults, asked.every)
