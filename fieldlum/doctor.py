@@ -212,8 +212,9 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
         text = "gives global only: direct and diffuse will be derived, with an error of about 30 % of direct"
         found.append(Finding("pyranometer", "warn", text))
     if info.guard == FORM_ALONE:
-        text = "its lines have no checksum, so that a damaged number may look whole: let the sketch print a CRC-16"
-        found.append(Finding("pyranometer", "warn", f"{text} (arduino-crc), or log less often than every third line"))
+        text = "its lines have no checksum: under moving clouds up to 2 in 100 damaged ones pass as another number"
+        remedy = "let the sketch print a CRC-16 (profile arduino-crc), or at least a line a second, three for each row"
+        found.append(Finding("pyranometer", "warn", f"{text}; {remedy}"))
     made = _date(info.calibration_date)
     if made and (sample.t_utc.date() - made).days > CALIBRATION_YEARS * 365.25:
         found.append(Finding("pyranometer", "warn", f"calibrated on {made}, over {CALIBRATION_YEARS:g} years ago"))
