@@ -15,7 +15,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.projection import LensGeometry, angle_of_radius
-from fieldlum.records import Exposure, Site, SiteFile
+from fieldlum.records import CameraSetup, Exposure, SiteFile
 
 T = TypeVar("T")
 _HERE = Path(__file__).parent
@@ -109,6 +109,10 @@ def plain(value: Any) -> Any:
 # ---------------------------------------------------------------------------------------------- SITE.toml
 
 
+_MOST_OFF_SUN_H = 4.0  # western China's clocks are 3.1 h ahead of their sun, more than any other's
+_MERIDIANS_MEET_DEG = 85.0  # stations near the poles keep the time of whoever supplies them
+
+
 def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
     """Raises InputError for unknown keys, an impossible place or an unknown time zone."""
     setup = build(SiteFile, table, where)
@@ -125,22 +129,10 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
         raise InputError(
             where, f"unknown time zone '{site.timezone}'", "an IANA name such as America/Los_Angeles"
         ) from None
-    if abs(site.latitude_deg) < _MERIDIANS_MEET_DEG and abs(off_h := zone_off_sun_h(site)) > _MOST_OFF_SUN_H:
+    if abs(site.latitude_deg) < _MERIDIANS_MEET_DEG and abs(off_h := sun.zone_off_sun_h(site)) > _MOST_OFF_SUN_H:
         found = f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, {abs(off_h):.1f} h off the sun"
         raise InputError(where, found, f"at most {_MOST_OFF_SUN_H:g} h", "east is positive, west negative")
     return setup
-
-
-_MOST_OFF_SUN_H = 4.0  # western China's clocks are 3.1 h ahead of their sun, more than any other's
-_MERIDIANS_MEET_DEG = 85.0  # stations near the poles keep the time of whoever supplies them
-
-
-def zone_off_sun_h(site: Site) -> float:
-    """Standard time of the zone minus mean solar time of the longitude, -12 to 12 h; 0 for UTC, which is no place's."""
-    if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
-        return 0.0
-    standard = sun.standard_offset(site.timezone, 2027)
-    return (standard.total_seconds() / 3600 - site.longitude_deg / 15 + 12) % 24 - 12
 
 
 def site_table(setup: SiteFile) -> dict[str, Any]:
@@ -149,7 +141,15 @@ def site_table(setup: SiteFile) -> dict[str, Any]:
 
 
 def load_site(path: Path) -> SiteFile:
-    return site_from_table(read_toml(path), str(path))
+    """A person's file. The camera's height may stand in [camera] or in [room], and counts in both."""
+    table = read_toml(path)
+    camera, room = table.setdefault("camera", {}), table.get("room")
+    if isinstance(camera, dict) and isinstance(room, dict):
+        height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
+        if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
+            found = f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}"
+            raise InputError(path, found, "one height", "leave one of them out")
+    return site_from_table(table, str(path))
 
 
 # ---------------------------------------------------------------------------------------------- camera profiles

@@ -78,6 +78,14 @@ def standard_offset(timezone: str, year: int) -> timedelta:
     return min(offsets)
 
 
+def zone_off_sun_h(site: Site) -> float:
+    """Standard time of the zone minus mean solar time of the longitude, -12 to 12 h; 0 for UTC, which is no place's."""
+    if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
+        return 0.0
+    standard = standard_offset(site.timezone, 2027)
+    return (standard.total_seconds() / 3600 - site.longitude_deg / 15 + 12) % 24 - 12
+
+
 def standard_time(t_utc: datetime, timezone: str) -> datetime:
     """`t_utc` on the clock of local standard time, as a naive reading for labels and dates.
 

@@ -82,6 +82,25 @@ def test_authority_every_place_of_the_time_zone_data_fits_its_zone() -> None:
     assert len(lines) > 300
 
 
+@pytest.mark.parametrize(
+    ("camera", "room", "height"),
+    [
+        ("", "", 1.6), ("height_m = 1.2", "", 1.2), ("", "camera_z_m = 1.2", 1.2),
+        ("height_m = 1.2", "camera_z_m = 1.2", 1.2),
+    ],
+)  # fmt: skip
+def test_the_cameras_height_counts_wherever_it_stands(tmp_path: Path, camera: str, room: str, height: float) -> None:
+    place = '[site]\nname = "x"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
+    setup = load_site(_site(tmp_path, f"{place}[camera]\n{camera}\n[room]\n{room}\n"))
+    assert setup.room is not None and setup.room.camera_z_m == setup.camera.height_m == height
+
+
+def test_two_heights_of_the_camera_are_refused(tmp_path: Path) -> None:
+    place = '[site]\nname = "x"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
+    with pytest.raises(InputError, match=r"height_m = 1.2 and \[room\] camera_z_m = 1.6, expected one height"):
+        load_site(_site(tmp_path, f"{place}[camera]\nheight_m = 1.2\n[room]\ncamera_z_m = 1.6\n"))
+
+
 def test_only_the_site_is_required() -> None:
     setup = site_from_table({"site": PLACE}, "x")
     assert setup.room is None and setup.camera.heading_deg == 180.0

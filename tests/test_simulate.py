@@ -23,7 +23,7 @@ from fieldlum.session import open_session
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 SMALL = SiteFile(
     Site("test room", 47.6, -122.3, "America/Los_Angeles"),
-    CameraSetup(heading_deg=180.0),
+    CameraSetup(heading_deg=180.0, height_m=1.4),
     Room(
         width_m=4, depth_m=5, height_m=3, camera_x_m=2, camera_y_m=2, camera_z_m=1.4,
         window=(Window("south", left_m=0.5, width_m=3, sill_m=0.8, height_m=1.9, frame_m=0.05, panes=2),),
