@@ -70,7 +70,10 @@ def test_part_of_a_day_is_taken_for_civil_time_and_says_so() -> None:
     groups = group_frames(card(PLAN[3:6], PDT_S), LADDER)
     found = find_offset(groups, PLAN, (PDT_S, 0.0))
     assert found is not None and found.seconds == PDT_S and "other hours would fit" in found.how
+    assert "civil time" in found.how
     assert find_offset(groups, PLAN, ()) is None
+    utc = find_offset(group_frames(card(PLAN[3:6], 0.0), LADDER), PLAN, (0.0,))
+    assert utc is not None and utc.how.startswith("taken for UTC; other hours")
 
 
 def test_a_person_with_a_release_is_not_a_clock_error() -> None:
@@ -159,8 +162,11 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
     write_card(tmp_path / "other", frames_at(DAWN + timedelta(days=200)))
     with pytest.raises(NotEnoughDataError, match="matches the plan"):
         adopt.run(session, tmp_path / "other", utc_offset_s=0.0)
-    with pytest.raises(InputError, match="--utc-offset"):
+    with pytest.raises(InputError, match=r"brackets of 2027-10-06 14:30 .* the plan's slots, the nearest at 2027"):
         adopt.run(session, tmp_path / "other")
+    write_card(tmp_path / "few", card(PLAN[3:6], 2.5 * 3600.0))  # neither UTC nor the place's
+    with pytest.raises(InputError, match=r"several UTC offsets .* --utc-offset"):
+        adopt.run(session, tmp_path / "few")
     assert read_journal(session) == []
 
 

@@ -18,6 +18,7 @@ from fieldlum.capture.group import (
     campaigns,
     find_offset,
     fits,
+    fitting_offsets,
     group_frames,
     match_groups,
     refine_offset,
@@ -106,9 +107,17 @@ def clock_offset(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile
         start = Offset(0.0, "the frames' own UTC offset")
     else:
         start = find_offset(groups, slots, _expected_s(slots, setup))
+    if start is None and not fitting_offsets(groups, slots):
+        first, last = (min(g.t_camera for g in groups), max(g.t_camera for g in groups))
+        near = min(slots, key=lambda slot: abs(slot.t_utc - first), default=None)
+        raise InputError(
+            "import", f"brackets of {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's clock",
+            f"the plan's slots, the nearest at {near.t_utc:%Y-%m-%d %H:%M} UTC" if near else "a plan with slots",
+            "is it another card? a wrong date is set right by exiftool -AllDates",
+        )  # fmt: skip
     if start is None:
         raise InputError(
-            "import", "several UTC offsets of the camera's clock fit the plan alike, or none does",
+            "import", "several UTC offsets of the camera's clock fit the plan alike",
             "the camera's offset from UTC", "give it, like: --utc-offset -08:00",
         )  # fmt: skip
     return refine_offset(groups, slots, start)

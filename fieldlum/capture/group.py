@@ -126,25 +126,31 @@ def _late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> 
     return times - starts[np.abs(times[:, None] - starts[None, :]).argmin(axis=1)]
 
 
+def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[float]:
+    """The whole quarters of an hour that, as the camera's clock minus UTC, fit most brackets to slots; none: empty."""
+    if not groups or not slots:
+        return []
+    candidates = _QUARTER_S * np.arange(-12 * 4, 14 * 4 + 1)
+    hits = np.array([np.sum(np.abs(_late_s(groups, slots, c)) <= _QUARTER_S / 2) for c in candidates])
+    return [float(c) for c in candidates[hits == hits.max()]] if hits.max() > 0 else []
+
+
 def find_offset(groups: Sequence[Group], slots: Sequence[Slot], expected_s: Sequence[float]) -> Offset | None:
-    """The camera's clock minus UTC when nobody told it: the whole quarters of an hour that fit most brackets to slots.
+    """The camera's clock minus UTC when nobody told it.
 
     expected_s: the place's own offsets (standard, daylight saving, UTC), preferred when several fit alike. None when
-    two fit alike and neither is expected: hours look like each other.
+    two fit alike and neither is expected: hours look like each other; and when none fits.
     """
-    if not groups or not slots:
-        return None
-    candidates = _QUARTER_S * np.arange(-12 * 4, 14 * 4 + 1)
-    late = [np.abs(_late_s(groups, slots, c)) for c in candidates]
-    hits = np.array([np.sum(x <= _QUARTER_S / 2) for x in late])
-    best = np.flatnonzero(hits == hits.max())
-    if hits.max() == 0:
-        return None
-    among = [float(candidates[i]) for i in best]
+    among = fitting_offsets(groups, slots)
     if len(among) == 1:
         return Offset(among[0], "fitted to the plan")
     chosen = next((e for e in expected_s if e in among), None)
-    return None if chosen is None else Offset(chosen, "civil time of the place; other hours would fit the plan too")
+    if chosen is None:
+        return None
+    what = "civil time of the place" if chosen else "UTC"
+    return Offset(
+        chosen, f"taken for {what}; other hours would fit the plan too, so say it by --utc-offset if you know"
+    )
 
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
