@@ -15,7 +15,7 @@ from fieldlum.models.transport import fit
 from fieldlum.models.transport.choice import recipes_for
 from fieldlum.models.transport.material import material_of
 from fieldlum.models.transport.physics import physics_of
-from fieldlum.models.transport.recipe import Recipe, basis_of, fit_pixels
+from fieldlum.models.transport.recipe import RANK, Recipe, basis_of, fit_pixels, seasons
 from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
@@ -185,6 +185,21 @@ def test_property_days_of_one_season_choose_no_width() -> None:
     assert len({r.second for r in recipes_for("none", one_season=False)}) > 1
 
 
+def test_property_noisy_captures_get_fewer_features() -> None:
+    """What the captures cannot support is not modelled; a clean room keeps what it needs."""
+    noise = np.random.default_rng(3).normal(1.0, 0.05, TRAIN.luminance_cdm2.shape).astype(np.float32)
+    noisy, clean = fit(replace(TRAIN, luminance_cdm2=TRAIN.luminance_cdm2 * noise)), fit(TRAIN)
+    assert noisy.pixels.b.shape[1] == noisy.recipe.rank < clean.pixels.b.shape[1]
+    tried = {row["rank"]: row["held_out_mse"] for row in noisy.table if row["noise"] == noisy.recipe.noise}
+    assert tried[noisy.recipe.rank] <= 1.2 * min(tried.values())
+
+
+def test_analytic_seasons_are_parted_by_gaps_in_the_declination() -> None:
+    nine = np.array([f"2027-{d}" for d in ("03-19", "03-20", "06-20", "06-21", "12-20", "12-21")], "datetime64[D]")
+    assert seasons(nine).tolist() == [1, 1, 2, 2, 0, 0]
+    assert seasons(np.arange("2027-01-01", "2028-01-01", 3, "datetime64[D]")).max() == 0
+
+
 def test_contract_two_captures_are_not_enough() -> None:
     with pytest.raises(NotEnoughDataError):
         fit(TRAIN.take([0, 1]))
@@ -206,7 +221,8 @@ def test_analytic_one_season_is_not_trusted_in_another() -> None:
 def test_property_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None:
     with_room = replace(TRAIN, setup=replace(SETUP, room=ROOM))
     model = fit(with_room)
-    assert len(model.table) == 2 * len(MODEL.table)
+    every = [sum(row["rank"] == RANK for row in m.table) for m in (model, MODEL)]
+    assert every[0] == 2 * every[1]
     physics = physics_of(with_room.setup, TRAIN.light)
     assert physics is not None
     once, twice = physics.features(TEST.light), physics.features(TEST.light.scaled(2.0))

@@ -239,14 +239,19 @@ def train(
         if stop_after_epochs is not None and run.epoch - first_epoch >= stop_after_epochs:
             break
     net.load_state_dict(best)
-    about = {
+    return net, average, _record(loop, [data.slots[i] for i in check])
+
+
+def _record(loop: _Loop, validation_slots: list[str]) -> dict[str, Any]:
+    """What config.json keeps of a training."""
+    run, plan = loop.run, loop.plan
+    return {
         "schedule": plan.schedule, "epochs": run.epoch, "steps": run.step, "seconds": round(run.elapsed_s, 1),
         "cpu_seconds": round(run.cpu_s, 1),
-        "pixels_seen_per_pixel": round(_passes(run, plan, pixels), 2), "best_validation_loss": run.best,
-        "skipped_updates": run.skipped, "seed": seed, "device": device.type, "bfloat16": half, "plan": asdict(plan),
-        "validation_slots": [data.slots[i] for i in check],
+        "pixels_seen_per_pixel": round(_passes(run, plan, loop.pixels), 2), "best_validation_loss": run.best,
+        "skipped_updates": run.skipped, "seed": loop.seed, "device": loop.pixels.target.device.type,
+        "bfloat16": loop.half, "plan": asdict(plan), "validation_slots": validation_slots,
     }  # fmt: skip
-    return net, average, about
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What held-out days decide: the kernel, what it looks at, noise, robust rounds, and whether patches may teach."""
+"""What held-out days decide: the kernel, what it looks at, noise, robust rounds, patches, how many features."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from fieldlum.models.transport.recipe import (
     choose,
     day_standard_error,
     hold_out,
+    leading,
     one_season,
 )
 
@@ -30,6 +31,8 @@ ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the other
 CHOOSING = 250  # pixels that choose kernel and recipe
 BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
 SECOND_WIDTHS = (0.1, 0.15, 0.2)  # chord of the sun's direction within which a sun patch was still the same
+FEWER = (10, 20, 40, 60)  # numbers of features tried before RANK of them
+FEWER_COST = 1.05  # of the held-out error of RANK features: what fewer may cost
 
 
 def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
@@ -68,7 +71,8 @@ def choose_model(drawn: Material, kernel: Kernel, patch: Patch, bounced: NDArray
     chosen = _choose_kernel(drawn, kernel, recipes_for(patch, alike), bounced)
     if patch != "none" and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
-    return chosen
+    # Days of one season do not know what others need; errors of unknown patches hide what fewer features cost.
+    return chosen if alike or chosen.recipe.second else fewest_features(drawn, chosen)
 
 
 def _choose_kernel(
@@ -103,3 +107,20 @@ def _doubted(
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
     best = doubting if doubting.held.per_hour.mean() < trusting.held.per_hour.mean() else trusting
     return replace(best, table=[*trusting.table, *doubting.table])
+
+
+def fewest_features(drawn: Material, chosen: Chosen) -> Chosen:
+    """No more features than held-out days ask for: the first of FEWER that costs at most 5 % of the error of them all.
+
+    What is noisy (pixels, irradiance, a sky that is not Perez's) supports fewer than a clean rendering does, and a
+    smaller model is quicker everywhere.
+    """
+    drawn, table = replace(drawn, features=chosen.features), [*chosen.table]
+    for rank in (r for r in FEWER if r < chosen.basis.values.shape[1]):
+        recipe, basis = replace(chosen.recipe, rank=rank), leading(chosen.basis, rank)
+        held = hold_out(drawn, basis, recipe)
+        mean = float(held.per_hour.mean())
+        table.append((recipe, mean, day_standard_error(held.per_hour, drawn.days)))
+        if mean <= FEWER_COST * chosen.held.per_hour.mean():
+            return replace(chosen, recipe=recipe, basis=basis, held=held, table=table)
+    return replace(chosen, table=table)

@@ -21,6 +21,7 @@ from fieldlum.models.transport.recipe import (
     Recipe,
     find_patch_gain,
     fit_pixels,
+    hold_out_seasons,
     second_covariance,
     second_inverse,
     second_own,
@@ -321,5 +322,6 @@ def _finish(
     residual = residual_noise(material, np.concatenate(parts), doubt)
     some = residual[0][drawn], residual[1][drawn]
     second = second_inverse(material, recipe)
-    trust = calibrate(material[drawn], chosen.held, covariance, recipe.noise, some, doubt, second)
+    held = chosen.held, covariance, recipe.noise, some, doubt, second
+    trust = calibrate(material[drawn], *held, apart=hold_out_seasons(material[drawn], chosen.basis, recipe))
     return replace(model, noise_dull=residual[0], noise_sun=residual[1], trust=trust)

@@ -30,6 +30,7 @@ SECOND_NOISE = 0.06
 SECOND_SEASON = 0.02  # variance of what changes with the season whether the sun shines or not
 DARK_SHARE = 0.03  # of its usual light: a pixel darker than that (a hand before the lens) gets no more weight
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
+SEASONS_APART_DEG = 10.0  # gap in the declinations of the captures' days that parts two seasons
 LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no lower
 
 
@@ -62,6 +63,11 @@ def basis_of(covariance: Array, rank: int) -> Basis:
     keep = keep[value[keep] > 1e-6 * value[keep[0]]]
     root = np.sqrt(value[keep])
     return Basis(vector[:, keep] * root, vector[:, keep] / root)
+
+
+def leading(basis: Basis, rank: int) -> Basis:
+    """The first `rank` of its features."""
+    return Basis(basis.values[:, :rank], basis.projector[:, :rank])
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,12 +198,24 @@ def second_own(material: Material, recipe: Recipe) -> Array:
 # ---------------------------------------------------------------------------------------------- held-out days
 
 
-def one_season(days: NDArray) -> bool:
-    """Whether the sun's declination hardly moved between the captures' days: what they say of others is little."""
+def declination_deg(days: NDArray) -> Array:
+    """The sun's declination at each day, good to a degree, [n]."""
     day = days.astype("datetime64[D]")
     of_year = (day - day.astype("datetime64[Y]")).astype(float)
-    declination = 23.44 * np.sin(2.0 * np.pi * (of_year - 80.0) / 365.25)
-    return float(np.ptp(declination)) < ONE_SEASON_DEG
+    return 23.44 * np.sin(2.0 * np.pi * (of_year - 80.0) / 365.25)
+
+
+def one_season(days: NDArray) -> bool:
+    """Whether the sun's declination hardly moved between the captures' days: what they say of others is little."""
+    return float(np.ptp(declination_deg(days))) < ONE_SEASON_DEG
+
+
+def seasons(days: NDArray) -> NDArray[np.intp]:
+    """Number of the season that each day belongs to: declinations with a gap between them are of two, [n]."""
+    declination = declination_deg(days)
+    known = np.unique(declination)
+    starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
+    return np.searchsorted(starts, declination, side="right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +268,12 @@ def hold_out(material: Material, basis: Basis, recipe: Recipe, first: _First | N
         found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, material.days))
     luminance = found * material.light.total_lx[:, None] * first.scale
     return HeldOut(luminance, score(luminance, material.luminance), first.scale)
+
+
+def hold_out_seasons(material: Material, basis: Basis, recipe: Recipe) -> HeldOut | None:
+    """As `hold_out` with whole seasons left out; None where there are no gaps between seasons."""
+    groups = seasons(material.days)
+    return hold_out(replace(material, days=groups), basis, recipe) if groups.max() > 0 else None
 
 
 def find_patch_gain(material: Material, kernel: Kernel, noise: float = 1e-2) -> float:

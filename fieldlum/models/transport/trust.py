@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fieldlum.light import Light
 from fieldlum.models.transport.material import LEAST_CDM2, Material
-from fieldlum.models.transport.recipe import FLOOR_CDM2, SECOND_SEASON, HeldOut, one_season
+from fieldlum.models.transport.recipe import FLOOR_CDM2, SECOND_SEASON, HeldOut, one_season, seasons
 
 Array = NDArray[Any]
 
@@ -146,33 +146,51 @@ def calibrate(
     residual: tuple[Array, Array],
     doubt: Array,
     second: Array,
+    apart: HeldOut | None = None,
 ) -> Trust:
     """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in each class.
 
-    Days of one season flatter each other: there the class that fares worst speaks for all three.
+    Days of one season flatter each other: there the class that fares worst speaks for all three. Of several seasons
+    with gaps between them, `apart` holds out each as a whole, and the larger factor counts.
     """
-    variance = held_out_variance(covariance, noise, material.days)
-    unit = material.light.total_lx[:, None] * held.scale
-    seen = np.maximum(held.luminance, LEAST_CDM2)
-    beam = material.features.beam
-    valid = ~material.filled
-    patch_share: NDArray[np.floating] | float = 0.0
-    patch_sd = 0.0
-    error = np.abs(held.error) / LOG10_E
-    if material.patch is not None:
-        patch_share = material.patch / seen
-        lit = (patch_share > 0.3) & valid
-        patch_sd = float(np.quantile(error[lit], 0.9) / NORMAL_90) if lit.sum() > 20 else 0.05
-    sd = np.maximum(log_sd(unit / seen, patch_share, variance, doubt, residual, patch_sd), LEAST_SD)
-    ratio = error / sd
-    everywhere = float(np.quantile(ratio[valid], 0.9)) / NORMAL_90
-    factors = np.full(3, everywhere)
-    for k, inside in enumerate((beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])):
-        if inside.sum() >= 5:
-            factors[k] = float(np.quantile(ratio[inside][valid[inside]], 0.9)) / NORMAL_90
+    groups = [(held, material.days)] + ([] if apart is None else [(apart, seasons(material.days))])
+    patch_sd = max(_patch_sd(material, h) for h, _ in groups)
+    variances = [held_out_variance(covariance, noise, days) for _, days in groups]
+    sds = [_held_out_sd(material, h, v, doubt, residual, patch_sd) for (h, _), v in zip(groups, variances, strict=True)]
+    factors = np.max([_factors(material, h, sd) for (h, _), sd in zip(groups, sds, strict=True)], axis=0)
     if one_season(material.days):
         factors[:] = factors.max()
     inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
-    trust = Trust(inverse, float(variance.max()), np.maximum(factors, 1e-3), patch_sd, 1.0, second)
-    guess = ((sd * LOG10_E * trust.factor(beam)[:, None]) ** 2).mean()
-    return replace(trust, mse=float((held.error[valid] ** 2).mean() / guess))
+    trust = Trust(inverse, float(variances[0].max()), np.maximum(factors, 1e-3), patch_sd, 1.0, second)
+    guess = ((sds[0] * LOG10_E * trust.factor(material.features.beam)[:, None]) ** 2).mean()
+    return replace(trust, mse=float((held.error[~material.filled] ** 2).mean() / guess))
+
+
+def _patch_sd(material: Material, held: HeldOut) -> float:
+    """Relative sd of a sun patch, by held-out pixels that it rules."""
+    if material.patch is None:
+        return 0.0
+    lit = (material.patch > 0.3 * np.maximum(held.luminance, LEAST_CDM2)) & ~material.filled
+    error = np.abs(held.error[lit]) / LOG10_E
+    return float(np.quantile(error, 0.9) / NORMAL_90) if lit.sum() > 20 else 0.05
+
+
+def _held_out_sd(
+    material: Material, held: HeldOut, variance: Array, doubt: Array, residual: tuple[Array, Array], patch_sd: float
+) -> Array:
+    """Uncalibrated standard deviation of ln L of held-out predictions, [n, P]."""
+    seen = np.maximum(held.luminance, LEAST_CDM2)
+    unit = material.light.total_lx[:, None] * held.scale
+    share = 0.0 if material.patch is None else material.patch / seen
+    return np.maximum(log_sd(unit / seen, share, variance, doubt, residual, patch_sd), LEAST_SD)
+
+
+def _factors(material: Material, held: HeldOut, sd: Array) -> Array:
+    """What sd [n, P] must be multiplied by in overcast, intermediate and clear hours; all alike for fewer than five."""
+    valid, beam = ~material.filled, material.features.beam
+    ratio = np.abs(held.error) / LOG10_E / sd
+    factors = np.full(3, float(np.quantile(ratio[valid], 0.9)) / NORMAL_90)
+    for k, inside in enumerate((beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])):
+        if inside.sum() >= 5:
+            factors[k] = float(np.quantile(ratio[inside][valid[inside]], 0.9)) / NORMAL_90
+    return factors
