@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldlum import irradiance, pair
+from fieldlum import irradiance, pair, sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Log, outside, read_clean, too_weak
+from fieldlum.pair.interval import Log, check_night, outside, read_clean, too_weak
 from fieldlum.pair.source import Seen, complete_sun
 from fieldlum.records import (
     CameraSetup,
@@ -99,7 +99,21 @@ def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     assert not too_weak([0.0, 0.0], [5.0, -20.0], top).any()
     light = outside(log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30))
     taken = pair.Taken("x", Path("x.exr"), NOON, NOON)
-    assert "in kW/m2" in pair.judge(taken, light, 19.0, 178.0).why
+    assert "kW/m2" in pair.judge(taken, light, 19.0, 178.0).why
+
+
+@pytest.mark.parametrize("shift_h", [-1, 0, 1])
+def test_a_loggers_clock_in_daylight_saving_shows_as_light_at_night(shift_h: int) -> None:
+    """Contract: cloudless days, one reading a minute around the clock; an hour off, dusk or dawn is lit by no sun."""
+    t = np.arange(NOON.timestamp(), NOON.timestamp() + 2 * 86400.0, 60.0)
+    clear = sun.clearsky([datetime.fromtimestamp(s, UTC) for s in t], SITE)
+    texts = np.array([""] * len(t), object)
+    logged = Log(t + 3600.0 * shift_h, clear.ghi_wm2, clear.dhi_wm2, clear.dni_wm2, texts, texts)
+    if shift_h == 0:
+        check_night(Path("clean.csv"), logged, SITE)
+        return
+    with pytest.raises(InputError, match=r"clean.csv: light in .* minutes .* clock"):
+        check_night(Path("clean.csv"), logged, SITE)
 
 
 def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:

@@ -17,7 +17,7 @@ from typing import Any
 from fieldlum import sun
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Outside, outside, read_clean, too_weak
+from fieldlum.pair.interval import Outside, check_night, outside, read_clean, too_weak
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.source import Seen, complete_sun
 from fieldlum.records import Panorama, Progress, SiteFile, SunSource, parse_utc, quiet, utc_text
@@ -128,7 +128,7 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
     elif not why and altitude_deg < 0.0:
         why = "the sun is down"
     elif not why and too_weak(light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]):
-        why = f"irradiance of {light.ghi_wm2:.2g} W/m2 by day: covered, dead, or in kW/m2"
+        why = "less light than any sky lets through: instrument covered or dead, or kW/m2"
     caution = "" if taken.complete else "bracket incomplete"
     return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=_joined(caution, light.caution))
 
@@ -140,12 +140,13 @@ def _joined(*texts: str) -> str:
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> list[Pair]:
     """Write pairs.csv (and sunpatches/, and complete the sun of each panorama). Needs irradiance/clean.csv.
 
-    Raises NotEnoughDataError when nothing is merged.
+    Raises NotEnoughDataError when nothing is merged, InputError for irradiance that is light at night.
     """
     brackets = taken_brackets(session)
     if not brackets:
         raise NotEnoughDataError(f"{session.panoramas}: no panorama yet, run: fieldlum merge {session.root}")
     setup, log = session.site_file(), read_clean(session.irradiance / "clean.csv")
+    check_night(session.irradiance / "clean.csv", log, setup.site)
     places = sun.position([b.t_utc for b in brackets], setup.site)
     pairs = [
         judge(b, outside(log, b.t_open_utc, b.t_close_utc), float(altitude), float(azimuth))
