@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +23,9 @@ from fieldlum.capture.group import (
     match_groups,
     refine_offset,
 )
+from fieldlum.capture.logger_rows import add_samples, adopt_rows
 from fieldlum.capture.state import fold
+from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.raw import write_jpeg
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
@@ -172,16 +175,12 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
 
 def test_logger_rows_are_added_once(session: Session) -> None:
     rows = [IrradianceSample(DAWN + timedelta(minutes=i), 300.0 + i) for i in range(1000)]
-    assert adopt.add_samples(session, rows) == 1000
-    assert adopt.add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), 1.0)]) == 1
+    assert add_samples(session, rows) == 1000
+    assert add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), 1.0)]) == 1
     assert sum(len(read_day(p)[0]) for p in day_files(session)) == 1001
 
 
 def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -> None:
-    from click.testing import CliRunner
-
-    from fieldlum.cli import main
-
     head = '"TOA5","sky","CR1000","1","OS","prog","1","Table"\n'
     head += '"TIMESTAMP","RECORD","GHI","DHI"\n"TS","RN","W/m^2","W/m^2"\n'
     rows = "".join(f'"2027-03-20 06:{30 + i}:00",{i},{300 + i}.5,60.1\n' for i in range(20))
@@ -197,3 +196,55 @@ def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -
     assert CliRunner().invoke(main, ["import", str(session.root)]).exit_code == 2
     assert CliRunner().invoke(main, [*words, "--utc-offset", "8"]).exit_code == 2
     assert CliRunner().invoke(main, ["import", str(tmp_path), str(tmp_path)]).exit_code == 3
+
+
+MINUTES = [(h, m) for h in (9, 10) for m in range(60)]
+TABLE = "time,Sky_W,Shade_W\n" + "".join(f"2027-03-20 {h:02d}:{m:02d}:00,{300 + h}.{m:02d},0\n" for h, m in MINUTES)
+
+
+def rows_of(session: Session) -> list[IrradianceSample]:
+    return [sample for path in day_files(session) for sample in read_day(path)[0]]
+
+
+def test_a_file_told_anew_replaces_what_it_brought(session: Session, tmp_path: Path) -> None:
+    """A wrong --utc-offset or column is no dead end, and takes nothing else away."""
+    logged = [IrradianceSample(DAWN + timedelta(seconds=i), 99.0, raw="S 99.0") for i in range(50)]
+    add_samples(session, logged)
+    file = tmp_path / "sky.csv"
+    file.write_text(TABLE)
+    names = {"ghi_wm2": "Sky_W"}
+    assert adopt_rows(session, file, -7 * 3600.0, names).rows == 120
+    clean = session.irradiance / "clean.csv"
+    clean.write_text("made of the rows before")
+    again = adopt_rows(session, file, -8 * 3600.0, names)
+    assert not clean.exists()
+    assert (again.rows, again.withdrawn) == (120, 120)
+    found = sorted((s.t_utc, s.ghi_wm2) for s in rows_of(session) if s.raw != "S 99.0")
+    assert found[0] == (datetime(2027, 3, 20, 17, tzinfo=UTC), 309.0) and len(found) == 120
+    assert [s for s in rows_of(session) if s.raw == "S 99.0"] == logged
+    file.write_text(TABLE + "2027-03-20 11:00:00,400.0,0\n")
+    grown = adopt_rows(session, file, -8 * 3600.0, {**names, "dhi_wm2": "Shade_W"})
+    assert (grown.rows, grown.withdrawn) == (121, 120)
+    assert len(rows_of(session)) == 171
+    kept = sorted((session.irradiance / "withdrawn").iterdir())
+    assert [len(read_day(path)[0]) for path in kept] == [170, 170]
+
+
+def test_night_rows_of_another_file_stay(session: Session, tmp_path: Path) -> None:
+    dark = "time,ghi_wm2\n" + "".join(f"2027-03-20 {h:02d}:00:00,0.0\n" for h in range(10))
+    (tmp_path / "roof.csv").write_text(dark)
+    (tmp_path / "mast.csv").write_text(dark)
+    assert adopt_rows(session, tmp_path / "roof.csv", 0.0).rows == 10
+    other = adopt_rows(session, tmp_path / "mast.csv", -8 * 3600.0)
+    assert (other.rows, other.withdrawn) == (8, 0)  # two hours are there already
+
+
+def test_contract_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Path) -> None:
+    (tmp_path / "sky.csv").write_text(TABLE)
+    asked = ["import", str(session.root), "--irradiance", str(tmp_path / "sky.csv"), "--utc-offset", "-08:00"]
+    without = CliRunner().invoke(main, asked)
+    assert without.exit_code == 3 and "or by --column ghi_wm2=NAME" in without.stderr
+    assert CliRunner().invoke(main, [*asked, "--column", "sky=Sky_W"]).exit_code == 2
+    named = CliRunner().invoke(main, [*asked, "--column", "ghi_wm2=Sky_W", "--column", "dhi_wm2=Shade_W"])
+    assert named.exit_code == 0 and "120 rows" in named.output
+    assert {s.dhi_wm2 for s in rows_of(session)} == {0.0}

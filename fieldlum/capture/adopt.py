@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -25,17 +25,14 @@ from fieldlum.capture.group import (
     same_exposure,
     true_time,
 )
+from fieldlum.capture.logger_rows import adopt_rows
 from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
-from fieldlum.devices.logger_files import read_logger_file
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.raw import read_exif
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Progress, SiteFile, Slot, quiet, utc_text
+from fieldlum.records import CameraSetup, Exposure, Progress, SiteFile, Slot, quiet, utc_text
 from fieldlum.session import (
-    DayFiles,
     Journal,
     Session,
-    day_files,
-    read_day,
     read_journal,
     replacing_path,
     sha256,
@@ -60,11 +57,14 @@ class Report:
     late_s: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
     rows: int = 0
+    withdrawn: int = 0  # rows of the logger's file that it brought before with another clock or other columns
     slots: tuple[str, ...] = ()
 
 
 def card_files(folder: Path) -> list[Path]:
     """Frames under a folder, raw before the JPEG of the same name. Raises InputError for a folder without any."""
+    if folder.is_file():
+        raise InputError(folder, "a file", "a card's folder, such as DCIM", "a logger's file goes with --irradiance")
     if not folder.is_dir():
         raise InputError(folder, "no such folder", "a card's folder, such as DCIM", "check the path")
     files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
@@ -136,11 +136,13 @@ def run(
     *,
     logger: Path | None = None,
     utc_offset_s: float | None = None,
+    columns: Mapping[str, str] | None = None,
     progress: Progress = quiet,
 ) -> Report:
     """Copy what matches the plan into raw/ and the journal; add a logger's rows to the day files. Can be run again.
 
     utc_offset_s: what the clocks of camera and logger show minus UTC; None: the camera's is fitted to the plan.
+    columns: quantity to the logger's name for it, where that is an unusual one.
     Raises InputError for a folder without frames or an ambiguous clock, NotEnoughDataError when nothing matched. Card
     and file are never changed.
     """
@@ -148,12 +150,8 @@ def run(
         report = Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
         if logger is None:
             return report
-        offset = None if utc_offset_s is None else timedelta(seconds=utc_offset_s)
-        found = read_logger_file(logger, offset)
-        return replace(
-            report, rows=add_samples(session, found.samples),
-            left_out=(*report.left_out, *(f"{logger}: {text}" for text in found.left_out)),
-        )  # fmt: skip
+        found = adopt_rows(session, logger, utc_offset_s, columns)
+        return replace(report, rows=found.rows, withdrawn=found.withdrawn, left_out=(*report.left_out, *found.left_out))
 
 
 def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, progress: Progress) -> Report:
@@ -241,24 +239,3 @@ def meant(group: Group, index: int, slot: Slot, setup: CameraSetup) -> tuple[Exp
 
 def _name(path: Path, taken: Sequence[str]) -> str:
     return path.name if path.name not in taken else f"{path.parent.name}_{path.name}"
-
-
-def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Append rows that are not there yet, by their time; returns how many."""
-    wanted = sorted(samples, key=lambda s: s.t_utc)
-    if not wanted:
-        return 0
-    known: set[datetime] = set()
-    days = {s.t_utc.strftime("%Y-%m-%d") for s in wanted}
-    for path in day_files(session):
-        if path.stem in days:
-            known |= {s.t_utc for s in read_day(path)[0]}
-    added, log = 0, DayFiles(session, flush=False)
-    try:
-        for sample in wanted:
-            if sample.t_utc not in known:
-                log.append(sample)
-                added += 1
-    finally:
-        log.close()
-    return added

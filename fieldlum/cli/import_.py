@@ -22,13 +22,29 @@ def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) 
     return float(-seconds if found[1] == "-" else seconds)
 
 
+def _columns(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+    from fieldlum.devices.logger_files import QUANTITIES
+
+    named: dict[str, str] = {}
+    for text in texts:
+        quantity, _, name = text.partition("=")
+        named[quantity] = name
+        if quantity not in QUANTITIES or not name:
+            raise click.BadParameter(f"{quantity}={name}: write it like ghi_wm2=SlrkW_Avg, for {', '.join(QUANTITIES)}")
+    return named
+
+
 @click.command("import")
 @click.argument("session_folder", metavar="SESSION", type=click.Path(path_type=Path))
 @click.argument("folder", metavar="[FOLDER]", required=False, type=click.Path(path_type=Path))
 @click.option("--irradiance", "logger", type=click.Path(path_type=Path), help="A logger's file: Campbell TOA5 or CSV.")
 @click.option("--utc-offset", "offset_s", metavar="+HH:MM", callback=_offset_s,
               help="What camera and logger clocks show minus UTC.")  # fmt: skip
-def command(session_folder: Path, folder: Path | None, logger: Path | None, offset_s: float | None) -> None:
+@click.option("--column", "columns", metavar="QUANTITY=NAME", multiple=True, callback=_columns,
+              help="What the logger calls ghi_wm2, dhi_wm2 or dni_wm2, where it is unusual.")  # fmt: skip
+def command(
+    session_folder: Path, folder: Path | None, logger: Path | None, offset_s: float | None, columns: dict[str, str]
+) -> None:
     """Bring in a card's folder, and a logger's file.
 
     Frames are grouped into brackets by their exposures and times, and matched to the plan; what matches nothing is
@@ -44,11 +60,14 @@ def command(session_folder: Path, folder: Path | None, logger: Path | None, offs
 
     session = open_session(session_folder)
     with terminal.progress("import") as progress:
-        report = adopt.run(session, folder, logger=logger, utc_offset_s=offset_s, progress=progress)
+        report = adopt.run(
+            session, folder, logger=logger, utc_offset_s=offset_s, columns=columns or None, progress=progress
+        )
     for line in _summary(report):
         terminal.say(line)
     click.echo(
         f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} rows of irradiance"
+        + (f"; {report.withdrawn} that this file brought before are withdrawn" if report.withdrawn else "")
         + (f"; {report.known} brackets were there already" if report.known else "")
     )
 

@@ -36,9 +36,12 @@ def read_logger_file(
     which nothing can be read.
     """
     try:
-        text = path.read_bytes().decode("utf-8-sig", "replace")
+        data = path.read_bytes()
     except OSError as error:
         raise InputError(path, error.strerror or str(error), "a logger's file") from None
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(path, "UTF-16 text", "UTF-8", "save it again as CSV UTF-8")
+    text = data.decode("utf-8-sig", "replace")
     if is_toa5(text):
         if utc_offset is None:
             raise _no_zone(path)
@@ -69,13 +72,16 @@ def _read_csv(path: Path, text: str, utc_offset: timedelta | None, columns: Mapp
         names = [name.strip() for name in next(rows)]
     except (StopIteration, csv.Error):
         raise InputError(path, "no header", "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2") from None
+    if len(names) == 1 and (mark := next((mark for mark in ";\t|" if mark in names[0]), "")):
+        remedy = "save it as CSV with commas between and points in the numbers"
+        raise InputError(path, f"columns parted by {mark!r}", "by ','", remedy)
     lower = [name.lower() for name in names]
     when = next((lower.index(name) for name in _TIMES if name in lower), None)
     wanted = columns or {name: name for name in QUANTITIES}
     chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
     if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
-        shown = ", ".join(names)[:120]
-        raise InputError(path, f"columns {shown}", "t_utc and ghi_wm2, dhi_wm2 or dni_wm2", "rename them in its header")
+        shown, remedy = ", ".join(names)[:120], "name them in its first line, or by --column ghi_wm2=NAME"
+        raise InputError(path, f"columns {shown}", "t_utc and ghi_wm2, dhi_wm2 or dni_wm2", remedy)
     samples, left_out = [], []
     try:
         for row in rows:
@@ -95,7 +101,10 @@ def _sample(
     """Raises ValueError for a broken row."""
     if len(row) != len(names):
         raise ValueError(f"{len(row)} values, expected {len(names)}")
-    t = datetime.fromisoformat(row[when].strip())
+    try:
+        t = datetime.fromisoformat(row[when].strip())
+    except ValueError:
+        raise ValueError(f"time {row[when][:30]!r}, expected one like 2027-03-20T16:00:00Z") from None
     if t.tzinfo is None:
         if utc_offset is None:
             raise _no_zone(path)

@@ -154,16 +154,18 @@ def _columns(names: list[str], units: list[str], asked: Mapping[str, str] | None
             matches = [i for i, name in enumerate(names) if re.sub(r"[^a-z]", "", name.lower()) in usual]
         if len(matches) > 1:
             several = ", ".join(names[i] for i in matches)
-            raise InputError(source, f"columns {several} for {quantity}", "one", "name the column to use")
+            raise InputError(source, f"columns {several} for {quantity}", "one", f"name it: --column {quantity}=NAME")
         if matches:
             found[quantity] = matches[0]
     if asked is not None and (lost := [name for q, name in asked.items() if q not in found]):
         raise InputError(source, f"no column {', '.join(lost)}", f"one of {', '.join(names)}", "check the name")
     for quantity, i in found.items():
         if quantity.endswith("_wm2") and units[i].upper().replace(" ", "") not in _UNITS:
-            raise InputError(source, f"{names[i]} in '{units[i]}'", "W/m^2", "name a column in W/m^2")
+            raise InputError(source, f"{names[i]} in '{units[i]}'", "W/m^2", f"name another: --column {quantity}=NAME")
     if not any(q.endswith("_wm2") for q in found):
-        raise InputError(source, f"columns {', '.join(names)[:120]}", "one of irradiance", "name the column to use")
+        raise InputError(
+            source, f"columns {', '.join(names)[:120]}", "one of irradiance", "name it: --column ghi_wm2=NAME"
+        )
     return found
 
 
@@ -184,7 +186,7 @@ def number_of(text: str, quantity: str) -> float | None:
     if text.upper() in ("NAN", "-NAN", "INF", "-INF"):
         return None
     if not _NUMBER.fullmatch(text):
-        raise ValueError(f"{quantity} is {text[:30]!r}, expected a number")
+        raise ValueError(f"{quantity} is {text[:30]!r}, expected a number with a decimal point")
     value = float(text)
     if quantity.endswith("_wm2") and not LOWEST_WM2 <= value <= HIGHEST_WM2:
         raise ValueError(f"{quantity} is {text[:30]}, expected {LOWEST_WM2:g} to {HIGHEST_WM2:g}")

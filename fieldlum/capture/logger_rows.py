@@ -1,0 +1,119 @@
+"""A logger's file into the day files. Told anew with another clock or other columns, it replaces what it brought."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from fieldlum.devices.logger_files import read_logger_file
+from fieldlum.errors import InputError
+from fieldlum.records import IrradianceSample, utc_text
+from fieldlum.session import (
+    DAY_COLUMNS,
+    DayFiles,
+    Session,
+    day_files,
+    encode_sample,
+    read_day,
+    replacing,
+    replacing_path,
+    update_session,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Adopted:
+    """rows: new ones; withdrawn: of the same file, brought before with another clock or other columns."""
+
+    rows: int
+    withdrawn: int
+    left_out: tuple[str, ...]
+
+
+def adopt_rows(
+    session: Session, path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None = None
+) -> Adopted:
+    """Raises InputError for a file that cannot be read."""
+    told = {
+        "file": path.name,  # it may have grown since, and come from another card
+        **({} if utc_offset_s is None else {"utc_offset_s": utc_offset_s}),
+        **({"columns": dict(columns)} if columns else {}),
+    }
+    found = _read(path, told)
+    before: list[dict[str, Any]] = session.table().get("logger_files", [])
+    withdrawn = 0
+    for other in before:
+        if other != told and other["file"] == told["file"]:
+            withdrawn += withdraw(session, _readable(path, other))
+    added = add_samples(session, found.samples)
+    if told not in before:
+        update_session(session, {"logger_files": [*before, told]})
+    return Adopted(added, withdrawn, tuple(f"{path}: {text}" for text in found.left_out))
+
+
+def _read(path: Path, told: Mapping[str, Any]) -> Any:
+    offset_s = told.get("utc_offset_s")
+    return read_logger_file(path, None if offset_s is None else timedelta(seconds=offset_s), told.get("columns"))
+
+
+def _readable(path: Path, told: Mapping[str, Any]) -> Sequence[IrradianceSample]:
+    """The file as it would have been read then; nothing where it has no such columns, or no zone."""
+    try:
+        return _read(path, told).samples
+    except InputError:
+        return ()
+
+
+def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
+    """Append rows that are not there yet, by their time; returns how many."""
+    wanted = sorted(samples, key=lambda s: s.t_utc)
+    if not wanted:
+        return 0
+    known: set[datetime] = set()
+    days = {s.t_utc.strftime("%Y-%m-%d") for s in wanted}
+    for path in day_files(session):
+        if path.stem in days:
+            known |= {s.t_utc for s in read_day(path)[0]}
+    added, log = 0, DayFiles(session, flush=False)
+    try:
+        for sample in wanted:
+            if sample.t_utc not in known:
+                log.append(sample)
+                added += 1
+    finally:
+        log.close()
+    return added
+
+
+def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
+    """Take rows with these times and texts out of the day files; returns how many.
+
+    A day file that loses rows is kept as it was in irradiance/withdrawn/. clean.csv goes: a day file whose rows only
+    moved has the length that it was made from.
+    """
+    gone = {_key(sample) for sample in samples}
+    count = 0
+    for path in day_files(session) if gone else []:
+        rows, _ = read_day(path)
+        kept = [row for row in rows if _key(row) not in gone]
+        if len(kept) == len(rows):
+            continue
+        count += len(rows) - len(kept)
+        aside = session.irradiance / "withdrawn"
+        number = len(list(aside.glob(f"{path.stem}.*.csv")))
+        with replacing_path(aside / f"{path.stem}.{number}.csv") as copy:
+            shutil.copyfile(path, copy)
+        with replacing(path) as file:
+            file.write((",".join(DAY_COLUMNS) + "\n").encode())
+            file.writelines(encode_sample(row) for row in kept)
+    if count:
+        (session.irradiance / "clean.csv").unlink(missing_ok=True)
+    return count
+
+
+def _key(sample: IrradianceSample) -> tuple[str, str]:
+    return utc_text(sample.t_utc), sample.raw
