@@ -1,5 +1,7 @@
 """A chart is found under perspective among other things; what is no chart is refused."""
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 
 from fieldlum.calibrate import chart
+from fieldlum.calibrate.chart_grid import grids
 from fieldlum.calibrate.frames import LinearFrame
 from fieldlum.errors import InputError
 from fieldlum.photometry import srgb_table
@@ -44,13 +47,59 @@ def drawn(seed: int, order: list[int], width_px: float = 300, turn_deg: float = 
     return LinearFrame(Path("chart.dng"), rgb, np.zeros((520, 700), bool), 1, Exposure(0.01, 5.6)), corners
 
 
-@pytest.mark.parametrize(("seed", "width_px", "turn_deg"), [(1, 300, 0), (2, 160, 10), (3, 380, 180), (4, 240, -12)])
-def test_a_chart_is_found_at_an_angle(seed: int, width_px: float, turn_deg: float) -> None:  # analytic
-    frame, corners = drawn(seed, list(range(24)), width_px, turn_deg)
+@pytest.fixture(params=(1, 2))
+def threads(request: pytest.FixtureRequest) -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(request.param)  # OpenCV's own detector finds more with some numbers of them than with others
+    yield
+    cv2.setNumThreads(before)
+
+
+CASES = [(1, 300, 0), (2, 160, 10), (3, 380, 180), (4, 240, -12), (11, 300, 90), (12, 120, 45), (13, 200, -30)]
+
+
+def found_inside(frame: LinearFrame, corners: np.ndarray) -> bool:
+    """Whether every found centre, with its radius, lies within the true patch, by its shorter side."""
     centres, radius_px = chart.find_chart(frame)
     true, _ = chart.patch_centres(corners)
     patch = np.linalg.norm(true[1] - true[0])
-    assert np.linalg.norm(centres - true, axis=1).max() + radius_px < 0.55 * patch  # inside, by the shorter side
+    return bool(np.linalg.norm(centres - true, axis=1).max() + radius_px < 0.55 * patch)
+
+
+@pytest.mark.usefixtures("threads")
+@pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES)
+def test_a_chart_is_found_at_an_angle(seed: int, width_px: float, turn_deg: float) -> None:  # analytic
+    assert found_inside(*drawn(seed, list(range(24)), width_px, turn_deg))
+
+
+@pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES[1:5])
+def test_a_chart_is_found_in_a_poor_frame(seed: int, width_px: float, turn_deg: float) -> None:  # property
+    frame, corners = drawn(seed, list(range(24)), width_px, turn_deg)
+    rng = np.random.default_rng(seed)
+    uneven = frame.rgb * np.linspace(1, 3, frame.rgb.shape[1])[:, None]
+    blurred = cv2.GaussianBlur(uneven, (0, 0), 0.008 * width_px)
+    noisy = rng.poisson(np.maximum(blurred, 0) * 5) / 5.0
+    poor = replace(frame, rgb=np.minimum(noisy, 0.8 * noisy.max(axis=(0, 1))).astype(np.float32))
+    assert found_inside(poor, corners)
+
+
+def test_the_finder_of_lattices_draws_nothing_at_random(monkeypatch: pytest.MonkeyPatch) -> None:  # contract
+    monkeypatch.setattr(chart, "_TRIES", ())  # OpenCV's detector stays out of it
+    frame, corners = drawn(3, list(range(24)), 380, 180)
+    assert found_inside(frame, corners)
+    assert np.array_equal(chart.find_chart(frame)[0], chart.find_chart(frame)[0])
+    with pytest.raises(InputError, match="no colour chart found"):
+        chart.find_chart(replace(frame, rgb=np.full_like(frame.rgb, 30.0)))
+
+
+def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:  # analytic
+    picture = np.full((300, 420, 3), 30, np.uint8)
+    for i in set(range(24)) - {0, 5, 9, 14}:  # two corners and two in the middle are as dark as the gaps
+        x, y = 40 + i % 6 * 56, 40 + i // 6 * 56
+        picture[y : y + 48, x : x + 48] = 200
+    centres = np.array([(40 + i % 6 * 56 + 23.5, 40 + i // 6 * 56 + 23.5) for i in range(24)])
+    ways = [patches.mean(axis=1) for patches in grids(picture, 4, 6)]
+    assert min(float(np.abs(way - centres).max()) for way in ways) < 1.0
 
 
 def test_a_card_of_other_colours_is_refused() -> None:  # contract: a wrong find must not become a calibration

@@ -1,7 +1,8 @@
 """The 24-patch chart in a frame: where its patches are, and whether what was found is a chart at all.
 
-OpenCV's mcc misses many a good chart and now and then finds one where none is: it is asked at several sizes of the
-picture and of its threshold windows, and what it says counts only when the 24 colours there are a chart's, in order.
+Lattices of patches (chart_grid.py) are looked for first, then OpenCV's mcc is asked, at several sizes of the picture.
+mcc alone misses many a good chart, as its random start falls, and now and then finds one where none is. Whatever says
+where a chart may lie, it counts only when the 24 colours there are a chart's, in order.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.calibrate.chart_grid import grids
 from fieldlum.calibrate.frames import LinearFrame
 from fieldlum.errors import InputError
 
@@ -35,7 +37,8 @@ _SRGB = (
 )  # fmt: skip
 _ALIKE = 0.2  # relative misfit of a chart's colours; any other order of them leaves 0.6 and more
 _IN_ORDER = 0.9  # correlation of ln Y
-_TRIES = ((1.0, 11), (1.0, 23), (2.0, 11), (0.5, 11), (1.5, 23), (0.7, 23))  # size of the picture, smallest window [px]
+_GRID_SIZES = (1.0, 2.0)  # of the picture
+_TRIES = ((1.0, 11), (1.0, 23), (2.0, 11), (0.5, 11), (1.5, 23), (0.7, 23))  # the same and mcc's smallest window [px]
 _LONGEST = 1600  # px of the picture that is searched at size 1
 
 
@@ -70,10 +73,6 @@ def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
 
 def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
     """Centres [24, 2] in sensor pixels and a safe radius of a chart's patches. Raises InputError when none is found."""
-    import cv2
-
-    if not hasattr(cv2, "mcc"):
-        raise InputError(frame.path, "an OpenCV without mcc", "opencv-contrib", "give --corners by hand")
     shown = np.clip(frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9), 0, 1) ** (1 / 2.2)
     picture = np.ascontiguousarray((255 * shown[..., ::-1]).astype(np.uint8))
     nearest = np.inf
@@ -95,14 +94,20 @@ def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
 
 
 def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
-    """Quadrilaterals [24, 4, 2] of what the detector takes for patches, in pixels of the picture."""
+    """Quadrilaterals [24, 4, 2] of what may be a chart's patches, row by row, in pixels of the picture."""
+    for size in _GRID_SIZES:
+        searched, by = _sized(picture, size)
+        for patches in grids(searched, ROWS, COLUMNS):
+            yield patches / by
+    yield from _of_mcc(picture)
+
+
+def _of_mcc(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
+    """What OpenCV's detector takes for a chart's patches; nothing where the installed OpenCV has none."""
     import cv2
 
-    whole = min(1.0, _LONGEST / max(picture.shape[:2]))
-    for seed, (size, window_px) in enumerate(_TRIES):
-        by = size * whole
-        how = cv2.INTER_AREA if by < 1 else cv2.INTER_LINEAR
-        searched = cv2.resize(picture, None, fx=by, fy=by, interpolation=how) if by != 1.0 else picture
+    for seed, (size, window_px) in enumerate(_TRIES if hasattr(cv2, "mcc") else ()):
+        searched, by = _sized(picture, size)
         asked = getattr(cv2.mcc, "DetectorParametersMCC")()  # noqa: B009 (OpenCV's stubs lack both)
         asked.adaptiveThreshWinSizeMin = window_px
         cv2.setRNGSeed(seed + 1)  # it starts from random clusters
@@ -110,6 +115,16 @@ def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
         detector.setDetectionParams(asked)
         if detector.process(searched, 1):  # asked for a chart without one, it would crash
             yield np.asarray(detector.getBestColorChecker().getColorCharts(), float).reshape(-1, 4, 2) / by
+
+
+def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], float]:
+    """The picture at a size relative to that of at most _LONGEST pixels, and the factor from the picture itself."""
+    import cv2
+
+    by = size * min(1.0, _LONGEST / max(picture.shape[:2]))
+    how = cv2.INTER_AREA if by < 1 else cv2.INTER_LINEAR
+    sized = cv2.resize(picture, None, fx=by, fy=by, interpolation=how) if by != 1.0 else picture
+    return np.asarray(sized, np.uint8), by
 
 
 def _colours(rgb: Array, patches: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -67,7 +67,7 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
 
 
 def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] = ()) -> Colours:
-    """A 24-patch chart in a frame, evenly lit: found by OpenCV's mcc, or by its four outer patch-field corners.
+    """A 24-patch chart in a frame, evenly lit: found in it, or by its four outer patch-field corners.
 
     corners_px: x, y of the top left (dark skin), top right, bottom right (black) and bottom left corner.
     Raises InputError where no chart is found, or where the corners are given in another order.
