@@ -3,8 +3,8 @@
     python bench/dense_ablations.py TRAIN.csv TEST.csv OUT [--height 23] [--steps 6000] [--figure-steps 1600]
 
 Within the table, and within the figure, every network makes the same number of updates and is asked about the same test
-hours. Writes table1.csv, figure8.csv, ablations.md and figure8.png. The paper's order of rows: final, no sky map, CNN,
-gamma 10.
+hours. Writes table1.csv, figure8.csv, ablations.md and figure8.png; rows that OUT already holds at this size are not
+made again. The paper's order of rows: final, no sky map, CNN, gamma 10.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -74,22 +75,44 @@ def main() -> None:
     fresh = without_training_hours(coarse(load_pairs(asked.test), asked.height), data)
     some = np.unique(np.linspace(0, len(fresh) - 1, min(asked.test_hours, len(fresh))).round().astype(int))
     test = truth(fresh.take(some))
-    size = f"{data.shape[1]}x{data.shape[0]} maps, {len(data)} captures, {len(some)} test hours"
+    maps = f"{data.shape[1]}x{data.shape[0]} maps, {len(data)} captures, {len(some)} test hours"
     plan = Plan("short", steps=asked.steps, batch_pixels=asked.batch)
-    table = []
-    for name, shape in TABLE_1.items():
-        row = {"network": name} | one(data, test, plan, **shape)
-        table.append(row | dict(zip(("published_log10_mse", "published_rer"), PAPER[name], strict=True)))
-        print(table[-1], flush=True)
-        _keep(asked.out / "table1.csv", table)
-    plan = Plan("short", steps=asked.figure_steps, batch_pixels=asked.batch)
-    grid = []
-    for depth, width in [(d, 600) for d in DEPTHS] + [(4, w) for w in WIDTHS if w != 600]:
-        grid.append({"depth": depth, "width": width} | one(data, test, plan, depth=depth, width=width))
-        print(grid[-1], flush=True)
-        _keep(asked.out / "figure8.csv", grid)
-    size += f", {asked.figure_steps} updates of {asked.batch} pixels ({grid[0]['epochs']} epochs)"
-    _write(asked.out, table, grid, f"{size}; {machine()}")
+    rows = [
+        {"network": name} | dict(zip(("published_log10_mse", "published_rer"), PAPER[name], strict=True))
+        for name in TABLE_1
+    ]
+    size = f"{maps}, {asked.steps} updates of {asked.batch} pixels"
+    table = run(asked.out / "table1.csv", rows, size, lambda row: one(data, test, plan, **TABLE_1[row["network"]]))
+    rows = [{"depth": d, "width": 600} for d in DEPTHS] + [{"depth": 4, "width": w} for w in WIDTHS if w != 600]
+    short = Plan("short", steps=asked.figure_steps, batch_pixels=asked.batch)
+    size = f"{maps}, {asked.figure_steps} updates of {asked.batch} pixels"
+    grid = run(asked.out / "figure8.csv", rows, size, lambda row: one(data, test, short, **row))
+    _write(asked.out, table, grid, f"{grid[0]['size']} ({grid[0]['epochs']} epochs); {machine()}")
+
+
+def run(
+    path: Path, rows: list[dict[str, Any]], size: str, measured: Callable[[dict[str, Any]], dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """The rows with what was measured; those that the file holds at this size are taken from it."""
+    known = _kept(path)
+    done = []
+    for row in rows:
+        found = next((k for k in known if k.items() >= (row | {"size": size}).items()), None)
+        done.append(found or row | {"size": size} | measured(row))
+        print(done[-1], flush=True)
+        _keep(path, [*done, *(k for k in known if k not in done)])
+    return done
+
+
+def _kept(path: Path) -> list[dict[str, Any]]:
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{k: v if k in ("network", "size") else _number(v) for k, v in r.items()} for r in csv.DictReader(file)]
+
+
+def _number(text: str) -> float | int:
+    return int(text) if text.isdigit() else float(text)
 
 
 def _keep(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -102,7 +125,7 @@ def _keep(path: Path, rows: list[dict[str, Any]]) -> None:
 
 def _write(out: Path, table: list[dict[str, Any]], grid: list[dict[str, Any]], size: str) -> None:
     columns = {key: key.replace("_", " ") for row in table for key in row}
-    text = f"{markdown(table, columns)}\n{size}\n\n{markdown(grid, {key: key for key in grid[0]})}"
+    text = f"{markdown(table, columns)}\n{markdown(grid, {key: key for key in grid[0]})}"
     (out / "ablations.md").write_text(text, encoding="utf-8")
     figure, axes = _figure(9.0, 3.8, 2)
     for axis, key, fixed, at in zip(axes, ("depth", "width"), ("width", "depth"), (600, 4), strict=True):

@@ -13,11 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from transport_office import errors, read
+from transport_office import draw, errors, read
 
 from fieldlum.light import Kernel, greedy_hours, light_features, one_facade
 from fieldlum.models.transport import fit
-from fieldlum.projection import equirect_solid_angles
 
 
 def main() -> None:
@@ -33,10 +32,7 @@ def main() -> None:
     pool, _ = read(archive, archive["set_k200"])
     every, _ = read(archive, np.arange(0, len(archive["conditions"]), 3))
     rng = np.random.default_rng(0)
-    omega = equirect_solid_angles(*test.shape).ravel()
-    seen = np.zeros(omega.size, bool)
-    seen[rng.choice(omega.size, options.pixels, replace=False, p=omega / omega.sum())] = True
-    seen = seen.reshape(test.shape)
+    seen = draw(test.shape, options.pixels, rng)
     # Without [room], so that the figures are those of the kernel that chose the hours.
     pool = replace(pool, seen=seen, setup=replace(pool.setup, room=None))
     features = light_features(pool.light)

@@ -80,6 +80,14 @@ def told(data: Dataset, mode: str) -> Dataset:
     return replace(data, patch_cdm2=data.patch_cdm2 / factor)
 
 
+def draw(shape: tuple[int, int], pixels: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Mask [H, W] of some pixels, drawn by solid angle."""
+    omega = equirect_solid_angles(*shape).ravel()
+    seen = np.zeros(omega.size, bool)
+    seen[rng.choice(omega.size, pixels, replace=False, p=omega / omega.sum())] = True
+    return seen.reshape(shape)
+
+
 def errors(truth: NDArray, predicted: NDArray, light: Light, disc_lx: NDArray) -> NDArray[np.float64]:
     """log10 errors of recomposed maps above 1 cd/m2, [n, H, W]."""
     whole = add_disc(predicted, light, disc_lx, HEADING_DEG)

@@ -65,6 +65,7 @@ def _show(answer: dict[str, Any]) -> None:
             f" {row['fit_s']:8.1f} {row['n_test']:5d}"
         )
     click.echo(f"chosen: {answer['chosen']}: {answer['reason']}")
+    click.echo(f"holds {answer['parameters']:,} numbers")
     captures = answer["captures"]
     if captures:
         idle = len(captures["added_nothing"])

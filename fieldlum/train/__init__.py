@@ -216,6 +216,7 @@ def run(
         "models": result.table(seed),
         "chosen": result.choice.name,
         "reason": result.choice.reason,
+        "parameters": result.fitted.parameters,
         "final_fit_s": result.fit_s,
         "captures": enough,
         "notes": list(result.notes),
