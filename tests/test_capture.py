@@ -25,7 +25,7 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.errors import DeviceError
 from fieldlum.profiles import load_camera_profile
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Panorama, Site, SiteFile, Slot
-from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
+from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256, write_plan
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(2.0**-i, 5.6) for i in range(3))
@@ -168,6 +168,36 @@ def test_turned_head_takes_every_heading(tmp_path: Path) -> None:
     table = json.loads((field_.session.raw / "20270320T153000Z" / "capture.json").read_text())
     assert [f["heading_deg"] for f in table["frames"]] == [0.0] * 3 + [180.0] * 3
     assert len({f["file"] for f in table["frames"]}) == 6
+
+
+def test_slots_that_a_replan_adds_to_a_running_capture_are_taken(site: Field) -> None:
+    """One before the slot that is waited for, one after the last."""
+    plan, end = site.session.slots(), T0 + timedelta(hours=2)
+    between, after = (replace(plan[0], t_utc=t) for t in (end - timedelta(minutes=30), end + timedelta(days=20)))
+
+    def watch(live: Live) -> None:
+        if live.done == 2 and len(site.session.slots()) == 3:
+            slots = sorted([*plan, between, after], key=lambda slot: slot.t_utc)
+            write_plan(site.session.plan, slots, "America/Los_Angeles")
+
+    run(
+        site.session, "tiny:", clock=site.clock, options=FAST, watch=watch, trusted=lambda: False,
+        open_cam=site.open_camera,
+    )  # fmt: skip
+    done = [event["slot"] for event in read_journal(site.session) if event["event"] == "done"]
+    assert done == [plan[0].id, plan[1].id, between.id, plan[2].id, after.id]
+
+
+def test_a_broken_plan_does_not_stop_a_running_capture(site: Field) -> None:
+    def watch(live: Live) -> None:
+        if live.done == 1:
+            site.session.plan.write_text("spoilt by a spreadsheet")
+
+    run(
+        site.session, "tiny:", clock=site.clock, options=FAST, watch=watch, trusted=lambda: False,
+        open_cam=site.open_camera,
+    )  # fmt: skip
+    assert [event["event"] for event in read_journal(site.session)].count("done") == 3
 
 
 def test_late_is_missed_never_a_burst(site: Field) -> None:
@@ -495,7 +525,7 @@ def test_log_alone_writes_rows(site: Field) -> None:
     said: list[str] = []
     rows = log(site.session, "sim:office?seed=1", clock=site.clock, every_s=5.0, rows=10, say=said.append)
     samples = [s for path in day_files(site.session) for s in read_day(path)[0]]
-    assert rows == len(samples) == 10 and "spn1" in said[0]
+    assert rows == len(samples) == 10 and said[0].startswith("logging Delta-T SPN1 A1")
     assert (samples[-1].t_utc - samples[0].t_utc) == timedelta(seconds=45)
 
 
@@ -511,6 +541,8 @@ def test_commands_exit_as_documented(site: Field, tmp_path: Path) -> None:
     assert code("capture", folder) == 2, "no camera named, and none remembered"
     assert code("capture", folder, "--camera", "sim:nowhere", "--clock", "fast") == 4
     assert code("capture", str(tmp_path), "--camera", "sim:office") == 3
+    assert code("capture", folder, "--camera", "gphoto:", "--clock", "fast") == 2, "made-up times for real pictures"
+    assert code("capture", folder, "--camera", "sim:office", "--meter", "cl200a:COM3", "--clock", "fast") == 2
     assert code("log", folder, "--pyranometer", "serial:/dev/no-such-port?kind=spn1") == 4
     assert code("status", str(tmp_path)) == 3
     assert code("pair", folder) == 5, "nothing was logged"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 
-from fieldlum.capture.keeper import Keeper, plain_info
+from fieldlum.capture.keeper import Keeper
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.steady import SteadyClock
 from fieldlum.devices import Pyranometer, Streaming, open_pyranometer
@@ -115,7 +115,8 @@ def log(
         )
         logger = Logger(keeper, recorder, steady, every_s)
         try:
-            say(f"logging {plain_info(keeper.insist().info)} every {every_s:g} s; Ctrl-C stops")
+            info = keeper.insist().info
+            say(f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every {every_s:g} s; Ctrl-C stops")
             while rows is None or recorder.rows < rows:
                 for name, fields in steady.check():
                     recorder.tell(name, **fields)

@@ -21,7 +21,7 @@ from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import Clock, FastClock, RealClock
-from fieldlum.errors import DeviceError
+from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Exposure, Slot, parse_utc
 from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
 
@@ -147,6 +147,8 @@ class _Runner:
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
         self.check, self.check_shortest = check, check_shortest
         self.setup = session.site_file()
+        self._plan_stamp = 0
+        self._plan_stamp = self._stamp()
         self.slots = session.slots()
         before = fold(read_journal(session))
         self.states = before.slots
@@ -219,11 +221,11 @@ class _Runner:
             self.frame_bytes,
         )
         grace = timedelta(seconds=self.options.grace_s)
-        todo = owed(self.slots, Ledger(dict(self.states)))
-        for slot, following in zip(todo, [*todo[1:], None], strict=False):  # nothing owed: no turn
+        while (slot := self._next_owed()) is not None:
             state = self.states.get(slot.id, SlotState())
             self._state, self._next = "waiting", slot.id
-            self._wait_until(slot.t_utc, slot)
+            if not self._wait_until(slot.t_utc):
+                continue
             late_s = (self.clock.now() - slot.t_utc).total_seconds()
             if late_s > self.options.grace_s and not (state.outcome == "started" and bracket.resumable(slot, state)):
                 state = self._too_late(bracket, slot, state, late_s)
@@ -236,10 +238,31 @@ class _Runner:
                 self._after_bracket(slot, state)
             self.states[slot.id] = state
             self._count_misses(state)
+            following = self._next_owed()
             self._state, self._next = "waiting", following.id if following else ""
             self._show()
         self._state, self._next = "finished", ""
         self._show()
+
+    def _next_owed(self) -> Slot | None:
+        """Of the plan as it stands now: a re-plan beside a running capture adds slots to it."""
+        if self._plan_changed():
+            self._plan_stamp = self._stamp()
+            with suppress(InputError, OSError):
+                slots = self.session.slots()
+                # A re-plan takes nothing out; a file that was spoilt by hand does: the plan before still holds.
+                if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
+                    self.slots = slots
+        return next(iter(owed(self.slots, Ledger(dict(self.states)))), None)
+
+    def _plan_changed(self) -> bool:
+        return self._stamp() != self._plan_stamp
+
+    def _stamp(self) -> int:
+        try:
+            return self.session.plan.stat().st_mtime_ns
+        except OSError:
+            return self._plan_stamp
 
     def _take(self, bracket: Bracket, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
         """A bracket; whatever goes wrong in it costs this slot, never the month."""
@@ -271,20 +294,21 @@ class _Runner:
             self.frame_bytes = max(sizes)
             self.bytes_per_slot = sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))
 
-    def _wait_until(self, t_utc: datetime, slot: Slot) -> None:
+    def _wait_until(self, t_utc: datetime) -> bool:
+        """False when the plan changed while waiting."""
         around = self.options.log_around_s
         if around is not None and self.logger is not None:
             self._sleep_until(t_utc - timedelta(seconds=around), log=False)
-        self._sleep_until(t_utc, log=True)
+        return self._sleep_until(t_utc, log=True)
 
-    def _sleep_until(self, t_utc: datetime, *, log: bool) -> None:
+    def _sleep_until(self, t_utc: datetime, *, log: bool) -> bool:
         inline = self.logger if log and not self.options.threaded else None
-        while True:
+        while not self._plan_changed():
             for name, fields in self.clock.check():
                 self.recorder.tell(name, **fields)
             left = (t_utc - self.clock.now()).total_seconds()
             if left <= 0:
-                return
+                return True
             if inline is not None:
                 inline.poll_if_due()
                 left = min(left, max(inline.due_in_s, 0.01))
@@ -294,6 +318,7 @@ class _Runner:
             if self.camera is not None and left <= 60.0:
                 self.camera.get()  # a camera that went away is back before its slot, if it can be
             self.clock.sleep(left)
+        return False
 
     def _between(self, frame: Frame | None) -> None:
         if frame is not None:

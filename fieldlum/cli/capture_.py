@@ -46,6 +46,8 @@ def command(
 
     session = open_session(folder)
     camera_uri, pyranometer_uri, meter_uri = _devices(session, camera, pyranometer, meter)
+    if clock == "fast" and (real := _real(camera_uri, pyranometer_uri, meter_uri)):
+        raise click.UsageError(f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}")
     ticking, options = capture.prepare(session, fast=clock == "fast")
     options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
     with shown(session.site_file().site, status_json) as watch:
@@ -78,3 +80,8 @@ def _devices(session: Session, camera: str | None, pyranometer: str | None, mete
         if not pyranometer:
             terminal.say("note: no --pyranometer: irradiance is not logged here")
     return camera_uri, pyranometer or "", known.get("meter", "") if meter is None else meter
+
+
+def _real(*uris: str) -> str:
+    """The first device that is none of a rehearsal, or nothing."""
+    return next((uri for uri in uris if uri and not uri.startswith(("sim:", "replay:"))), "")
