@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 
 from fieldlum.cli import main
 from fieldlum.images import read_panorama
+from fieldlum.merge.bracket import merge_sensor
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import JpegSignal, RawSignal, over_colours, over_mosaic
 from fieldlum.merge.motion import Ballot, leave_out_moved, vote
+from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.photometry import srgb_table, z_per_cdm2
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
-from fieldlum.raw import write_dng
+from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Response, Sensor, save_profile
+from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure, Flag
 
 GAIN, READ_E, FULL = 4.0, 6.0, 14000.0
@@ -130,6 +132,32 @@ def test_colours_of_a_jpeg_go_together() -> None:  # analytic
     )
     assert m.value_cdm2[25:45, 25:45] == pytest.approx(0.3, rel=0.05)
     assert share[1] > 0.1 and share[0] == share[2] == share[3] == 0
+
+
+def jpeg_motion(folder: Path, dimmed: float, u_rel: float) -> float:
+    """Share flagged of an area that one of three frames shows dimmed, by a response known to u_rel."""
+    table = tuple(float(z) for z in srgb_table())
+    times = (0.5, 1 / 8, 1 / 32)
+    profile = CameraProfile(
+        CameraBody("small", "jpeg", 128, 128), (Lens((64.0, 64.0), 63.0, 180.0),), Bracket(4.0, 100.0, times),
+        response=Response("table", table, table, table, u_rel=u_rel),
+    )  # fmt: skip
+    light = np.broadcast_to(np.geomspace(10.0, 200.0, 128), (3, 128, 128)).copy()
+    light[1, 40:80, 50:75] *= dimmed
+    shots = []
+    for i, t in enumerate(times):
+        codes = np.interp(light[i] * z_per_cdm2(t, 4.0, 100.0), table, np.arange(256.0))
+        path = folder / f"{i}.jpg"
+        write_jpeg(path, np.repeat(np.rint(codes).astype(np.uint8)[..., None], 3, 2), Exposure(t, 4.0), quality=98)
+        shots.append(Shot(path, Exposure(t, 4.0)))
+    flags = merge_sensor(sorted_shots(shots, profile), profile).merged.flags
+    return float(((flags[44:76, 54:71] & Flag.MOTION) > 0).mean())
+
+
+def test_what_the_response_may_get_wrong_is_no_motion(tmp_path: Path) -> None:  # analytic
+    assert jpeg_motion(tmp_path, 0.75, 0.0) > 0.9
+    assert jpeg_motion(tmp_path, 0.75, 0.1) == 0.0
+    assert jpeg_motion(tmp_path, 0.2, 0.1) > 0.9
 
 
 def test_the_option_on_files(tmp_path: Path) -> None:  # contract

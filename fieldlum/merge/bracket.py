@@ -114,7 +114,7 @@ def merge_sensor(
     extra = unexplained(left, response if wanted else float(np.hypot(response, typical)))
     apart = float(np.median([abs(n.residual_percent) for n in left])) / 100 if left and not wanted else typical
     shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
-    tolerance = max(0.003, 3 * apart)
+    tolerance = max(0.003, 3 * apart, response)  # what a JPEG's response gets wrong is no motion either
     frames = [lambda i=i: store[i] for i in range(len(shots))]
     merged = merge_signals(frames, shape, u_ratio=tolerance, resident=store.resident, progress=progress)
     dropped: tuple[float, ...] = ()
