@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 
 from fieldlum.capture.runner import Live, Watch
 from fieldlum.cli import terminal
-from fieldlum.records import Site, utc_text
+from fieldlum.records import Site, parse_utc, utc_text
 from fieldlum.session import replacing
 
 if TYPE_CHECKING:
@@ -52,14 +52,15 @@ def panel(live: Live, site: Site) -> RenderableType:
 def _lines(live: Live, zone: ZoneInfo) -> list[tuple[str, str]]:
     trouble = "yellow" if live.missed or live.aborted else "green"
     slots = f"[green]{live.done} done[/], [{trouble}]{live.missed} missed, {live.aborted} aborted[/], {live.left} left"
-    upcoming = f"{live.next_slot} in [bold]{countdown(live.next_in_s)}[/]" if live.next_slot else "none"
+    at = f"{parse_utc(live.next_slot).astimezone(zone):%a %H:%M}, {live.next_slot}" if live.next_slot else ""
+    upcoming = f"{at} in [bold]{countdown(live.next_in_s)}[/]" if at else "none"
     age = f" ({live.ghi_age_s:.0f} s ago)" if live.ghi_age_s is not None else ""
     ghi = f"{live.ghi_wm2:.0f} W/m²{age}" if live.ghi_wm2 is not None else "-"
     days = f", {live.disk_days:.0f} days of captures" if live.disk_days is not None else ""
     return [
         ("slots", slots),
         ("now", f"{live.state}, {live.t_utc.astimezone(zone):%Y-%m-%d %H:%M:%S %Z}"),
-        ("next", upcoming if live.state != "capturing" else f"{live.next_slot} is being taken"),
+        ("next", upcoming if live.state != "capturing" else f"{at} is being taken"),
         ("camera", f"{_state(live.camera)} {live.last_frame}"),
         ("global", f"{_state(live.pyranometer)} {ghi}" if live.pyranometer else "not logged"),
         ("disk", f"{live.bytes_free / 1e9:.1f} GB free{days}"),

@@ -88,9 +88,11 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
             }
             for slot in slots
         ],
-        "exposures": [exposure_text(exposure) for exposure in exposures],
+        "exposures": [exposure_text(exposure).replace(" ", " s ", 1) for exposure in exposures],
         "same_exposures": all(slot.exposures == exposures for slot in slots),
-        "minutes": f"{max(cost.seconds_per_slot / 60, 0.1):.1f}",
+        "each": f"{cost.seconds_per_slot:.0f} s"
+        if cost.seconds_per_slot < 90
+        else f"{cost.seconds_per_slot / 60:.1f} min",
         "gigabytes": f"{len(slots) * cost.megabytes_per_slot / 1000:.1f}",
         "gigabytes_so_far": f"{so_far * cost.megabytes_per_slot / 1000:.1f}",
         "sun_path": sun_path_svg(day, slots, setup),
