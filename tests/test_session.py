@@ -46,6 +46,23 @@ def test_plan_and_site_round_trip(session: Session) -> None:
         create_session(session.root, SETUP, [], {})
 
 
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        ((b"; ", b", "), "8 values, expected columns slot"),  # a bracket of one frame, its second taken for a tag
+        ((b",", b";"), "plan.csv: slot;t_utc;"),
+        ((b"exposures", b"shutters"), "shutters, tags, expected columns"),
+    ],
+)
+def test_a_plan_that_a_spreadsheet_spoilt_is_refused(session: Session, damage: tuple[bytes, bytes], said: str) -> None:
+    session.plan.write_bytes(session.plan.read_bytes().replace(*damage))
+    with pytest.raises(InputError, match=said):
+        session.slots()
+    session.plan.write_bytes(b"")
+    with pytest.raises(InputError, match="an empty file, expected columns"):
+        session.slots()
+
+
 @given(st.floats(1e-5, 600), st.floats(1, 32), st.sampled_from([50, 100, 6400]), st.sampled_from(["", "nd3"]))
 @settings(deadline=None)
 def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd: str) -> None:  # property

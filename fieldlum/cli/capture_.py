@@ -42,9 +42,11 @@ def command(
     from fieldlum import capture
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
-    from fieldlum.session import open_session
+    from fieldlum.session import open_session, sha256
 
     session = open_session(folder)
+    if session.table().get("plan", {}).get("sha256") != sha256(session.plan):
+        terminal.say("note: plan.csv is not the file that session.toml was written for: ask fieldlum doctor")
     camera_uri, pyranometer_uri, meter_uri = _devices(session, camera, pyranometer, meter)
     if clock == "fast" and (real := _real(camera_uri, pyranometer_uri, meter_uri)):
         raise click.UsageError(f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}")

@@ -55,8 +55,14 @@ def read_plan(path: Path) -> list[Slot]:
         raise InputError(path, "no such file", "the plan of a session", "make one with: fieldlum plan SITE.toml")
     slots: list[Slot] = []
     with path.open(newline="", encoding="utf-8") as file:
-        for number, row in enumerate(csv.DictReader(file), start=2):
+        reader = csv.DictReader(file)
+        if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
+            found = ", ".join(reader.fieldnames or ())[:120] or "an empty file"
+            raise InputError(path, found, f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy")
+        for number, row in enumerate(reader, start=2):
             try:
+                if None in row:  # commas in place of semicolons would leave a bracket of one frame
+                    raise ValueError(f"{len(PLAN_COLUMNS) + len(row.get(None) or ())} values")
                 t_utc: datetime = parse_utc(row["t_utc"])
                 if slot_id(t_utc) != row["slot"]:
                     raise ValueError(f"slot {row['slot']} does not match t_utc {row['t_utc']}")
