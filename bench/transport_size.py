@@ -50,9 +50,10 @@ def main() -> None:
         for kind, noise in KINDS.items():
             train = disturbed(clean, *noise)
             for size in (*SIZES, None):
-                forced = {} if size is None else {"FEWER": (size,), "FEWER_COST": np.inf}
+                free = choice.FEWER, choice.FEWER_COST
+                fewer, cost = free if size is None else ((size,), np.inf)
                 start = time.process_time()
-                with mock.patch.multiple(choice, **forced):
+                with mock.patch.multiple(choice, FEWER=fewer, FEWER_COST=cost):
                     model = fit(train)
                 fitted = time.process_time()
                 maps = model.predict(test.light, test.patch_cdm2).luminance_cdm2

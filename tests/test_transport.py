@@ -185,6 +185,20 @@ def test_property_days_of_one_season_choose_no_width() -> None:
     assert len({r.second for r in recipes_for("none", one_season=False)}) > 1
 
 
+def test_property_captures_under_changing_light_teach_less() -> None:
+    """A third of the pictures are off in level; told that their light was not steady, the fit is closer to the truth."""
+    rng = np.random.default_rng(4)
+    change = np.where(rng.random(len(TRAIN)) < 0.33, 0.6, 0.0)
+    factor = (1.0 + change * rng.uniform(-0.5, 0.5, len(TRAIN)))[:, None, None].astype(np.float32)
+    assert TRAIN.patch_cdm2 is not None
+    off = replace(TRAIN, luminance_cdm2=TRAIN.luminance_cdm2 * factor, patch_cdm2=TRAIN.patch_cdm2 * factor)
+    untold, told = (
+        log_mse(fit(data).predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST)
+        for data in (off, replace(off, steadiness=change))
+    )
+    assert told < 0.9 * untold
+
+
 def test_property_noisy_captures_get_fewer_features() -> None:
     """What the captures cannot support is not modelled; a clean room keeps what it needs."""
     noise = np.random.default_rng(3).normal(1.0, 0.05, TRAIN.luminance_cdm2.shape).astype(np.float32)

@@ -94,7 +94,7 @@ def _choose_kernel(
     if bounced is None:
         return without
     with_room = tried(replace(kernel, facade=BESIDE_ROOM), replace(drawn.features, bounced=bounced))
-    worse = with_room.held.per_hour - without.held.per_hour
+    worse = with_room.held.judged - without.held.judged
     kept = with_room if worse.mean() <= day_standard_error(worse, drawn.days) else without
     return replace(kept, table=[*without.table, *with_room.table])
 
@@ -105,7 +105,7 @@ def _doubted(
     """Where held-out days had to mend patches, they are asked too whether the light is better learnt without them."""
     bare = replace(drawn, features=replace(drawn.features, flux=None, cells=None))
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
-    best = doubting if doubting.held.per_hour.mean() < trusting.held.per_hour.mean() else trusting
+    best = doubting if doubting.held.judged.mean() < trusting.held.judged.mean() else trusting
     return replace(best, table=[*trusting.table, *doubting.table])
 
 
@@ -119,8 +119,8 @@ def fewest_features(drawn: Material, chosen: Chosen) -> Chosen:
     for rank in (r for r in FEWER if r < chosen.basis.values.shape[1]):
         recipe, basis = replace(chosen.recipe, rank=rank), leading(chosen.basis, rank)
         held = hold_out(drawn, basis, recipe)
-        mean = float(held.per_hour.mean())
-        table.append((recipe, mean, day_standard_error(held.per_hour, drawn.days)))
-        if mean <= FEWER_COST * chosen.held.per_hour.mean():
+        mean = float(held.judged.mean())
+        table.append((recipe, mean, day_standard_error(held.judged, drawn.days)))
+        if mean <= FEWER_COST * chosen.held.judged.mean():
             return replace(chosen, recipe=recipe, basis=basis, held=held, table=table)
     return replace(chosen, table=table)

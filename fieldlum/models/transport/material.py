@@ -21,6 +21,8 @@ MOST_PATCH_CDM2 = 3e4  # for the descriptor only: a sunlit white wall; above it 
 LEAST_CDM2 = 0.1  # below it relative errors mean nothing
 FAINT_SUN_LX = 20.0
 DISC_MARGIN = 2  # pixels around the sun that taking its disc out may have touched
+LOWEST_SUN_DEG = 1.0  # for what readings of the horizontal say about the sun's normal
+UNSURE = 1e-2  # relative variance of the light outside at which an hour counts half
 WINDOW_SHARE = 0.05  # a pixel with less than this share of open sky is treated as a surface
 WINDOW_SCATTER = 0.5  # window pixels follow the sky behind them at least twice as closely as the total light
 
@@ -157,7 +159,8 @@ class Material:
     """Captures as the solver wants them: n hours, P seen pixels.
 
     weights [P] mean 1; patch is in cd/m2 of this room (a gain found before is in it); sky the known window sky;
-    filled [n, P] marks values that were not seen (where the sun's disc was taken out): they teach nothing.
+    filled [n, P] marks values that were not seen (where the sun's disc was taken out): they teach nothing. unsure [n]:
+    relative variance of the light outside (`light_variance`).
     """
 
     light: Light
@@ -168,9 +171,15 @@ class Material:
     filled: NDArray[np.bool_]
     weights: Array
     days: NDArray
+    unsure: Array
     open_sky: OpenSky
     patchwork: Patchwork | None
     facades: Facades
+
+    @property
+    def sureness(self) -> Array:
+        """What each hour counts, [n]: one where its light was steady."""
+        return 1.0 / (1.0 + self.unsure / UNSURE)
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> Material:
         """Some of the pixels."""
@@ -204,8 +213,20 @@ def material_of(data: Dataset, *, with_patch: bool) -> Material:
         features = patchwork.add(features, data.patch_cdm2, data.light, mask)
     return Material(
         data.light, features, luminance, patch, sky, around_disc(data)[:, data.seen], data.weights[data.seen],
-        data.days, open_sky, patchwork, facades_seen(data) if with_patch else facades_of(data.setup.room),
+        data.days, light_variance(data), open_sky, patchwork,
+        facades_seen(data) if with_patch else facades_of(data.setup.room),
     )  # fmt: skip
+
+
+def light_variance(data: Dataset) -> Array:
+    """Relative variance of the light outside by its own readings, [n].
+
+    Their range over the bracket (change or noise) is taken for that of a rectangular distribution (JCGM 100:2008,
+    4.3.7). Two horizontal readings give the sun's normal by dividing through the sine of its altitude, and with it what
+    they are off by.
+    """
+    altitude = np.radians(np.maximum(data.light.sun_altitude_deg, LOWEST_SUN_DEG))
+    return (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
 
 
 def around_disc(data: Dataset) -> NDArray[np.bool_]:

@@ -140,7 +140,7 @@ class Transport:
         noise = self.noise_dull.astype(np.float32), self.noise_sun.astype(np.float32)
         doubt = self.trust.sun_doubt(features.beam, near)
         sd = log_sd(total * scale / luminance, share, variance, doubt, noise, self.trust.patch)
-        sd *= (LOG10_E * self.trust.factor(features.beam)).astype(np.float32)[:, None]
+        sd *= (LOG10_E * self.trust.factor(features.beam, variance)).astype(np.float32)[:, None]
         expected = self.trust.mse * np.einsum("ij,ij,j->i", sd, sd, self._weights(), dtype=np.float64)
         trusted = self.trust.trusted(variance)
         if self.patchwork is None and self.held_out_mse is not None:
@@ -190,7 +190,8 @@ class Transport:
             "seen": self.seen, "projector": self.projector, "noise_dull": self.noise_dull.astype(np.float32),
             "noise_sun": self.noise_sun.astype(np.float32), "facade_azimuths": self.kernel.facades.azimuths_deg,
             "facade_weights": self.kernel.facades.weights, "trust_inverse": self.trust.inverse,
-            "trust_factors": self.trust.factors, "trust_second": self.trust.second,
+            "trust_factors": self.trust.factors, "trust_variances": self.trust.variances,
+            "trust_second": self.trust.second,
         }  # fmt: skip
         arrays |= {f"pixel_{f.name}": getattr(self.pixels, f.name).astype(np.float32) for f in fields(Pixels)}
         arrays |= {f"sky_{f.name}": getattr(self.open_sky, f.name) for f in fields(OpenSky)}
@@ -221,9 +222,8 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
         room = build(Room, own["room"], "the model's room")
         given = {name: arrays[f"physics_{name}"] for name in PHYSICS_ARRAYS}
         physics = Physics(room, **given, norm=float(arrays["physics_norm"]))
-    trust = Trust(
-        arrays["trust_inverse"], factors=arrays["trust_factors"], second=arrays["trust_second"], **own["trust"]
-    )
+    known = {name: arrays[f"trust_{name}"] for name in ("inverse", "factors", "variances", "second")}
+    trust = Trust(**{**own["trust"], **known})
     return Transport(
         shape=arrays["seen"].shape,  # pyright: ignore[reportArgumentType]
         seen=arrays["seen"],
@@ -306,8 +306,8 @@ def _finish(
         train_light=data.light, projector=chosen.basis.projector, pixels=pixels, open_sky=material.open_sky,
         patchwork=material.patchwork, patch_scale=scale, physics=physics,
         noise_dull=np.zeros(count), noise_sun=np.zeros(count),
-        trust=Trust(np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))), 0.0, np.ones(3), 0.0, 1.0,
-                    np.empty((0, 0))),
+        trust=Trust(np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))), 0.0, np.ones((1, 3)),
+                    np.ones((1, 3)), 0.0, 1.0, np.empty((0, 0))),
         recipe=recipe, held_out_mse=chosen.held.per_hour,
         table=tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in chosen.table),
     )  # fmt: skip

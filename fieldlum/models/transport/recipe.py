@@ -116,7 +116,7 @@ def _fit_chunk(material: Material, scale: Array, basis: Basis, recipe: Recipe, p
     seen = np.maximum(material.luminance, LEAST_CDM2)
     target = seen / unit
     columns = _columns(material, unit, recipe)
-    trust = np.where(material.filled, 0.0, 1.0)
+    trust = np.where(material.filled, 0.0, material.sureness[:, None])
     usual = np.exp(np.mean(np.log(target), axis=0))
     weights = trust / np.maximum(target, DARK_SHARE * usual) ** 2
     b, gains = solve(basis.values, columns, target, weights, recipe.noise, products)
@@ -220,15 +220,23 @@ def seasons(days: NDArray) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of 1 cd/m2."""
+    """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of 1 cd/m2; sureness [n]
+    of the hours."""
 
     luminance: Array
     error: Array
     scale: Array
+    sureness: Array
 
     @property
     def per_hour(self) -> Array:
+        """Mean squared error [n]."""
         return (self.error**2).mean(axis=1)
+
+    @property
+    def judged(self) -> Array:
+        """What choices are made by, [n]: as `per_hour`, but an hour of unsteady light counts less."""
+        return self.per_hour * self.sureness / self.sureness.mean()
 
 
 def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
@@ -267,7 +275,7 @@ def hold_out(material: Material, basis: Basis, recipe: Recipe, first: _First | N
         own = second_own(material, recipe)
         found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, material.days))
     luminance = found * material.light.total_lx[:, None] * first.scale
-    return HeldOut(luminance, score(luminance, material.luminance), first.scale)
+    return HeldOut(luminance, score(luminance, material.luminance), first.scale, material.sureness)
 
 
 def hold_out_seasons(material: Material, basis: Basis, recipe: Recipe) -> HeldOut | None:
@@ -313,8 +321,8 @@ def choose(material: Material, basis: Basis, recipes: list[Recipe]) -> tuple[Rec
         alone = replace(recipe, second=0.0)
         if alone not in firsts:
             firsts[alone] = _hold_out_first(material, basis, recipe)
-        per_hour = hold_out(material, basis, recipe, firsts[alone]).per_hour
-        table.append((recipe, float(per_hour.mean()), day_standard_error(per_hour, material.days)))
+        judged = hold_out(material, basis, recipe, firsts[alone]).judged
+        table.append((recipe, float(judged.mean()), day_standard_error(judged, material.days)))
     return min(table, key=lambda row: row[1])[0], table
 
 

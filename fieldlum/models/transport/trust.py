@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +19,9 @@ Array = NDArray[Any]
 LOG10_E = float(np.log10(np.e))
 NORMAL_90 = 1.6449  # 90 % of a normal distribution lie within so many standard deviations
 CLASSES = (0.05, 0.5)  # the sun's share of the light that parts overcast, intermediate and clear hours
+MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)
 LEAST_SD = 1e-4
+LEAST_VARIANCE = 1e-9
 MOST_SD = 2.3  # a factor of ten, in ln L: more says nothing, and a single such pixel would rule the mean of an hour
 NEAR_SUN, NEAR_BEAM, FEW = 0.2, 0.1, 0.1  # hours alike: chord of the sun's direction, its share; weight of the guess
 SLIP_MSE = 0.01  # log10: an hour that a shift of its sun patch would put off by over a quarter is not trusted
@@ -38,13 +41,15 @@ def held_out_variance(covariance: Array, noise: float, days: NDArray) -> Array:
 @dataclass(frozen=True, slots=True)
 class Trust:
     """inverse [n, n] of (K + noise); novelty that a held-out day had at most; factors on the standard deviation in
-    overcast, intermediate and clear hours [3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out error
-    to its guess; second [n, n]: as inverse, of the second stage (n may be 0); slip_deg: how far the computed sun
-    patches lie beside the captured ones, where the captures say so (`setting`)."""
+    overcast, intermediate and clear hours, by held-out days and, where there are several, by held-out seasons [1 or 2,
+    3], and the predictive variances that these had [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio
+    of held-out error to its guess; second [n, n]: as inverse, of the second stage (n may be 0); slip_deg: how far the
+    computed sun patches lie beside the captured ones, where the captures say so (`setting`)."""
 
     inverse: Array
     novelty: float
     factors: Array
+    variances: Array
     patch: float
     mse: float
     second: Array
@@ -66,9 +71,18 @@ class Trust:
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
         return variance <= NOVEL * self.novelty
 
-    def factor(self, beam: Array) -> Array:
-        """[m] of each hour's class, blended between the classes' middles so that nothing jumps."""
-        return np.interp(beam, (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2), self.factors)
+    def factor(self, beam: Array, variance: Array) -> Array:
+        """[m] of each hour's class, blended between the classes' middles so that nothing jumps; of held-out days for
+        hours as well known as those were, of held-out seasons for hours as new as those."""
+        factors, variances = (
+            [np.interp(beam, MIDDLES, row) for row in np.log(a)] for a in (self.factors, self.variances)
+        )
+        if len(factors) == 1:
+            return np.exp(factors[0])
+        new = (np.log(np.maximum(variance, LEAST_VARIANCE)) - variances[0]) / np.maximum(
+            variances[1] - variances[0], 1e-3
+        )
+        return np.exp(factors[0] + np.clip(new, 0.0, 1.0) * (factors[1] - factors[0]))
 
 
 def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
@@ -151,19 +165,25 @@ def calibrate(
     """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in each class.
 
     Days of one season flatter each other: there the class that fares worst speaks for all three. Of several seasons
-    with gaps between them, `apart` holds out each as a whole, and the larger factor counts.
+    with gaps between them, `apart` holds out each as a whole: its factors, where they are larger, are for hours as new
+    as those were.
     """
     groups = [(held, material.days)] + ([] if apart is None else [(apart, seasons(material.days))])
     patch_sd = max(_patch_sd(material, h) for h, _ in groups)
-    variances = [held_out_variance(covariance, noise, days) for _, days in groups]
-    sds = [_held_out_sd(material, h, v, doubt, residual, patch_sd) for (h, _), v in zip(groups, variances, strict=True)]
-    factors = np.max([_factors(material, h, sd) for (h, _), sd in zip(groups, sds, strict=True)], axis=0)
+    variance = [held_out_variance(covariance, noise, days) for _, days in groups]
+    sds = [_held_out_sd(material, h, v, doubt, residual, patch_sd) for (h, _), v in zip(groups, variance, strict=True)]
+    factors = np.array([_factors(material, h, sd) for (h, _), sd in zip(groups, sds, strict=True)])
+    factors = np.maximum.accumulate(np.maximum(factors, 1e-3))
     if one_season(material.days):
-        factors[:] = factors.max()
+        factors[:] = factors.max(axis=1, keepdims=True)
     inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
-    trust = Trust(inverse, float(variances[0].max()), np.maximum(factors, 1e-3), patch_sd, 1.0, second)
-    guess = ((sds[0] * LOG10_E * trust.factor(material.features.beam)[:, None]) ** 2).mean()
-    return replace(trust, mse=float((held.error[~material.filled] ** 2).mean() / guess))
+    beam = material.features.beam
+    known = np.array([_of_classes(beam, lambda rows, v=v: np.median(v[rows])) for v in variance])
+    known = np.maximum(known, LEAST_VARIANCE)
+    trust = Trust(inverse, float(variance[0].max()), factors, known, patch_sd, 1.0, second)
+    guess = (sds[0] * LOG10_E * trust.factor(beam, variance[0])[:, None]) ** 2
+    counts = np.where(material.filled, 0.0, material.sureness[:, None])
+    return replace(trust, mse=float((counts * held.error**2).sum() / (counts * guess).sum()))
 
 
 def _patch_sd(material: Material, held: HeldOut) -> float:
@@ -182,15 +202,18 @@ def _held_out_sd(
     seen = np.maximum(held.luminance, LEAST_CDM2)
     unit = material.light.total_lx[:, None] * held.scale
     share = 0.0 if material.patch is None else material.patch / seen
-    return np.maximum(log_sd(unit / seen, share, variance, doubt, residual, patch_sd), LEAST_SD)
+    sd = log_sd(unit / seen, share, variance, doubt, residual, patch_sd)
+    return np.maximum(np.sqrt(sd**2 + material.unsure[:, None]), LEAST_SD)
 
 
 def _factors(material: Material, held: HeldOut, sd: Array) -> Array:
-    """What sd [n, P] must be multiplied by in overcast, intermediate and clear hours; all alike for fewer than five."""
-    valid, beam = ~material.filled, material.features.beam
+    """What sd [n, P] must be multiplied by in overcast, intermediate and clear hours, [3]."""
     ratio = np.abs(held.error) / LOG10_E / sd
-    factors = np.full(3, float(np.quantile(ratio[valid], 0.9)) / NORMAL_90)
-    for k, inside in enumerate((beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])):
-        if inside.sum() >= 5:
-            factors[k] = float(np.quantile(ratio[inside][valid[inside]], 0.9)) / NORMAL_90
-    return factors
+    valid = ~material.filled
+    return _of_classes(material.features.beam, lambda rows: np.quantile(ratio[rows][valid[rows]], 0.9) / NORMAL_90)
+
+
+def _of_classes(beam: Array, figure: Callable[[NDArray[np.bool_]], Any]) -> Array:
+    """A figure of the overcast, intermediate and clear hours, [3]; of all hours where there are fewer than five."""
+    classes = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
+    return np.array([float(figure(rows if rows.sum() >= 5 else np.ones(len(beam), bool))) for rows in classes])
