@@ -186,7 +186,7 @@ def test_property_days_of_one_season_choose_no_width() -> None:
 
 
 def test_property_captures_under_changing_light_teach_less() -> None:
-    """A third of the pictures are off in level; told that their light was not steady, the fit is closer to the truth."""
+    """A third of the pictures are off in level; told that their light was not steady, the fit is closer to truth."""
     rng = np.random.default_rng(4)
     change = np.where(rng.random(len(TRAIN)) < 0.33, 0.6, 0.0)
     factor = (1.0 + change * rng.uniform(-0.5, 0.5, len(TRAIN)))[:, None, None].astype(np.float32)
