@@ -2,8 +2,8 @@
 
     python bench/office_seattle.py office_seattle.npz FOLDER
 
-writes FOLDER/<set>.csv for every set (k200, 9d, 12d, 4d, mar, sep, test) and all.csv, pictures as EXR, site.toml. The
-archive itself is described where it lies; it is not part of the project.
+writes FOLDER/<set>.csv for every set (k200, 9d, 12d, 4d, mar, sep, test), test100.csv (every fifth test hour), all.csv,
+pictures as EXR, site.toml. The archive itself is described where it lies; it is not part of the project.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def main(archive: Path, folder: Path) -> None:
     (folder / "site.toml").write_text(SITE, encoding="utf-8")
     rows = [_write_hour(k, arrays, folder) for k in range(len(arrays["lum"]))]
     sets = {name.removeprefix("set_"): arrays[name] for name in arrays if name.startswith("set_")}
-    for name, index in {**sets, "all": np.arange(len(rows))}.items():
+    for name, index in {**sets, "test100": sets["test"][::5], "all": np.arange(len(rows))}.items():
         with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, fieldnames=list(rows[0]))
             writer.writeheader()
