@@ -17,7 +17,7 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import Light
 from fieldlum.errors import InputError
 from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor
-from fieldlum.merge.disc import take_out_disc
+from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
 from fieldlum.merge.shots import sorted_shots
@@ -250,11 +250,24 @@ def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     without = take_out_disc(panorama, 25.0, 190.0)
     assert without.sun is not None and without.flags is not None
     assert without.sun.origin == "nd-frames"
-    # The disc is smaller than a pixel of this sensor, and each colour stands on every second one.
-    assert without.sun.normal_illuminance_lx == pytest.approx(60_000, rel=0.3)
+    u_rel = mosaic_u_rel(disc_px(profile.lens))  # each colour stands on every second pixel of a small sensor
+    assert without.sun.normal_illuminance_lx == pytest.approx(60_000, rel=u_rel) and u_rel < 0.6
     assert without.luminance_cdm2.max() < 2e4 and (without.flags & Flag.FILLED).any()
     total = vertical_illuminance_lx(without.luminance_cdm2, 180.0, 180.0, without.sun)
     assert total == pytest.approx(vertical_illuminance_lx(panorama.luminance_cdm2, 180.0, 180.0), rel=0.01)
+
+
+@pytest.mark.parametrize("wide_px", [1.3, 3.0, 8.0])
+def test_a_small_disc_scatters_as_stated(wide_px: float) -> None:  # property: over the places between the pixels
+    rng, size, fine, errors = np.random.default_rng(2), 2 * int(wide_px / 2 + 4), 8, []
+    at = (np.arange(size * fine) + 0.5) / fine
+    for x, y in size / 2 + rng.uniform(-1, 1, (150, 2)):
+        disc = np.hypot(at - x, at[:, None] - y) <= wide_px / 2
+        pixels = disc.reshape(size, fine, size, fine).sum(axis=(1, 3)) / disc.sum()
+        red, blue = 4 * pixels[::2, ::2].sum(), 4 * pixels[1::2, 1::2].sum()
+        green = 2 * (pixels[::2, 1::2].sum() + pixels[1::2, ::2].sum())
+        errors.append(0.405 * red + 0.543 * green + 0.052 * blue - 1)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(mosaic_u_rel(wide_px), rel=0.4)
 
 
 def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -13,11 +14,12 @@ from fieldlum import merge
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, read_radiance_hdr
+from fieldlum.merge import stage
 from fieldlum.merge.survey import drift_percent, shutter_table
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, load_camera_profile, save_profile
 from fieldlum.raw import write_dng
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot, slot_id, utc_text
+from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot, SunSource, slot_id, utc_text
 from fieldlum.session import DayFiles, Session, create_session, exposure_text
 
 TIMES_S = (0.5, 1 / 15, 1 / 125)
@@ -83,6 +85,20 @@ def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     (session.panoramas / f"{slots[0]}.json").unlink()
     assert [v.state for v in merge.run(session, height=16)] == ["merged", "kept"]
     assert [v.state for v in merge.run(session, height=20)] == ["merged", "merged"]
+
+
+def test_a_sun_on_few_pixels_says_how_well_it_is_known(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    for origin, note in (
+        ("nd-frames", "the sun is 0.2 px wide on the sensor: its illuminance is good to 50 % only"),
+        ("clipped", ""),
+    ):  # a lower bound says so already
+        sun = SunSource(25.0, 190.0, 60_000.0, 1.0, origin)
+        monkeypatch.setattr(stage, "take_out_sun", lambda panorama, _, sun=sun: replace(panorama, sun=sun))
+        slot = take(session, 0 if note else 1)
+        verdict = next(v for v in merge.run(session, height=16) if v.slot == slot)
+        assert verdict.text.endswith(note) and ("px wide" in verdict.text) == bool(note)
+        side = json.loads((session.panoramas / f"{slot}.json").read_text())
+        assert side["sun"]["u_mosaic_percent"] == 50.0 and side["verdict"] == verdict.text
 
 
 def test_one_bad_bracket_stops_nothing(session: Session) -> None:

@@ -6,11 +6,13 @@ a lower bound, its pixels keep CLIPPED_HIGH, and `pair` completes the source fro
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.profiles import Lens
 from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.records import Flag, Panorama, Site, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR, position
@@ -19,6 +21,7 @@ _DISC_RAD = 0.004654  # mean angular radius of the sun
 _SEARCH_RAD = np.radians(3.0)  # pointing of a camera set up by hand
 _BRIGHT_CDM2 = 2e5  # of the disc averaged over its surface: a sun dimmer than this (1.6e9 clear) casts no shadow
 _LOWEST_DEG = -0.3
+_ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5  # relative, of a disc one pixel wide, and of a point
 CLIPPED = "clipped"
 MEASURED = "nd-frames"
 OPEN = "merge"
@@ -70,6 +73,21 @@ def take_out_disc(panorama: Panorama, altitude_deg: float, azimuth_deg: float) -
     return replace(
         panorama, luminance_cdm2=(light * factor).astype(np.float32), u_cdm2=u, flags=flags, sun=source, rgb=rgb
     )
+
+
+def disc_px(lenses: Sequence[Lens]) -> float:
+    """Diameter of the disc on the sensor in the middle of the field of the lens that shows it smallest. [px]"""
+    return min(2 * _DISC_RAD * lens.radius_px / np.radians(lens.full_angle_deg / 2) for lens in lenses)
+
+
+def mosaic_u_rel(diameter_px: float) -> float:
+    """Relative u of a small disc's luminance because each colour stands on some pixels of a mosaic only.
+
+    That of sharp optics, rms over the places where the disc may fall, to a quarter for 0.7 to 16 pixels (the law is
+    that of lattice points in a circle; bench/sun_on_mosaic.py). It is an upper bound: where the optics spread a point
+    over two pixels, a twentieth of it is left.
+    """
+    return min(_POINT_ON_MOSAIC, _ON_MOSAIC * diameter_px**-1.5)
 
 
 def _brightest(

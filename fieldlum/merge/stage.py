@@ -18,7 +18,7 @@ from fieldlum import __version__
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
-from fieldlum.merge.disc import take_out_sun
+from fieldlum.merge.disc import CLIPPED, disc_px, mosaic_u_rel, take_out_sun
 from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.merge.survey import survey_owed, write_survey
 from fieldlum.photometry import vertical_illuminance_lx
@@ -27,7 +27,8 @@ from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, 
 from fieldlum.session import Session, replacing, replacing_path, sha256
 
 DEFAULT_HEIGHT = 230
-_RECIPE = 2  # raise it when the arithmetic changes: panoramas made before are then made again
+_SUN_WARN = 0.02  # u from which the verdict says so
+_RECIPE = 3  # raise it when the arithmetic changes: panoramas made before are then made again
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +128,7 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
         quality = {**result.quality, "vertical_illuminance_lx": ev}
         whole = note.get("complete", True)
         said = result.verdict if whole else f"incomplete bracket; {result.verdict}"
+        said += _sun_note(panorama.sun, job.profile)
         _write(job, replace(result, panorama=panorama, quality=quality, verdict=said), recipe)
         return Verdict(job.slot, "merged", said, quality)
     except (FieldlumError, OSError) as error:
@@ -144,7 +146,7 @@ def _write(job: _Job, result: MergeResult, recipe: dict[str, Any]) -> None:
         "t_utc": utc_text(result.panorama.t_utc) if result.panorama.t_utc else "",
         "verdict": result.verdict,
         "quality": result.quality,
-        "sun": _sun_table(result.panorama.sun),
+        "sun": _sun_table(result.panorama.sun, p),
         "factors": {
             "k": p.scale.k,
             "y_from_rgb": p.colour.y_from_rgb,
@@ -163,16 +165,30 @@ def _write(job: _Job, result: MergeResult, recipe: dict[str, Any]) -> None:
         json.dump(table, file, indent=1)
 
 
-def _sun_table(sun: SunSource | None) -> dict[str, Any] | None:
+def _sun_table(sun: SunSource | None, profile: CameraProfile) -> dict[str, Any] | None:
     if sun is None:
         return None
     return {
         "altitude_deg": sun.altitude_deg,
         "azimuth_deg": sun.azimuth_deg,
         "normal_illuminance_lx": sun.normal_illuminance_lx,
+        "u_mosaic_percent": round(100 * _sun_u_rel(profile), 2),
         "origin": sun.origin,
-        "lower_bound": sun.origin == "clipped",
+        "lower_bound": sun.origin == CLIPPED,
     }
+
+
+def _sun_u_rel(profile: CameraProfile) -> float:
+    return mosaic_u_rel(disc_px(profile.lens)) if profile.camera.kind == "raw" else 0.0
+
+
+def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
+    """What the verdict adds where a measured sun is too small on the sensor to be measured well."""
+    u_rel = _sun_u_rel(profile)
+    if sun is None or sun.origin == CLIPPED or u_rel < _SUN_WARN:
+        return ""
+    wide_px = disc_px(profile.lens)
+    return f"; the sun is {wide_px:.1f} px wide on the sensor: its illuminance is good to {100 * u_rel:.0f} % only"
 
 
 # ---------------------------------------------------------------------------------------------- many brackets
