@@ -143,7 +143,7 @@ class Transport:
         sd *= (LOG10_E * self.trust.factor(features.beam, variance)).astype(np.float32)[:, None]
         expected = self.trust.mse * np.einsum("ij,ij,j->i", sd, sd, self._weights(), dtype=np.float64)
         trusted = self.trust.trusted(variance)
-        if self.patchwork is None and self.held_out_mse is not None:
+        if self.recipe.second and self.held_out_mse is not None:
             known = self.train_light, self.train.beam, self.held_out_mse
             expected = experience(light, features.beam, *known, expected)
         if patch is not None and self.trust.slip_deg > 0.0:
