@@ -161,7 +161,7 @@ def _contact_sheets(session: Session, notes: Sequence[dict[str, Any]]) -> None:
         sheet = np.full((rows * (height + 20), _PER_ROW * (width + 6), 3), 255, np.uint8)
         for number, note in enumerate(part):
             x, y = (number % _PER_ROW) * (width + 6), number // _PER_ROW * (height + 20)
-            label, black = f"{note['slot']} {note['verdict'][:9]}", (0, 0, 0)
+            label, black = f"{note['slot']} {note['verdict'].partition(':')[0]}", (0, 0, 0)
             cv2.putText(sheet, label, (x + 2, y + height + 13), cv2.FONT_HERSHEY_SIMPLEX, 0.36, black, 1, cv2.LINE_AA)
             path = session.panoramas / f"{note['slot']}.exr"
             if path.is_file():
