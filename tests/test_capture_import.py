@@ -156,6 +156,24 @@ def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     assert (again.brackets, again.known) == (0, 10)
 
 
+def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_path: Path) -> None:
+    """Contract: an hour off, each bracket lies in its neighbour's slot; told anew, none does, and nothing is lost."""
+    write_card(tmp_path / "card", card(PLAN[2:8], PDT_S))
+    wrong = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S - 3600.0)
+    assert wrong.slots == tuple(slot.id for slot in PLAN[3:9])
+    merged = session.panoramas / f"{PLAN[3].id}.exr"
+    merged.parent.mkdir(exist_ok=True)
+    merged.write_bytes(b"of the wrong hour")
+    right = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    assert right.moved == wrong.slots and right.slots == tuple(slot.id for slot in PLAN[2:8])
+    assert sorted(p.name for p in session.raw.glob("[0-9]*Z")) == [slot.id for slot in PLAN[2:8]]
+    assert len(list((session.raw / "withdrawn").iterdir())) == 6 and not merged.exists()
+    states = fold(read_journal(session)).slots
+    assert [states[slot.id].outcome for slot in PLAN[2:9]] == ["done"] * 6 + [""]
+    again = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    assert (again.brackets, again.known, again.moved) == (0, 6, ())
+
+
 def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         adopt.run(session, tmp_path / "nowhere")

@@ -26,6 +26,7 @@ from fieldlum.capture.group import (
     true_time,
 )
 from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.misplaced import withdraw
 from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.raw import read_exif
@@ -59,6 +60,7 @@ class Report:
     rows: int = 0
     withdrawn: int = 0  # rows of the logger's file that it brought before with another clock or other columns
     slots: tuple[str, ...] = ()
+    moved: tuple[str, ...] = ()  # slots that this card's brackets were taken out of: another clock before
 
 
 def card_files(folder: Path) -> list[Path]:
@@ -170,22 +172,24 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
         left_out += [f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})" for u in unmatched]
     if not matched:
         raise NotEnoughDataError(f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}")
-    new = _adopt_all(session, setup.camera, matched, progress)
+    new, moved = _adopt_all(session, setup.camera, matched, progress)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     update_session(session, {"imported": {**session.table().get("imported", {}), str(folder): about}})
     return Report(
         len(new), sum(len(m.group.frames) for m in new), len(matched) - len(new), tuple(offsets),
-        tuple(m.late_s for m, _ in matched), tuple(left_out), slots=tuple(m.slot.id for m in new),
+        tuple(m.late_s for m, _ in matched), tuple(left_out), slots=tuple(m.slot.id for m in new), moved=moved,
     )  # fmt: skip
 
 
 def _adopt_all(
     session: Session, setup: CameraSetup, matched: Sequence[tuple[Match, Offset]], progress: Progress
-) -> list[Match]:
-    """Everything that the journal does not call done; returns what was new."""
-    ledger, journal = fold(read_journal(session)), Journal(session)
+) -> tuple[list[Match], tuple[str, ...]]:
+    """Everything that the journal does not call done; returns what was new, and the slots that were wrong before."""
+    journal = Journal(session)
     new: list[Match] = []
     try:
+        moved = withdraw(session, journal, fold(read_journal(session)), matched)
+        ledger = fold(read_journal(session))
         for done, (match, offset) in enumerate(matched, start=1):
             progress(done, len(matched), match.slot.id)
             if ledger.slots.get(match.slot.id, SlotState()).outcome != "done":
@@ -193,7 +197,7 @@ def _adopt_all(
                 new.append(match)
     finally:
         journal.close()
-    return new
+    return new, moved
 
 
 def _range(group: Group) -> str:

@@ -107,7 +107,7 @@ def _step(state: SlotState, kind: str, event: dict[str, Any]) -> SlotState:
         return replace(state, illuminance_lx=(*state.illuminance_lx, float(event["illuminance_lx"])))
     if kind in ("done", "missed", "aborted"):
         return replace(state, outcome=kind, why=event.get("why", ""))
-    return state
+    return SlotState() if kind == "withdrawn" else state
 
 
 def owed(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:

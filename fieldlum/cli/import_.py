@@ -81,6 +81,8 @@ def _summary(report: object) -> list[str]:
     lines = [f"camera clock: UTC {_hms(offset.seconds)}, {offset.how}" for offset in report.offsets]
     if report.late_s:
         lines.append(f"brackets begin {median(report.late_s):+.0f} s from their slots in the median")
+    if report.moved:
+        lines.append(f"taken out of {', '.join(report.moved)}, kept in raw/withdrawn: merge and pair again")
     lines += [f"left out: {text}" for text in report.left_out[:_SHOWN]]
     if len(report.left_out) > _SHOWN:
         lines.append(f"left out: {len(report.left_out) - _SHOWN} more")

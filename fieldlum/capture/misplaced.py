@@ -1,0 +1,59 @@
+"""Brackets of a card that an earlier import, with another clock, put into other slots: they are taken out again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from fieldlum.capture.group import Match, Offset, true_time
+from fieldlum.capture.state import Ledger, SlotState
+from fieldlum.session import Journal, Session, sha256
+
+SAME_TIME_S = 120.0  # a clock refined by other brackets differs by less
+
+
+def withdraw(
+    session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
+) -> tuple[str, ...]:
+    """Take imported brackets whose frames now belong elsewhere out of the session; returns their slots.
+
+    Their folders are kept under raw/withdrawn/; what was merged from them goes. The slots are owed again.
+    """
+    held: dict[str, list[str]] = {}
+    for slot, state in ledger.slots.items():
+        if state.outcome == "done" and state.why == "imported":
+            for frame in state.frames:
+                held.setdefault(frame.file, []).append(slot)
+    gone: list[str] = []
+    for match, offset in matched:
+        there = dict.fromkeys(slot for f in match.group.frames for slot in held.get(f.path.name, ()))
+        for slot in there:
+            if slot not in gone and _misplaced(ledger.slots[slot], slot, match, offset):
+                _set_aside(
+                    session, slot
+                )  # before the journal says so: a kill between them is mended by the next import
+                journal.append("withdrawn", datetime.now(UTC), slot=slot, why="the card was told another clock")
+                gone.append(slot)
+    return tuple(gone)
+
+
+def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> bool:
+    """Whether the bracket in a slot is the matched one, but belongs to another slot or time."""
+    known = {frame.file: frame for frame in state.frames}
+    for card in match.group.frames:
+        frame = known.get(card.path.name)
+        if frame is None:
+            continue
+        apart_s = abs((true_time(card.t_camera, offset) - frame.t_utc).total_seconds())
+        return (slot != match.slot.id or apart_s > SAME_TIME_S) and frame.sha256 == sha256(card.path)
+    return False
+
+
+def _set_aside(session: Session, slot: str) -> None:
+    folder, aside = session.raw / slot, session.raw / "withdrawn"
+    aside.mkdir(parents=True, exist_ok=True)
+    if folder.is_dir():
+        folder.replace(aside / f"{slot}.{len(list(aside.glob(f'{slot}.*')))}")
+    for suffix in (".exr", ".json"):
+        (session.panoramas / f"{slot}{suffix}").unlink(missing_ok=True)
+    (session.sunpatches / f"{slot}.exr").unlink(missing_ok=True)
