@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -127,14 +128,21 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
 
     Raises InputError when another one runs.
     """
-    try:
-        import fcntl
-    except ImportError:  # no such locks on Windows
-        yield
-        return
     with (session.root / f".{purpose}.lock").open("a") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(file.fileno())
         except OSError:
             raise InputError(session.root, f"another fieldlum {purpose} runs here", "one", "stop it first") from None
         yield
+
+
+def _lock(number: int) -> None:
+    """Lock an open file for this process alone. Raises OSError when another one holds it."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
