@@ -31,7 +31,7 @@ ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the other
 CHOOSING = 250  # pixels that choose kernel and recipe
 BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
 SECOND_WIDTHS = (0.1, 0.15, 0.2)  # chord of the sun's direction within which a sun patch was still the same
-FEWER = (10, 20, 40, 60)  # numbers of features tried before RANK of them
+FEWER = (40, 60)  # numbers of features tried before RANK of them; under forty captures all are kept
 FEWER_COST = 1.05  # of the held-out error of RANK features: what fewer may cost
 
 
