@@ -209,6 +209,14 @@ def test_a_refused_row_stays_in_the_table(tmp_path: Path) -> None:
     assert rows[2]["ok"] == "0" and rows[2]["why"].startswith("no irradiance") and rows[2]["dni_wm2"] == ""
 
 
+def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:  # contract
+    session = make_session(tmp_path / "s", None)
+    note = session.panoramas / f"{slot_id(NOON)}.json"
+    note.write_text(json.dumps({**json.loads(note.read_text()), "sun": {"u_mosaic_percent": 20.0}}))
+    pair.run(session)
+    assert "sun measured on few pixels, to 20 %" in rows_of(session)[0]["why"] and rows_of(session)[0]["ok"] == "1"
+
+
 def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
     """Contract: the same frames in two slots: one of the two is hours away from its light."""
     session = make_session(tmp_path / "s", None, hours=3)

@@ -28,6 +28,7 @@ COLUMNS = (
     "t_utc", "panorama", "dni_wm2", "dhi_wm2", "ghi_wm2", "source", "sun_altitude_deg", "sun_azimuth_deg",
     "steadiness", "sunpatch", "sun_in_map", "ok", "why",
 )  # fmt: skip
+POOR_SUN_PERCENT = 5.0  # of a sun's illuminance in the picture, from which its pair says so
 _REJECTED = ("reject", "rejected", "failed")
 
 
@@ -44,6 +45,7 @@ class Taken:
     complete: bool = True
     frames: frozenset[str] = frozenset()  # sha256 of each
     double_of: str = ""  # another slot that has the same frames
+    sun_u_percent: float = 0.0  # what too few pixels under the sun's disc may cost its illuminance
 
     @property
     def t_utc(self) -> datetime:
@@ -103,6 +105,7 @@ def taken_brackets(session: Session) -> list[Taken]:
                 None if meter is None else float(meter),
                 bool(capture.get("complete", True)),
                 frozenset(str(frame["sha256"]) for frame in capture.get("frames", ()) if "sha256" in frame),
+                sun_u_percent=float((note.get("sun") or {}).get("u_mosaic_percent", 0.0)),
             )
         )
     return _doubles_named(found)
@@ -129,8 +132,10 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
         why = "the sun is down"
     elif not why and too_weak(light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]):
         why = "less light than any sky lets through: instrument covered or dead, or kW/m2"
-    caution = "" if taken.complete else "bracket incomplete"
-    return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=_joined(caution, light.caution))
+    whole = "" if taken.complete else "bracket incomplete"
+    poor = f"sun measured on few pixels, to {taken.sun_u_percent:.0f} %"
+    poor = poor if taken.sun_u_percent >= POOR_SUN_PERCENT else ""
+    return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=_joined(whole, poor, light.caution))
 
 
 def _joined(*texts: str) -> str:
