@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import UTC
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum import sun
 from fieldlum.light import Kernel, Light
 from fieldlum.models.transport.material import LEAST_CDM2, Material, pixel_scale
 from fieldlum.models.transport.solve import (
@@ -198,21 +200,20 @@ def second_own(material: Material, recipe: Recipe) -> Array:
 # ---------------------------------------------------------------------------------------------- held-out days
 
 
-def declination_deg(days: NDArray) -> Array:
-    """The sun's declination at each day, good to a degree, [n]."""
-    day = days.astype("datetime64[D]")
-    of_year = (day - day.astype("datetime64[Y]")).astype(float)
-    return 23.44 * np.sin(2.0 * np.pi * (of_year - 80.0) / 365.25)
+def _declination_deg(days: NDArray) -> Array:
+    """The sun's declination at the beginning of each day, [n]."""
+    names, inverse = np.unique(days.astype("datetime64[D]"), return_inverse=True)
+    return sun.declination_deg([day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()])[inverse]
 
 
 def one_season(days: NDArray) -> bool:
     """Whether the sun's declination hardly moved between the captures' days: what they say of others is little."""
-    return float(np.ptp(declination_deg(days))) < ONE_SEASON_DEG
+    return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
 
 
 def seasons(days: NDArray) -> NDArray[np.intp]:
     """Number of the season that each day belongs to: declinations with a gap between them are of two, [n]."""
-    declination = declination_deg(days)
+    declination = _declination_deg(days)
     known = np.unique(declination)
     starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
     return np.searchsorted(starts, declination, side="right")
