@@ -16,6 +16,7 @@ LIT_WM2 = 10.0  # the global crosses it with the sun at 1 (clear) to 4 degrees (
 CLOCK_WARN_S = 1200.0  # mornings and evenings whose clouds differ twentyfold shift the middle by under 7 minutes
 _SETS_DEG = 5.0  # the night's lowest sun, and the day's highest: else clouds make day and night
 _LONGEST_STORM_S = 7200.0  # a darker spell within a day
+_NIGHT_SUN_DEG = -3.0  # 40 lx at most, 0.4 W/m2; an hour of daylight saving lights it at every dusk or every dawn
 _SEEN_DARK_S = 900.0  # before and after the day; rows further apart than this do not show when it began
 
 
@@ -66,3 +67,16 @@ def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
         and t_unix_s[end + 1] - t_unix_s[end] < _SEEN_DARK_S
         and t_unix_s[end] - t_unix_s[start] > _LONGEST_STORM_S
     ]
+
+
+def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
+    """Minutes with light while the sun is well down: the logger's clock, the offset told, or the longitude's sign.
+
+    Unlike `clock_off_s` this needs no whole day, but tells no figure, and nothing under half an hour.
+    """
+    minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
+    if len(minutes) == 0:
+        return []
+    moments = [datetime.fromtimestamp(60.0 * m + 30.0, UTC) for m in minutes]
+    down = sun.position(moments, site).altitude_deg < _NIGHT_SUN_DEG
+    return [moments[i] for i in np.flatnonzero(down)]

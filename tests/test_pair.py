@@ -14,7 +14,7 @@ import pytest
 from fieldlum import irradiance, pair, sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Log, check_night, outside, read_clean, too_weak
+from fieldlum.pair.interval import Log, outside, read_clean, too_weak
 from fieldlum.pair.source import Seen, complete_sun
 from fieldlum.records import (
     CameraSetup,
@@ -110,10 +110,10 @@ def test_a_loggers_clock_in_daylight_saving_shows_as_light_at_night(shift_h: int
     texts = np.array([""] * len(t), object)
     logged = Log(t + 3600.0 * shift_h, clear.ghi_wm2, clear.dhi_wm2, clear.dni_wm2, texts, texts)
     if shift_h == 0:
-        check_night(Path("clean.csv"), logged, SITE)
+        pair.check_night(Path("clean.csv"), logged, SITE)
         return
     with pytest.raises(InputError, match=r"clean.csv: light in .* minutes .* clock"):
-        check_night(Path("clean.csv"), logged, SITE)
+        pair.check_night(Path("clean.csv"), logged, SITE)
 
 
 def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,11 +64,10 @@ class Map:
 
 
 def lens_geometry(lens: Lens, crop: Crop, turn_deg: float) -> LensGeometry:
+    """The lens over a crop of its sensor, the camera turned."""
     x, y = lens.centre_px
-    return LensGeometry(
-        (x - crop.left, y - crop.top), lens.radius_px, lens.full_angle_deg, lens.mapping, lens.coefficients,
-        (lens.azimuth_deg + turn_deg + 180.0) % 360.0 - 180.0, lens.tilt_deg, lens.roll_deg,
-    )  # fmt: skip
+    turned_deg = (lens.azimuth_deg + turn_deg + 180.0) % 360.0 - 180.0
+    return replace(lens.geometry, centre_px=(x - crop.left, y - crop.top), azimuth_deg=turned_deg)
 
 
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:

@@ -17,10 +17,11 @@ from typing import Any
 from fieldlum import sun
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Outside, check_night, outside, read_clean, too_weak
+from fieldlum.light_clock import lit_at_night
+from fieldlum.pair.interval import Log, Outside, outside, read_clean, too_weak
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.source import Seen, complete_sun
-from fieldlum.records import Panorama, Progress, SiteFile, SunSource, parse_utc, quiet, utc_text
+from fieldlum.records import Panorama, Progress, Site, SiteFile, SunSource, parse_utc, quiet, utc_text
 from fieldlum.session import Session, replacing, replacing_path
 from fieldlum.sky import direct_normal_illuminance_lx
 
@@ -29,6 +30,7 @@ COLUMNS = (
     "steadiness", "sunpatch", "sun_in_map", "ok", "why",
 )  # fmt: skip
 POOR_SUN_PERCENT = 5.0  # of a sun's illuminance in the picture, from which its pair says so
+NIGHT_MINUTES = 5  # of light with the sun well down, that a lamp may make
 _REJECTED = ("reject", "rejected", "failed")
 
 
@@ -140,6 +142,16 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
 
 def _joined(*texts: str) -> str:
     return "; ".join(text for text in texts if text)
+
+
+def check_night(path: Path, log: Log, site: Site) -> None:
+    """Raises InputError for light with the sun well down, which is a clock's fault or a place's."""
+    lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
+    if len(lit) > NIGHT_MINUTES:
+        raise InputError(
+            path, f"light in {len(lit)} minutes with the sun well down, first {utc_text(lit[0])}", "darkness",
+            "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's longitude",
+        )  # fmt: skip
 
 
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> list[Pair]:

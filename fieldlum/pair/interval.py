@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fieldlum import sun
 from fieldlum.errors import InputError
-from fieldlum.records import Site, utc_text
 
 Array = NDArray[np.float64]
 
@@ -20,7 +18,6 @@ UNSTEADY = 0.10  # relative range of the global from which a bracket gets a caut
 TOO_UNSTEADY = 0.50  # and from which it is refused: the frames saw different light
 LEAST_CLEARNESS = 0.005  # of the light above the air; the darkest storm lets ten times that through, kW a thousandth
 CLEAR_SUN_DEG = 10.0
-NIGHT_SUN_DEG, NIGHT_WM2, NIGHT_S = -3.0, 10.0, 300.0  # 40 lx at most there, and no instrument's offset is ten
 COARSEST_S = 900.0  # rows further apart than this say nothing about a bracket
 
 
@@ -69,25 +66,6 @@ def read_clean(path: Path) -> Log:
         raise InputError(path, f"{error}", "what fieldlum pair writes", "delete it, it is made again") from None
     source, flags = (table[name].fillna("").to_numpy(object) for name in ("source", "flags"))
     return Log(t, ghi, dhi, dni, source, flags)
-
-
-def check_night(path: Path, log: Log, site: Site) -> None:
-    """Raises InputError for light with the sun well down: the logger's clock, the offset told, or the longitude's sign.
-
-    An hour of daylight saving shows so at every dusk or every dawn that was logged.
-    """
-    lit = log.t_unix_s[log.ghi_wm2 > NIGHT_WM2]
-    minutes, rows = np.unique(np.floor(lit / 60.0), return_counts=True)
-    if len(minutes) == 0:
-        return
-    moments = [datetime.fromtimestamp(60.0 * m + 30.0, UTC) for m in minutes]
-    night = sun.position(moments, site).altitude_deg < NIGHT_SUN_DEG
-    if rows[night].sum() * min(log.every_s, 60.0) > NIGHT_S:
-        when = moments[int(np.argmax(night))]
-        raise InputError(
-            path, f"light in {night.sum()} minutes with the sun below {NIGHT_SUN_DEG:g} deg, first {utc_text(when)}",
-            "darkness", "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's longitude",
-        )  # fmt: skip
 
 
 def outside(log: Log, opened: datetime, closed: datetime) -> Outside:
