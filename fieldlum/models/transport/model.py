@@ -318,7 +318,8 @@ def _finish(
     ]
     doubt = material.features.beam
     if recipe.second:
-        doubt = np.sqrt(held_out_variance(second_own(material, recipe), SECOND_NOISE, material.days))
+        noise = np.full(len(material.light), SECOND_NOISE)
+        doubt = np.sqrt(held_out_variance(second_own(material, recipe), noise, material.days))
     residual = residual_noise(material, np.concatenate(parts), doubt)
     some = residual[0][drawn], residual[1][drawn]
     second = second_inverse(material, recipe)

@@ -28,23 +28,23 @@ SLIP_MSE = 0.01  # log10: an hour that a shift of its sun patch would put off by
 NOVEL = 1.5  # an hour may be so much further from the captures than a held-out day was, and still be trusted
 
 
-def held_out_variance(covariance: Array, noise: float, days: NDArray) -> Array:
-    """Predictive variance of each hour by the others without its day, in units of the kernel, [n]."""
-    inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
+def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
+    """Predictive variance of each hour by the others without its day, in units of the kernel, [n]; noise [n]."""
+    inverse = np.linalg.inv(covariance + np.diag(noise))
     out = np.empty(len(days))
     for day in np.unique(days):
         rows = np.flatnonzero(days == day)
-        out[rows] = np.diagonal(np.linalg.inv(inverse[np.ix_(rows, rows)])) - noise
+        out[rows] = np.diagonal(np.linalg.inv(inverse[np.ix_(rows, rows)])) - noise[rows]
     return np.maximum(out, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Trust:
-    """inverse [n, n] of (K + noise); novelty that a held-out day had at most; factors on the standard deviation in
-    overcast, intermediate and clear hours, by held-out days and, where there are several, by held-out seasons [1 or 2,
-    3], and the predictive variances that these had [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio
-    of held-out error to its guess; second [n, n]: as inverse, of the second stage (n may be 0); slip_deg: how far the
-    computed sun patches lie beside the captured ones, where the captures say so (`setting`)."""
+    """inverse [n, n] of (K + noise over sureness); novelty that a held-out day had at most; factors on the standard
+    deviation in overcast, intermediate and clear hours, by held-out days and, where there are several, by held-out
+    seasons [1 or 2, 3], and the predictive variances that these had [1 or 2, 3]; patch: relative sd of a lit pixel's
+    patch; mse: ratio of held-out error to its guess; second [n, n]: as inverse, of the second stage (n may be 0);
+    slip_deg: how far the computed sun patches lie beside the captured ones, where the captures say so (`setting`)."""
 
     inverse: Array
     novelty: float
@@ -170,13 +170,14 @@ def calibrate(
     """
     groups = [(held, material.days)] + ([] if apart is None else [(apart, seasons(material.days))])
     patch_sd = max(_patch_sd(material, h) for h, _ in groups)
-    variance = [held_out_variance(covariance, noise, days) for _, days in groups]
+    unsure = noise / material.sureness  # an hour of unsteady light says little of others
+    variance = [held_out_variance(covariance, unsure, days) for _, days in groups]
     sds = [_held_out_sd(material, h, v, doubt, residual, patch_sd) for (h, _), v in zip(groups, variance, strict=True)]
     factors = np.array([_factors(material, h, sd) for (h, _), sd in zip(groups, sds, strict=True)])
     factors = np.maximum.accumulate(np.maximum(factors, 1e-3))
     if one_season(material.days):
         factors[:] = factors.max(axis=1, keepdims=True)
-    inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
+    inverse = np.linalg.inv(covariance + np.diag(unsure))
     beam = material.features.beam
     known = np.array([_of_classes(beam, lambda rows, v=v: np.median(v[rows])) for v in variance])
     known = np.maximum(known, LEAST_VARIANCE)
