@@ -240,7 +240,7 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
         own = {k.removeprefix("fieldlum:"): str(v) for k, v in header.items() if k.startswith("fieldlum:")}
         view = str(header.get("view", ""))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, AttributeError) as error:  # a damaged attribute comes as bytes of no known type
         raise InputError(path, f"attribute {error}", "heading_deg, t_utc and sun as fieldlum writes them") from None
     rgb = np.stack([pixels[c] for c in "RGB"], axis=-1) if all(c in pixels for c in "RGB") else None
     flags = pixels["flags"].astype(np.uint16) if "flags" in pixels else None
