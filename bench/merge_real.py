@@ -1,8 +1,9 @@
 """Two real brackets: a daylit office through a fisheye (18 JPEG), and Memorial Church (16 PNG with peers' maps).
 
-    python bench/merge_real.py --office FOLDER --memorial FOLDER --out FOLDER [--pooled]
+    python bench/merge_real.py --office FOLDER --memorial FOLDER --out FOLDER [--pooled] [--venv FOLDER]
 
-memorial: four peers' maps, two of them made here by OpenCV; slope and spread of every pair; each map and the frames.
+memorial: four peers' maps, two made here by OpenCV, and (--venv: an environment of its own) colour-hdri's; slope and
+spread of every pair; each map and the frames.
 office: the laboratory's own response, then a response pooled over the bracket with the times held fixed; neighbour
 residuals, luminance of five places, vertical illuminance by the tool and by evalglare, a false-colour picture.
 """
@@ -10,13 +11,16 @@ residuals, luminance of five places, vertical illuminance by the tool and by eva
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import subprocess
+import tempfile
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from merge_peers import environment
 
 from fieldlum.calibrate.response import residuals
 from fieldlum.images import read_radiance_hdr
@@ -37,6 +41,19 @@ PLACES = {  # column, row of the 1000 x 1000 equidistant picture
     "desk left of the keyboard": (339, 888),
     "sky through the window": (919, 385),
 }
+
+COLOUR_HDRI = """
+import sys, json
+import numpy as np, cv2
+from colour_hdri import Image, ImageStack, Metadata, camera_response_functions_Debevec1997, image_stack_to_HDRI
+*files, out = sys.argv[1:]
+stack = ImageStack()
+for file, seconds in zip(files, json.load(sys.stdin)):
+    codes = cv2.cvtColor(cv2.imread(file), cv2.COLOR_BGR2RGB)
+    stack.append(Image(file, codes / 255.0, Metadata(8.0, seconds, 100.0)))
+response = camera_response_functions_Debevec1997(stack)
+np.save(out, image_stack_to_HDRI(stack, camera_response_functions=response))
+"""
 
 
 def sampled(files: list[Path], profile: CameraProfile, places: int = 40_000) -> tuple[np.ndarray, ...]:
@@ -143,8 +160,8 @@ def _false_colour(luminance: np.ndarray, seen: np.ndarray, path: Path) -> None:
     plt.close(figure)
 
 
-def memorial(folder: Path) -> None:
-    """Log-domain agreement with four peers' maps after one scale factor, and of each map with the frames themselves."""
+def memorial(folder: Path, peers: Path | None) -> None:
+    """Log-domain agreement with the peers' maps after one scale factor, and of each map with the frames themselves."""
     import cv2
 
     files = sorted(folder.glob("memorial*.png"))
@@ -186,10 +203,12 @@ def memorial(folder: Path) -> None:
         maps[f"qhan1028 {name}"] = read_radiance_hdr(folder / f"peer_{name}_radiance.hdr").rgb
     maps["OpenCV debevec"] = _opencv(codes, times, "Debevec")
     maps["OpenCV robertson"] = _opencv(codes, times, "Robertson")
+    if peers:
+        maps["colour-hdri debevec"] = _colour_hdri(peers, files, times)
     no_black = [np.maximum(c.astype(np.int16) - floors, 0).astype(np.uint8) for c in codes]
     maps["OpenCV debevec, black off"] = _opencv(no_black, times, "Debevec")
     logs = {name: np.log(np.maximum(light[..., 1].astype(float), 1e-9))[inside].ravel() for name, light in maps.items()}
-    whole = [light for name, light in logs.items() if "off" not in name]
+    whole = [light for name, light in logs.items() if not name.startswith("colour-hdri") and "off" not in name]
     middle = np.median([light - np.median(light) for light in whole], axis=0)
     middle = (middle > np.quantile(middle, 0.1)) & (middle < np.quantile(middle, 0.9))
     print("\n| pair | log slope, middle 80 % | spread of the ratio there, 5 to 95 % |\n|---|---|---|")
@@ -230,6 +249,15 @@ def _opencv(codes: list[np.ndarray], times: np.ndarray, name: str) -> np.ndarray
     return getattr(cv2, f"createMerge{name}")().process(frames, exposures, response)[..., ::-1]
 
 
+def _colour_hdri(peers: Path, files: list[Path], times: np.ndarray) -> np.ndarray:
+    """colour-hdri's map with the response that it finds itself, as it comes, from its own environment."""
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "map.npy"
+        command = [str(environment(peers)), "-W", "ignore", "-c", COLOUR_HDRI, *map(str, files), str(out)]
+        subprocess.run(command, input=json.dumps(times.tolist()), text=True, check=True)
+        return np.load(out)
+
+
 def _print_shifts(signals: list[JpegSignal], times: np.ndarray) -> None:
     """Between neighbours, as if through a lens of 60 degrees: its pixels at the axis are what is printed."""
     h, w = signals[0].codes.shape[:2]
@@ -253,13 +281,14 @@ def main() -> None:
     parser.add_argument("--office", type=Path)
     parser.add_argument("--memorial", type=Path)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--venv", type=Path, help="folder of the peers' environment: colour-hdri beside the others")
     parser.add_argument("--pooled", action="store_true", help="fit the response to the bracket itself")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     if options.office:
         office(options.office, options.out, options.pooled)
     if options.memorial:
-        memorial(options.memorial)
+        memorial(options.memorial, options.venv)
 
 
 if __name__ == "__main__":
