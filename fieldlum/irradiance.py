@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
 MEASURED, DERIVED = "measured", "derived:dirint"
-LOW_SUN_DEG = 5.0  # a 10 W/m2 error of a horizontal reading is over 115 W/m2 of DNI below this
 NIGHT_SUN_DEG = -6.0
 NIGHT_OFFSET_WARN_WM2 = 5.0
 STUCK_S = 600.0  # daylight that does not change by a digit for so long is a dead reading
@@ -144,7 +143,7 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
     marks[step > 2.5 * poll_period_s(series.t_unix_s)] |= Mark.GAP
     ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
     two_level = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
-    marks[two_level & (altitude > 0) & (altitude < LOW_SUN_DEG)] |= Mark.LOW_SUN
+    marks[two_level & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
     dni = np.where(two_level, np.minimum(_beam(ghi, dhi, altitude), top), dni)
     dhi = np.where(np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi), sun.dhi_by_closure(ghi, dni, altitude), dhi)
     beam = dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
@@ -240,7 +239,7 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
     dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
     marks = series.marks.copy()
     marks[alone] |= Mark.DERIVED
-    marks[alone & (altitude > 0) & (altitude < LOW_SUN_DEG)] |= Mark.LOW_SUN
+    marks[alone & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
     return Series(series.t_unix_s, series.ghi_wm2, dhi, dni, marks)
 
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 SUN_SOLID_ANGLE_SR = 6.797e-5  # 2 pi (1 - cos 0.2665 deg): the mean disc, as Radiance's gendaylit uses it
 LOW_SUN_DEG = 5.0  # below it a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark, do not trust
+CLEAR_SUN_DEG = 10.0  # above it shares and ratios of horizontal readings can be asked for
+LEAST_CLEARNESS = 0.005  # of the light above the air; the darkest storm lets ten times that through, kW a thousandth
 
 
 class SunPosition(NamedTuple):
@@ -301,6 +303,13 @@ def bsrn_limits(altitude_deg: ArrayLike, extraterrestrial: ArrayLike, *, extreme
             (-2.0, 1.2 * sa * mu**1.2 + 50.0), (-2.0, 0.75 * sa * mu**1.2 + 30.0), (-2.0, 0.95 * sa * mu**0.2 + 10.0)
         )
     return Limits((-4.0, 1.5 * sa * mu**1.2 + 100.0), (-4.0, 0.95 * sa * mu**1.2 + 50.0), (-4.0, sa + 0.0 * mu))
+
+
+def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> NDArray[np.bool_]:
+    """Less global light [n] than any sky lets through: a covered or dead instrument, or kW/m2; False for a low sun."""
+    altitude = np.asarray(altitude_deg, float)
+    top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
+    return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < LEAST_CLEARNESS * top)
 
 
 def closure_ratio(

@@ -14,7 +14,7 @@ import pytest
 from fieldlum import irradiance, pair, sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Log, outside, read_clean, too_weak
+from fieldlum.pair.interval import Log, outside, read_clean
 from fieldlum.pair.source import Seen, complete_sun
 from fieldlum.records import (
     CameraSetup,
@@ -95,8 +95,8 @@ def test_exchanged_components_are_refused() -> None:
 
 def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     top = 1400.0
-    assert too_weak([0.4, 3.0, 20.0], 20.0, top).tolist() == [True, False, False]
-    assert not too_weak([0.0, 0.0], [5.0, -20.0], top).any()
+    assert sun.too_weak([0.4, 3.0, 20.0], 20.0, top).tolist() == [True, False, False]
+    assert not sun.too_weak([0.0, 0.0], [5.0, -20.0], top).any()
     light = outside(log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30))
     taken = pair.Taken("x", Path("x.exr"), NOON, NOON)
     assert "kW/m2" in pair.judge(taken, light, 19.0, 178.0).why

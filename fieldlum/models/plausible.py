@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import InputError
-from fieldlum.pair.interval import CLEAR_SUN_DEG, too_weak
 from fieldlum.records import Site
 
 MOST_SUN_DEG = 2.5  # Radiance's own sun stands up to 1.1 from SPA; a wrong hour is 15, a wrong half hour 7
@@ -66,9 +65,9 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
 def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64]) -> None:
     top = sun.extraterrestrial_wm2(rows.t_utc)
     sine = np.sin(np.radians(np.maximum(altitude_deg, 0.0)))
-    up = altitude_deg > CLEAR_SUN_DEG
+    up = altitude_deg > sun.CLEAR_SUN_DEG
     limits = sun.bsrn_limits(altitude_deg, top)
-    weak = too_weak(rows.dhi_wm2 + rows.dni_wm2 * sine, altitude_deg, top)
+    weak = sun.too_weak(rows.dhi_wm2 + rows.dni_wm2 * sine, altitude_deg, top)
     for wrong, said, remedy in (
         (rows.dhi_wm2 > limits.dhi_wm2[1], "more diffuse light than any sky gives", "is it the global irradiance?"),
         (rows.dni_wm2 > limits.dni_wm2[1], "more direct light than there is above the air", "mend that row"),

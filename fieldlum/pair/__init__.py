@@ -18,7 +18,7 @@ from fieldlum import sun
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.light_clock import lit_at_night
-from fieldlum.pair.interval import Log, Outside, outside, read_clean, too_weak
+from fieldlum.pair.interval import Log, Outside, outside, read_clean
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.source import Seen, complete_sun
 from fieldlum.records import Panorama, Progress, Site, SiteFile, SunSource, parse_utc, quiet, utc_text
@@ -132,7 +132,7 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
         why = f"the same frames as {taken.double_of}: imported with two clock offsets"
     elif not why and altitude_deg < 0.0:
         why = "the sun is down"
-    elif not why and too_weak(light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]):
+    elif not why and sun.too_weak(light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]):
         why = "less light than any sky lets through: instrument covered or dead, or kW/m2"
     whole = "" if taken.complete else "bracket incomplete"
     poor = f"sun measured on few pixels, to {taken.sun_u_percent:.0f} %"

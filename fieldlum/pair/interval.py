@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 
@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 MEASURED = "measured"
 UNSTEADY = 0.10  # relative range of the global from which a bracket gets a caution
 TOO_UNSTEADY = 0.50  # and from which it is refused: the frames saw different light
-LEAST_CLEARNESS = 0.005  # of the light above the air; the darkest storm lets ten times that through, kW a thousandth
-CLEAR_SUN_DEG = 10.0
 COARSEST_S = 900.0  # rows further apart than this say nothing about a bracket
 
 
@@ -108,16 +106,6 @@ def _stale_text(log: Log, near: slice, start: float, end: float, stale: float) -
     if within.any() and flags:
         return f"irradiance unusable: {' '.join(flags)}"
     return "no irradiance" if not np.isfinite(stale) else f"no irradiance within {stale:.0f} s"
-
-
-def too_weak(total_wm2: ArrayLike, altitude_deg: ArrayLike, top_wm2: ArrayLike) -> NDArray[np.bool_]:
-    """Less global light [W/m2] than any sky lets through: a covered or dead instrument, or kW/m2.
-
-    top_wm2 : extraterrestrial, on a plane normal to the sun.
-    """
-    altitude = np.asarray(altitude_deg, float)
-    top = np.asarray(top_wm2, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
-    return (altitude > CLEAR_SUN_DEG) & (np.asarray(total_wm2, float) < LEAST_CLEARNESS * top)
 
 
 def _statistics(log: Log, rows: NDArray[np.bool_]) -> Outside:

@@ -21,7 +21,6 @@ from fieldlum.weather.year import Weather
 
 Array = NDArray[np.float64]
 
-CLEAR_SUN_DEG = 10.0  # shares and ratios are asked of hours with the sun above this
 LEAST_OF_CLEAR, MOST_OF_CLEAR = 0.03, 1.3  # global energy over that of a cloudless sky; kW give 0.001
 MOST_EXTREME = 0.02  # share of the hours outside BSRN's extremely rare limits
 DULL_CLEARNESS, LEAST_DIFFUSE = 0.25, 0.9  # under such a sky nearly all light is diffuse (Erbs et al. 1982)
@@ -43,7 +42,7 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Array) -> 
     ghi_wm2 : [n] global irradiance as the file gives it, NaN where it gives none.
     """
     altitude = sun.position(weather.t_utc, station).altitude_deg
-    up = altitude > CLEAR_SUN_DEG
+    up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return
     sine = np.maximum(np.sin(np.radians(altitude)), 0.0)
