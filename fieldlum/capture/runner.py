@@ -162,6 +162,7 @@ class _Runner:
         for slot in [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames][-1:]:
             self._learn_sizes(slot, self.states[slot.id])
         self._misses_in_a_row = 0
+        self._watched = True
         self._state, self._next = "waiting", ""
 
     def _resume_time(self, before: Ledger) -> None:
@@ -335,7 +336,13 @@ class _Runner:
             threading.Thread(target=_run_hook, args=(self.options.on_misses, self.session.root), daemon=True).start()
 
     def _show(self) -> None:
-        self.watch(self.live())
+        """A terminal that was closed, a pipe that nobody reads, a share that is gone: the capture goes on unseen."""
+        try:
+            self.watch(self.live())
+        except Exception as error:
+            if self._watched:
+                self._watched = False
+                self.recorder.tell("display-lost", why=f"{type(error).__name__}: {error}"[:300])
 
     def live(self) -> Live:
         outcomes = [state.outcome for state in self.states.values()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib
+import os
 import sys
 from pathlib import Path
 
@@ -58,6 +59,7 @@ class _Job(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
+        _hold_standard_files()
         try:
             return super().invoke(ctx)
         except FieldlumError as error:
@@ -73,6 +75,19 @@ class _Job(click.Group):
         except KeyboardInterrupt:
             click.echo(f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True)
             sys.exit(INTERRUPTED)
+
+
+def _hold_standard_files() -> None:
+    """Where a standard file was closed (`<&- >&-`), its number would go to the next file that is opened, a journal say,
+    and a library's talk into that.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
 
 
 @click.group(cls=_Job, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

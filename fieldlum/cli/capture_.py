@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,7 +53,7 @@ def command(
         raise click.UsageError(f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}")
     ticking, options = capture.prepare(session, fast=clock == "fast")
     options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
-    with shown(session.site_file().site, status_json) as watch:
+    with terminal.unattended(), shown(session.site_file().site, status_json) as watch:
         ledger = capture.run(
             session,
             camera_uri,
@@ -65,10 +66,11 @@ def command(
             meter_uri=meter_uri,
         )
     outcomes = [state.outcome for state in ledger.slots.values()]
-    click.echo(
-        f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} missed, "
-        f"{outcomes.count('aborted')} aborted"
-    )
+    with suppress(OSError):  # a terminal that was closed since
+        click.echo(
+            f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} missed, "
+            f"{outcomes.count('aborted')} aborted"
+        )
 
 
 def _devices(session: Session, camera: str | None, pyranometer: str | None, meter: str | None) -> tuple[str, str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -99,25 +98,30 @@ class _StatusFile:
 def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
     """A watcher for `run`: live on a terminal, else one line an outcome on stderr."""
     status_file = _StatusFile(status_json)
-    if not sys.stderr.isatty():
+    if not terminal.seen():
         plain = _PlainLines()
 
         def watch(live: Live) -> None:
-            plain(live)
             status_file(live)
+            plain(live)
 
         yield watch
         return
     from rich.console import Console
     from rich.live import Live as Screen
 
-    with Screen(console=Console(stderr=True), refresh_per_second=4) as screen:
+    screen = Screen(console=Console(stderr=True), refresh_per_second=4)
 
-        def draw(live: Live) -> None:
-            screen.update(panel(live, site))
-            status_file(live)
+    def draw(live: Live) -> None:
+        status_file(live)
+        screen.update(panel(live, site))
 
+    screen.start()
+    try:
         yield draw
+    finally:
+        with suppress(OSError, ValueError):  # the terminal was closed meanwhile
+            screen.stop()
 
 
 class _PlainLines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -27,8 +28,10 @@ def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
 
     session = open_session(folder)
     try:
-        written = log(session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say)
+        with terminal.unattended():
+            written = log(session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say)
+        said = f"{written} rows"
     except KeyboardInterrupt:
-        click.echo(f"{session.irradiance}: stopped")
-        return
-    click.echo(f"{session.irradiance}: {written} rows")
+        said = "stopped"
+    with suppress(OSError):  # a terminal that was closed since
+        click.echo(f"{session.irradiance}: {said}")

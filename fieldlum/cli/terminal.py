@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,10 +36,34 @@ def say(text: str) -> None:
     click.echo(text, err=True)
 
 
+def seen() -> bool:
+    """Whether a person looks at stderr."""
+    return sys.stderr.isatty()
+
+
+@contextmanager
+def unattended() -> Iterator[None]:
+    """For what runs for weeks: a closed terminal (SIGHUP) ends nothing, and SIGTERM ends as properly as Ctrl-C.
+
+    What is started meanwhile, such as a camera's process, ignores the closed terminal too.
+    """
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    wanted = {getattr(signal, "SIGHUP", None): signal.SIG_IGN, signal.SIGTERM: interrupt}
+    before = {number: signal.signal(number, how) for number, how in wanted.items() if number is not None}
+    try:
+        yield
+    finally:
+        for number, how in before.items():
+            signal.signal(number, how)
+
+
 @contextmanager
 def progress(label: str) -> Iterator[Progress]:
     """A bar with the time left on a terminal; silent in a pipe."""
-    if not sys.stderr.isatty():
+    if not seen():
         yield lambda done, total, text: None
         return
     from rich.console import Console

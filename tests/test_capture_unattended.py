@@ -1,0 +1,75 @@
+"""Nobody beside it: closed terminals, broken pipes and signals end no capture that they need not end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from fieldlum.capture.runner import Live, Options, run
+from fieldlum.devices.clock import FastClock
+from fieldlum.records import Exposure, Site, SiteFile, Slot
+from fieldlum.session import Session, create_session, read_journal
+
+COMMAND = [sys.executable, "-c", "from fieldlum.cli import main; main()", "capture"]
+DEVICES = ["--camera", "sim:office?seed=1", "--clock", "fast"]
+
+
+def make_session(folder: Path, first: datetime, slots: int = 2) -> Session:
+    ladder = tuple(Exposure(2.0**-i, 5.6) for i in range(2))
+    plan = [Slot(first + timedelta(hours=i), 30.0, 180.0, ladder) for i in range(slots)]
+    return create_session(folder, SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), plan, {"set": "test"})
+
+
+def outcomes(session: Session) -> list[str]:
+    return [e["event"] for e in read_journal(session) if e["event"] in ("done", "missed", "aborted")]
+
+
+def test_a_display_that_fails_costs_nothing(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s", datetime(2027, 3, 20, 18, 30, tzinfo=UTC))
+
+    def watch(live: Live) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    clock = FastClock(datetime(2027, 3, 20, 18, 29, tzinfo=UTC))
+    run(session, "sim:office?seed=1", clock=clock, options=Options(threaded=False, flush=False), watch=watch)
+    assert outcomes(session) == ["done", "done"]
+    assert [e["why"] for e in read_journal(session) if e["event"] == "display-lost"] == [
+        "BrokenPipeError: [Errno 32] Broken pipe"
+    ]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closed standard files")
+def test_closed_standard_files_never_become_the_journal(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s", datetime(2027, 3, 20, 18, 30, tzinfo=UTC))
+    shell = f'exec "$@" {session.root} {" ".join(DEVICES)} <&- >&- 2>&-'
+    ended = subprocess.run(["sh", "-c", shell, "sh", *COMMAND], timeout=120)
+    assert ended.returncode == 0
+    assert [e["why"] for e in read_journal(session) if e["event"] == "done"] == ["", ""]
+    assert session.journal.read_bytes().count(b"\n") == len(read_journal(session))
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="POSIX signals")
+def test_a_closed_terminal_ends_nothing_and_sigterm_ends_properly(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s", datetime.now(UTC) + timedelta(hours=1), slots=1)
+    status = tmp_path / "status.json"
+    line = [*COMMAND, str(session.root), "--camera", "sim:office?seed=1", "--status-json", str(status)]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while not status.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert json.loads(status.read_text())["state"] == "waiting"
+    process.send_signal(signal.SIGHUP)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(1.5)
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130 and "start it again to go on" in said
+    assert read_journal(session)[-1]["event"] == "close" and not (session.root / ".reserve").exists()
