@@ -5,46 +5,38 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 from fieldlum.capture.bracket import shots, write_capture
+from fieldlum.capture.card import card_files, of_the_session, read_card
+from fieldlum.capture.card_clock import clock_offset, clock_parts, doubt, tells_utc
 from fieldlum.capture.group import (
-    CardFrame,
     Group,
     Match,
     Offset,
     campaigns,
-    find_offset,
     fits,
-    fitting_offsets,
     group_frames,
     match_groups,
-    refine_offset,
     same_exposure,
     true_time,
 )
 from fieldlum.capture.logger_rows import adopt_rows
 from fieldlum.capture.misplaced import withdraw
 from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
-from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.raw import read_exif
-from fieldlum.records import CameraSetup, Exposure, Progress, SiteFile, Slot, quiet, utc_text
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.records import CameraSetup, Exposure, Progress, Slot, quiet, shutter_text, utc_text
 from fieldlum.session import (
     Journal,
     Session,
+    exposure_text,
     read_journal,
     replacing_path,
     sha256,
     sole_user,
     update_session,
 )
-
-RAW_SUFFIXES = (
-    ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw", ".raw",
-)  # fmt: skip
-JPEG_SUFFIXES = (".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,75 +53,6 @@ class Report:
     withdrawn: int = 0  # rows of the logger's file that it brought before with another clock or other columns
     slots: tuple[str, ...] = ()
     moved: tuple[str, ...] = ()  # slots that this card's brackets were taken out of: another clock before
-
-
-def card_files(folder: Path) -> list[Path]:
-    """Frames under a folder, raw before the JPEG of the same name. Raises InputError for a folder without any."""
-    if folder.is_file():
-        raise InputError(folder, "a file", "a card's folder, such as DCIM", "a logger's file goes with --irradiance")
-    if not folder.is_dir():
-        raise InputError(folder, "no such folder", "a card's folder, such as DCIM", "check the path")
-    files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
-    raw = [p for p in files if p.suffix.lower() in RAW_SUFFIXES]
-    twins = {p.with_suffix("") for p in raw}
-    jpeg = [p for p in files if p.suffix.lower() in JPEG_SUFFIXES and p.with_suffix("") not in twins]
-    if not raw and not jpeg:
-        raise InputError(folder, "no raw or JPEG frames in it", "a card's folder, such as DCIM", "check the path")
-    return [*raw, *jpeg]
-
-
-def read_card(files: Sequence[Path], progress: Progress = quiet) -> tuple[list[CardFrame], list[str]]:
-    """Frames with their EXIF, and a line for each file that cannot be used."""
-    frames: list[CardFrame] = []
-    left_out: list[str] = []
-    for done, path in enumerate(files, start=1):
-        progress(done, len(files), path.name)
-        try:
-            info = read_exif(path)
-        except InputError as error:
-            left_out.append(str(error))
-            continue
-        if info.t_camera is None:
-            left_out.append(f"{path}: no time in its EXIF")
-            continue
-        aware = info.t_camera.tzinfo is not None
-        when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
-        frames.append(CardFrame(path, info.exposure, when, aware))
-    return frames, left_out
-
-
-def clock_offset(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, told_s: float | None) -> Offset:
-    """How far the camera's clock is from UTC: as told, as the frames say, else as it fits the plan.
-
-    Raises InputError when that is ambiguous.
-    """
-    if told_s is not None:
-        start = Offset(told_s, "--utc-offset")
-    elif all(frame.known_utc for group in groups for frame in group.frames):
-        start = Offset(0.0, "the frames' own UTC offset")
-    else:
-        start = find_offset(groups, slots, _expected_s(slots, setup))
-    if start is None and not fitting_offsets(groups, slots):
-        first, last = (min(g.t_camera for g in groups), max(g.t_camera for g in groups))
-        near = min(slots, key=lambda slot: abs(slot.t_utc - first), default=None)
-        raise InputError(
-            "import", f"brackets of {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's clock",
-            f"the plan's slots, the nearest at {near.t_utc:%Y-%m-%d %H:%M} UTC" if near else "a plan with slots",
-            "is it another card? a wrong date is set right by exiftool -AllDates",
-        )  # fmt: skip
-    if start is None:
-        raise InputError(
-            "import", "several UTC offsets of the camera's clock fit the plan alike",
-            "the camera's offset from UTC", "give it, like: --utc-offset -08:00",
-        )  # fmt: skip
-    return refine_offset(groups, slots, start)
-
-
-def _expected_s(slots: Sequence[Slot], setup: SiteFile) -> list[float]:
-    """The place's offsets over the plan, most frequent first, then UTC."""
-    zone = ZoneInfo(setup.site.timezone)
-    offsets = [(slot.t_utc.astimezone(zone).utcoffset() or timedelta()).total_seconds() for slot in slots]
-    return [*sorted(set(offsets), key=lambda o: -offsets.count(o)), 0.0]
 
 
 def run(
@@ -158,27 +81,82 @@ def run(
 
 def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, progress: Progress) -> Report:
     setup, slots = session.site_file(), session.slots()
-    frames, left_out = read_card(card_files(folder), progress)
+    files, others = card_files(folder)
+    frames, unread = read_card(files, progress)
+    frames, strangers = of_the_session(frames, setup)
     groups = group_frames(frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings)))
+    left_out = [*strangers, *unread, *others]
     if not groups:
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}")
     matched: list[tuple[Match, Offset]] = []
     offsets: list[Offset] = []
-    for part in campaigns(groups):
+    for part in _parts(groups, slots, utc_offset_s):
         offset = clock_offset(part, slots, setup, utc_offset_s)
         found, unmatched = match_groups(part, slots, offset)
         offsets.append(offset)
         matched += [(match, offset) for match in found]
         left_out += [f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})" for u in unmatched]
+        if told := doubt(part, slots, offset) if utc_offset_s is not None or tells_utc(part) else "":
+            left_out.insert(0, told)
     if not matched:
         raise NotEnoughDataError(f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}")
+    matched, doubles = _one_a_slot(matched)
+    left_out += doubles
+    left_out += [text for match, _ in matched if (text := _lacking_text(match, setup.camera))]
     new, moved = _adopt_all(session, setup.camera, matched, progress)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
-    update_session(session, {"imported": {**session.table().get("imported", {}), str(folder): about}})
+    update_session(session, {"imported": {**session.table().get("imported", {}), _text(folder): about}})
     return Report(
         len(new), sum(len(m.group.frames) for m in new), len(matched) - len(new), tuple(offsets),
         tuple(m.late_s for m, _ in matched), tuple(left_out), slots=tuple(m.slot.id for m in new), moved=moved,
     )  # fmt: skip
+
+
+def _parts(groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None) -> list[list[Group]]:
+    """Brackets under one setting of the camera's clock each."""
+    parts = campaigns(groups)
+    if utc_offset_s is not None or not slots:
+        return parts
+    return [piece for part in parts for piece in ([part] if tells_utc(part) else clock_parts(part, slots))]
+
+
+def _one_a_slot(matched: Sequence[tuple[Match, Offset]]) -> tuple[list[tuple[Match, Offset]], list[str]]:
+    """Of brackets with several clocks that claim one slot the best; a line for each other."""
+    best: dict[str, tuple[Match, Offset]] = {}
+    said: list[str] = []
+    for match, offset in sorted(matched, key=lambda one: (-fits(one[0].group, one[0].slot), abs(one[0].late_s))):
+        if match.slot.id in best:
+            said.append(f"{_range(match.group)}: another bracket fits {match.slot.id} better")
+        else:
+            best[match.slot.id] = match, offset
+    return sorted(best.values(), key=lambda one: one[0].slot.t_utc), said
+
+
+def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
+    """The slot's exposures, at every heading, that a bracket does not hold."""
+    left, missing = [frame.exposure for frame in group.frames], []
+    for shot in shots(slot.exposures, setup):
+        found = next((i for i, exposure in enumerate(left) if same_exposure(exposure, shot.exposure)), None)
+        if found is None:
+            missing.append(shot.exposure)
+        else:
+            del left[found]
+    return missing
+
+
+def _lacking_text(match: Match, setup: CameraSetup) -> str:
+    """A line for a bracket that is not whole; where a filter's frame and its twin cannot be told apart, that too."""
+    missing = lacking(match.group, match.slot, setup)
+    if not missing:
+        return ""
+    there = [frame.exposure for frame in match.group.frames]
+    twins = [e for e in missing if any(same_exposure(e, f) for f in there) and any(
+        e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)]  # fmt: skip
+    unsure = f"; those of {shutter_text(twins[0].shutter_s)} s are taken for the ones without filter" if twins else ""
+    shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
+    return (
+        f"{_range(match.group)}: taken over, but {len(missing)} frames of {match.slot.id} are missing: {shown}{unsure}"
+    )
 
 
 def _adopt_all(
@@ -205,11 +183,16 @@ def _range(group: Group) -> str:
     return f"{first}" if first == last else f"{first} to {last.name}"
 
 
+def _text(path: Path) -> str:
+    """A path as UTF-8 can hold it: a card's names may be in another coding."""
+    return str(path).encode("utf-8", "replace").decode()
+
+
 def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match, offset: Offset) -> None:
     """One bracket: frames copied whole, then journalled like captured ones."""
     slot, folder = match.slot, session.raw / match.slot.id
     now = datetime.now(UTC)
-    journal.append("imported", now, slot=slot.id, source=str(match.group.frames[0].path.parent))
+    journal.append("imported", now, slot=slot.id, source=_text(match.group.frames[0].path.parent))
     journal.append("started", now, slot=slot.id, attempt=1)
     frames: list[Frame] = []
     for index, card in enumerate(match.group.frames):
@@ -223,7 +206,7 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match,
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))
-    write_capture(folder, slot, state, setup, {}, complete=fits(match.group, slot) == len(slot.exposures))
+    write_capture(folder, slot, state, setup, {}, complete=not lacking(match.group, slot, setup))
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ _PAUSE_FACTOR = 10.0  # a pause is so many times the usual step between two fram
 _TURN_FACTOR = 6.0  # more, where a head is turned between two frames
 _CAMPAIGN_S = 5 * 86400.0
 _QUARTER_S = 900.0  # civil clocks differ by whole quarters of an hour
+_HALF_COUNT = 5000  # cameras count their files to 9999
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,7 @@ class CardFrame:
     exposure: Exposure
     t_camera: datetime
     known_utc: bool = False
+    camera: str = ""  # model
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +83,25 @@ def usual_step_s(frames: Sequence[CardFrame]) -> float:
     return max(float(np.median(gaps)), 1.0) if gaps else 1.0
 
 
+def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
+    """By the camera's time; of one second by their names, where 9999 is followed by 0001 (or 0000)."""
+    found: list[CardFrame] = []
+    for _, same in groupby(sorted(frames, key=lambda f: f.t_camera), key=lambda f: f.t_camera):
+        second = list(same)
+        numbers = [_number(frame) for frame in second]
+        wraps = max(numbers) - min(numbers) > _HALF_COUNT
+        lifted = [number + (2 * _HALF_COUNT if wraps and number < _HALF_COUNT else 0) for number in numbers]
+        order = sorted(range(len(second)), key=lambda i: (lifted[i], second[i].path.name))
+        found += [second[i] for i in order]
+    return found
+
+
+def _number(frame: CardFrame) -> int:
+    """The camera's own count of its files, the last four digits of a name; 0 for another name."""
+    match = re.search(r"(\d{4})$", frame.path.stem)
+    return int(match[1]) if match else 0
+
+
 def group_frames(frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1) -> list[Group]:
     """Brackets in order of time. A new one begins where an exposure comes once too often, or after a pause.
 
@@ -87,7 +109,7 @@ def group_frames(frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), 
     know) comes twice in a bracket, and everything comes once more for each heading of a turned head. A pause is ten
     usual steps of this very card, never a fixed time: a bracket lasts from three seconds to two minutes.
     """
-    ordered = sorted(frames, key=lambda f: (f.t_camera, f.path.name))
+    ordered = in_order(frames)
     pause = _PAUSE_FACTOR * usual_step_s(ordered) * (_TURN_FACTOR if headings > 1 else 1.0)
     groups: list[list[CardFrame]] = []
     for frame in ordered:
@@ -119,7 +141,7 @@ def fits(group: Group, slot: Slot) -> int:
     return sum(any(same_exposure(f.exposure, e) for f in group.frames) for e in slot.exposures)
 
 
-def _late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
+def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
     """Start of each group minus that of its nearest slot, with the camera's clock corrected. [s]"""
     starts = np.array([slot.t_utc.timestamp() for slot in slots])
     times = np.array([g.t_camera.timestamp() for g in groups]) - offset_s
@@ -131,7 +153,7 @@ def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[floa
     if not groups or not slots:
         return []
     candidates = _QUARTER_S * np.arange(-12 * 4, 14 * 4 + 1)
-    hits = np.array([np.sum(np.abs(_late_s(groups, slots, c)) <= _QUARTER_S / 2) for c in candidates])
+    hits = np.array([np.sum(np.abs(late_s(groups, slots, c)) <= _QUARTER_S / 2) for c in candidates])
     return [float(c) for c in candidates[hits == hits.max()]] if hits.max() > 0 else []
 
 
@@ -155,7 +177,7 @@ def find_offset(groups: Sequence[Group], slots: Sequence[Slot], expected_s: Sequ
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
     """Where all brackets start equally early or late, a timer started them: what is left is the camera's clock."""
-    late = _late_s(groups, slots, offset.seconds)
+    late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
     if len(near) < 3:
         return offset

@@ -1,0 +1,86 @@
+"""What lies on a card: the frames of the session's camera, and a line for everything else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC
+from pathlib import Path
+
+from fieldlum.capture.group import CardFrame
+from fieldlum.errors import InputError
+from fieldlum.profiles import CameraBody, load_camera_profile
+from fieldlum.raw import read_exif
+from fieldlum.records import Progress, SiteFile, quiet
+
+RAW_SUFFIXES = (
+    ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw", ".raw",
+)  # fmt: skip
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+_OTHER_PICTURES = (
+    ".mpo", ".heic", ".heif", ".hif", ".tif", ".tiff", ".png", ".insp", ".gpr", ".x3f", ".3fr", ".iiq", ".avif",
+)  # fmt: skip
+
+
+def card_files(folder: Path) -> tuple[list[Path], list[str]]:
+    """Frames under a folder, and a line for each kind of picture that is none. Raises InputError without any frame."""
+    if folder.is_file():
+        raise InputError(folder, "a file", "a card's folder, such as DCIM", "a logger's file goes with --irradiance")
+    if not folder.is_dir():
+        raise InputError(folder, "no such folder", "a card's folder, such as DCIM", "check the path")
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
+    frames = [p for p in files if p.suffix.lower() in (*RAW_SUFFIXES, *JPEG_SUFFIXES)]
+    other = Counter(p.suffix.lower() for p in files if p.suffix.lower() in _OTHER_PICTURES)
+    said = [f"{folder}: {count} {suffix} files, which cannot be merged" for suffix, count in sorted(other.items())]
+    if not frames:
+        found = "".join(f", but {count} {suffix} files" for suffix, count in sorted(other.items()))
+        remedy = "set the camera to raw" if other else "check the path"
+        raise InputError(folder, f"no raw or JPEG frames in it{found}", "a card's folder, such as DCIM", remedy)
+    return frames, said
+
+
+def read_card(files: Sequence[Path], progress: Progress = quiet) -> tuple[list[CardFrame], list[str]]:
+    """Frames with their EXIF, and a line for each file that cannot be used."""
+    frames: list[CardFrame] = []
+    left_out: list[str] = []
+    for done, path in enumerate(files, start=1):
+        progress(done, len(files), path.name)
+        try:
+            info = read_exif(path)
+        except InputError as error:
+            left_out.append(str(error))
+            continue
+        if info.t_camera is None:
+            left_out.append(f"{path}: no time in its EXIF")
+            continue
+        aware = info.t_camera.tzinfo is not None
+        when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
+        who = info.model or info.make or "a camera that does not say its name"
+        frames.append(CardFrame(path, info.exposure, when, aware, who))
+    return frames, left_out
+
+
+def of_the_session(frames: Sequence[CardFrame], setup: SiteFile) -> tuple[list[CardFrame], list[str]]:
+    """The frames of the session's one camera in one format, raw or JPEG; a line for each camera that is another.
+
+    The camera is the one that the profile names, else the one with most frames: frames of two never make one bracket.
+    JPEGs beside raw frames are passed over without a word, unless the profile is of the JPEGs.
+    """
+    body = CameraBody("", "raw", 0, 0)
+    with suppress(InputError):  # a profile that is gone is told by doctor and merge; the frames are taken over
+        body = load_camera_profile(setup.camera.profile).camera
+    count = Counter(frame.camera for frame in frames)
+    ours = next(iter(sorted(count, key=lambda who: (not same_model(who, body.model), -count[who]))), "")
+    said = [f"{number} frames of {who}: the session's camera is {ours}" for who, number in count.items() if who != ours]
+    mine = [frame for frame in frames if frame.camera == ours]
+    jpeg = [frame for frame in mine if frame.path.suffix.lower() in JPEG_SUFFIXES]
+    raw = [frame for frame in mine if frame.path.suffix.lower() not in JPEG_SUFFIXES]
+    first, second = (jpeg, raw) if body.kind == "jpeg" else (raw, jpeg)
+    return first or second, said
+
+
+def same_model(found: str, wanted: str) -> bool:
+    """Whether EXIF's name is the profile's, whole or in part (a maker's name may stand before it)."""
+    a, b = (" ".join(name.split()).casefold() for name in (found, wanted))
+    return bool(a and b) and (a in b or b in a)

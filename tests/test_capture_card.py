@@ -1,0 +1,172 @@
+"""Cards as people bring them: two cameras on one, a clock that was set, frames that are missing, other formats."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.capture import adopt
+from fieldlum.capture.card import same_model
+from fieldlum.capture.card_clock import clock_parts, doubt
+from fieldlum.capture.group import CardFrame, Group, Offset, in_order
+from fieldlum.capture.state import fold
+from fieldlum.errors import InputError
+from fieldlum.profiles import load_camera_profile, save_profile
+from fieldlum.raw import write_dng, write_jpeg
+from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot
+from fieldlum.session import Session, create_session, read_journal
+
+NOON = datetime(2027, 3, 14, 20, 30, tzinfo=UTC)  # of Seattle, on the day of its clock change
+LADDER = tuple(Exposure(t, 5.6) for t in (1 / 8, 1 / 60, 1 / 250))
+MONTH = [
+    Slot(NOON + timedelta(days=day, hours=hour), 20.0, 180.0, LADDER) for day in range(-9, 22) for hour in range(-5, 7)
+]
+PST_S, PDT_S = -8 * 3600.0, -7 * 3600.0
+
+
+def make_session(folder: Path, slots: list[Slot], profile: str = "") -> Session:
+    setup = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(profile=profile))
+    return create_session(folder, setup, slots, {"set": "test"})
+
+
+def write(path: Path, exposure: Exposure, t: datetime, model: str = "D850") -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    naive = t.replace(tzinfo=None)
+    if path.suffix == ".dng":
+        counts = np.full((8, 8), 900, np.uint16)
+        write_dng(path, counts, exposure, black_dn=(0.0,) * 4, white_dn=1e4, t_camera=naive, model=model)
+    else:
+        write_jpeg(path, np.full((8, 8, 3), 90, np.uint8), exposure, t_camera=naive, model=model)
+
+
+def bracket(slot: Slot, clock_s: float) -> Group:
+    start = slot.t_utc + timedelta(seconds=clock_s)
+    times = (start + timedelta(seconds=2 * i) for i in range(len(slot.exposures)))
+    frames = zip(slot.exposures, times, strict=True)
+    return Group(tuple(CardFrame(Path(f"{slot.id}_{i}.dng"), e, t) for i, (e, t) in enumerate(frames)))
+
+
+@given(change=st.integers(4, 27), hours=st.sampled_from((-2, -1, 1, 2)), missing=st.sets(st.integers(0, 371)))
+@settings(deadline=None, max_examples=30)
+def test_property_a_clock_set_between_two_days_is_found(change: int, hours: int, missing: set[int]) -> None:
+    def clock_s(i: int) -> float:
+        return PST_S + (3600.0 * hours if i >= 12 * change else 0.0)
+
+    groups = [bracket(slot, clock_s(i)) for i, slot in enumerate(MONTH) if i not in missing]
+    parts = clock_parts(groups, MONTH)
+    assert [part[0] for part in parts] == [groups[0], next(g for i, g in _numbered(groups) if i >= 12 * change)]
+
+
+def _numbered(groups: list[Group]) -> list[tuple[int, Group]]:
+    where = {slot.id: i for i, slot in enumerate(MONTH)}
+    return [(where[group.frames[0].path.name[:16]], group) for group in groups]
+
+
+def test_a_clock_that_was_not_set_is_left_alone() -> None:
+    by_hand = np.random.default_rng(1).uniform(0, 1100, len(MONTH))
+    groups = [bracket(slot, PST_S + late) for slot, late in zip(MONTH, by_hand, strict=True)]
+    assert len(clock_parts(groups, MONTH)) == 1
+    afternoons = [bracket(slot, PST_S) for i, slot in enumerate(MONTH) if i % 12 > 5]
+    assert len(clock_parts(afternoons, MONTH)) == 1
+
+
+def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -> None:
+    """Contract: every bracket lies in its own slot, where one clock for all would put 9 days an hour beside."""
+    plan = [replace(slot, exposures=LADDER[:1]) for slot in MONTH[60:180]]  # four days before, five after
+    session = make_session(tmp_path / "s", plan)
+    for i, slot in enumerate(plan):
+        clock_s = PST_S if i < 48 else PDT_S
+        write(tmp_path / "card" / f"DSC_{i:04d}.jpg", LADDER[0], slot.t_utc + timedelta(seconds=clock_s))
+    told = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    assert "the clock was set between" in told.left_out[0] and "DSC_0048.jpg" in told.left_out[0]
+    report = adopt.run(session, tmp_path / "card")
+    assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
+    assert report.slots == tuple(slot.id for slot in plan[:48]) and report.known == 72 and set(report.late_s) == {0.0}
+
+
+def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
+    groups = [bracket(slot, PDT_S) for slot in MONTH[:60]]
+    assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset")) == ""
+    said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"))
+    assert said.startswith("with --utc-offset 55 of 60 brackets lie near slots, with an offset +1 h from it 60")
+
+
+def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s", MONTH[:12])
+    for i, slot in enumerate(MONTH[:12]):
+        for k, exposure in enumerate(LADDER):
+            t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
+            write(tmp_path / "card" / f"DSC_{3 * i + k:04d}.jpg", exposure, t)
+            if i:
+                write(tmp_path / "card" / f"IMG_{3 * i + k:04d}.jpg", exposure, t + timedelta(seconds=1), "EOS 5D")
+    report = adopt.run(session, tmp_path / "card")
+    assert (report.brackets, report.frames) == (12, 36)
+    assert report.left_out == ("33 frames of EOS 5D: the session's camera is D850",)
+    names = {frame.file[:3] for state in fold(read_journal(session)).slots.values() for frame in state.frames}
+    assert names == {"DSC"}
+
+
+def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
+    ours = {"raw": "sim-dual-fisheye", "jpeg": "sim-dual-fisheye-jpeg"}
+    for kind, name in ours.items():
+        shipped = load_camera_profile(name)
+        profile = tmp_path / f"{kind}.toml"
+        save_profile(profile, replace(shipped, camera=replace(shipped.camera, model="Canon EOS 5D")))
+        session = make_session(tmp_path / kind, MONTH[:4], str(profile))
+        for i, slot in enumerate(MONTH[:4]):
+            for k, exposure in enumerate(LADDER):
+                t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
+                for file, model in ((f"DSC_{3 * i + k:04d}", "D850"), (f"IMG_{3 * i + k:04d}", "EOS 5D")):
+                    write(tmp_path / "card" / f"{file}.jpg", exposure, t, model)
+                    write(tmp_path / "card" / f"{file}.dng", exposure, t, model)
+        assert adopt.run(session, tmp_path / "card", utc_offset_s=PST_S).frames == 12
+        files = {frame.file for state in fold(read_journal(session)).slots.values() for frame in state.frames}
+        assert {(name[:3], name[-4:]) for name in files} == {("IMG", ".dng" if kind == "raw" else ".jpg")}
+    assert same_model("Canon EOS 5D", "eos 5d") and not same_model("", "D850") and not same_model("D850", "D750")
+
+
+def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> None:
+    plan = [Slot(s.t_utc, 20.0, 180.0, (*LADDER, Exposure(1 / 250, 5.6, nd="nd5"))) for s in MONTH[:12]]
+    session = make_session(tmp_path / "s", plan)
+    for i, slot in enumerate(plan):
+        for k, exposure in enumerate(slot.exposures):
+            if (i, k) not in ((3, 1), (5, 3)):
+                t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
+                write(tmp_path / "card" / f"DSC_{4 * i + k:04d}.jpg", exposure, t)
+    report = adopt.run(session, tmp_path / "card")
+    assert report.brackets == 12 and len(report.left_out) == 2
+    one, filtered = report.left_out
+    assert f"1 frames of {plan[3].id} are missing: 1/60 f/5.6 ISO100" in one and "filter" not in one
+    assert "ND=nd5; those of 1/250 s are taken for the ones without filter" in filtered
+    notes = [(session.raw / slot.id / "capture.json").read_text() for slot in plan]
+    assert [i for i, note in enumerate(notes) if '"complete": false' in note] == [3, 5]
+
+
+def test_names_that_wrap_within_a_second_keep_their_order() -> None:
+    names = ("DSC_9998", "DSC_9999", "DSC_0001", "DSC_0002")
+    frames = [CardFrame(Path(f"{name}.NEF"), LADDER[0], NOON) for name in names]
+    later = CardFrame(Path("DSC_0000.NEF"), LADDER[0], NOON + timedelta(seconds=1))
+    assert in_order([later, *frames[::-1]]) == [*frames, later]
+
+
+def test_pictures_that_cannot_be_merged_are_named(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s", MONTH[:12])
+    folder = tmp_path / "card"
+    folder.mkdir()
+    for name in ("a.HEIC", "b.HEIC", "c.MPO", "d.xmp", "._DSC_0001.JPG", "e.MP4"):
+        (folder / name).write_bytes(b"x")
+    with pytest.raises(InputError, match=r"no raw or JPEG frames in it, but 2 .heic files, but 1 .mpo files.*raw"):
+        adopt.run(session, folder)
+    for i, slot in enumerate(MONTH[:12]):
+        for k, exposure in enumerate(LADDER):
+            write(folder / f"DSC_{3 * i + k:04d}.jpg", exposure, slot.t_utc + timedelta(seconds=PST_S + 2 * k))
+    said = adopt.run(session, folder).left_out
+    assert [text.partition(": ")[2] for text in said] == [
+        "2 .heic files, which cannot be merged", "1 .mpo files, which cannot be merged"
+    ]  # fmt: skip
