@@ -84,7 +84,7 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
         clock_s = PST_S if i < 48 else PDT_S
         write(tmp_path / "card" / f"DSC_{i:04d}.jpg", LADDER[0], slot.t_utc + timedelta(seconds=clock_s))
     told = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
-    assert "the clock was set between" in told.left_out[0] and "DSC_0048.jpg" in told.left_out[0]
+    assert "the clock was set between" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
     report = adopt.run(session, tmp_path / "card")
     assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
     assert report.slots == tuple(slot.id for slot in plan[:48]) and report.known == 72 and set(report.late_s) == {0.0}
@@ -140,9 +140,9 @@ def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> N
                 t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
                 write(tmp_path / "card" / f"DSC_{4 * i + k:04d}.jpg", exposure, t)
     report = adopt.run(session, tmp_path / "card")
-    assert report.brackets == 12 and len(report.left_out) == 2
-    one, filtered = report.left_out
-    assert f"1 frames of {plan[3].id} are missing: 1/60 f/5.6 ISO100" in one and "filter" not in one
+    assert report.brackets == 12 and len(report.notes) == 2
+    one, filtered = report.notes
+    assert f"lacks 1 of {plan[3].id}'s frames: 1/60 f/5.6 ISO100" in one and "filter" not in one
     assert "ND=nd5; those of 1/250 s are taken for the ones without filter" in filtered
     notes = [(session.raw / slot.id / "capture.json").read_text() for slot in plan]
     assert [i for i, note in enumerate(notes) if '"complete": false' in note] == [3, 5]

@@ -41,7 +41,7 @@ from fieldlum.session import (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What an import did. lines: one sentence each about what was left out."""
+    """What an import did. left_out, notes: a sentence each, about what was left and about what was taken with a doubt."""
 
     brackets: int = 0
     frames: int = 0
@@ -49,6 +49,7 @@ class Report:
     offsets: tuple[Offset, ...] = ()  # one a campaign
     late_s: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     rows: int = 0
     withdrawn: int = 0  # rows of the logger's file that it brought before with another clock or other columns
     slots: tuple[str, ...] = ()
@@ -90,6 +91,7 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}")
     matched: list[tuple[Match, Offset]] = []
     offsets: list[Offset] = []
+    notes: list[str] = []
     for part in _parts(groups, slots, utc_offset_s):
         offset = clock_offset(part, slots, setup, utc_offset_s)
         found, unmatched = match_groups(part, slots, offset)
@@ -97,18 +99,18 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
         matched += [(match, offset) for match in found]
         left_out += [f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})" for u in unmatched]
         if told := doubt(part, slots, offset) if utc_offset_s is not None or tells_utc(part) else "":
-            left_out.insert(0, told)
+            notes.append(told)
     if not matched:
         raise NotEnoughDataError(f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}")
     matched, doubles = _one_a_slot(matched)
     left_out += doubles
-    left_out += [text for match, _ in matched if (text := _lacking_text(match, setup.camera))]
+    notes += [text for match, _ in matched if (text := _lacking_text(match, setup.camera))]
     new, moved = _adopt_all(session, setup.camera, matched, progress)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     update_session(session, {"imported": {**session.table().get("imported", {}), _text(folder): about}})
     return Report(
         len(new), sum(len(m.group.frames) for m in new), len(matched) - len(new), tuple(offsets),
-        tuple(m.late_s for m, _ in matched), tuple(left_out), slots=tuple(m.slot.id for m in new), moved=moved,
+        tuple(m.late_s for m, _ in matched), tuple(left_out), tuple(notes), slots=tuple(m.slot.id for m in new), moved=moved,
     )  # fmt: skip
 
 
@@ -154,9 +156,7 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
         e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)]  # fmt: skip
     unsure = f"; those of {shutter_text(twins[0].shutter_s)} s are taken for the ones without filter" if twins else ""
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
-    return (
-        f"{_range(match.group)}: taken over, but {len(missing)} frames of {match.slot.id} are missing: {shown}{unsure}"
-    )
+    return f"{_range(match.group)}: lacks {len(missing)} of {match.slot.id}'s frames: {shown}{unsure}"
 
 
 def _adopt_all(

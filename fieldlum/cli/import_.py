@@ -83,9 +83,10 @@ def _summary(report: object) -> list[str]:
         lines.append(f"brackets begin {median(report.late_s):+.0f} s from their slots in the median")
     if report.moved:
         lines.append(f"taken out of {', '.join(report.moved)}, kept in raw/withdrawn: merge and pair again")
-    lines += [f"left out: {text}" for text in report.left_out[:_SHOWN]]
-    if len(report.left_out) > _SHOWN:
-        lines.append(f"left out: {len(report.left_out) - _SHOWN} more")
+    for what, texts in (("note", report.notes), ("left out", report.left_out)):
+        lines += [f"{what}: {text}" for text in texts[:_SHOWN]]
+        if len(texts) > _SHOWN:
+            lines.append(f"{what}: {len(texts) - _SHOWN} more")
     return lines
 
 
