@@ -53,7 +53,7 @@ def bracket(slot: Slot, clock_s: float) -> Group:
 
 
 @given(change=st.integers(4, 27), hours=st.sampled_from((-2, -1, 1, 2)), missing=st.sets(st.integers(0, 371)))
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=12)
 def test_property_a_clock_set_between_two_days_is_found(change: int, hours: int, missing: set[int]) -> None:
     def clock_s(i: int) -> float:
         return PST_S + (3600.0 * hours if i >= 12 * change else 0.0)

@@ -41,7 +41,7 @@ from fieldlum.session import (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What an import did. left_out, notes: a sentence each, about what was left and about what was taken with a doubt."""
+    """What an import did. left_out, notes: a sentence each, of what was left and of what was taken with a doubt."""
 
     brackets: int = 0
     frames: int = 0
@@ -110,7 +110,8 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
     update_session(session, {"imported": {**session.table().get("imported", {}), _text(folder): about}})
     return Report(
         len(new), sum(len(m.group.frames) for m in new), len(matched) - len(new), tuple(offsets),
-        tuple(m.late_s for m, _ in matched), tuple(left_out), tuple(notes), slots=tuple(m.slot.id for m in new), moved=moved,
+        tuple(m.late_s for m, _ in matched), tuple(left_out), tuple(notes),
+        slots=tuple(m.slot.id for m in new), moved=moved,
     )  # fmt: skip
 
 
