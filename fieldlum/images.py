@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
+from fieldlum.profiles import CameraProfile, plain
 from fieldlum.records import Float, Panorama, SunSource, parse_utc, utc_text
 
 RADIANCE_LM_PER_W = 179.0  # Radiance's own white; not 683 and not a luminous efficacy of daylight
 RADIANCE_Y = (0.265, 0.670, 0.065)  # luminance of Radiance's primaries (Ward Larson and Shakespeare 1998)
+_BRIGHTEST = 2e30  # W/sr/m2; what is written for infinite is 1e30, and single precision ends at 3e38
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
 
 
@@ -139,6 +143,9 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
                 raise InputError(path, line, "EXPOSURE= and a number", "mend the header line") from None
     if not (np.isfinite(exposure) and exposure > 0):
         raise InputError(path, f"EXPOSURE {exposure:g}", "a number above 0", "mend the header line")
+    brightest = float(rgb.max(initial=0.0)) / exposure
+    if brightest > _BRIGHTEST:
+        raise InputError(path, f"a pixel of {brightest:.3g} W/sr/m2", "light", "copy the file again")
     view = next((line[5:].strip() for line in reversed(lines) if line.startswith("VIEW=")), "")
     marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
     heading = _heading(marks[-1], path) if marks else None
@@ -156,6 +163,17 @@ def _heading(line: str, path: Path) -> float:
 
 
 # ---------------------------------------------------------------------------------------------- panoramas
+
+
+def calibration_mark(profile: CameraProfile) -> dict[str, str]:
+    """Attributes of a picture that tell which camera and calibration it was merged with, its k by itself.
+
+    A new k is the old one times what meters say: without the old one the same readings would move k twice.
+    """
+    p = profile
+    parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return {"camera": p.camera.name, "k": f"{p.scale.k:.8g}", "calibration": digest[:16]}
 
 
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:

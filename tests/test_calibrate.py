@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fieldlum.calibrate import colour, keep, lens, order, response, scale, vignette
 from fieldlum.calibrate.frames import linear_frame, transmission
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import write_panorama
+from fieldlum.images import calibration_mark, write_panorama
 from fieldlum.photometry import response_table, snap_shutter_s, vignetting_at, z_per_cdm2
 from fieldlum.profiles import (
     Bracket,
@@ -28,7 +28,7 @@ from fieldlum.profiles import (
 )  # fmt: skip
 from fieldlum.projection import LensGeometry, angle_of_radius, direction, lens_pixels
 from fieldlum.raw import read_jpeg, write_dng, write_jpeg
-from fieldlum.records import Exposure, Panorama
+from fieldlum.records import Exposure, Flag, Panorama
 
 SIZE = 240
 TRUE_V = (1.0, 0.0, -0.10, 0.0, -0.22)
@@ -226,10 +226,66 @@ def test_analytic_scale_with_an_outlier(tmp_path: Path) -> None:
     lines.append(f"p.exr,180,0,,{1.08 * illuminance_lx(luminance, 180.0, 0.0, 180.0):.1f}")
     table = tmp_path / "spots.csv"
     table.write_text("\n".join(lines))
-    readings, frames = scale.from_table(table)
+    readings, frames, _ = scale.from_table(table, PROFILE)
     found = scale.fit(readings)
     assert found.factor == pytest.approx(1.08, abs=0.02) and 0.02 <= found.u_rel < 0.035
     assert found.far == ("p 180/30 deg",) and len(frames) == 1 and len(found.residual) == 11
+
+
+def _spots(path: Path, lines: list[str]) -> Path:
+    path.write_text("\n".join(["panorama,azimuth_deg,altitude_deg,luminance_cdm2,illuminance_lx", *lines]))
+    return path
+
+
+def test_analytic_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
+    """The picture says with which k it was merged; it moved k twice before."""
+    write_panorama(
+        tmp_path / "p.exr",
+        Panorama(np.full((60, 120), 100.0, np.float32), 180.0, attributes=calibration_mark(PROFILE)),
+    )
+    table = _spots(tmp_path / "t.csv", [f"p.exr,{a},0,{148 + a % 3}," for a in range(150, 200, 10)])
+    k = PROFILE.scale.k
+    for _ in range(2):
+        profile = replace(PROFILE, scale=replace(PROFILE.scale, k=k))
+        readings, _, notes = scale.from_table(table, profile)
+        k = profile.scale.k * scale.fit(readings).factor
+        assert k == pytest.approx(1.49 * PROFILE.scale.k, rel=0.01) and not notes
+    other = replace(PROFILE, colour=Colour((0.3, 0.6, 0.1)))
+    with pytest.raises(InputError, match=r"p.exr: merged with sim of another calibration.*merge it again"):
+        scale.from_table(table, other)
+    write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))
+    assert "does not say with which k" in scale.from_table(table, PROFILE)[2][0]
+
+
+def _readings(meter: list[float], image: list[float]) -> list[scale.Reading]:
+    pairs = enumerate(zip(meter, image, strict=True))
+    return [scale.Reading("spot", f"spot {i}", m, p, 0.02) for i, (m, p) in pairs]
+
+
+def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path: Path) -> None:
+    picture = [80.0, 120.0, 300.0, 40.0, 900.0, 60.0]
+    slip = _readings([80.0, 1200.0, 300.0, 40.0 / 3.426, 900.0, 60.0], picture)
+    said = scale.slips(slip, scale.fit(slip))
+    assert "spot 1" in said[0] and "factor of ten" in said[0] and "fL typed" in said[1] and len(said) == 2
+    with pytest.raises(InputError, match=r"t.csv: 3 of 6 readings are far.*one unit"):
+        scale.fit(_readings([80.0, 20.0, 300.0, 9.0, 4000.0, 60.0], picture), source="t.csv")
+    right = scale.fit(_readings(picture, picture))
+    assert scale.check_level(right, PROFILE, tmp_path) == ""
+    feet = scale.fit(_readings([p / 3.426 for p in picture], picture))
+    assert "1 fL" in scale.check_level(feet, PROFILE, tmp_path)
+    with pytest.raises(InputError, match=r"k \(R \+ G \+ B\) would be 0.001.*klx"):
+        scale.check_level(scale.fit(_readings([p / 1000 for p in picture], picture)), PROFILE, tmp_path)
+
+
+def test_scale_takes_no_reading_from_what_is_clipped(tmp_path: Path) -> None:
+    flags = np.zeros((60, 120), np.uint16)
+    flags[20, 60] = Flag.CLIPPED_HIGH
+    picture = Panorama(np.full((60, 120), 100.0, np.float32), 180.0, flags=flags)
+    write_panorama(tmp_path / "p.exr", picture)
+    for line in ("p.exr,180,28.5,100,", "p.exr,180,0,,310"):
+        with pytest.raises(InputError, match=r"p.exr: clipped in every frame"):
+            scale.from_table(_spots(tmp_path / "t.csv", [line]), PROFILE)
+    assert len(scale.from_table(_spots(tmp_path / "t.csv", ["p.exr,180,-30,100,", "p.exr,0,0,,310"]), PROFILE)[0]) == 2
 
 
 def test_scale_refuses_a_line_without_reading(tmp_path: Path) -> None:
@@ -237,10 +293,10 @@ def test_scale_refuses_a_line_without_reading(tmp_path: Path) -> None:
     table = tmp_path / "t.csv"
     table.write_text("panorama,azimuth_deg,altitude_deg,luminance_cdm2,illuminance_lx\np.exr,0,0,,\n")
     with pytest.raises(InputError, match="neither"):
-        scale.from_table(table)
+        scale.from_table(table, PROFILE)
     table.write_text("panorama,azimuth_deg,altitude_deg,luminance_cdm2\np.exr,0,zero,5\n")
     with pytest.raises(InputError, match="altitude_deg is 'zero'"):
-        scale.from_table(table)
+        scale.from_table(table, PROFILE)
 
 
 # ---------------------------------------------------------------------------------------------- lens
@@ -271,6 +327,38 @@ def test_analytic_lens_from_known_directions(mapping: str, coefficients: tuple[f
     x, y, _ = lens_pixels(fitted, check.rays)
     assert np.degrees(np.hypot(x - check.x_px, y - check.y_px).max() / 900.0 * np.radians(93)) < 0.1
     assert found.rms_px < 0.8
+
+
+def _with_directions(targets: lens.Targets, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> lens.Targets:
+    return replace(targets, rays=direction(altitude_deg, azimuth_deg))
+
+
+def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
+    """A mirrored table was fitted before by a polynomial that folds back, to half a pixel."""
+    truth = LensGeometry((408.3, 345.2), 330.0, 184.0, "equidistant")
+    start = Lens((400.0, 350.0), 320.0, 184.0)
+    good = _targets(truth, 30, 0.3)
+    azimuth = np.degrees(np.arctan2(good.rays[:, 0], good.rays[:, 1]))
+    altitude = np.degrees(np.arcsin(good.rays[:, 2]))
+    for wrong in (_with_directions(good, -azimuth, altitude), _with_directions(good, azimuth, -altitude)):
+        with pytest.raises(InputError, match=r"in a mirror only"):
+            lens.fit(wrong, start)
+    with pytest.raises(InputError):
+        lens.fit(replace(good, x_px=good.y_px, y_px=good.x_px), start)
+    slipped = azimuth.copy()
+    slipped[[3, 7]] += 40.0
+    found = lens.fit(_with_directions(good, slipped, altitude), start)
+    assert found.doubts[0].startswith("left out") and found.doubts[0].count("off by") == 2
+    assert found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.4) and found.rms_px < 0.6
+
+
+@pytest.mark.parametrize(("azimuth", "roll"), [(180.0, 0.0), (0.0, 90.0), (-25.0, -90.0)])
+def test_analytic_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: float) -> None:
+    truth = LensGeometry((408.3, 345.2), 330.0, 184.0, "equisolid", (), azimuth, 0.0, roll)
+    found = lens.fit(_targets(truth, 30, 0.3), Lens((400.0, 350.0), 320.0, 184.0))
+    assert found.lens.roll_deg == pytest.approx(roll, abs=0.3)
+    assert abs((found.lens.azimuth_deg - azimuth + 180) % 360 - 180) < 0.3
+    assert any("stands turned by" in doubt for doubt in found.doubts)
 
 
 def test_analytic_lens_from_chessboards() -> None:

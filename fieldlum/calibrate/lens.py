@@ -14,7 +14,7 @@ from fieldlum.calibrate.keep import needed, read_table
 from fieldlum.calibrate.order import Candidate, Choice, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
-from fieldlum.projection import LensGeometry, direction, lens_pixels
+from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
 
 Array = NDArray[Any]
 LEAST = 8
@@ -25,6 +25,11 @@ POWERS = {
     "four terms": (1, 2, 3, 4),
 }
 EDGE_DIRECTIONS = 720
+FAR_SIGMA, FAR_RADIUS = 6.0, 0.02  # a target further off than both (of the radius) is a slip: left out and named
+MOST_FAR = 0.2  # of the targets
+MISS_RADIUS = 0.01  # of the radius: a median miss of more is no lens
+BEYOND = 1.06  # of half the full angle: no target of a lens lies further off its axis
+TURNED_DEG = 30.0  # from the pose that the profile has: said
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +51,7 @@ class Fit:
     residual_px: Array
     widest_deg: float  # the largest angle that a target had: beyond it the mapping is an extrapolation
     choice: Choice
+    doubts: tuple[str, ...] = ()  # targets left out; a pose far from the profile's
 
 
 # ---------------------------------------------------------------------------------------------- known directions
@@ -93,28 +99,32 @@ def _solve(targets: Targets, rows: NDArray[np.bool_], lens: Lens, mapping: str, 
 def fit(targets: Targets, lens: Lens) -> Fit:
     """Centre, radius, pose and mapping by robust least squares in pixels, from the profile's lens as a start.
 
-    Mappings are tried from none to four free terms on targets held out. Raises NotEnoughDataError under eight targets.
+    Mappings are tried from none to four free terms on targets held out. Targets that no lens explains are left out and
+    named. Raises NotEnoughDataError under eight targets; InputError for directions that are mirrored, lie behind the
+    lens, or fit no lens at all.
     """
     n = len(targets.x_px)
     if n < LEAST:
         raise NotEnoughDataError(f"{n} targets are too few for a lens: take at least {LEAST}, spread over the circle")
+    start = lens if targets.pose_known else _posed(targets, lens)
     models: list[tuple[str, str, tuple[int, ...]]] = [
         ("equidistant", "equidistant", ()),
         ("equisolid", "equisolid", ()),
     ]
     models += [(name, "polynomial", powers) for name, powers in POWERS.items() if n >= 3 * (len(powers) + 5)][1:]
+    near = _near(targets, start, models)
+    kept = replace(targets, x_px=targets.x_px[near], y_px=targets.y_px[near], rays=targets.rays[near])
     candidates = [
-        Candidate(name, max(len(powers) - 1, 0), _held_out(targets, lens, mapping, powers))
+        Candidate(name, max(len(powers) - 1, 0), _held_out(kept, start, mapping, powers))
         for name, mapping, powers in models
     ]
     choice = choose("lens", candidates, "px", 1.0)
     _, mapping, powers = models[choice.index]
-    figures = _solve(targets, np.ones(n, bool), lens, mapping, powers)
-    found = _geometry(lens, figures, mapping, powers, not targets.pose_known)
-    x, y, angle = lens_pixels(found, targets.rays)
-    residual = np.hypot(x - targets.x_px, y - targets.y_px)
+    figures = _solve(kept, np.ones(len(kept.x_px), bool), start, mapping, powers)
+    found = _geometry(start, figures, mapping, powers, not targets.pose_known)
+    residual, angle = _misses(found, targets)
+    _check(found, residual[near], angle[near], targets)
     rms = float(np.sqrt(candidates[choice.index].errors.mean()))
-    widest = float(np.degrees(angle.max()))
     new = replace(
         lens,
         centre_px=(round(found.centre_px[0], 3), round(found.centre_px[1], 3)),
@@ -125,7 +135,81 @@ def fit(targets: Targets, lens: Lens) -> Fit:
         tilt_deg=round(found.tilt_deg, 4),
         roll_deg=round(found.roll_deg, 4),
     )
-    return Fit(new, rms, rms * lens.full_angle_deg / 2 / found.radius_px, residual, widest, choice)
+    per_px = lens.full_angle_deg / 2 / found.radius_px
+    doubts = _doubts(targets, residual, near, new, lens)
+    return Fit(new, rms, rms * per_px, residual, float(np.degrees(angle[near].max())), choice, doubts)
+
+
+def _doubts(targets: Targets, residual: Array, near: NDArray[np.bool_], new: Lens, before: Lens) -> tuple[str, ...]:
+    far = [f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {residual[i]:.0f} px)" for i in np.flatnonzero(~near)]
+    said = [f"left out, for no lens explains them: {'; '.join(far)}"] if far else []
+    turn = new.geometry.axes() @ before.geometry.axes().T
+    turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
+    if turned_deg > TURNED_DEG:
+        pose = f"azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll {new.roll_deg:.1f} deg"
+        said.append(
+            f"the camera stands turned by {turned_deg:.0f} deg against the profile's pose, now {pose}; azimuths of "
+            "targets count from the camera's heading, not from north"
+        )
+    return tuple(said)
+
+
+def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
+    """How far each target is from where the lens puts it [px], and its angle from the axis [rad]."""
+    x, y, angle = lens_pixels(found, targets.rays)
+    return np.hypot(x - targets.x_px, y - targets.y_px), angle
+
+
+def _near(targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[int, ...]]]) -> NDArray[np.bool_]:
+    """Targets that the best of the robust fits explains."""
+    every, best = np.ones(len(targets.x_px), bool), np.full(len(targets.x_px), np.inf)
+    for _, mapping, powers in models:
+        figures = _solve(targets, every, start, mapping, powers)
+        missed, _ = _misses(_geometry(start, figures, mapping, powers, not targets.pose_known), targets)
+        if np.median(missed) < np.median(best):
+            best = missed
+    near = best <= max(FAR_SIGMA * float(np.median(best)), FAR_RADIUS * start.radius_px)
+    return near if near.mean() >= 1 - MOST_FAR else every
+
+
+def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
+    """Raises InputError for a lens that its own targets contradict."""
+    source = targets.frames[0] if targets.frames else "targets"
+    wanted = "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
+    if np.median(missed) > MISS_RADIUS * found.radius_px:
+        raise InputError(source, f"targets that fit no lens: half of them miss by {np.median(missed):.0f} px", wanted)
+    if angle.max() > BEYOND * found.half_angle_rad:
+        past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that ends at"
+        raise InputError(source, f"{past} {np.degrees(found.half_angle_rad):.0f} deg", wanted, "or mend --full-angle")
+
+
+def _posed(targets: Targets, lens: Lens) -> Lens:
+    """The lens turned as its targets stand, so that a camera held upright, or turned round, is found too.
+
+    The rotation from seen to true directions by singular values (Wahba 1965), slips weighed down; when a mirrored one
+    fits and no rotation does, signs are wrong: raises InputError.
+    """
+    seen = lens_rays(replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0), targets.x_px, targets.y_px)
+    fits = []
+    for sign in (1.0, -1.0):
+        weight, turn, off = np.ones(len(seen)), np.eye(3), np.zeros(len(seen))
+        for _ in range(10):
+            u, _, vt = np.linalg.svd((targets.rays * weight[:, None]).T @ seen)
+            turn = u @ np.diag([1.0, 1.0, sign * np.linalg.det(u @ vt)]) @ vt
+            off = np.linalg.norm(targets.rays - seen @ turn.T, axis=1)
+            weight = 1.0 / np.maximum(off, 0.02)
+        fits.append((float(np.median(off)), turn))
+    (miss, turn), (mirrored, _) = fits
+    if mirrored < 0.5 * miss and miss > 0.1:
+        source = targets.frames[0] if targets.frames else "targets"
+        remedy = "look for a wrong sign, or x and y exchanged"
+        wanted = "azimuth clockwise (to the right), altitude up, x right, y down"
+        raise InputError(source, "directions that fit in a mirror only", wanted, remedy)
+    right, forward = turn[:, 0], turn[:, 1]
+    azimuth, tilt = np.degrees(np.arctan2(forward[0], forward[1])), np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))
+    level = direction(0.0, azimuth + 90.0)
+    roll = np.degrees(np.arctan2(-right @ np.cross(level, forward), right @ level))
+    return replace(lens, azimuth_deg=float(azimuth), tilt_deg=float(tilt), roll_deg=float(roll))
 
 
 def _held_out(targets: Targets, lens: Lens, mapping: str, powers: tuple[int, ...]) -> Array:

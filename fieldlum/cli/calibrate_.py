@@ -138,7 +138,7 @@ def _scale(readings_csv: Path, meter_u: float, camera: str, out: Path, picture: 
     """The absolute factor k, from spot and illuminance readings.
 
     READINGS.csv: panorama, azimuth_deg, altitude_deg, luminance_cdm2 or illuminance_lx; the panoramas merged with the
-    profile that --camera names.
+    profile that --camera names (only its k may have changed since).
 
     \b
     fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
@@ -149,8 +149,11 @@ def _scale(readings_csv: Path, meter_u: float, camera: str, out: Path, picture: 
     from fieldlum.photometry import illuminance_verdict
 
     profile = _profile(camera)
-    readings, frames = scale.from_table(readings_csv)
-    found = scale.fit(readings, meter_u)
+    readings, frames, notes = scale.from_table(readings_csv, profile)
+    found = scale.fit(readings, meter_u, readings_csv)
+    doubt = scale.check_level(found, profile, readings_csv)
+    for note in [*notes, *scale.slips(readings, found), *([doubt] if doubt else [])]:
+        terminal.say(f"note: {note}")
     if picture:
         pictures.save(pictures.of_scale(readings, found), picture)
     points = [
@@ -173,6 +176,7 @@ def _scale(readings_csv: Path, meter_u: float, camera: str, out: Path, picture: 
     if as_json:
         figures["points"] = points
     line = f"{found.choice.line}; k = {k:g}, u {100 * u:.1f} % from {len(readings)} readings"
+    line += "".join(f"; vertical illuminance: {gate}" for gate in gates) + (f"; CAUTION: {doubt}" if doubt else "")
     new = replace(profile.scale, k=k, u_rel=u)
     _write(out, profile, [readings_csv, *frames], [line], figures, as_json, scale=new)
 
@@ -256,12 +260,16 @@ def _mapping(
             f"note: no target beyond {found.widest_deg:.0f} deg from the axis: the rest, up to "
             f"{start.full_angle_deg / 2:g} deg, is extrapolated"
         )
+    for doubt in found.doubts:
+        terminal.say(f"note: {doubt}")
+    line = "; CAUTION: ".join([found.choice.line, *found.doubts])
     figures = {
         "mapping": found.lens.mapping, "centre_px": list(found.lens.centre_px), "radius_px": found.lens.radius_px,
-        "coefficients": list(found.lens.coefficients), "rms_px": found.rms_px, "rms_deg": found.rms_deg,
-        "widest_deg": found.widest_deg,
+        "coefficients": list(found.lens.coefficients), "azimuth_deg": found.lens.azimuth_deg,
+        "tilt_deg": found.lens.tilt_deg, "roll_deg": found.lens.roll_deg, "rms_px": found.rms_px,
+        "rms_deg": found.rms_deg, "widest_deg": found.widest_deg,
     }  # fmt: skip
-    return found.lens, found.choice.line, figures
+    return found.lens, line, figures
 
 
 def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) -> Any:

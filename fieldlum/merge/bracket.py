@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldlum.images import calibration_mark
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import (
@@ -170,8 +171,7 @@ def merge_shots(
     times = [s.t_utc for s in ordered if s.t_utc is not None]
     middle = min(times) + (max(times) - min(times)) / 2 if times else None
     panorama = Panorama(
-        done.luminance_cdm2, heading_deg, done.u_cdm2, done.flags, middle, None, done.rgb,
-        {"camera": profile.camera.name},
+        done.luminance_cdm2, heading_deg, done.u_cdm2, done.flags, middle, None, done.rgb, calibration_mark(profile),
     )  # fmt: skip
     view = "" if isinstance(target, Equirect) else target.view
     return MergeResult(panorama, quality, verdict(quality), view)
