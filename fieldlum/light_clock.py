@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 LIT_WM2 = 10.0  # the global crosses it with the sun at 1 (clear) to 4 degrees (overcast)
 CLOCK_WARN_S = 1200.0  # mornings and evenings whose clouds differ twentyfold shift the middle by under 7 minutes
+_SET_S, _LEAST_DAYS = 1800.0, 3
 _SETS_DEG = 5.0  # the night's lowest sun, and the day's highest: else clouds make day and night
 _LONGEST_STORM_S = 7200.0  # a darker spell within a day
 _NIGHT_SUN_DEG = -3.0  # 40 lx at most, 0.4 W/m2; an hour of daylight saving lights it at every dusk or every dawn
@@ -26,16 +27,40 @@ def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
     t_unix_s, ghi_wm2 [n]: rows in order of time. A positive answer is a clock that is fast, or an offset from UTC that
     was told too small: -43 200 to 43 200 s.
     """
+    off = days_off_s(t_unix_s, ghi_wm2, site)[1]
+    return float(np.median(off)) if len(off) else None
+
+
+def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[datetime], Array]:
+    """Each whole day's logged middle of the light, and that minus solar noon [days] s."""
     known = np.isfinite(ghi_wm2)
     middles = [0.5 * (first + last) for first, last in whole_days(t_unix_s[known], ghi_wm2[known])]
     times = [t for m in middles if _rises_and_sets(t := datetime.fromtimestamp(m, UTC), site)]
-    if not times:
-        return None
     at = sun.position(times, site)
     east, north, up = sun.direction(at.altitude_deg, at.azimuth_deg).T
     latitude = np.radians(site.latitude_deg)
     hour_angle = np.arctan2(-east, np.cos(latitude) * up - np.sin(latitude) * north)
-    return float(np.median(hour_angle)) / np.pi * 43_200.0
+    return times, hour_angle / np.pi * 43_200.0
+
+
+def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, float] | None:
+    """The first day after the clock was set, as for daylight saving, and by how much; None where it was not.
+
+    The split of the days with the least scatter on both sides, at least three days on each; a step counts from half an
+    hour on, and where it takes away half of all scatter: the middle of one day of broken clouds can lie an hour beside.
+    """
+    days, off = days_off_s(t_unix_s, ghi_wm2, site)
+    splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
+    if not splits:
+        return None
+    scatter = [_scatter(off[:k]) + _scatter(off[k:]) for k in splits]
+    k = splits[int(np.argmin(scatter))]
+    step = float(np.median(off[k:]) - np.median(off[:k]))
+    return (days[k], step) if abs(step) >= _SET_S and min(scatter) < 0.5 * _scatter(off) else None
+
+
+def _scatter(values: Array) -> float:
+    return float(np.abs(values - np.median(values)).sum())
 
 
 def _rises_and_sets(t_utc: datetime, site: Site) -> bool:

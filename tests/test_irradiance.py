@@ -161,7 +161,7 @@ def test_night_offset_is_told_and_not_subtracted() -> None:
     series = series_of([IrradianceSample(night + timedelta(seconds=5 * i), -2.5 - 0.1 * (i % 3)) for i in range(50)])
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     found = check(series, altitude, top)
-    told = health(series, found, altitude, 0, SEATTLE)
+    told = health(series, found, altitude, top, 0, SEATTLE)
     assert told.night_offset_wm2 == pytest.approx(-2.6)
     np.testing.assert_array_equal(found.ghi_wm2, series.ghi_wm2)
 
@@ -205,6 +205,57 @@ def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
     told = irradiance.run(made)
     assert [said for said in told.warnings if "min from solar noon: check the logger's clock" in said]
     assert irradiance.run(made) == told
+
+
+@pytest.mark.parametrize("after", [3, 7])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_clock_set_within_the_log_is_told_with_its_day(after: int, seed: int) -> None:
+    t, ghi = logged(SEATTLE, datetime(2027, 12, 1, 8, tzinfo=UTC), 14, seed=seed)
+    day = datetime(2027, 12, 15 - after, 8, tzinfo=UTC)
+    found = light_clock.clock_set_s(np.where(t >= day.timestamp(), t + 3600.0, t), ghi, SEATTLE)
+    assert found is not None and found[0].date() == day.date() and found[1] == pytest.approx(3600.0, abs=600.0)
+    march, through_clouds = logged(SEATTLE, datetime(2027, 3, 1, 8, tzinfo=UTC), 14, seed=seed)
+    assert light_clock.clock_set_s(march, through_clouds, SEATTLE) is None
+    assert light_clock.clock_set_s(t[:1000], ghi[:1000], SEATTLE) is None  # three days
+
+
+def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> None:
+    """DIRINT gave no direct at all there: 700 W/m2 of a high sun, all of them diffuse, and nothing said so."""
+    lone = series_of([IrradianceSample(NOON + timedelta(hours=i), 700.0 + i) for i in range(3)])
+    altitude, top = sky_geometry(lone.t_unix_s, SEATTLE)
+    found = derive(check(lone, altitude, top), altitude, SEATTLE)
+    assert np.isnan(found.dni_wm2).all() and np.isnan(found.dhi_wm2).all()
+    told = health(lone, found, altitude, top, 0, SEATTLE).warnings
+    assert told == (
+        "100 % of the rows by day are global alone without neighbours within half an hour: "
+        "no direct can be derived from them",
+    )
+
+
+def test_rows_of_one_moment_that_differ_are_marked() -> None:
+    twice = [at(0, 800.0, 150.0), at(5, 801.0, 150.0), at(5, 801.0, 150.0), at(10, 802.0, None), at(10, 830.0, None)]
+    found = series_of(twice)
+    assert found.ghi_wm2.tolist() == [800.0, 801.0, 802.0]
+    assert [bool(mark & Mark.DOUBLE) for mark in found.marks] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("ghi", "dhi", "said"),
+    [(0.8, 0.15, "is it kW/m2?"), (150.0, 800.0, "more diffuse than global"), (1600.0, 150.0, "extremely rare")],
+)
+def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, said: str) -> None:
+    series = series_of([at(5.0 * i, ghi * (1 + 1e-4 * (i % 7)), dhi) for i in range(50)])
+    altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
+    found = derive(check(series, altitude, top), altitude, SEATTLE)
+    assert any(said in text for text in health(series, found, altitude, top, 0, SEATTLE).warnings)
+
+
+def test_a_night_offset_that_blanks_the_nights_is_told() -> None:
+    night = datetime(2027, 6, 21, 8, tzinfo=UTC)
+    series = series_of([IrradianceSample(night + timedelta(seconds=5 * i), -5.0) for i in range(50)])
+    altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
+    told = health(series, check(series, altitude, top), altitude, top, 0, SEATTLE)
+    assert told.warnings == ("night offset -5.0 W/m2: level, clean and ventilate the instrument",)
 
 
 @pytest.fixture

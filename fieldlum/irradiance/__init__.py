@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
-from enum import IntFlag
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +14,14 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s
-from fieldlum.records import Float, IrradianceSample, Progress, Site, quiet
+from fieldlum.irradiance.series import UNUSABLE, Array, Mark, Series, poll_period_s, series_of
+from fieldlum.irradiance.verdict import Health as Health
+from fieldlum.irradiance.verdict import health as health
+from fieldlum.records import Float, Progress, Site, quiet
 from fieldlum.session import Session, day_files, read_day, replacing
-
-Array = NDArray[np.float64]
 
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
 MEASURED, DERIVED = "measured", "derived:dirint"
-NIGHT_SUN_DEG = -6.0
-NIGHT_OFFSET_WARN_WM2 = 5.0
 STUCK_S = 600.0  # daylight that does not change by a digit for so long is a dead reading
 _SEGMENT_GAP_S = 1800.0  # DIRINT looks at neighbouring minutes, never across a longer gap
 SPIKE_WM2 = 20.0  # a departure by less is no spike, whatever is around it
@@ -33,83 +30,10 @@ SPIKE_OVER_USUAL = 3.0  # and than the light changes around it
 _SPIKE_ROWS = 120  # "around it": rows on either side, ten minutes at 5 s
 _SPIKE_RANK = 9  # of the steps around it: four other spikes there hide none
 _BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all would take much memory
-_RECIPE = 3  # raise it when the arithmetic changes: clean.csv is then made again
-
-
-class Mark(IntFlag):
-    """Why a row must be read with care. After IMPOSSIBLE and STATUS its figures are blank."""
-
-    IMPOSSIBLE = 1  # outside BSRN's physically possible limits
-    EXTREME = 2  # outside BSRN's extremely rare limits
-    CLOSURE = 4  # global is not diffuse + direct, where three instruments say so
-    DIFFUSE = 8  # diffuse above global
-    STUCK = 16  # the same figure for over ten minutes of daylight
-    STATUS = 32  # the instrument reported an error
-    LOW_SUN = 64  # sun under 5 degrees: DNI from horizontal readings is poor
-    GAP = 128  # the first row after a gap
-    DISORDER = 256  # a row that stood later in the file than its time
-    DERIVED = 512  # DNI and DHI are a model's, not an instrument's
-    SPIKE = 1024  # one reading alone departs from both neighbours: a damaged line, a bird, a very small cloud
-
-
-UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
-
-
-@dataclass(frozen=True, slots=True)
-class Series:
-    """Arrays [n] in order of time; NaN where a component is not known. [W/m2]"""
-
-    t_unix_s: Array
-    ghi_wm2: Array
-    dhi_wm2: Array
-    dni_wm2: Array
-    marks: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.t_unix_s)
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """What the person responsible wants to know about the instrument."""
-
-    rows: int
-    broken_lines: int
-    usable: int
-    every_s: float
-    gaps: int
-    longest_gap_s: float
-    night_offset_wm2: float | None  # median of the global with the sun under -6 degrees; never subtracted
-    closure_pass: float | None  # share of testable rows, where direct is measured too
-    clock_off_s: float | None  # by the light itself (`light_clock`); None without a whole day, dark on either side
-    marks: dict[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+_RECIPE = 4  # raise it when the arithmetic changes: clean.csv is then made again
 
 
 # ---------------------------------------------------------------------------------------------- checks
-
-
-def poll_period_s(t_unix_s: Array) -> float:
-    """The usual time between two rows."""
-    return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
-
-
-def series_of(samples: Sequence[IrradianceSample]) -> Series:
-    """Samples as arrays in order of time, doubles dropped; STATUS and DISORDER are marked."""
-    t = np.array([s.t_utc.timestamp() for s in samples])
-    ghi, dhi, dni = (np.array([getattr(s, f"{name}_wm2") for s in samples], float) for name in ("ghi", "dhi", "dni"))
-    marks = np.array([_mark_of_status(s.status) for s in samples], np.int64)
-    if len(t) > 1:
-        marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
-    _, keep = np.unique(t, return_index=True)
-    return Series(t[keep], ghi[keep], dhi[keep], dni[keep], marks[keep])
-
-
-def _mark_of_status(status: str) -> Mark:
-    """An instrument's complaint makes its reading unusable; a driver's doubt only asks for care."""
-    if not status:
-        return Mark(0)
-    return Mark.DIFFUSE if status == "total below diffuse" else Mark.STATUS
 
 
 def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
@@ -234,6 +158,7 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
     centres, ghi_minute, row_minute = minute_means(series.t_unix_s, np.where(alone, series.ghi_wm2, np.nan))
     times = [datetime.fromtimestamp(t, UTC) for t in centres]
     dni_minute = sun.dirint_dni(ghi_minute, times, site)
+    dni_minute[_without_neighbours(ghi_minute) & (ghi_minute > 0.0)] = np.nan
     beam_share = np.divide(dni_minute, ghi_minute, out=np.zeros_like(ghi_minute), where=np.nan_to_num(ghi_minute) > 1.0)
     dni = np.where(alone, beam_share[row_minute] * np.maximum(series.ghi_wm2, 0.0), series.dni_wm2)
     dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
@@ -243,41 +168,10 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
     return Series(series.t_unix_s, series.ghi_wm2, dhi, dni, marks)
 
 
-# ---------------------------------------------------------------------------------------------- health
-
-
-def health(raw: Series, clean: Series, altitude: Array, broken: int, site: Site) -> Health:
-    """raw and clean: the same rows before and after the checks."""
-    night = raw.ghi_wm2[(altitude < NIGHT_SUN_DEG) & np.isfinite(raw.ghi_wm2)]
-    offset = float(np.median(night)) if len(night) >= 10 else None
-    ratio = sun.closure_ratio(raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
-    testable = np.isfinite(ratio) & (altitude > 0)
-    passed = float(np.mean((clean.marks[testable] & Mark.CLOSURE) == 0)) if testable.any() else None
-    period = poll_period_s(clean.t_unix_s)
-    steps = np.diff(clean.t_unix_s)
-    gaps = steps[steps > 2.5 * period]
-    counts = {mark.name.lower(): int(np.sum((clean.marks & mark) != 0)) for mark in Mark if mark.name}
-    warnings: list[str] = []
-    if offset is not None and abs(offset) > NIGHT_OFFSET_WARN_WM2:
-        warnings.append(f"night offset {offset:+.1f} W/m2: level, clean and ventilate the instrument")
-    if passed is not None and passed < 0.8:
-        warnings.append(
-            f"global = diffuse + direct holds in {100 * passed:.0f} % of the rows only: check clock and tilt"
-        )
-    clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
-    if clock_off is not None and abs(clock_off) > CLOCK_WARN_S:
-        warnings.append(
-            f"the days' light is centred {clock_off / 60:+.0f} min from solar noon: check the logger's clock, its "
-            "--utc-offset (daylight saving?) and longitude_deg, and import it anew"
-        )
-    if broken:
-        warnings.append(f"{broken} broken lines in the day files were skipped")
-    usable = int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum())
-    longest = float(gaps.max()) if len(gaps) else 0.0
-    return Health(
-        len(clean), broken, usable, period, len(gaps), longest, offset, passed, clock_off,
-        {name: count for name, count in counts.items() if count}, tuple(warnings),
-    )  # fmt: skip
+def _without_neighbours(value: Float) -> NDArray[np.bool_]:
+    """[m]: numbers with none right before or after them. DIRINT goes by how the light changes: it says nothing then."""
+    known = np.r_[False, np.isfinite(value), False]
+    return known[1:-1] & ~known[:-2] & ~known[2:]
 
 
 # ---------------------------------------------------------------------------------------------- files
@@ -334,7 +228,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     site = session.site_file().site
     altitude, top = sky_geometry(raw.t_unix_s, site)
     series = derive(check(raw, altitude, top), altitude, site)
-    found = health(raw, series, altitude, broken, site)
+    found = health(raw, series, altitude, top, broken, site)
     write_clean(clean, series)
     with replacing(note, "w", encoding="utf-8") as file:
         json.dump({**asdict(found), "inputs": inputs}, file, indent=1)

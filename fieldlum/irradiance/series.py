@@ -1,0 +1,74 @@
+"""Rows of a pyranometer as arrays, each with the reasons why it must be read with care."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.records import IrradianceSample
+
+Array = NDArray[np.float64]
+
+
+class Mark(IntFlag):
+    """Why a row must be read with care. After IMPOSSIBLE and STATUS its figures are blank."""
+
+    IMPOSSIBLE = 1  # outside BSRN's physically possible limits
+    EXTREME = 2  # outside BSRN's extremely rare limits
+    CLOSURE = 4  # global is not diffuse + direct, where three instruments say so
+    DIFFUSE = 8  # diffuse above global
+    STUCK = 16  # the same figure for over ten minutes of daylight
+    STATUS = 32  # the instrument reported an error
+    LOW_SUN = 64  # sun under 5 degrees: DNI from horizontal readings is poor
+    GAP = 128  # the first row after a gap
+    DISORDER = 256  # a row that stood later in the file than its time
+    DERIVED = 512  # DNI and DHI are a model's, not an instrument's
+    SPIKE = 1024  # one reading alone departs from both neighbours: a damaged line, a bird, a very small cloud
+    DOUBLE = 2048  # another row of the same moment has other figures; the first one counts
+
+
+UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Arrays [n] in order of time; NaN where a component is not known. [W/m2]"""
+
+    t_unix_s: Array
+    ghi_wm2: Array
+    dhi_wm2: Array
+    dni_wm2: Array
+    marks: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.t_unix_s)
+
+
+def poll_period_s(t_unix_s: Array) -> float:
+    """The usual time between two rows."""
+    return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
+
+
+def series_of(samples: Sequence[IrradianceSample]) -> Series:
+    """Samples as arrays in order of time, the first one of each moment; STATUS, DISORDER and DOUBLE are marked."""
+    t = np.array([s.t_utc.timestamp() for s in samples])
+    ghi, dhi, dni = (np.array([getattr(s, f"{name}_wm2") for s in samples], float) for name in ("ghi", "dhi", "dni"))
+    marks = np.array([_mark_of_status(s.status) for s in samples], np.int64)
+    if len(t) > 1:
+        marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
+    _, keep, which = np.unique(t, return_index=True, return_inverse=True)
+    first = keep[which]
+    other = np.any([(v != v[first]) & ~(np.isnan(v) & np.isnan(v[first])) for v in (ghi, dhi, dni)], axis=0)
+    marks[first[other]] |= Mark.DOUBLE
+    return Series(t[keep], ghi[keep], dhi[keep], dni[keep], marks[keep])
+
+
+def _mark_of_status(status: str) -> Mark:
+    """An instrument's complaint makes its reading unusable; a driver's doubt only asks for care."""
+    if not status:
+        return Mark(0)
+    return Mark.DIFFUSE if status == "total below diffuse" else Mark.STATUS
