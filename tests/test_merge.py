@@ -19,6 +19,7 @@ from fieldlum.errors import InputError
 from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
+from fieldlum.merge.first_look import NO_PLATEAU
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.stitch import View, blend, vignetting_of
@@ -324,7 +325,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "other.dng"
     write_dng(path, np.zeros((64, 128), np.uint16), Exposure(0.1, 5.6), black_dn=(0, 0, 0, 0), white_dn=4095)
     with pytest.raises(InputError, match="128 x 64 pixels, expected 968 x 484"):
-        load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile), 0.1, None)
+        load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile), 0.1, NO_PLATEAU)
     own = replace(profile, camera=replace(profile.camera, width_px=128, height_px=64, model="Alpha 2"))
     own = replace(own, lens=(replace(own.lens[0], centre_px=(64.0, 32.0), radius_px=30.0),))
     for model, said in (
@@ -336,7 +337,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
         counts = np.zeros((64, 128), np.uint16)
         write_dng(path, counts, Exposure(0.1, 5.6), black_dn=(0, 0, 0, 0), white_dn=4095, model=model)
         with pytest.raises(InputError, match=said) if said else nullcontext():
-            load_raw(Shot(path, Exposure(0.1, 5.6)), own, lens_crop(own), 0.1, None)
+            load_raw(Shot(path, Exposure(0.1, 5.6)), own, lens_crop(own), 0.1, NO_PLATEAU)
     with pytest.raises(InputError, match="filter 'nd9'"):
         sorted_shots([Shot(path, Exposure(0.1, 5.6, 100, "nd9"))], profile)
     with pytest.raises(InputError, match="a JPEG frame"):

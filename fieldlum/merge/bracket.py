@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -13,22 +13,18 @@ import numpy as np
 from fieldlum.images import calibration_mark
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import (
-    Crop,
-    FrameStore,
-    lens_crop,
-    load_jpeg,
-    load_raw,
-    over_colours,
-    over_mosaic,
-    plateau_of,
-)
+from fieldlum.merge.first_look import FirstLook, first_look
+from fieldlum.merge.frames import Crop, FrameStore, lens_crop, load_jpeg, load_raw, over_colours, over_mosaic
 from fieldlum.merge.motion import leave_out_moved
+from fieldlum.merge.noise import SeenNoise, seen_noise
+from fieldlum.merge.quality import Offsets, quality_of, verdict
 from fieldlum.merge.ratios import (
     Neighbours,
     RatioCurve,
+    beyond,
     bracket_pairs,
     neighbours,
+    offsets,
     ratio_curve,
     take_samples,
     unexplained,
@@ -41,11 +37,7 @@ from fieldlum.photometry import RatioFit, fit_ratios
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.projection.resample import Target
-from fieldlum.records import Flag, Panorama, Progress, quiet, utc_text
-from fieldlum.session import exposure_text
-
-RESIDUAL_WARN_PERCENT = 3.0
-SHIFT_WARN_PX = 1.0  # beyond three standard errors
+from fieldlum.records import Panorama, Progress, quiet
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +60,9 @@ class SensorMerge:
     fit: RatioFit
     neighbours: tuple[Neighbours, ...]
     moved: tuple[Moved, ...]
-    plateau_dn: float | None
+    look: FirstLook
+    noise: SeenNoise
+    off: Offsets
     u_ratio: float  # typical of its frames; `u_curve` is what a value gets
     u_curve: RatioCurve
     dropped: tuple[float, ...]  # share of its pixels that each frame lost to motion; empty: not asked for
@@ -94,11 +88,11 @@ def merge_sensor(
     crop = lens_crop(profile)
     times = [true_shutter_s(shot.exposure, profile)[0] for shot in shots]
     raw = profile.camera.kind == "raw"
-    plateau = plateau_of(shots, profile)
+    look = first_look(shots, profile)
 
     def loader(i: int) -> Any:
         if raw:
-            return load_raw(shots[i], profile, crop, times[i], plateau)
+            return load_raw(shots[i], profile, crop, times[i], look.plateau(shots[i]))
         return load_jpeg(shots[i], profile, crop, times[i], (i == 0, i == len(shots) - 1))
 
     store = FrameStore([lambda i=i: loader(i) for i in range(len(shots))], budget_bytes)
@@ -107,12 +101,18 @@ def merge_sensor(
     samples = take_samples(store)
     pairs = bracket_pairs(samples)
     wanted = raw if fit is None else fit
-    ratios = fit_ratios(pairs if wanted else [], exposure_covariance([s.exposure for s in shots], profile))
+    prior = exposure_covariance([s.exposure for s in shots], profile)
+    ratios = fit_ratios(pairs if wanted else [], prior)
     store.correct(ratios.correction)
+    noise = seen_noise(samples, pairs, ratios.correction) if raw and wanted else SeenNoise()
+    store.noisier(noise.shot, noise.read)
     left = neighbours(pairs, ratios.correction)
     typical = float(np.median(ratios.u_log))
     response = 0.0 if raw else profile.response.u_rel
-    extra = unexplained(left, response if wanted else float(np.hypot(response, typical)))
+    explained = response if wanted else float(np.hypot(response, typical))
+    found = np.log(ratios.correction) if wanted else offsets(pairs, len(shots))
+    off = Offsets(found, np.hypot(np.sqrt(np.diag(prior)), response))
+    extra = max(unexplained(left, explained), 0.0 if wanted else beyond(found, pairs, explained))
     apart = float(np.median([abs(n.residual_percent) for n in left])) / 100 if left and not wanted else typical
     shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
     tolerance = max(0.003, 3 * apart, response)  # what a JPEG's response gets wrong is no motion either
@@ -126,7 +126,9 @@ def merge_sensor(
         edge_px = float(np.mean([footprint_px(lens, target) for lens in lenses]))
         merged = with_seen_noise(merged, store, profile.colour.y_from_rgb, edge_px)
     u_ratio, curve = float(np.hypot(typical, extra)), ratio_curve(samples, ratios.covariance, extra)
-    return SensorMerge(merged, tuple(shots), crop, ratios, tuple(left), tuple(moved), plateau, u_ratio, curve, dropped)
+    return SensorMerge(
+        merged, tuple(shots), crop, ratios, tuple(left), tuple(moved), look, noise, off, u_ratio, curve, dropped
+    )
 
 
 def look_through(
@@ -167,7 +169,7 @@ def merge_shots(
         ordered, profile, target=target, heading_deg=heading_deg, fit=fit, drop_moved=drop_moved, progress=progress
     )
     done = finish(blend(views), profile, target)
-    quality = _quality(parts, done.flags, target)
+    quality = quality_of(parts, done.flags, target)
     times = [s.t_utc for s in ordered if s.t_utc is not None]
     middle = min(times) + (max(times) - min(times)) / 2 if times else None
     panorama = Panorama(
@@ -198,74 +200,3 @@ def merge_frames(
         known, profile, target=Equirect(height), heading_deg=heading_deg, fit=fit, drop_moved=drop_moved,
         progress=progress,
     )  # fmt: skip
-
-
-def _quality(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) -> dict[str, Any]:
-    """Figures of one bracket; shares are of the solid angle seen. [%]"""
-    solid = target.solid_angles()
-    seen = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
-
-    def share(flag: Flag) -> float:
-        return float(100 * (seen * ((flags & flag) > 0)).sum() / max(seen.sum(), 1e-12))
-
-    frames = [
-        {
-            "file": shot.path.name,
-            "heading_deg": shot.heading_deg,
-            "t_utc": utc_text(shot.t_utc) if shot.t_utc else "",
-            "exposure": exposure_text(shot.exposure),
-            "correction": round(float(c), 6),
-            "u_percent": round(float(100 * u), 4),
-            **({"dropped_percent": round(100 * part.dropped[i], 4)} if part.dropped else {}),
-        }
-        for part in parts
-        for i, (shot, c, u) in enumerate(zip(part.shots, part.fit.correction, part.fit.u_log, strict=True))
-    ]
-    left = [n for part in parts for n in part.neighbours]
-    moved = [
-        {"long": part.shots[m.long].path.name, "short": part.shots[m.short].path.name, **_rounded(m)}
-        for part in parts
-        for m in part.moved
-    ]
-    most = max(moved, key=lambda m: m["sure_px"], default=None)
-    return {
-        "frames": frames,
-        "neighbours": [asdict(n) for n in left],
-        "residual_percent": float(max(abs(n.residual_percent) for n in left)) if left else None,
-        "shifts": moved,
-        "shift_px": most["shift_px"] if most else None,
-        "shift_u_px": most["u_px"] if most else None,
-        "clipped_percent": share(Flag.CLIPPED_HIGH),
-        "bloom_percent": share(Flag.BLOOM),
-        "motion_percent": share(Flag.MOTION),
-        "below_noise_percent": share(Flag.BELOW_NOISE),
-        "outside_percent": float(100 * (1 - seen.sum() / max(solid.sum(), 1e-12))),
-        "plateau_dn": parts[0].plateau_dn,
-        "u_ratio_percent": 100 * float(np.sqrt(np.mean([p.u_ratio**2 for p in parts]))),
-    }
-
-
-def _rounded(moved: Moved) -> dict[str, Any]:
-    return {name: round(float(getattr(moved, name)), 3) for name in ("turn_deg", "shift_px", "u_px", "sure_px")}
-
-
-def verdict(quality: dict[str, Any]) -> str:
-    """One line: good, or what to look at."""
-    said = []
-    worst = quality["residual_percent"]
-    if worst is None:
-        said.append("no two frames overlap")
-    elif worst > RESIDUAL_WARN_PERCENT:
-        said.append(f"neighbouring frames disagree by {worst:.1f} %")
-    said += [
-        f"the camera turned by {m['turn_deg']:.2f} deg ({m['shift_px']:.1f} px) between {m['long']} and {m['short']}"
-        for m in quality["shifts"]
-        if m["sure_px"] > SHIFT_WARN_PX
-    ]
-    if quality["clipped_percent"] > 0:
-        said.append(f"clipped in every frame: {quality['clipped_percent']:.2g} % of the view")
-    if quality["motion_percent"] > 2.0:
-        said.append(f"motion in {quality['motion_percent']:.1f} % of the view")
-    if quality["below_noise_percent"] > 5.0:
-        said.append(f"below noise: {quality['below_noise_percent']:.1f} %")
-    return "; ".join(said) or f"good: frames agree within {worst:.2f} %"

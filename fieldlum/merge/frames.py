@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.merge.estimator import Signal, Strip
+from fieldlum.merge.first_look import Plateau
 from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot, nd_factors
-from fieldlum.photometry import response_table, saturation_plateau, z_per_cdm2
+from fieldlum.photometry import response_table, z_per_cdm2
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
 
@@ -167,8 +168,8 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[n
     return np.tile(cell, (1, width // 2))
 
 
-def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, plateau: float | None) -> RawSignal:
-    """Raises InputError for a frame that is none of this camera's."""
+def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, plateau: Plateau) -> RawSignal:
+    """plateau: of R, G1, G2, B as found in the frames. Raises InputError for a frame that is none of this camera's."""
     mosaic = read_mosaic(shot.path)
     sensor, body = profile.sensor, profile.camera
     _check_camera(shot.path, mosaic.counts.shape, mosaic.model, profile)
@@ -177,7 +178,8 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, p
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)
     black = sensor.black_dn if any(sensor.black_dn) else mosaic.black_dn
-    full = [min(s, mosaic.white_dn, plateau or np.inf) - b for s, b in zip(sensor.saturation_dn, black, strict=True)]
+    tops = zip(sensor.saturation_dn, plateau, black, strict=True)
+    full = [min(s, mosaic.white_dn, p or np.inf) - b for s, p, b in tops]
     exposure = replace(shot.exposure, shutter_s=shutter_s)
     per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     red, green, blue = nd_factors(exposure, profile)
@@ -204,14 +206,6 @@ def _check_camera(path: Path, shape: tuple[int, ...], model: str, profile: Camer
     if known not in found and found not in known:
         remedy = "use its own profile; where this is its own, write that model under [camera]"
         raise InputError(path, f"taken by {model}", f"{body.model}, as {body.name} says", remedy)
-
-
-def plateau_of(shots: Sequence[Shot], profile: CameraProfile) -> float | None:
-    """Where the sensor really saturates, from the most exposed frame; None when it shows no plateau."""
-    if profile.camera.kind == "jpeg":
-        return None
-    mosaic = read_mosaic(shots[0].path)
-    return saturation_plateau(mosaic.counts, mosaic.white_dn)
 
 
 # ---------------------------------------------------------------------------------------------- JPEG
@@ -342,7 +336,7 @@ class FrameStore:
     def __init__(self, loaders: Sequence[Callable[[], Signal]], budget_bytes: int = 600_000_000) -> None:
         self._loaders, self._left = loaders, budget_bytes
         self._kept: dict[int, Signal] = {}
-        self._scale = np.ones(len(loaders))
+        self._scale, self._noise = np.ones(len(loaders)), (1.0, 1.0)
 
     def __len__(self) -> int:
         return len(self._loaders)
@@ -357,6 +351,11 @@ class FrameStore:
         self._scale = self._scale * factors
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
 
+    def noisier(self, shot: float, read: float) -> None:
+        """Multiply the variances of raw frames' shot and read noise, once, now and for all later reads."""
+        self._noise = shot, read
+        self._kept = {i: _with_noise(signal, shot, read) for i, signal in self._kept.items()}
+
     def small(self, number: int) -> Small:
         """A frame reduced to what a turn of the camera can be seen in."""
         signal = self[number]
@@ -366,7 +365,7 @@ class FrameStore:
     def __getitem__(self, number: int) -> Signal:
         if number in self._kept:
             return self._kept[number]
-        signal = _scaled(self._loaders[number](), float(self._scale[number]))
+        signal = _with_noise(_scaled(self._loaders[number](), float(self._scale[number])), *self._noise)
         size = getattr(signal, "counts", getattr(signal, "codes", np.empty(0))).nbytes
         if size <= self._left:
             self._left -= size
@@ -376,3 +375,9 @@ class FrameStore:
 
 def _scaled(signal: Any, factor: float) -> Any:
     return replace(signal, per_cdm2=(signal.per_cdm2 * np.float32(factor)).astype(np.float32))
+
+
+def _with_noise(signal: Any, shot: float, read: float) -> Any:
+    if shot == read == 1.0:
+        return signal
+    return replace(signal, gain_e_per_dn=signal.gain_e_per_dn / shot, noise_dn2=signal.noise_dn2 * read)

@@ -7,12 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.merge.estimator import Signal
-from fieldlum.merge.frames import FrameStore
-from fieldlum.photometry import PairRatio, pair_ratio
+from fieldlum.merge.frames import FrameStore, RawSignal
+from fieldlum.photometry import PairRatio, fit_ratios, pair_ratio
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
-_SNR_LONG, _SNR_SHORT = 30.0, 3.0
+_SNR_LONG = 30.0
+# Of the short frame: bright pixels as far as there are enough; a black level that is off by a count spoils dim ones.
+_SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
 _REACH = 3  # frames of a bracket that are compared with each frame
+_FREE = 0.3  # relative prior of exposures that are not held to anything
 _LEVELS = 193  # luminances at which the ratios' uncertainty is worked out
 
 
@@ -63,12 +66,21 @@ def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
     light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
     w_long, w_short = long.signal.weight(light), short.signal.weight(light)
     snr_long, snr_short = light * np.sqrt(w_long * e_long), light * np.sqrt(w_short * e_short)
-    usable = (snr_long > _SNR_LONG) & (snr_short > _SNR_SHORT) & ~long.full & ~short.full
+    seen = (snr_long > _SNR_LONG) & ~long.full & ~short.full
+    usable = _brightest(seen, snr_short) if isinstance(long.signal, RawSignal) else seen & (snr_short > _SNR_SHORT[-1])
     with np.errstate(divide="ignore"):
         return pair_ratio(
             long.counts.ravel(), short.counts.ravel(), usable.ravel(), (e_long / w_long).ravel(),
             (e_short / w_short).ravel(), (e_short / e_long).ravel(), i, j,
         )  # fmt: skip
+
+
+def _brightest(seen: NDArray[np.bool_], snr: NDArray[np.floating]) -> NDArray[np.bool_]:
+    for least in _SNR_SHORT[:-1]:
+        usable = seen & (snr > least)
+        if usable.sum() >= _ENOUGH:
+            return usable
+    return seen & (snr > _SNR_SHORT[-1])
 
 
 def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
@@ -101,6 +113,21 @@ def unexplained(left: Sequence[Neighbours], explained: float) -> float:
     apart = 1.4826 * float(np.median([abs(n.residual_percent) for n in left])) / 100
     noise = float(np.median([n.u_percent for n in left])) / 100
     return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
+
+
+def offsets(pairs: list[PairRatio], frames: int) -> NDArray[np.float64]:
+    """How far each frame's exposure seems off, relative, by its pairs alone; their mean is 0, unseen frames too.
+
+    Neighbours that agree within 2 % may still add up to 30 % over a bracket: light that changed, or a response.
+    """
+    return np.log(fit_ratios(pairs, np.eye(frames) * _FREE**2).correction)
+
+
+def beyond(off: NDArray[np.float64], pairs: Sequence[PairRatio], explained: float) -> float:
+    """Relative u that exposures which seem `off` leave in a value, beyond what `explained` accounts for."""
+    seen = sorted({i for p in pairs for i in (p.long, p.short)})
+    spread = float(np.std(off[seen])) if seen else 0.0
+    return float(np.sqrt(max(spread**2 - explained**2, 0.0)))
 
 
 def ratio_curve(samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0) -> RatioCurve:

@@ -20,6 +20,8 @@ from fieldlum.records import Exposure, parse_utc
 
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame
+U_ISO = 0.03  # relative, of an ISO that is not the one that the profile was made at: amplifiers are not exact
+_ONE_APERTURE = 0.02  # relative
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,13 +72,16 @@ def frame_files(folder: Path) -> list[Path]:
 
 
 def shots_of_files(files: Sequence[Path]) -> list[Shot]:
-    """By EXIF. Raises InputError for a file without exposure time."""
+    """By EXIF. Raises InputError for a file without exposure time, or named twice."""
     if not files:
         raise InputError("merge", "no frames", "at least one raw or JPEG file")
-    found = []
+    found, known = [], set()
     for path in files:
         if not path.is_file():
             raise InputError(path, "no such file", "a raw or JPEG frame")
+        if (real := path.resolve()) in known:
+            raise InputError(path, "the same frame twice: it would count for two", "each frame once")
+        known.add(real)
         found.append(Shot(path, read_exif(path).exposure))
     return found
 
@@ -97,6 +102,12 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
         if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             raise InputError(shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k holds for nothing else")
+
+    first = shots[0].exposure.f_number
+    for shot in shots:
+        if abs(shot.exposure.f_number / first - 1) > _ONE_APERTURE:
+            remedy = "merge them apart: each aperture has its own light, and its own loss towards the edge"
+            raise InputError(shot.path, f"f/{shot.exposure.f_number:g} beside f/{first:g}", "one aperture", remedy)
 
     def collected(shot: Shot) -> float:
         e = shot.exposure
@@ -121,14 +132,16 @@ def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, f
 def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -> NDArray[np.float64]:
     """Relative covariance of what frames collected, before any fit, [frames, frames].
 
-    Frames of one shutter time err together, and so do frames through one filter; beside that each frame for itself.
+    Frames of one shutter time err together, and so do frames through one filter and frames of one ISO other than the
+    profile's; beside that each frame for itself.
     """
-    times, filters = [e.shutter_s for e in exposures], [e.nd for e in exposures]
+    times, filters, isos = [e.shutter_s for e in exposures], [e.nd for e in exposures], [e.iso for e in exposures]
     u_time = np.array([true_shutter_s(e, profile)[1] for e in exposures])
     u_nd = np.array([next((nd.u_rel for nd in profile.nd if nd.name == e.nd), 0.0) for e in exposures])
-    same_time, same_filter = np.equal.outer(times, times), np.equal.outer(np.array(filters), np.array(filters))
-    own = np.diag(np.full(len(exposures), U_REPEAT**2))
-    return same_time * np.outer(u_time, u_time) + same_filter * np.outer(u_nd, u_nd) + own
+    u_iso = np.array([0.0 if abs(e.iso / profile.bracket.iso - 1) < 0.01 else U_ISO for e in exposures])
+    kinds = (times, u_time), (filters, u_nd), (isos, u_iso)
+    shared = [np.equal.outer(np.array(k), np.array(k)) * np.outer(u, u) for k, u in kinds]
+    return np.sum(shared, axis=0) + np.diag(np.full(len(exposures), U_REPEAT**2))
 
 
 def nd_factors(exposure: Exposure, profile: CameraProfile) -> tuple[float, float, float]:

@@ -28,7 +28,7 @@ from fieldlum.session import Session, replacing, replacing_path, sha256
 
 DEFAULT_HEIGHT = 230
 _SUN_WARN = 0.02  # u from which the verdict says so
-_RECIPE = 3  # raise it when the arithmetic changes: panoramas made before are then made again
+_RECIPE = 4  # raise it when the arithmetic changes: panoramas made before are then made again
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,9 +24,9 @@ from fieldlum.records import parse_utc
 from fieldlum.session import Session, parse_exposure, read_day, replacing
 
 COLUMNS = (
-    "slot", "t_utc", "verdict", "frames", "residual_percent", "drift_percent", "ghi_change_percent", "shift_px",
-    "shift_u_px", "motion_percent", "clipped_percent", "bloom_percent", "below_noise_percent", "outside_percent",
-    "u_ratio_percent", "sun_lx", "sun_origin", "vertical_illuminance_lx",
+    "slot", "t_utc", "verdict", "frames", "residual_percent", "exposure_span_percent", "drift_percent",
+    "ghi_change_percent", "shift_px", "shift_u_px", "motion_percent", "clipped_percent", "bloom_percent",
+    "below_noise_percent", "outside_percent", "u_ratio_percent", "sun_lx", "sun_origin", "vertical_illuminance_lx",
 )  # fmt: skip
 MIN_BRACKETS = 5  # before a shutter table is believed
 _THUMB = (184, 92)

@@ -89,7 +89,9 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -
     """Corrections of all frames from the pairs and the priors: minimise sum (d - delta_s + delta_l)^2 / u^2 + priors.
 
     prior_covariance [frames, frames] of the log exposures: two frames of one shutter time err together. Pairs that
-    contradict the rest (a cloud passed) lose weight by Huber's rule.
+    contradict the rest (a cloud passed) lose weight by Huber's rule. Where the corrections contradict the priors (light
+    that changed meanwhile, a shutter unlike its dial), the level that the priors fix is less sure by as much: the
+    covariance then rests on priors that are wider by Birge's ratio (Phys. Rev. 40, 1932).
     """
     frames = len(prior_covariance)
     prior = np.asarray(np.linalg.inv(prior_covariance), np.float64)
@@ -107,5 +109,18 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -
         weight = 1.0 / sigma**2 * np.minimum(1.0, 2.5 / np.maximum(pull, 1e-12))
     shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])  # one short frame's noise is in them all
     known = design.T @ ((weight / shared)[:, None] * design) if pairs else 0.0
-    covariance = np.asarray(np.linalg.inv(known + prior), np.float64)
+    wider = prior_covariance + np.eye(frames) * _surplus(delta, prior, prior_covariance, design)
+    covariance = np.asarray(np.linalg.inv(known + np.linalg.inv(wider)), np.float64)
     return RatioFit(np.exp(delta), covariance, tuple(pairs))
+
+
+def _surplus(
+    delta: NDArray[np.floating], prior: NDArray[np.floating], prior_covariance: NDArray[np.floating],
+    design: NDArray[np.floating],
+) -> float:  # fmt: skip
+    """Variance that each exposure needs beside its prior's: the surest prior's, times how far chi2 is beyond 1."""
+    freedom = np.linalg.matrix_rank(design) if len(design) else 0
+    if not freedom:
+        return 0.0
+    birge2 = float(delta @ prior @ delta) / freedom
+    return max(birge2 - 1.0, 0.0) * float(np.diag(prior_covariance).min())

@@ -1,0 +1,48 @@
+"""What the frames themselves say of the sensor and the camera before they are merged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fieldlum.merge.shots import Shot
+from fieldlum.photometry import saturation_plateau
+from fieldlum.profiles import CameraProfile
+from fieldlum.raw import channel_positions, read_mosaic
+
+Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
+NO_PLATEAU: Plateau = (None, None, None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class FirstLook:
+    """plateau_dn by ISO; black_off_dn: the file's black level less the profile's, largest over the colours."""
+
+    plateau_dn: dict[float, Plateau]
+    black_off_dn: float = 0.0
+
+    def plateau(self, shot: Shot) -> Plateau:
+        return self.plateau_dn.get(shot.exposure.iso, NO_PLATEAU)
+
+
+def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
+    """By the most exposed frame of each ISO; shots of one heading, sorted. Nothing of JPEG frames.
+
+    A colour may be full below the others, and at another count at each ISO: full wells at a low one, the converter's
+    end at a high one.
+    """
+    if profile.camera.kind == "jpeg":
+        return FirstLook({})
+    found: dict[float, Plateau] = {}
+    off = 0.0
+    for shot in shots:
+        if shot.exposure.iso in found:
+            continue
+        mosaic = read_mosaic(shot.path)
+        planes = (mosaic.counts[row::2, column::2] for row, column in channel_positions(mosaic.cfa))
+        red, green_1, green_2, blue = (saturation_plateau(plane, mosaic.white_dn) for plane in planes)
+        found[shot.exposure.iso] = red, green_1, green_2, blue
+        if any(profile.sensor.black_dn):
+            each = [file - own for file, own in zip(mosaic.black_dn, profile.sensor.black_dn, strict=True)]
+            off = max([off, *each], key=abs)
+    return FirstLook(found, off)

@@ -1,0 +1,77 @@
+"""How noisy raw frames are, as neighbouring frames of the bracket show it, over what the profile says.
+
+Gain and read noise of a profile are often those of another body. Too little noise said, and noise is taken for motion
+and u is too small. Two frames of one scene differ by their noise: its part that grows with the signal tells the gain,
+the rest the read noise (photon transfer; Janesick, SPIE 2007), robustly, so that what moved does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.ratios import Sample
+from fieldlum.photometry import PairRatio
+
+_STEPS = 12  # levels of a pair that are looked at
+_IN_A_STEP = 200  # pixels
+_TOLD = 1.44  # of a variance (1.2 of noise): less is not told from the profile's
+
+
+@dataclass(frozen=True, slots=True)
+class SeenNoise:
+    """Factors on the profile's variances: of shot noise and of read noise; 1 where they are no larger than said."""
+
+    shot: float = 1.0
+    read: float = 1.0
+
+    @property
+    def larger(self) -> float:
+        """Of the two, as a factor on a standard deviation."""
+        return float(np.sqrt(max(self.shot, self.read)))
+
+
+def seen_noise(samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]) -> SeenNoise:
+    """By neighbouring frames; samples and pairs of raw frames before `correction`, which their pairs gave."""
+    from scipy.optimize import nnls
+
+    rows, seen = [], []
+    for pair in pairs:
+        if pair.short == pair.long + 1:
+            ratio = float(np.exp(np.log(correction[pair.short]) - np.log(correction[pair.long])))
+            for shot, read, found in _steps(samples[pair.long], samples[pair.short], ratio):
+                rows.append((shot / found, read / found))  # relative: each step counts alike
+                seen.append(1.0)
+    if len(rows) < 4:
+        return SeenNoise()
+    shot, read = nnls(np.array(rows), np.array(seen))[0]
+    return SeenNoise(float(shot) if shot > _TOLD else 1.0, float(read) if read > _TOLD else 1.0)
+
+
+def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, float, float]]:
+    """Of steps of the signal: shot and read variance of the two frames' difference as said, and as seen [DN2]."""
+    a, b = long.signal, short.signal
+    if not (isinstance(a, RawSignal) and isinstance(b, RawSignal)):
+        return []
+    shape = long.counts.shape
+    ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape)
+    good = a.usable(long.counts) & b.usable(short.counts) & ~long.full & ~short.full
+    y_long, y_short, ratio = long.counts[good], short.counts[good], ratio[good]
+    order = np.argsort(y_long)
+    found = []
+    for step in np.array_split(order, int(np.clip(len(order) // _IN_A_STEP, 1, _STEPS))):
+        if len(step) < _IN_A_STEP:
+            continue
+        r = ratio[step]
+        light = np.maximum(y_long[step], 0.0)
+        off = y_short[step] - r * y_long[step]
+        spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+        shot = float(np.median(r * light / b.gain_e_per_dn + r**2 * light / a.gain_e_per_dn))
+        read = float(np.median(b.noise_dn2 + r**2 * a.noise_dn2))
+        if spread > 0:
+            found.append((shot, read, spread**2))
+    return found

@@ -1,0 +1,155 @@
+"""What a bracket is not told of its camera: each colour's own plateau, ISO, light that changes, noise, black."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldlum.errors import InputError
+from fieldlum.merge import Shot, merge_frames, merge_sensor, shots_of_files
+from fieldlum.merge.bracket import SensorMerge
+from fieldlum.merge.quality import Offsets, verdict
+from fieldlum.merge.ratios import beyond, offsets
+from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
+from fieldlum.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
+from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
+from fieldlum.raw import write_dng
+from fieldlum.records import Exposure, Flag
+
+SIZE = 160
+TIMES = (1.0, 1 / 4, 1 / 15, 1 / 60, 1 / 250)
+BLACK, WHITE = 512.0, 16383.0
+PROFILE = CameraProfile(
+    CameraBody("doubt", "raw", SIZE, SIZE, "lab", "doubt"),
+    (Lens((SIZE / 2, SIZE / 2), SIZE / 2 - 2, 180.0),),
+    Bracket(5.6, 100.0, TIMES),
+    Sensor("GBRG", (BLACK,) * 4, (15800.0,) * 4, WHITE, 4.0, 6.0, 100.0),
+)
+EXPOSURES = tuple(Exposure(t, 5.6) for t in TIMES)
+
+
+def scene() -> np.ndarray:
+    """Three decades from left to right, an even ramp on the mosaic. [cd/m2]"""
+    return np.broadcast_to(np.geomspace(5.0, 5000.0, SIZE), (SIZE, SIZE)).copy()
+
+
+def take(
+    folder: Path,
+    exposures: Sequence[Exposure] = EXPOSURES,
+    *,
+    light: Sequence[float] | None = None,
+    gain: float = 4.0,
+    read_e: float = 6.0,
+    black: float = BLACK,
+    full: np.ndarray | float = 15800.0,
+) -> list[Shot]:
+    """A bracket of `scene` by a camera that need not be what PROFILE says; light: a factor for each frame."""
+    rng = np.random.default_rng(4)
+    shots = []
+    for i, e in enumerate(exposures):
+        per = z_per_cdm2(snap_shutter_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
+        signal = scene() * per * (1.0 if light is None else light[i])
+        electrons = rng.poisson(signal * gain) + rng.normal(0, read_e, signal.shape)
+        counts = np.minimum(np.rint(electrons / gain + black), full).astype(np.uint16)
+        path = folder / f"{i}.dng"
+        write_dng(path, counts, e, black_dn=(black,) * 4, white_dn=WHITE, cfa="GBRG", model="doubt")
+        shots.append(Shot(path, e))
+    return shots
+
+
+def merged(shots: Sequence[Shot], profile: CameraProfile = PROFILE) -> SensorMerge:
+    return merge_sensor(sorted_shots(shots, profile), profile)
+
+
+def off(sensor: SensorMerge) -> np.ndarray:
+    """Relative error of the unflagged pixels' columns. [columns]"""
+    value = np.where(sensor.merged.flags == 0, sensor.merged.value_cdm2, np.nan).reshape(-1, sensor.crop.width)
+    return np.nanmean(value, axis=0) / scene()[0, sensor.crop.left : sensor.crop.left + sensor.crop.width] - 1
+
+
+def test_analytic_each_colour_is_full_where_it_is(tmp_path: Path) -> None:
+    """The file's tag and the profile say 16383, red stops at 14000: it read -0.5 % and 14 % "motion" before."""
+    full = np.full((SIZE, SIZE), 15800.0)
+    full[1::2, ::2] = 14000.0  # red of GBRG
+    trusting = replace(PROFILE, sensor=replace(PROFILE.sensor, saturation_dn=(WHITE,) * 4))
+    found = merged(take(tmp_path, full=full), trusting)
+    assert found.look.plateau_dn[100.0] == pytest.approx((14000, 15800, 15800, 15800), abs=2)
+    assert np.nanmax(np.abs(off(found))) < 0.01
+    assert (found.merged.flags & Flag.MOTION > 0).mean() < 1e-3
+
+
+def test_analytic_an_iso_that_is_not_what_it_says(tmp_path: Path) -> None:
+    """ISO 400 collects 6 % less: found by the frames, for its u allows it."""
+    exposures = (*EXPOSURES[:3], Exposure(1 / 60, 5.6, 400.0), *EXPOSURES[3:])
+    c = exposure_covariance(exposures, PROFILE)
+    assert c[3, 3] - c[4, 4] == pytest.approx(U_ISO**2) and c[3, 4] == pytest.approx(0.003**2)
+    light = [1.0, 1.0, 1.0, 0.94, 1.0, 1.0]
+    found = merged(take(tmp_path, exposures, light=light))
+    assert np.nanmax(np.abs(off(found))) < 0.01
+    assert max(abs(n.residual_percent) for n in found.neighbours) < 0.5
+    assert not found.off.beyond_prior
+
+
+def test_analytic_light_that_changes_is_told_and_counted(tmp_path: Path) -> None:
+    """Ten percent over the bracket: the ratio fit takes it up, so neighbours agree; "good" before."""
+    light = np.linspace(1.0, 1.1, len(TIMES))
+    files = [shot.path for shot in take(tmp_path, light=light)]
+    result = merge_frames(files, PROFILE, height=24)
+    assert result.quality["residual_percent"] < 0.5
+    assert result.quality["exposure_span_percent"] == pytest.approx(100 * np.log(1.1), abs=0.7)
+    assert result.verdict.startswith("exposures lie -") and "the light changed meanwhile" in result.verdict
+    steady = merge_frames([s.path for s in take(tmp_path)], PROFILE, height=24)
+    assert steady.verdict.startswith("good") and steady.quality["exposure_span_percent"] < 0.5
+    assert result.quality["u_ratio_percent"] > 3 * steady.quality["u_ratio_percent"]
+
+
+def test_analytic_priors_that_are_contradicted_widen() -> None:
+    """Birge's ratio: corrections of -5 and +5 % where 0.3 % was expected leave the level unsure by percents."""
+    pairs = [PairRatio(0, 1, 0.1, 5e-4, 999)]
+    prior = np.eye(2) * 0.003**2
+    wild, calm = fit_ratios(pairs, prior), fit_ratios([replace(pairs[0], log_ratio=0.003)], prior)
+    assert np.log(wild.correction) == pytest.approx([-0.05, 0.05], abs=0.002)
+    assert calm.u_log == pytest.approx(0.003 / np.sqrt(2), rel=0.05)
+    assert wild.u_log == pytest.approx(0.05, rel=0.05)  # chi2 2 (0.05 / 0.003)^2 of one freedom, halved by the pair
+
+
+def test_analytic_small_steps_add_up() -> None:
+    """Seven neighbours that agree within 2 % each, all to one side, lie 14 % apart."""
+    pairs = [PairRatio(i, i + 1, 0.02, 0.001, 999) for i in range(7)]
+    found = offsets(pairs, 8)
+    assert found == pytest.approx(0.02 * (np.arange(8) - 3.5), abs=0.003)
+    assert beyond(found, pairs, 0.01) == pytest.approx(np.sqrt(found.std() ** 2 - 0.01**2))
+    assert beyond(found, [], 0.01) == 0.0
+    assert Offsets(found, np.full(8, 0.01)).beyond_prior and not Offsets(found, np.full(8, 0.03)).beyond_prior
+
+
+def test_analytic_noise_beyond_the_profile_is_no_motion(tmp_path: Path) -> None:
+    """Gain 1 e-/DN and 12 e- where the profile says 4 and 6: 93 % of the view was "motion" before."""
+    found = merged(take(tmp_path, gain=1.0, read_e=12.0))
+    assert found.noise.shot == pytest.approx(4.0, rel=0.15)
+    assert found.noise.read == pytest.approx(12**2 / (1.5**2 + 1 / 12), rel=0.3)
+    assert (found.merged.flags & Flag.MOTION > 0).mean() < 2e-3
+    value, u = found.merged.value_cdm2.reshape(-1, found.crop.width), np.sqrt(found.merged.variance)
+    left = found.crop.left
+    error = value - scene()[: len(value), left : left + found.crop.width]
+    assert 0.92 < (np.abs(error) < 1.96 * u.reshape(value.shape)).mean() < 0.98
+    (own := tmp_path / "own").mkdir()
+    calm = merged(take(own))
+    assert (calm.noise.shot, calm.noise.read) == (1.0, 1.0)
+
+
+def test_a_black_level_unlike_the_profiles_is_told(tmp_path: Path) -> None:
+    result = merge_frames([s.path for s in take(tmp_path, black=BLACK + 3)], PROFILE, height=24)
+    assert result.quality["black_off_dn"] == pytest.approx(3.0)
+    assert "black level lies +3.0 DN from the profile's" in result.verdict
+    assert verdict({**result.quality, "black_off_dn": 0.5}).startswith("good")
+
+
+def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
+    shots = take(tmp_path)
+    with pytest.raises(InputError, match=r"0.dng: the same frame twice"):
+        shots_of_files([shots[0].path, shots[1].path, tmp_path / "." / "0.dng"])
+    with pytest.raises(InputError, match=r"2.dng: f/8 beside f/5.6, expected one aperture"):
+        sorted_shots([*shots[:2], replace(shots[2], exposure=Exposure(1 / 15, 8.0))], PROFILE)
