@@ -23,7 +23,7 @@ from fieldlum.devices.clock import RealClock
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.profiles import CameraProfile, load_camera_profile
 from fieldlum.records import IrradianceSample, Progress, Site, SiteFile, Slot, quiet
-from fieldlum.session import Session, read_journal, sha256
+from fieldlum.session import Session, outcomes, sha256
 
 Verdict = Literal["ok", "warn", "fail"]
 DISK_MARGIN = 1.3
@@ -87,7 +87,7 @@ def as_table(findings: Sequence[Finding]) -> dict[str, Any]:
 
 def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
     """Slots that can still be taken."""
-    settled = {e.get("slot") for e in read_journal(session) if e["event"] in ("done", "missed", "aborted")}
+    settled = outcomes(session)
     return [slot for slot in session.slots() if slot.id not in settled and slot.t_utc + GRACE >= now_utc]
 
 
@@ -248,7 +248,7 @@ def check_clock(synchronised: bool | None) -> Finding:
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
-    """Room for all that is owed, with a margin, and for panoramas of the same size again."""
+    """Room for the frames of all that is owed, with a margin."""
     ahead = owed_slots(session, now_utc)
     megabytes = float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * megabytes * 1e6 * DISK_MARGIN

@@ -22,7 +22,7 @@ from fieldlum.capture.steady import SteadyClock
 from fieldlum.capture.verify import doubts
 from fieldlum.devices.clock import ClockFault, FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
-from fieldlum.errors import DeviceError
+from fieldlum.errors import DeviceError, NotEnoughDataError
 from fieldlum.profiles import load_camera_profile
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Panorama, Site, SiteFile, Slot
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256, write_plan
@@ -206,6 +206,13 @@ def test_late_is_missed_never_a_burst(site: Field) -> None:
     assert site.outcomes() == ["missed", "done", "done"]
     late = [e for e in read_journal(site.session) if e["event"] == "late"]
     assert [e["by_s"] for e in late] == [240.0]
+
+
+def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(site: Field) -> None:
+    site.clock = FastClock(T0 + timedelta(days=30))
+    with pytest.raises(NotEnoughDataError, match=r"none of 3 slots is ahead: the last was 2027-03-20 17:30 UTC"):
+        site.run()
+    assert read_journal(site.session) == []
 
 
 def test_a_lost_camera_comes_back_within_the_bracket(site: Field) -> None:

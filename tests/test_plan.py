@@ -76,6 +76,11 @@ def test_polar_night_warns_and_midnight_sun_is_listed(profile: str) -> None:
     assert "polar night: no slot on 3 of 9 days" in said and "midnight sun" in said
 
 
+def test_dark_days_apart_are_named_apart(profile: str) -> None:
+    said = _plan(Site("pole", 90.0, 0.0, "UTC"), profile, "9-day", year=2027).warnings
+    assert "polar night: no slot on 4 of 9 days (2027-03-19, 2027-12-21 to 2027-12-23)" in said
+
+
 def test_fewer_hours_than_asked_for_are_said(profile: str) -> None:
     """contract: three June days in Seattle hold 48 half-past hours of daylight."""
     made = _plan(SEATTLE, profile, "even", start=date(2027, 6, 1), days=3, count=500)

@@ -136,7 +136,19 @@ def test_sheets_hold_a_page_a_day_and_say_when_clocks_change() -> None:
     page = html(slots, _setup(), Cost(30.0, 50.0), notes=["a <note>"])
     assert page.count('<section class="sheet"') == 3 and page.count("The clocks change today") == 1
     assert page.count('class="box"') == len(slots) + 2 * 3
+    assert "does not rise" not in page and "<small>PDT</small>" in page
     assert "a &lt;note&gt;" in page and "<script" not in page and 'src="http' not in page
+
+
+def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
+    """By the wall clock the standard day ends after midnight: its last slot is tomorrow's."""
+    from fieldlum.plan.sheet import Cost, html
+
+    setup = SiteFile(Site("東京 Tromso", 69.65, 18.96, "Europe/Oslo"))
+    slots = plan.make_slots(daylight_hours([date(2027, 6, 20)], setup.site), setup, EXPOSURES)
+    page = html(slots, setup, Cost(30.0, 50.0))
+    assert page.count("00:30 <small>CEST Mon 21</small>") == 1 and page.count("<small>CEST</small>") == 23
+    assert "The sun does not rise or set today." in page
 
 
 # ---------------------------------------------------------------------------------------------- make-ups, coming hours
@@ -176,8 +188,19 @@ def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
     first = makeup.run(session, datetime(2027, 4, 12, tzinfo=UTC))
     second = makeup.run(session, datetime(2027, 9, 20, tzinfo=UTC))
-    assert len(first.made_up) == len(second.made_up) == 13
-    assert {p.missed for p in second.made_up} == {p.slot for p in first.made_up}
+    assert len(first.made_up) == len(second.made_up) == first.missed == second.missed == 13
+    assert {p.missed for p in second.made_up} == {p.missed for p in first.made_up}
+    assert not {p.slot for p in second.made_up} & {p.slot for p in first.made_up}
+    journal = Journal(session)
+    for pair in second.made_up[:5]:
+        journal.append("done", datetime(2028, 3, 1, tzinfo=UTC), slot=pair.slot)
+    journal.append("withdrawn", datetime(2028, 3, 1, tzinfo=UTC), slot=second.made_up[0].slot)
+    journal.close()
+    third = makeup.run(session, datetime(2029, 5, 1, tzinfo=UTC))
+    assert (third.missed, third.recovered, len(third.made_up)) == (9, 4, 9)
+    assert (
+        makeup.sentences(third)[0] == "9 slots missed, 0 of them with a make-up slot already; 4 more were made up since"
+    )
 
 
 def test_a_replan_killed_before_its_last_write_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,6 +252,9 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
     found = coming.trained_kernel(session)
     assert found is not None and found[1] == "north" and found[0].beam_width == 0.3
     assert coming.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC)).model == "north"
+    elsewhere = {"model": "transport", "setup": {"site": {"latitude_deg": -33.9, "longitude_deg": 151.2}}}
+    (folder / "config.json").write_text(json.dumps(elsewhere))
+    assert coming.trained_kernel(session) is None
     (folder / "config.json").write_text(json.dumps({"model": "transport"}))
     with pytest.raises(InputError, match="train again"):
         coming.trained_kernel(session)

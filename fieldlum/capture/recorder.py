@@ -140,8 +140,10 @@ def _allocate(path: Path, size: int) -> None:
     if path.is_file() and path.stat().st_size == size:
         return
     with path.open("wb") as file:
-        if hasattr(os, "posix_fallocate"):
+        try:
             os.posix_fallocate(file.fileno(), 0, size)
-        else:
+        except (AttributeError, OSError) as error:  # no such call: macOS, Windows, FAT on some systems
+            if disk_is_full(error):
+                raise
             file.write(b"\0" * size)
             file.flush()

@@ -21,7 +21,7 @@ from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import Clock, FastClock, RealClock
-from fieldlum.errors import DeviceError, InputError
+from fieldlum.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.records import Exposure, Slot, parse_utc
 from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
 
@@ -117,7 +117,8 @@ def run(
     """Take all brackets that are owed; returns when the plan is settled.
 
     Raises DeviceError when a device does not open at the start (a person is still there then), InputError for a
-    session that another capture holds. `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
+    session that another capture holds, NotEnoughDataError for a plan that was never begun and is past.
+    `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
     """
     with sole_user(session, "capture"):
         runner = _Runner(session, SteadyClock(clock, trusted, options.boot), options, watch, check, check_shortest)
@@ -153,6 +154,7 @@ class _Runner:
         before = fold(read_journal(session))
         self.states = before.slots
         self._resume_time(before)
+        self._refuse_a_past_plan(before)
         self.recorder = Recorder(session, clock.now, options.reserve_bytes, flush=options.flush)
         self.camera: Keeper[Camera] | None = None
         self.logger: Logger | None = None
@@ -172,6 +174,16 @@ class _Runner:
             raise DeviceError(
                 f"the clock says {self.clock.now():%Y-%m-%d %H:%M:%S} UTC, before the last journal entry "
                 f"({before.last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
+            )
+
+    def _refuse_a_past_plan(self, before: Ledger) -> None:
+        """Last month's plan, or a clock that is far ahead: nothing is written down as missed for that."""
+        now = self.clock.now()
+        last = max((slot.t_utc for slot in self.slots), default=now)
+        if not before.slots and last + timedelta(seconds=self.options.grace_s) < now:
+            raise NotEnoughDataError(
+                f"{self.session.root}: none of {len(self.slots)} slots is ahead: the last was {last:%Y-%m-%d %H:%M} "
+                f"UTC, and this computer has {now:%Y-%m-%d %H:%M} UTC; set its clock, or take a new plan"
             )
 
     def open(

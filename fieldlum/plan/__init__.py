@@ -183,7 +183,14 @@ def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) 
 
 
 def _from_to(days: Sequence[date]) -> str:
-    return f"{days[0]}" if len(days) == 1 else f"{days[0]} to {days[-1]}"
+    """Each run of days by its ends."""
+    runs: list[list[date]] = []
+    for day in sorted(days):
+        if runs and (day - runs[-1][-1]).days == 1:
+            runs[-1].append(day)
+        else:
+            runs.append([day])
+    return ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
 
 
 def _per_day(hours: Hours, site: Site) -> dict[date, int]:

@@ -25,6 +25,7 @@ from fieldlum.weather import Weather
 AHEAD_DAYS, SHOWN = 14, 12
 SKIES = 7  # the same hour on days around, in the weather year: what the sky may be like
 BATCH = 25  # captures to judge by
+SAME_PLACE_DEG = 0.1
 WORTH = 0.10  # a batch that takes less than this share of what is left no longer pays
 
 
@@ -50,13 +51,15 @@ class Answer:
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
     """The kernel of the session's newest transport model, and its name; None before training.
 
+    A model that was trained at another place is passed over.
+
     Raises InputError for a model folder that does not hold what it should.
     """
     folders = [path.parent for path in session.models.glob("*/config.json") if (path.parent / "weights.npz").is_file()]
     for folder in sorted(folders, key=lambda path: (path / "config.json").stat().st_mtime, reverse=True):
         try:
             config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-            if config.get("model") != "transport":
+            if config.get("model") != "transport" or not _of_this_place(config, session.site_file().site):
                 continue
             with np.load(folder / "weights.npz", allow_pickle=False) as arrays:
                 facades = Facades(np.array(arrays["facade_azimuths"]), np.array(arrays["facade_weights"]))
@@ -66,11 +69,18 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
     return None
 
 
+def _of_this_place(config: dict[str, Any], site: Site) -> bool:
+    place = config.get("setup", {}).get("site", {})
+    pairs = (("latitude_deg", site.latitude_deg), ("longitude_deg", site.longitude_deg))
+    return all(abs(float(place.get(name, here)) - here) < SAME_PLACE_DEG for name, here in pairs)
+
+
 def captured_features(session: Session, task: choose.Learning) -> Features:
     """Features of what was captured: by the measured irradiance of pairs.csv, else by the weather year's."""
     times, dni, dhi = _paired(session)
     known = {slot_id(t) for t in times}
-    others = [slot.t_utc for slot in session.slots() if slot.id in captured_ids(session) - known]
+    captured = captured_ids(session) - known
+    others = [slot.t_utc for slot in session.slots() if slot.id in captured]
     if others:
         typical = task.weather.at(others)
         sound = np.isfinite(typical.dni_wm2 + typical.dhi_wm2)

@@ -14,7 +14,7 @@ from fieldlum import sun
 from fieldlum.plan.coverage import coverage
 from fieldlum.plan.days import hours_of, span
 from fieldlum.records import Site, SiteFile, Slot, slot_id
-from fieldlum.session import Session, read_journal, replacing, sha256, update_session, write_plan
+from fieldlum.session import Session, outcomes, replacing, sha256, update_session, write_plan
 
 GRACE = timedelta(minutes=5)
 SAME_DECLINATION_DEG = 0.2  # half of a day's change at the equinoxes, so that every passage holds one such day
@@ -31,16 +31,17 @@ class MakeUp:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    missed: int
+    missed: int  # planned hours that are over without a capture, of their own or of a make-up
     made_up: tuple[MakeUp, ...]
     lost: tuple[str, ...]  # missed slots that no coming hour can make up
     already: int  # missed slots whose make-up is still to come
+    recovered: int  # missed slots whose make-up was captured
     sun_band_percent: dict[str, float]  # planned, without (what would be left), with make-ups
     revision: int
 
 
 def captured_ids(session: Session) -> set[str]:
-    return {event["slot"] for event in read_journal(session) if event["event"] == "done" and "slot" in event}
+    return {slot for slot, outcome in outcomes(session).items() if outcome == "done"}
 
 
 def missed_slots(slots: Sequence[Slot], done: set[str], now_utc: datetime) -> list[Slot]:
@@ -99,9 +100,16 @@ def _first_free(slot: Slot, times: Sequence[datetime], taken: set[str], site: Si
     return None
 
 
-def _made_up_for(slots: Sequence[Slot]) -> dict[str, Slot]:
-    """Missed slot's id to its make-up."""
-    return {tag.removeprefix(MAKEUP): slot for slot in slots for tag in slot.tags if tag.startswith(MAKEUP)}
+def _made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
+    """The make-ups of each missed slot; one of a missed make-up stands for the first of them all."""
+    of = {slot.id: tag.removeprefix(MAKEUP) for slot in slots for tag in slot.tags if tag.startswith(MAKEUP)}
+    found: dict[str, list[Slot]] = {}
+    for slot in slots:
+        if first := of.get(slot.id):
+            while first in of:
+                first = of[first]
+            found.setdefault(first, []).append(slot)
+    return found
 
 
 def run(session: Session, now_utc: datetime) -> Answer:
@@ -110,8 +118,11 @@ def run(session: Session, now_utc: datetime) -> Answer:
     about = _resumed(session)
     setup, slots, done = session.site_file(), session.slots(), captured_ids(session)
     stands_in = _made_up_for(slots)
-    missed = missed_slots(slots, done, now_utc)
-    owed = [slot for slot in missed if slot.id not in stands_in]
+    instead = {made.id for several in stands_in.values() for made in several}
+    missed = [slot for slot in missed_slots(slots, done, now_utc) if slot.id not in instead]
+    recovered = [slot for slot in missed if any(made.id in done for made in stands_in.get(slot.id, ()))]
+    missed = [slot for slot in missed if slot not in recovered]
+    owed = [slot for slot in missed if all(made.t_utc + GRACE < now_utc for made in stands_in.get(slot.id, ()))]
     added, pairs, lost = make_up(owed, slots, setup, now_utc)
     if added:
         about = _keep_and_write(session, [*slots, *added], about, setup)
@@ -125,6 +136,7 @@ def run(session: Session, now_utc: datetime) -> Answer:
         tuple(pairs),
         tuple(slot.id for slot in lost),
         len(missed) - len(owed),
+        len(recovered),
         band,
         about.get("revision", 0),
     )
@@ -168,10 +180,11 @@ def as_table(answer: Answer) -> dict[str, Any]:
 
 
 def sentences(answer: Answer) -> list[str]:
+    again = f"; {answer.recovered} more were made up since" if answer.recovered else ""
     if not answer.missed:
-        return ["nothing was missed: the plan stands"]
+        return [f"nothing {'is missing' if again else 'was missed'}: the plan stands{again}"]
     band = answer.sun_band_percent
-    said = [f"{answer.missed} slots missed, {answer.already} of them with a make-up slot already"]
+    said = [f"{answer.missed} slots missed, {answer.already} of them with a make-up slot already{again}"]
     if answer.made_up:
         days = sorted({pair.slot[:8] for pair in answer.made_up})
         shown = ", ".join(f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6]) + (" ..." if len(days) > 6 else "")

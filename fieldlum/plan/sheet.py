@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -56,7 +57,9 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
     texts = []
     for figure in figures:
         buffer = StringIO()
-        figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Glyph .* missing from font")  # a name in letters of its own
+            figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
         texts.append(buffer.getvalue()[buffer.getvalue().index("<svg") :])
     return texts
 
@@ -72,8 +75,7 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
         "season": " ".join(
             sorted({tag.replace("-", " ") for s in slots for tag in s.tags if tag in SEASON_TAGS})
         ).capitalize(),
-        "rise": f"{today.rise.astimezone(zone):%H:%M}" if today.rise else "does not rise or set",
-        "set": f"{today.set.astimezone(zone):%H:%M}" if today.set else "",
+        "rise_and_set": _rise_and_set(today, zone),
         "clock_change": [
             f"{change.total_seconds() / 3600:+g} h at {t.astimezone(zone):%H:%M %Z}" for t, change in changes
         ],
@@ -81,6 +83,7 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
             {
                 "local": f"{slot.t_utc.astimezone(zone):%H:%M}",
                 "zone": f"{slot.t_utc.astimezone(zone):%Z}",
+                "weekday": "" if (local := slot.t_utc.astimezone(zone)).date() == day else f"{local:%a %d}",
                 "utc": f"{slot.t_utc:%H:%M}",
                 "altitude": f"{slot.sun_altitude_deg:.0f}",
                 "azimuth": f"{slot.sun_azimuth_deg:.0f}",
@@ -97,6 +100,13 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
         "gigabytes_so_far": f"{so_far * cost.megabytes_per_slot / 1000:.1f}",
         "sun_path": sun_path_svg(day, slots, setup),
     }
+
+
+def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
+    if not today.rise and not today.set:
+        return "The sun does not rise or set today"
+    times = (f"{name} {t.astimezone(zone):%H:%M}" for name, t in (("Sunrise", today.rise), ("sunset", today.set)) if t)
+    return ", ".join(times)
 
 
 # ---------------------------------------------------------------------------------------------- sun path

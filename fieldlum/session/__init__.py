@@ -6,7 +6,7 @@
 
 from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, decode_sample, encode_sample, read_day
 from fieldlum.session.folder import Session, create_session, open_session, sole_user, update_session
-from fieldlum.session.journal import Journal, read_journal
+from fieldlum.session.journal import Journal, outcomes, read_journal
 from fieldlum.session.lines import append_durably, append_whole, cut_torn_tail, decode_line, encode_line
 from fieldlum.session.plan_file import PLAN_COLUMNS, exposure_text, parse_exposure, read_plan, write_plan
 from fieldlum.session.writing import disk_is_full, replacing, replacing_path, sha256, sync_folder
@@ -29,6 +29,7 @@ __all__ = [
     "encode_sample",
     "exposure_text",
     "open_session",
+    "outcomes",
     "parse_exposure",
     "read_day",
     "read_journal",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -131,7 +132,10 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
     with (session.root / f".{purpose}.lock").open("a") as file:
         try:
             _lock(file.fileno())
-        except OSError:
+        except OSError as error:
+            if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):  # a share that knows no locks
+                found = f"a folder that cannot be locked ({error.strerror})"
+                raise InputError(session.root, found, "a folder on a disk of this computer", "move it there") from None
             raise InputError(session.root, f"another fieldlum {purpose} runs here", "one", "stop it first") from None
         yield
 

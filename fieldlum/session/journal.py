@@ -38,3 +38,14 @@ def read_journal(session: Session) -> list[dict[str, Any]]:
         return []
     with session.journal.open("rb") as file:
         return [row for line in file if (row := decode_line(line)) is not None]
+
+
+def outcomes(session: Session) -> dict[str, str]:
+    """What became of each slot at last: done, missed or aborted; one that was withdrawn from is owed again."""
+    found: dict[str, str] = {}
+    for event in read_journal(session):
+        if event["event"] in ("done", "missed", "aborted") and "slot" in event:
+            found[event["slot"]] = event["event"]
+        elif event["event"] == "withdrawn":
+            found.pop(event["slot"], None)
+    return found

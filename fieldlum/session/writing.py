@@ -43,11 +43,14 @@ def replacing_path(path: Path) -> Iterator[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a rename durable (POSIX; elsewhere there is nothing to do)."""
+    """Make a rename durable (POSIX; elsewhere, and on shared folders that cannot, there is nothing to do)."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(handle)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
+                raise
         finally:
             os.close(handle)
 
