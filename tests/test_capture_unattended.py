@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from fieldlum.capture.runner import Live, Options, run
+from fieldlum.cli.live import panel
 from fieldlum.devices.clock import FastClock
 from fieldlum.records import Exposure, Site, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
@@ -44,6 +46,23 @@ def test_a_display_that_fails_costs_nothing(tmp_path: Path) -> None:
     assert [e["why"] for e in read_journal(session) if e["event"] == "display-lost"] == [
         "BrokenPipeError: [Errno 32] Broken pipe"
     ]
+
+
+@pytest.mark.parametrize("columns", [40, 60, 120])
+def test_the_panel_fits_narrow_terminals_and_takes_any_text(columns: int) -> None:
+    from rich.console import Console
+
+    now = datetime(2027, 3, 20, 14, tzinfo=UTC)
+    live = Live(
+        "waiting", now, 369, 100, 3, 1, 265, "20270320T143000Z", 1800.0, "09.dng [/no tag] [Errno 5]", 512.3, 4.0,
+        "lost", "ok", 72_000_000_000, 0, 70.4, "disk-full: [red]",
+    )  # fmt: skip
+    console = Console(width=columns, record=True, file=io.StringIO())
+    console.print(panel(live, Site("a room [/x] with a name that is longer than its panel", 47.6, -122.3)))
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= columns
+    names = [line.split()[1] for line in lines[2:-1]]
+    assert names == ["slots", "now", "next", "camera", "global", "disk", "last"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="closed standard files")

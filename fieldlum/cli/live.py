@@ -33,22 +33,25 @@ def countdown(seconds: float | None) -> str:
 
 def panel(live: Live, site: Site) -> RenderableType:
     """The whole display as one rich renderable."""
+    from rich.markup import escape
     from rich.panel import Panel
     from rich.progress_bar import ProgressBar
     from rich.table import Table
 
     rows = Table.grid(padding=(0, 2))
-    rows.add_column(style="bold", no_wrap=True)
+    rows.add_column(style="bold", no_wrap=True, min_width=6)
     rows.add_column(no_wrap=True)
     for name, text in _lines(live, ZoneInfo(site.timezone)):
         rows.add_row(name, text)
     whole = Table.grid(padding=(0, 0))
     whole.add_row(ProgressBar(total=max(1, live.planned), completed=live.planned - live.left, width=58))
     whole.add_row(rows)
-    return Panel(whole, title=f"fieldlum capture: {site.name}", width=64)
+    return Panel(whole, title=f"fieldlum capture: {escape(site.name)}", width=64)
 
 
 def _lines(live: Live, zone: ZoneInfo) -> list[tuple[str, str]]:
+    from rich.markup import escape
+
     trouble = "yellow" if live.missed or live.aborted else "green"
     slots = f"[green]{live.done} done[/], [{trouble}]{live.missed} missed, {live.aborted} aborted[/], {live.left} left"
     at = f"{parse_utc(live.next_slot).astimezone(zone):%a %H:%M}, {live.next_slot}" if live.next_slot else ""
@@ -60,10 +63,10 @@ def _lines(live: Live, zone: ZoneInfo) -> list[tuple[str, str]]:
         ("slots", slots),
         ("now", f"{live.state}, {live.t_utc.astimezone(zone):%Y-%m-%d %H:%M:%S %Z}"),
         ("next", upcoming if live.state != "capturing" else f"{at} is being taken"),
-        ("camera", f"{_state(live.camera)} {live.last_frame}"),
+        ("camera", f"{_state(live.camera)} {escape(live.last_frame)}"),
         ("global", f"{_state(live.pyranometer)} {ghi}" if live.pyranometer else "not logged"),
         ("disk", f"{live.bytes_free / 1e9:.1f} GB free{days}"),
-        ("last", live.last_event or "-"),
+        ("last", escape(live.last_event) or "-"),
     ]
 
 
