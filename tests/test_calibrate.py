@@ -140,6 +140,45 @@ def test_the_wrong_sign_is_refused(tmp_path: Path) -> None:
         vignette.fit(vignette.from_table(table, PROFILE))
 
 
+@pytest.mark.parametrize("slip", [1.12, 0.3, 10.0])
+def test_analytic_one_slip_among_vignetting_readings_is_left_out(tmp_path: Path, slip: float) -> None:
+    """12 % at half the angle had bent the whole curve by 4 % before."""
+    half, angles = LENS.full_angle_deg / 2, np.abs(np.linspace(-90, 90, 15))
+    values = 100 * vignetting_at(TRUE_V, angles / half)
+    values[10] *= slip
+    table = tmp_path / "v.csv"
+    table.write_text(
+        "angle_deg;value\n" + "\n".join(f"{a:g};{v:.2f}".replace(".", ",") for a, v in zip(angles, values, strict=True))
+    )
+    found = vignette.fit(vignette.from_table(table, PROFILE))
+    r = np.linspace(0, 0.95, 30)
+    assert np.abs(vignetting_at(found.coefficients, r) / vignetting_at(TRUE_V, r) - 1).max() < 0.003
+    assert found.choice.line.endswith(
+        f"left out, far from those beside them: one at {100 * angles[10] / half:.0f} % of the half angle"
+    )
+    assert len(found.residual_rel) == 15
+
+
+def test_analytic_a_steep_rim_is_no_slip() -> None:
+    r = np.abs(np.linspace(-0.98, 0.98, 21))
+    value = 100 * (1 - 0.1 * r**2 - 0.5 * r**8)
+    found = vignette.fit(vignette.Samples(r, value, np.full(21, 0.002), 5.6, 0, (Path("t.csv"),)))
+    assert "left out" not in found.choice.line
+    assert np.abs(vignetting_at(found.coefficients, r) * found.level / value - 1).max() < 0.02
+
+
+def test_vignetting_beyond_the_lens_is_refused(tmp_path: Path) -> None:
+    table = tmp_path / "v.csv"
+    table.write_text("angle_deg,value\n" + "\n".join(f"{a},{100 - a / 4}" for a in range(0, 180, 20)))
+    with pytest.raises(
+        InputError, match=r"v.csv: angle_deg up to 160, expected at most 93, angles from the optical axis"
+    ):
+        vignette.from_table(table, PROFILE)
+    table.write_text("angle_deg,value\n" + "\n".join(f"{np.radians(a):.3f},{100 - a / 4}" for a in range(0, 90, 10)))
+    with pytest.raises(NotEnoughDataError, match=r"v.csv: 9 readings up to 2 %.*degrees"):
+        vignette.fit(vignette.from_table(table, PROFILE))
+
+
 # ---------------------------------------------------------------------------------------------- response
 
 
@@ -194,6 +233,14 @@ def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
 
 def _fitted(folder: Path) -> response.Fit:
     return response.fit(response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0)))
+
+
+def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
+    """Frames of another sensor were fitted where the profile's circle happened to lie on them."""
+    _bracket(tmp_path / "b", response_table("srgb"), 3, (0.5, 0.25, 0.125, 1 / 15))
+    other = replace(JPEG_PROFILE, camera=replace(JPEG_PROFILE.camera, width_px=5616, height_px=3744))
+    with pytest.raises(InputError, match=r"pixels, expected 5616 x 3744, as .* says, use its own profile"):
+        response.sample(response.brackets_in([tmp_path / "b"]), other, np.random.default_rng(1))
 
 
 def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
@@ -435,6 +482,18 @@ def test_analytic_colour_leaves_a_wrong_prior_when_readings_prove_it() -> None:
     found = colour.fit(_colours(30, 0.01, truth), PROFILE)
     shares = np.array(found.y_from_rgb) / sum(found.y_from_rgb)
     assert shares == pytest.approx(truth, abs=0.02) and found.u_rel < 0.02
+
+
+def test_analytic_colour_leaves_out_a_slip_and_refuses_a_muddle() -> None:
+    colours = _colours(12, 0.005, (0.30, 0.60, 0.10))
+    y = colours.y.copy()
+    y[4] *= 10
+    found = colour.fit(replace(colours, y=y), replace(PROFILE, colour=Colour((0.25, 0.68, 0.07))))
+    clean = colour.fit(colours, replace(PROFILE, colour=Colour((0.25, 0.68, 0.07))))
+    assert found.y_from_rgb == pytest.approx(clean.y_from_rgb, rel=0.05) and found.u_rel < 0.02
+    assert f"left out: {colours.labels[4]}, 9." in found.choice.line and len(found.residual) == 12
+    with pytest.raises(InputError, match="do not go together"):
+        colour.fit(replace(colours, y=np.roll(colours.y, 1) * np.geomspace(0.2, 5, 12)), PROFILE)
 
 
 def test_analytic_colour_keeps_a_right_prior() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,8 @@ Array = NDArray[np.floating]
 READING_U = 0.02
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
 LEAST = 4
-
+FAR = 0.5  # of ln luminance over what the best start says: a reading further off, and alone, is a slip
+MOST_U = 0.2  # a larger held-out error is no set of coefficients
 CHART_U = 0.03  # of a printed chart's patch
 
 
@@ -112,6 +113,9 @@ def fit(colours: Colours, profile: CameraProfile) -> Fit:
         raise NotEnoughDataError(f"{n} readings are too few for three coefficients: take at least {LEAST} colours")
     if not ((colours.y > 0).all() and (colours.rgb[:, 1] > 0).all()):
         raise InputError(colours.frames[0], "readings or patches that are not positive", "colours that the frame holds")
+    every = colours
+    colours, slips = _without_slips(colours, profile)
+    n = len(colours.y)
     rows, each = np.arange(n), range(n)
 
     def candidate(prior: Array, pull: float, name: str, size: int) -> Candidate:
@@ -129,11 +133,33 @@ def fit(colours: Colours, profile: CameraProfile) -> Fit:
     grey = (colours.rgb / (colours.rgb @ prior)[:, None]).mean(axis=0)
     scale = float(raw @ grey) / float(prior @ grey)
     a = raw / scale
-    residual = colours.rgb @ raw / colours.y - 1.0
+    residual = every.rgb @ raw / every.y - 1.0
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
+    if u > MOST_U:
+        found = f"readings and colours that do not go together: held-out readings miss by {100 * u:.0f} %"
+        remedy = "each line needs the place where the meter looked, under steady light"
+        raise InputError(colours.frames[0], found, f"at most {100 * MOST_U:.0f} %", remedy)
+    if slips:
+        choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(slips)}")
     return Fit(
         (round(float(a[0]), 6), round(float(a[1]), 6), round(float(a[2]), 6)), scale, max(u, 0.001), residual, choice
     )
+
+
+def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, tuple[str, ...]]:
+    """Without readings off by a factor (a decimal point, another unit), which are told; at most a quarter of them."""
+    offs = [np.log((colours.rgb @ start) / colours.y) for start, _ in priors(colours, profile)]
+    offs = [off - np.median(off) for off in offs]
+    off = min(offs, key=lambda o: float(np.median(np.abs(o))))
+    far = np.abs(off) > max(FAR, 5 * 1.4826 * float(np.median(np.abs(off))))
+    if not far.any() or far.mean() > 0.25 or len(off) - far.sum() < LEAST:
+        return colours, ()
+    told = [f"{colours.labels[i]}, {np.exp(-off[i]):.2g} times what the others make it" for i in np.flatnonzero(far)]
+    kept = replace(
+        colours, rgb=colours.rgb[~far], y=colours.y[~far], u_rel=colours.u_rel[~far],
+        labels=tuple(label for label, gone in zip(colours.labels, far, strict=True) if not gone),
+    )  # fmt: skip
+    return kept, tuple(told)
 
 
 def _solve(colours: Colours, prior: Array, pull: float, rows: NDArray[np.bool_]) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.photometry import response_table, snap_shutter_s, vignetting_at, z_per_cdm2
+from fieldlum.photometry import response_table, saturation_plateau, snap_shutter_s, vignetting_at, z_per_cdm2
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import LensGeometry, angle_of_radius
 from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
@@ -83,7 +83,7 @@ def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
 
 def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
     frame, r = read_jpeg(path), profile.response
-    _check_size(path, frame.codes.shape[:2], profile)
+    check_size(path, frame.codes.shape[:2], profile)
     tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
     z = np.stack([table[frame.codes[..., c]] for c, table in enumerate(tables)], axis=-1)
     bad = (frame.codes.max(axis=-1) > r.high_code) | (frame.codes.max(axis=-1) < r.low_code)
@@ -92,12 +92,13 @@ def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
 
 def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     mosaic, sensor = read_mosaic(path), profile.sensor
-    _check_size(path, mosaic.counts.shape, profile)
+    check_size(path, mosaic.counts.shape, profile)
     black = sensor.black_dn if any(sensor.black_dn) else mosaic.black_dn
     at = channel_positions(mosaic.cfa)
     rows, columns = (n // 2 * 2 for n in mosaic.counts.shape)
     cells = [mosaic.counts[r:rows:2, c:columns:2].astype(np.float32) for r, c in at]
-    full = [min(s, mosaic.white_dn) for s in sensor.saturation_dn]
+    plateaus = (saturation_plateau(mosaic.counts[r:rows:2, c:columns:2], mosaic.white_dn) or np.inf for r, c in at)
+    full = [min(s, mosaic.white_dn, plateau) for s, plateau in zip(sensor.saturation_dn, plateaus, strict=True)]
     bad = np.logical_or.reduce([cell > FULL * limit for cell, limit in zip(cells, full, strict=True)])
     z = [(cell - b) / (sensor.white_dn - b) for cell, b in zip(cells, black, strict=True)]
     rgb = np.stack([z[0], (z[1] + z[2]) / 2, z[3]], axis=-1) / _per(mosaic.exposure, profile)
@@ -109,7 +110,8 @@ def _per(exposure: Exposure, profile: CameraProfile) -> float:
     return z_per_cdm2(exposed.shutter_s, exposed.f_number, exposed.iso, profile.scale.k)
 
 
-def _check_size(path: Path, shape: tuple[int, ...], profile: CameraProfile) -> None:
+def check_size(path: Path, shape: tuple[int, ...], profile: CameraProfile) -> None:
+    """Raises InputError for a frame of another size than the profile's."""
     body = profile.camera
     if shape != (body.height_px, body.width_px):
         found = f"{shape[1]} x {shape[0]} pixels"

@@ -18,10 +18,12 @@ from fieldlum.session import sha256
 def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:
     """Rows of a csv with a header; columns are numbers but `file` and `panorama`, which are paths beside the csv.
 
-    An empty cell is None. Raises InputError naming line and column.
+    Commas, or semicolons or tabs (then decimals may have a comma). An empty cell is None. Raises InputError naming line
+    and column.
     """
     lines = _lines(path)
-    rows = csv.DictReader(lines)
+    mark = _separator(lines)
+    rows = csv.DictReader(lines, delimiter=mark)
     names = [name.strip() for name in rows.fieldnames or []]
     for name in needed:
         if name not in names:
@@ -30,7 +32,7 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
         if name not in (*needed, *also):
             raise InputError(path, f"unknown column {name}", f"columns {', '.join([*needed, *also])}")
     rows.fieldnames = names
-    found = [{n: _cell(path, number, n, row[n]) for n in names} for number, row in enumerate(rows, start=2)]
+    found = [{n: _cell(path, number, n, row[n], mark) for n in names} for number, row in enumerate(rows, start=2)]
     if not found:
         raise InputError(path, "no readings", "one a line")
     return found
@@ -47,19 +49,25 @@ def _lines(path: Path) -> list[str]:
 
 def columns_of(path: Path) -> list[str]:
     """Names in the header of a csv."""
-    return [name.strip() for name in next(csv.reader(_lines(path)[:1]), [])]
+    lines = _lines(path)[:1]
+    return [name.strip() for name in next(csv.reader(lines, delimiter=_separator(lines)), [])]
 
 
-def _cell(path: Path, number: int, name: str, text: str | None) -> Any:
+def _separator(lines: Sequence[str]) -> str:
+    """Of the header: spreadsheets of half of the world write semicolons."""
+    return next((mark for mark in (",", ";", "\t") if lines and mark in lines[0]), ",")
+
+
+def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> Any:
     text = (text or "").strip()
     if not text:
         return None
     if name in ("file", "panorama"):
         return path.parent / text
     try:
-        return float(text)
+        return float(text if mark == "," else text.replace(",", "."))
     except ValueError:
-        raise InputError(f"{path}:{number}", f"{name} is '{text}'", "a number") from None
+        raise InputError(f"{path}:{number}", f"{name} is '{text}'", "a number", "decimals with a point") from None
 
 
 def needed(row: dict[str, Any], name: str, path: Path) -> Any:

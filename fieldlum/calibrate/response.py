@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.frames import JPEG, true_shutter_s
+from fieldlum.calibrate.frames import JPEG, check_size, true_shutter_s
 from fieldlum.calibrate.order import Candidate, Choice, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import dark_floor, fit_response, response_table
@@ -63,12 +63,12 @@ def sample(brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.r
     """
     parts, exposures = [], []
     for paths in brackets:
-        blocks, found = _blocks_of(paths)
+        blocks, found = _blocks_of(paths, profile)
         log_e = [np.log(true_shutter_s(exposure, profile) * exposure.iso) for exposure in found]
         if len({round(e, 3) for e in log_e}) < 3:
             raise InputError(paths[0].parent, f"{len(paths)} frames", "a bracket of at least three exposures")
         exposures.append(np.array(log_e))
-        parts.append(_flat_places(blocks, profile, rng))
+        parts.append(_flat_places(blocks, profile, rng, paths[0].parent))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
     pooled = np.zeros((sum(len(part) for part in parts), len(grid), 3), np.uint8)
     bracket, row = np.repeat(np.arange(len(parts)), [len(part) for part in parts]), 0
@@ -87,13 +87,14 @@ class _Blocks:
     y_px: NDArray[np.float64]
 
 
-def _blocks_of(paths: Sequence[Path]) -> tuple[_Blocks, list[Exposure]]:
+def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, list[Exposure]]:
     """At most BLOCKS blocks on a grid, so that memory does not grow with the sensor; a frame at a time."""
     codes, exposures, shape = [], [], (0, 0)
     y, x = np.zeros(0, int), np.zeros(0, int)
     for path in paths:
         frame = read_jpeg(path)
         if not codes:
+            check_size(path, frame.codes.shape[:2], profile)
             shape = frame.codes.shape[:2]
             step = max(3, int(np.ceil(np.sqrt(shape[0] * shape[1] / BLOCKS))))
             y, x = (g.ravel() for g in np.mgrid[1 : shape[0] - 1 : step, 1 : shape[1] - 1 : step])
@@ -105,7 +106,7 @@ def _blocks_of(paths: Sequence[Path]) -> tuple[_Blocks, list[Exposure]]:
     return _Blocks(np.stack(codes), x + 0.5, y + 0.5), exposures
 
 
-def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator, bracket: Path) -> NDArray[np.uint8]:
     """[places, frames, 3]: means of blocks without an edge in them, inside the lens circles."""
     codes = blocks.codes
     holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
@@ -116,7 +117,8 @@ def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generat
         inside |= np.hypot(blocks.x_px - x, blocks.y_px - y) < 0.95 * lens.radius_px
     flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & inside & (holds.sum(axis=0) >= 2))
     if len(flat) < 50:
-        raise NotEnoughDataError(f"{len(flat)} flat places seen by two frames: the bracket's steps are too wide")
+        found = f"{bracket}: {len(flat)} flat places in the lens's circle that two frames hold (codes {LOW} to {HIGH})"
+        raise NotEnoughDataError(f"{found}, at least 50: steps of at most 2 EV, of walls and sky rather than texture")
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2))
     order = flat[np.argsort(brightness + rng.uniform(0, 1e-3, len(flat)))]
     chosen = order[np.linspace(0, len(order) - 1, min(PLACES, len(order))).astype(int)]

@@ -22,6 +22,9 @@ Array = NDArray[Any]
 ORDERS = (0, 2, 4, 6, 8)
 BINS = 60
 LEAST = 5
+FAR_SIGMA, FAR = 5.0, 0.03  # a reading further off than both, alone among those beside it, is a slip
+BESIDE = 0.12  # of the half angle
+BEYOND = 1.02  # of the half angle: no reading lies further out
 RISING = 0.03  # a plain parabola that rises by more than this to the edge is a wrong sign
 
 
@@ -60,6 +63,9 @@ def from_table(path: Path, profile: CameraProfile) -> Samples:
         rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
         half = profile.lens[0].full_angle_deg / 2
         r = np.array([abs(needed(row, "angle_deg", path)) / half for row in rows])
+        if r.max() > BEYOND:
+            found = f"angle_deg up to {half * r.max():g}"
+            raise InputError(path, found, f"at most {half:g}", "angles from the optical axis, or mend full_angle_deg")
         value = np.array([needed(row, "value", path) / (row.get("reference") or 1.0) for row in rows])
         u = np.array([row.get("u_rel") or 0.005 for row in rows])
         return Samples(r, value, u, rows[0].get("f_number") or profile.bracket.f_number, 0, (path,))
@@ -156,11 +162,15 @@ def fit(samples: Samples) -> Fit:
     r, value, u = samples.r, samples.value, samples.u_rel
     if len(r) < LEAST or r.max() < 0.5:
         raise NotEnoughDataError(
-            f"{len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle are too few"
+            f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle are too "
+            f"few: take at least {LEAST}, from the axis to the edge (angles in degrees)"
         )
     if not (np.isfinite(value).all() and (value > 0).all()):
         raise InputError(samples.frames[0], "readings that are not positive", "linear values above zero")
-    _refuse_rising(samples)
+    near = ~_slips(samples)
+    left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in r[~near])
+    r, value, u = r[near], value[near], u[near]
+    _refuse_rising(replace(samples, r=r, value=value, u_rel=u))
     groups = np.unique(np.round(r, 3), return_inverse=True)[1]
     orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
     candidates = [
@@ -171,12 +181,32 @@ def fit(samples: Samples) -> Fit:
     even = theta / theta[0]
     coefficients = [0.0] * (2 * len(even) - 1)
     coefficients[::2] = even.tolist()
-    residual = value / (theta[0] * vignetting_at(tuple(coefficients), r)) - 1.0
+    residual = samples.value / (theta[0] * vignetting_at(tuple(coefficients), samples.r)) - 1.0
+    if left_out:
+        choice = replace(choice, line=f"{choice.line}; left out, far from those beside them: {left_out}")
     wrong = check_vignetting(tuple(coefficients))
     if wrong:
         raise InputError(samples.frames[0], wrong, "a loss towards the edge")
     u_rel = float(np.sqrt(candidates[choice.index].errors.mean()))
     return Fit(tuple(coefficients), float(theta[0]), max(u_rel, 0.001), residual, choice)
+
+
+def _slips(samples: Samples) -> NDArray[np.bool_]:
+    """Readings that those beside them contradict (a shadow, a lamp that blinked, a clipped frame). [n]
+
+    Only where readings beside it lie near the curve: a steep rim, where several lie off it together, is none.
+    """
+    r, value, u = samples.r, samples.value, samples.u_rel
+    order, weight, off = (4 if len(r) < 12 else 6), np.ones(len(r)), np.zeros(len(r))
+    for _ in range(8):
+        off = value / (_design(r, order) @ _falling(r, value, u / np.sqrt(weight), order)) - 1.0
+        weight = 1.0 / np.maximum(np.abs(off) / max(1.4826 * float(np.median(np.abs(off))), 1e-4), 1.0)
+    limit = max(FAR_SIGMA * 1.4826 * float(np.median(np.abs(off))), FAR)
+    slips = np.abs(off) > limit
+    for i in np.flatnonzero(slips):
+        beside = (np.abs(r - r[i]) < BESIDE) & (np.arange(len(r)) != i)
+        slips[i] = beside.any() and np.median(np.abs(off[beside])) < limit / 2
+    return slips if slips.mean() < 0.25 else np.zeros(len(r), bool)
 
 
 def _held_out(r: Array, value: Array, u: Array, groups: NDArray[np.integer], order: int) -> Array:
