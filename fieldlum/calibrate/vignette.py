@@ -197,10 +197,12 @@ def _slips(samples: Samples) -> NDArray[np.bool_]:
     Only where readings beside it lie near the curve: a steep rim, where several lie off it together, is none.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
-    order, weight, off = (4 if len(r) < 12 else 6), np.ones(len(r)), np.zeros(len(r))
+    order, nearby = (4 if len(r) < 12 else 6), np.abs(r[:, None] - r) < 2 * BESIDE
+    off = np.array([v / np.median(value[row]) - 1.0 for v, row in zip(value, nearby, strict=True)])
     for _ in range(8):
+        sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-4)
+        weight = np.minimum(2 * sigma / np.maximum(np.abs(off), 1e-12), 1.0) ** 2
         off = value / (_design(r, order) @ _falling(r, value, u / np.sqrt(weight), order)) - 1.0
-        weight = 1.0 / np.maximum(np.abs(off) / max(1.4826 * float(np.median(np.abs(off))), 1e-4), 1.0)
     limit = max(FAR_SIGMA * 1.4826 * float(np.median(np.abs(off))), FAR)
     slips = np.abs(off) > limit
     for i in np.flatnonzero(slips):
