@@ -23,7 +23,7 @@ ORDERS = (0, 2, 4, 6, 8)
 BINS = 60
 LEAST = 5
 FAR_SIGMA, FAR = 5.0, 0.03  # a reading further off than both, alone among those beside it, is a slip
-BESIDE = 0.12  # of the half angle
+BESIDE, SAME = 0.12, 0.02  # of the half angle
 BEYOND = 1.02  # of the half angle: no reading lies further out
 RISING = 0.03  # a plain parabola that rises by more than this to the edge is a wrong sign
 
@@ -206,8 +206,11 @@ def _slips(samples: Samples) -> NDArray[np.bool_]:
     limit = max(FAR_SIGMA * 1.4826 * float(np.median(np.abs(off))), FAR)
     slips = np.abs(off) > limit
     for i in np.flatnonzero(slips):
-        beside = (np.abs(r - r[i]) < BESIDE) & (np.arange(len(r)) != i)
-        slips[i] = beside.any() and np.median(np.abs(off[beside])) < limit / 2
+        away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))
+        twins = off[away < SAME]
+        judged = twins if len(twins) else off[away < BESIDE]  # at one radius, else on both sides of it
+        between = len(twins) > 0 or r[i] < r.max()
+        slips[i] = len(judged) > 0 and between and np.median(np.abs(judged)) < limit / 2
     return slips if slips.mean() < 0.25 else np.zeros(len(r), bool)
 
 
