@@ -39,7 +39,7 @@ def _columns(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, .
 @click.argument("folder", metavar="[FOLDER]", required=False, type=click.Path(path_type=Path))
 @click.option("--irradiance", "logger", type=click.Path(path_type=Path), help="A logger's file: Campbell TOA5 or CSV.")
 @click.option("--utc-offset", "offset_s", metavar="+HH:MM", callback=_offset_s,
-              help="What camera and logger clocks show minus UTC.")  # fmt: skip
+              help="What camera and logger clocks show minus UTC; else fitted to the plan.")  # fmt: skip
 @click.option("--column", "columns", metavar="QUANTITY=NAME", multiple=True, callback=_columns,
               help="What the logger calls ghi_wm2, dhi_wm2 or dni_wm2, where it is unusual.")  # fmt: skip
 def command(

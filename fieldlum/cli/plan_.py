@@ -20,7 +20,8 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.command("plan")
 @click.argument("target", metavar="SITE.toml|SESSION", type=click.Path(path_type=Path, exists=True))
 @click.option("--set", "set_", type=click.Choice(SETS), help="Which hours of the year to capture.")
-@click.option("--start", type=click.DateTime(["%Y-%m-%d"]), help="First day, local date; else the next that fits.")
+@click.option("--start", type=click.DateTime(["%Y-%m-%d"]), metavar="YYYY-MM-DD",
+              help="First day, local date; else the next that fits.")  # fmt: skip
 @click.option("--year", type=click.IntRange(1950, 2100), help="Plan the events of this year.")
 @click.option(
     "--days", type=click.IntRange(1, 366), help="Days of a month (31), or of the window of even and best (365)."
@@ -32,7 +33,9 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.option("--out", type=click.Path(path_type=Path), help="The session folder to make.")
 @click.option("--ics", is_flag=True, help="Also write plan.ics, one event a day.")
 @click.option("--html", is_flag=True, help="Also write plan.html, a printable sheet a day.")
-@click.option("--next", "next_", is_flag=True, help="Rank the coming hours by what they would teach the model.")
+@click.option(
+    "--next", "next_", is_flag=True, help="Rank the hours of the coming two weeks by what they would teach the model."
+)
 @click.option("--replan", is_flag=True, help="Add make-up slots for the missed ones.")
 @click.option("--json", "as_json", is_flag=True, help="Print the answer as one JSON object.")
 def command(
@@ -40,6 +43,8 @@ def command(
     weather_file: Path | None, out: Path | None, ics: bool, html: bool, next_: bool, replan: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Choose the hours to capture and make the session.
+
+    On a session: say what to capture next, or add make-ups for missed hours.
 
     \b
     fieldlum plan office.toml --set 9-day --out office-2027 --ics --html
@@ -112,7 +117,8 @@ def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
 
         weather = synthetic_weather(session.site_file().site)
         terminal.say("note: no --weather: clear skies with random clouds stand in for the climate of this place")
-    answer = coming.run(session, weather, datetime.now(UTC))
+    with terminal.progress("ranking hours") as progress:
+        answer = coming.run(session, weather, datetime.now(UTC), progress)
     return coming.as_table(answer), coming.sentences(answer, session.site_file().site)
 
 

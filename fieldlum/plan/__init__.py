@@ -250,7 +250,10 @@ def sentences(summary: dict[str, Any]) -> list[str]:
             f"the sun can enter a window in {tags['sun-enters']} slots and is in view in {tags.get('sun-in-view', 0)}"
         )
     if summary["variance_left_percent"] is not None:
-        said.append(f"leaves {summary['variance_left_percent']:.2g} % of the model's uncertainty about the year")
+        left = f"{summary['variance_left_percent']:.2g} %"
+        said.append(
+            f"leaves {left} of the model's uncertainty about the year, if the skies come as in the weather file"
+        )
     if month := summary["month"]:
         said.append(f"expected squared error {month['times_best']:.2f} times that of the best month, {month['best']}")
     return said

@@ -18,7 +18,7 @@ from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, li
 from fieldlum.plan import choose
 from fieldlum.plan.days import Hours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
-from fieldlum.records import Site, parse_utc, slot_id, utc_text
+from fieldlum.records import Progress, Site, parse_utc, quiet, slot_id, utc_text
 from fieldlum.session import Session
 from fieldlum.weather import Weather
 
@@ -108,11 +108,12 @@ def _paired(session: Session) -> tuple[list[datetime], list[float], list[float]]
     return times, dni, dhi
 
 
-def _reductions(task: choose.Learning, captured: Features, hours: Hours) -> NDArray[np.float64]:
+def _reductions(task: choose.Learning, captured: Features, hours: Hours, progress: Progress) -> NDArray[np.float64]:
     """Expected drop of the year's variance by each hour [n], as a share of what is left, over its season's skies."""
     base = choose.variance_left(task, captured)
     total, seen = np.zeros(len(hours)), np.zeros(len(hours))
-    for days in np.arange(SKIES) * 3 - 3 * (SKIES // 2):
+    for done, days in enumerate(np.arange(SKIES) * 3 - 3 * (SKIES // 2)):
+        progress(done, SKIES + BATCH, "skies of the season")
         found = task.weather.at([t + timedelta(days=int(days)) for t in hours.t_utc])
         sound = np.isfinite(found.dni_wm2 + found.dhi_wm2) & (found.dhi_wm2 > 0)
         rows = np.flatnonzero(sound)
@@ -138,7 +139,7 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
     return gain / kernel.diagonal(task.year).sum()
 
 
-def run(session: Session, weather: Weather, now_utc: datetime) -> Answer:
+def run(session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet) -> Answer:
     """Rank the daylight hours of the coming two weeks. Raises NotEnoughDataError when the sun does not rise in them."""
     setup, now_utc = session.site_file(), now_utc.astimezone(UTC)
     trained = trained_kernel(session)
@@ -149,7 +150,7 @@ def run(session: Session, weather: Weather, now_utc: datetime) -> Answer:
     hours = hours[[i for i, t in enumerate(hours.t_utc) if t > now_utc]]
     if not len(hours):
         raise NotEnoughDataError(f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days")
-    drop = _reductions(task, captured, hours)
+    drop = _reductions(task, captured, hours, progress)
     planned = {slot.id for slot in session.slots()}
     best = [
         ComingHour(
@@ -158,7 +159,10 @@ def run(session: Session, weather: Weather, now_utc: datetime) -> Answer:
         )
         for i in np.argsort(-drop)[:SHOWN]
     ]  # fmt: skip
-    more = greedy_hours(task.kernel, task.year, task.year, BATCH, taken=captured, noise=choose.NOISE).variance
+    more = greedy_hours(
+        task.kernel, task.year, task.year, BATCH, taken=captured, noise=choose.NOISE,
+        progress=lambda done, total, text: progress(SKIES + done, SKIES + total, text),
+    ).variance  # fmt: skip
     gained = float(1.0 - more[-1] / more[0])
     model = trained[1] if trained else ""
     return Answer(model, len(captured), 100 * float(more[0]), tuple(best), 100 * gained, gained >= WORTH)
