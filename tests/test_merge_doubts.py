@@ -10,12 +10,13 @@ import pytest
 from fieldlum.errors import InputError
 from fieldlum.merge import Shot, merge_frames, merge_sensor, shots_of_files
 from fieldlum.merge.bracket import SensorMerge
+from fieldlum.merge.first_look import held_otherwise
 from fieldlum.merge.quality import Offsets, verdict
 from fieldlum.merge.ratios import beyond, offsets
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.raw import write_dng
+from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure, Flag
 
 SIZE = 160
@@ -153,3 +154,25 @@ def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
         shots_of_files([shots[0].path, shots[1].path, tmp_path / "." / "0.dng"])
     with pytest.raises(InputError, match=r"2.dng: f/8 beside f/5.6, expected one aperture"):
         sorted_shots([*shots[:2], replace(shots[2], exposure=Exposure(1 / 15, 8.0))], PROFILE)
+
+
+def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
+    from PIL import Image
+
+    profile = replace(PROFILE, camera=replace(PROFILE.camera, kind="jpeg", model=""))
+    shots = []
+    for i, tag in enumerate((6, 6, 1)):
+        path = tmp_path / f"{i}.jpg"
+        write_jpeg(path, np.full((SIZE, SIZE, 3), 120, np.uint8), EXPOSURES[i])
+        image = Image.open(path)
+        exif = image.getexif()
+        exif[0x0112] = tag
+        image.save(path, exif=exif)
+        shots.append(Shot(path, EXPOSURES[i]))
+    assert held_otherwise(shots[:2], profile) == "by its EXIF the camera was held 90 deg off the profile's roll of 0"
+    lens = replace(profile.lens[0], roll_deg=88.0)
+    assert held_otherwise(shots[:2], replace(profile, lens=(lens,))) == held_otherwise(shots[2:], profile) == ""
+    up = replace(profile.lens[0], tilt_deg=90.0)
+    assert held_otherwise(shots[:2], replace(profile, lens=(up,))) == ""
+    assert held_otherwise(shots, profile).endswith("turned within the bracket, by its EXIF: roll 0 and 90 deg")
+    assert "held 90 deg off" in merge_frames([s.path for s in shots[:2]], profile, height=24).verdict

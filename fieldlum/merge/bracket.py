@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.images import calibration_mark
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.first_look import FirstLook, first_look
+from fieldlum.merge.first_look import FirstLook, first_look, held_otherwise
 from fieldlum.merge.frames import Crop, FrameStore, lens_crop, load_jpeg, load_raw, over_colours, over_mosaic
 from fieldlum.merge.motion import leave_out_moved
 from fieldlum.merge.noise import SeenNoise, seen_noise
@@ -169,7 +169,7 @@ def merge_shots(
         ordered, profile, target=target, heading_deg=heading_deg, fit=fit, drop_moved=drop_moved, progress=progress
     )
     done = finish(blend(views), profile, target)
-    quality = quality_of(parts, done.flags, target)
+    quality = {**quality_of(parts, done.flags, target), "held_otherwise": held_otherwise(ordered, profile)}
     times = [s.t_utc for s in ordered if s.t_utc is not None]
     middle = min(times) + (max(times) - min(times)) / 2 if times else None
     panorama = Panorama(

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from fieldlum.merge.shots import Shot
 from fieldlum.photometry import saturation_plateau
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import channel_positions, read_mosaic
+from fieldlum.raw import channel_positions, read_mosaic, roll_deg_of
 
 Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)
+_HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,3 +47,23 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
             each = [file - own for file, own in zip(mosaic.black_dn, profile.sensor.black_dn, strict=True)]
             off = max([off, *each], key=abs)
     return FirstLook(found, off)
+
+
+def held_otherwise(shots: Sequence[Shot], profile: CameraProfile) -> str:
+    """What the frames' EXIF says against the profile's roll, or "".
+
+    A map of a camera that was put on its side lies on its side, with every figure in order.
+    """
+    told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
+    if len(told) > 1:
+        return f"the camera was turned within the bracket, by its EXIF: roll {_degrees(told)}"
+    if not told or abs(profile.lens[0].tilt_deg) > _LEVEL_DEG:  # up or down it does not know how it is held
+        return ""
+    off = (told.pop() - profile.lens[0].roll_deg + 180.0) % 360.0 - 180.0
+    if abs(off) <= _HELD_DEG:
+        return ""
+    return f"by its EXIF the camera was held {abs(off):.0f} deg off the profile's roll of {profile.lens[0].roll_deg:g}"
+
+
+def _degrees(values: set[float]) -> str:
+    return " and ".join(f"{value:g}" for value in sorted(values)) + " deg"

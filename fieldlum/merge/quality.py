@@ -109,6 +109,8 @@ def verdict(quality: dict[str, Any]) -> str:
         f"exposures lie {text} % from the profile's: the light changed meanwhile, or calibrate shutter and response"
         for text in quality["exposure_told"]
     ]
+    if quality["held_otherwise"]:
+        said.append(quality["held_otherwise"])
     if abs(quality["black_off_dn"]) > BLACK_WARN_DN:
         said.append(f"the files' black level lies {quality['black_off_dn']:+.1f} DN from the profile's")
     if quality["noise_over_said"] > 1.0:

@@ -15,6 +15,8 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.records import Exposure
 
+_ROLL_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: -90.0}  # of EXIF Orientation; mirrored ones are no camera's
+
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
@@ -103,6 +105,15 @@ def info_of(path: Path, tags: dict[str, Any], fallback: tuple[float, float, floa
             )
     exposure = Exposure(shutter[0], f_number[0], iso[0], _nd_name(tags))
     return FrameInfo(exposure, _camera_time(tags), _text(tags, "Image Make"), _text(tags, "Image Model"))
+
+
+def roll_deg_of(path: Path) -> float | None:
+    """How the camera was held by its own sensor (EXIF Orientation): roll clockwise as seen from behind; None: not said.
+
+    Pixels are never turned by it. Raises InputError for a file that is missing or empty.
+    """
+    tag = numbers(tags_of(path), "Image Orientation")
+    return _ROLL_DEG.get(int(tag[0])) if tag else None
 
 
 def rational(value: float) -> Fraction:
