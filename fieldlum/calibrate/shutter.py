@@ -98,7 +98,8 @@ def from_session(session: Session, profile_sha256: str) -> tuple[list[list[Readi
 
 
 def readings_of(quality: dict[str, Any]) -> list[Reading]:
-    """Of one bracket; frames through a filter are left out, since the filter's own error is in them."""
+    """Of one bracket; frames through a filter are left out, since the filter's own error is in them, and so are pairs of
+    two ISOs."""
     headings: list[list[dict[str, Any]]] = []
     for frame in quality["frames"]:
         if not headings or headings[-1][0]["heading_deg"] != frame["heading_deg"]:
@@ -119,7 +120,7 @@ def readings_of(quality: dict[str, Any]) -> list[Reading]:
 def _reading(long: dict[str, Any], short: dict[str, Any], neighbour: dict[str, Any]) -> Reading | None:
     exposures = parse_exposure(long["exposure"]), parse_exposure(short["exposure"])
     a, b = (e.shutter_s for e in exposures)
-    if any(e.nd for e in exposures) or abs(b / a - 1) < _SAME:
+    if any(e.nd for e in exposures) or abs(b / a - 1) < _SAME or exposures[0].iso != exposures[1].iso:
         return None
     corrected = math.log(short["correction"]) - math.log(long["correction"])
     log_ratio, u_log = neighbour["residual_percent"] / 100 + corrected, neighbour["u_percent"] / 100
