@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fieldlum.capture.refusals import refuse_what_is_not_offered
 from fieldlum.capture.runner import Live, Options, run
-from fieldlum.capture.state import fold, owed
+from fieldlum.capture.state import SlotState, fold, owed
 from fieldlum.capture.status import status
 from fieldlum.capture.steady import SteadyClock
 from fieldlum.capture.verify import doubts
@@ -206,6 +207,22 @@ def test_late_is_missed_never_a_burst(site: Field) -> None:
     assert site.outcomes() == ["missed", "done", "done"]
     late = [e for e in read_journal(site.session) if e["event"] == "late"]
     assert [e["by_s"] for e in late] == [240.0]
+
+
+def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(site: Field) -> None:
+    """Later it is not: a dial that somebody turned may be turned back."""
+
+    class Choosy(TinyCamera):
+        def check_offered(self, exposure: Exposure) -> None:
+            if exposure.shutter_s < 0.4:
+                raise DeviceError("camera shutter: 0.25 s is not offered, the nearest is 1/2")
+
+    with pytest.raises(DeviceError, match=r"the plan asks for what the camera does not offer: .*0.25 s"):
+        site.run(open_cam=lambda: Choosy(site.clock))
+    assert {event["event"] for event in read_journal(site.session)} == {"close"}
+    slots = site.session.slots()
+    begun = {slots[0].id: SlotState("done")}
+    refuse_what_is_not_offered(Choosy(site.clock), slots, begun)
 
 
 def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(site: Field) -> None:

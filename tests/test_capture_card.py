@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldlum.capture import adopt
-from fieldlum.capture.card import same_model
 from fieldlum.capture.card_clock import clock_parts, doubt
 from fieldlum.capture.group import CardFrame, Group, Offset, in_order
 from fieldlum.capture.state import fold
+from fieldlum.devices import same_model
 from fieldlum.errors import InputError
 from fieldlum.profiles import load_camera_profile, save_profile
 from fieldlum.raw import write_dng, write_jpeg

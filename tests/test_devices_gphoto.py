@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from fieldlum.capture.verify import doubts
-from fieldlum.devices import open_camera
+from fieldlum.devices import not_offered, open_camera
 from fieldlum.devices.child import Child
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.gphoto import GphotoCamera, choose, setting_value
@@ -64,6 +64,15 @@ def test_bracket_on_the_virtual_camera(picture: Callable[[Exposure], None], tmp_
         path = camera.expose(exposure, tmp_path / f"f_{shutter_s}")
         assert path.name == f"f_{shutter_s}.jpg"
         assert path.read_bytes() == photo(exposure), "the file is the camera's, bit for bit"
+    camera.close()
+
+
+def test_contract_what_is_not_offered_is_known_without_a_picture(picture: Callable[[Exposure], None]) -> None:
+    camera = open_camera("gphoto:", clock=CLOCK)
+    offered, between, wide = Exposure(0.01, 5.6), Exposure(1 / 250, 5.6), Exposure(0.01, 2.0)
+    assert not_offered(camera, [offered]) == []
+    said = not_offered(camera, [offered, between, wide, between])
+    assert [text.partition(":")[0] for text in said] == ["camera shutter", "camera aperture"]
     camera.close()
 
 

@@ -10,7 +10,17 @@ from click.testing import CliRunner
 from fieldlum import doctor
 from fieldlum.cli import main
 from fieldlum.devices import FORM_ALONE, CameraInfo, InstrumentInfo
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, NeutralDensity, Scale, save_profile
+from fieldlum.doctor import awake
+from fieldlum.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Lens,
+    NeutralDensity,
+    Scale,
+    load_camera_profile,
+    save_profile,
+)
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
 from fieldlum.session import Journal, Session, create_session
 
@@ -96,6 +106,41 @@ def test_camera(info: CameraInfo, verdicts: dict[str, str]) -> None:
     assert _verdicts(doctor.judge_camera(info, "x:", 20)) == {"camera": "ok", **verdicts}
 
 
+def test_what_the_camera_does_not_offer_is_told_before_anybody_leaves() -> None:
+    found = doctor.judge_exposures([f"camera shutter: {i} s is not offered" for i in range(5)], 10)
+    assert [f.verdict for f in found] == ["fail"] and found[0].text.startswith("of 10 planned exposures not all")
+    assert "camera shutter: 2 s is not offered; 2 more" in found[0].text and not doctor.judge_exposures([], 10)
+
+
+def test_another_camera_than_the_profiles_is_told() -> None:
+    profile = load_camera_profile("sim-dual-fisheye")
+    told = doctor.judge_model(CameraInfo("gphoto", model="D750"), profile)
+    assert [f.verdict for f in told] == ["warn"] and "D750 is not the camera of profile" in told[0].text
+    for info in (
+        CameraInfo("sim", model="D750"),
+        CameraInfo("gphoto"),
+        CameraInfo("gphoto", model=profile.camera.model),
+    ):
+        assert not doctor.judge_model(info, profile)
+
+
+def test_a_clock_off_by_whole_hours_is_called_so() -> None:
+    clock = doctor.judge_camera(CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
+    assert clock.verdict == "fail" and "-3599.0 s" in clock.text and "daylight saving" in clock.text
+    assert "daylight" not in doctor.judge_camera(CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
+
+
+def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
+    session = _session(tmp_path, megabytes=0.001)
+    assert doctor.check_disk(session, NOW, 2_000_000).verdict == "ok"
+    folder = session.raw / "20270301T120000Z"
+    folder.mkdir(parents=True)
+    (folder / "00_1s.nef").write_bytes(b"\0" * 1_000_000)
+    assert doctor.check_disk(session, NOW, 2_000_000).verdict == "ok"  # not a whole bracket yet
+    (folder / "capture.json").write_text("{}")
+    assert doctor.check_disk(session, NOW, 2_000_000).verdict == "fail"
+
+
 def test_pyranometer_readings() -> None:
     spn1 = InstrumentInfo("spn1", "SPN1", "A1", calibration_date="2026-06-01", gives=("ghi", "dhi"))
     good = doctor.judge_pyranometer(spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
@@ -134,16 +179,16 @@ BLOCKS = """     Who: NetworkManager (UID 0/root, PID 640/NetworkManager)
 
 @pytest.mark.parametrize("text", [TABLE, "\n".join(TABLE.splitlines()[1:4]), BLOCKS], ids=["table", "no-legend", "old"])
 def test_locks_are_read_in_every_form(text: str) -> None:
-    locks = doctor.parse_locks(text)
-    assert doctor.Lock("field laptop", frozenset({"sleep", "idle"}), "block") in locks
+    locks = awake.parse_locks(text)
+    assert awake.Lock("field laptop", frozenset({"sleep", "idle"}), "block") in locks
     assert [lock.mode for lock in locks[:2]] == ["delay", "block"] and doctor.check_sleep(locks).verdict == "ok"
 
 
 def test_what_does_not_keep_a_computer_awake() -> None:
     said = "GNOME Shell 1000 me 77 gnome-shell handle-power-key user must not sleep block\n"
     for text in (said, TABLE.splitlines()[1], "No inhibitors.\n", "", "sleep block\n"):
-        assert doctor.check_sleep(doctor.parse_locks(text)).verdict == "warn"
-    locks = doctor.parse_locks(TABLE)
+        assert doctor.check_sleep(awake.parse_locks(text)).verdict == "warn"
+    locks = awake.parse_locks(TABLE)
     assert doctor.check_sleep(locks, lid=True).verdict == "ok"
     shut = doctor.check_sleep(locks[:2], lid=True)
     assert shut.verdict == "warn" and "closing the lid" in shut.text
@@ -169,19 +214,19 @@ def test_systemd_inhibit_is_really_run(
     tool.write_text(f'#!/bin/sh\n[ "$*" = --list ] && [ "$LC_ALL" = C ] || exit 9\n{script}\n')
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
-    found = doctor.inhibitors(timeout_s=0.5 if "sleep 5" in script else 10.0)
+    found = awake.inhibitors(timeout_s=0.5 if "sleep 5" in script else 10.0)
     assert (None if found is None else len(found)) == locks
 
 
 def test_without_systemd_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert doctor.inhibitors() is None
+    assert awake.inhibitors() is None
     (tmp_path / "systemd-inhibit").write_text("not to be run")
-    assert doctor.inhibitors() is None
+    assert awake.inhibitors() is None
 
 
 def test_this_computer_answers_or_is_not_asked() -> None:
-    assert doctor.inhibitors() is None or isinstance(doctor.inhibitors(), list)
+    assert awake.inhibitors() is None or isinstance(awake.inhibitors(), list)
     assert [doctor.check_clock(state).verdict for state in (True, False, None)] == ["ok", "warn", "warn"]
     assert doctor.kernel_clock() in (True, False, None)
 

@@ -9,6 +9,7 @@ from datetime import UTC
 from pathlib import Path
 
 from fieldlum.capture.group import CardFrame
+from fieldlum.devices import same_model
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
 from fieldlum.raw import read_exif
@@ -78,9 +79,3 @@ def of_the_session(frames: Sequence[CardFrame], setup: SiteFile) -> tuple[list[C
     raw = [frame for frame in mine if frame.path.suffix.lower() not in JPEG_SUFFIXES]
     first, second = (jpeg, raw) if body.kind == "jpeg" else (raw, jpeg)
     return first or second, said
-
-
-def same_model(found: str, wanted: str) -> bool:
-    """Whether EXIF's name is the profile's, whole or in part (a maker's name may stand before it)."""
-    a, b = (" ".join(name.split()).casefold() for name in (found, wanted))
-    return bool(a and b) and (a in b or b in a)

@@ -17,11 +17,12 @@ from fieldlum.capture.bracket import Bracket, Check, shots
 from fieldlum.capture.keeper import Keeper, plain_info
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.recorder import RESERVE_BYTES, Recorder
+from fieldlum.capture.refusals import refuse_a_past_plan, refuse_what_is_not_offered
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import Clock, FastClock, RealClock
-from fieldlum.errors import DeviceError, InputError, NotEnoughDataError
+from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Exposure, Slot, parse_utc
 from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
 
@@ -154,7 +155,7 @@ class _Runner:
         before = fold(read_journal(session))
         self.states = before.slots
         self._resume_time(before)
-        self._refuse_a_past_plan(before)
+        refuse_a_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
         self.recorder = Recorder(session, clock.now, options.reserve_bytes, flush=options.flush)
         self.camera: Keeper[Camera] | None = None
         self.logger: Logger | None = None
@@ -176,16 +177,6 @@ class _Runner:
                 f"({before.last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
             )
 
-    def _refuse_a_past_plan(self, before: Ledger) -> None:
-        """Last month's plan, or a clock that is far ahead: nothing is written down as missed for that."""
-        now = self.clock.now()
-        last = max((slot.t_utc for slot in self.slots), default=now)
-        if not before.slots and last + timedelta(seconds=self.options.grace_s) < now:
-            raise NotEnoughDataError(
-                f"{self.session.root}: none of {len(self.slots)} slots is ahead: the last was {last:%Y-%m-%d %H:%M} "
-                f"UTC, and this computer has {now:%Y-%m-%d %H:%M} UTC; set its clock, or take a new plan"
-            )
-
     def open(
         self, open_cam: Callable[[], Camera], open_pyr: Callable[[], Pyranometer] | None,
         open_met: Callable[[], IlluminanceMeter] | None, uris: dict[str, str],
@@ -194,7 +185,9 @@ class _Runner:
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
         about = {"uris": uris}
-        about["camera"] = plain_info(self.camera.insist().info)
+        camera = self.camera.insist()
+        refuse_what_is_not_offered(camera, self.slots, self.states)
+        about["camera"] = plain_info(camera.info)
         if open_pyr is not None:
             keeper = Keeper("pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s)
             about["pyranometer"] = plain_info(keeper.insist().info)

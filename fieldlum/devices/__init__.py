@@ -14,7 +14,7 @@ An option that a driver does not know is a DeviceError naming it. Drivers only e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -85,6 +85,34 @@ class BracketingCamera(Protocol):
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
         """All frames in the order asked for, each to its target's name with a suffix. Raises DeviceError."""
         ...
+
+
+@runtime_checkable
+class Choosing(Protocol):
+    """A camera that offers its settings in steps."""
+
+    def check_offered(self, exposure: Exposure) -> None:
+        """Raises DeviceError, naming the nearest, for an exposure that is not offered."""
+        ...
+
+
+def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
+    """Why a camera will take none of these frames: a sentence each, doubles once; none for one that takes anything."""
+    said: list[str] = []
+    if not isinstance(camera, Choosing):
+        return said
+    for exposure in exposures:
+        try:
+            camera.check_offered(exposure)
+        except DeviceError as error:
+            said.append(str(error))
+    return list(dict.fromkeys(said))
+
+
+def same_model(found: str, wanted: str) -> bool:
+    """Whether a camera's name is the profile's, whole or in part (a maker's name may stand before it)."""
+    a, b = (" ".join(name.split()).casefold() for name in (found, wanted))
+    return bool(a and b) and (a in b or b in a)
 
 
 class Pyranometer(Protocol):

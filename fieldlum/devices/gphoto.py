@@ -36,6 +36,10 @@ def choose(role: str, asked: float, choices: list[str]) -> str:
     return offered[nearest(asked, offered, f"camera {role}", unit)]
 
 
+def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
+    return ("aperture", exposure.f_number), ("iso", exposure.iso), ("shutter", exposure.shutter_s)
+
+
 class GphotoCamera:
     """Implements `Camera`, with libgphoto2 in a child process under a watchdog.
 
@@ -81,10 +85,16 @@ class GphotoCamera:
             raise DeviceError("gphoto: this camera has no head that turns: leave headings out of the site file")
         if not self._child.alive or self._child.starts != self._opened_at_start:
             self._open()
-        for role, asked in (("aperture", exposure.f_number), ("iso", exposure.iso), ("shutter", exposure.shutter_s)):
+        for role, asked in _roles(exposure):
             self._set(role, asked)
         wait_s = exposure.shutter_s + self._readout_s
         return Path(self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s))
+
+    def check_offered(self, exposure: Exposure) -> None:
+        """Raises DeviceError for a value that is none of the camera's choices."""
+        for role, asked in _roles(exposure):
+            if role in self._about["settings"]:
+                choose(role, asked, self._about["settings"][role][1])
 
     def _set(self, role: str, asked: float) -> None:
         if role not in self._about["settings"]:  # a manual lens, or fixed: EXIF has the last word, in `capture`

@@ -123,6 +123,10 @@ class ThetaCamera:
             out["aperture"] = nearest(exposure.f_number, self._offers["aperture"], "theta aperture")
         return out
 
+    def check_offered(self, exposure: Exposure) -> None:
+        """Raises DeviceError for a value over 1/6 EV from all that the camera offers."""
+        self._chosen(exposure)
+
     def _fetch(self, url: str, target: Path) -> Path:
         parts = urlsplit(url)
         if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:

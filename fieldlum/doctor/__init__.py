@@ -5,9 +5,7 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import os
-import re
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -18,8 +16,17 @@ from typing import Any, Literal
 from zoneinfo import ZoneInfo
 
 from fieldlum import sun
-from fieldlum.devices import FORM_ALONE, CameraInfo, InstrumentInfo, open_camera, open_pyranometer
+from fieldlum.devices import (
+    FORM_ALONE,
+    CameraInfo,
+    InstrumentInfo,
+    not_offered,
+    open_camera,
+    open_pyranometer,
+    same_model,
+)
 from fieldlum.devices.clock import RealClock
+from fieldlum.doctor.awake import Lock, has_lid, inhibitors
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.profiles import CameraProfile, load_camera_profile
 from fieldlum.records import IrradianceSample, Progress, Site, SiteFile, Slot, quiet
@@ -154,9 +161,34 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]
         return [Finding("camera", "warn", "none named: give --camera URI, or import its card afterwards")]
     camera = open_camera(uri, clock=RealClock(), session=session)
     try:
-        return judge_camera(camera.info, uri, frames_owed(owed_slots(session, now_utc), session.site_file()))
+        ahead, setup = owed_slots(session, now_utc), session.site_file()
+        exposures = list(dict.fromkeys(e for slot in ahead for e in slot.exposures))
+        return [
+            *judge_camera(camera.info, uri, frames_owed(ahead, setup)),
+            *judge_exposures(not_offered(camera, exposures), len(exposures)),
+            *judge_model(camera.info, load_camera_profile(setup.camera.profile)),
+        ]
     finally:
         camera.close()
+
+
+def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
+    if not refused:
+        return []
+    shown = "; ".join(refused[:3]) + (f"; {len(refused) - 3} more" if len(refused) > 3 else "")
+    text = (
+        f"of {planned} planned exposures not all can be set: {shown}: write [bracket] of the profile so, and plan anew"
+    )
+    return [Finding("camera", "fail", text)]
+
+
+def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
+    """Frames of another camera than the profile's cannot be merged; its exposures and sizes are not this one's."""
+    wanted = profile.camera.model
+    if not info.model or not wanted or info.kind in ("sim", "replay") or same_model(info.model, wanted):
+        return []
+    text = f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), by which exposures are planned"
+    return [Finding("profile", "warn", text)]
 
 
 def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
@@ -171,7 +203,10 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
     else:
         off = abs(info.clock_offset_s)
         verdict = "fail" if off > CAMERA_CLOCK_FAIL_S else "warn" if off > CAMERA_CLOCK_WARN_S else "ok"
-        found.append(Finding("camera clock", verdict, f"{info.clock_offset_s:+.1f} s against this computer"))
+        hours = round(info.clock_offset_s / 3600.0)
+        civil = hours and abs(info.clock_offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S
+        hint = ": by whole hours, so a time zone or daylight saving" if civil else ""
+        found.append(Finding("camera clock", verdict, f"{info.clock_offset_s:+.1f} s against this computer{hint}"))
     if info.frames_left is not None:
         enough = info.frames_left >= frames
         text = f"room for {info.frames_left} frames, {frames} still to come"
@@ -250,12 +285,18 @@ def check_clock(synchronised: bool | None) -> Finding:
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     """Room for the frames of all that is owed, with a margin."""
     ahead = owed_slots(session, now_utc)
-    megabytes = float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
-    wanted = len(ahead) * megabytes * 1e6 * DISK_MARGIN
+    planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
+    wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
     text = (
         f"{free_bytes / 1e9:.1f} GB free, {wanted / 1e9:.1f} GB wanted for {len(ahead)} slots (with a third to spare)"
     )
     return Finding("disk", "ok" if free_bytes >= wanted else "fail", text)
+
+
+def _largest_bracket_bytes(session: Session) -> int:
+    """Of the last brackets taken: what the camera really writes may be far from the profile's estimate."""
+    taken = [folder for folder in sorted(session.raw.glob("[0-9]*Z")) if (folder / "capture.json").is_file()]
+    return max((sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]), default=0)
 
 
 def check_writing(folder: Path) -> list[Finding]:
@@ -284,49 +325,6 @@ def check_writing(folder: Path) -> list[Finding]:
         text = "the folder is synchronised by a cloud service, which can lock files: move it to a plain disk"
         found.append(Finding("writing", "warn", text))
     return found
-
-
-# One lock a line: who (may hold spaces), uid, user, pid, command, what, why (may hold spaces), mode.
-_LOCK = re.compile(
-    r"(?P<who>.*?) +\d+ +\S+ +\d+ +\S+ +(?P<what>(?:shutdown|sleep|idle|handle-[a-z-]+)(?::[a-z-]+)*) +(?:.* )?"
-    r"(?P<mode>block|block-weak|delay) *"
-)
-_LOCK_BEFORE_240 = re.compile(
-    r"(?m)^ *Who: (?P<who>.*?)(?: \(.*)?\n *What: (?P<what>\S+)\n *Why: .*\n *Mode: (?P<mode>\S+)"
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Lock:
-    """What somebody forbids the computer to do by itself: sleep, idle, handle-lid-switch ..."""
-
-    who: str
-    what: frozenset[str]
-    mode: str  # block; delay only holds it up for some seconds; block-weak yields to the user
-
-
-def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
-    """What `systemd-inhibit --list` says; None where it is not there, has no bus, hangs or fails."""
-    # A wide terminal: cells are cut to its width otherwise. English: words are looked for.
-    surroundings = {**os.environ, "LC_ALL": "C", "COLUMNS": "500", "SYSTEMD_PAGER": "cat", "SYSTEMD_COLORS": "0"}
-    try:
-        said = subprocess.run(
-            ["systemd-inhibit", "--list"], stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout_s,
-            env=surroundings, check=False,
-        )  # fmt: skip
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return parse_locks(said.stdout.decode("utf-8", "replace")) if said.returncode == 0 else None
-
-
-def parse_locks(listed: str) -> list[Lock]:
-    """Both forms: the table of systemd 240 and later (with or without its heading), and the blocks of before."""
-    found = [_LOCK.fullmatch(line) for line in listed.splitlines()] + list(_LOCK_BEFORE_240.finditer(listed))
-    return [Lock(m["who"].strip(), frozenset(m["what"].split(":")), m["mode"]) for m in found if m]
-
-
-def has_lid() -> bool:
-    return any(Path("/proc/acpi/button/lid").glob("*"))
 
 
 def check_sleep(locks: list[Lock] | None, lid: bool = False) -> Finding:
