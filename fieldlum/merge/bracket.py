@@ -14,7 +14,16 @@ from fieldlum.images import calibration_mark
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.first_look import FirstLook, first_look, held_otherwise
-from fieldlum.merge.frames import Crop, FrameStore, lens_crop, load_jpeg, load_raw, over_colours, over_mosaic
+from fieldlum.merge.frames import (
+    FRAMES_BYTES,
+    Crop,
+    FrameStore,
+    lens_crop,
+    load_jpeg,
+    load_raw,
+    over_colours,
+    over_mosaic,
+)
 from fieldlum.merge.motion import leave_out_moved
 from fieldlum.merge.noise import SeenNoise, seen_noise
 from fieldlum.merge.quality import Offsets, quality_of, verdict
@@ -75,7 +84,7 @@ def merge_sensor(
     fit: bool | None = None,
     drop_moved: bool = False,
     target: Target | None = None,
-    budget_bytes: int = 600_000_000,
+    budget_bytes: int = FRAMES_BYTES,
     progress: Progress = quiet,
 ) -> SensorMerge:
     """Merge frames of one heading, sorted by exposure. fit: estimate exposure ratios (default: of raw frames).

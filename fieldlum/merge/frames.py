@@ -25,7 +25,7 @@ _FULL = 0.99  # of the saturation: a count that is taken for saturated
 # Codes: noise of a JPEG pixel beside its quantisation. Sensor 0.5, rounding to YCbCr and of its cosines 0.7; these hang
 # together between colours and neighbours, so that sums of them need the 1.0 (bench/merge_budget.py --kind jpeg).
 _SIGMA_CODE = 1.0
-_Z_STEPS = 1 << 14
+_Z_STEPS, _Z_TOP = 1 << 14, 1.02  # of the table over z
 _TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
 _SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges
 
@@ -229,19 +229,27 @@ class JpegSignal:
         return _TOP_CODE if self.bright_end else self.high_code
 
     @cached_property
-    def _weight_of_z(self) -> NDArray[np.float32]:
-        """per_cdm2 / variance over predicted z, [steps, 3]."""
-        z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * 1.02
-        table = np.zeros((_Z_STEPS, 3), np.float32)
+    def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Variance of z, and weight of a predicted z, over z in equal steps, one colour behind the other, [3 steps]."""
+        z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
+        variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
         codes = np.arange(256.0)
+        low = 0 if self.dark_end else self.low_code
         for c in range(3):
             curve = self.z_of_code[:, c].astype(np.float64) + np.arange(256) * 1e-9
             code = np.interp(z, curve, codes)
             slope = np.interp(code, codes, np.maximum(np.gradient(curve), 1e-6))
-            variance = slope**2 * (_SIGMA_CODE**2 + 1 / 12)
-            low = 0 if self.dark_end else self.low_code
-            table[:, c] = np.where((code >= low) & (code <= self._top), self.per_cdm2[c] / variance, 0.0)
-        return table
+            variance[c] = slope**2 * (_SIGMA_CODE**2 + 1 / 12)
+            weight[c] = np.where((code >= low) & (code <= self._top), self.per_cdm2[c] / variance[c], 0.0)
+        return variance.reshape(-1), weight.reshape(-1)
+
+    def _looked_up(self, table: NDArray[np.float32], z: Strip) -> Strip:
+        """Of a table over z; works in z's own memory. An unknown luminance, infinite, is above all codes."""
+        z *= np.float32(_Z_STEPS / _Z_TOP)
+        np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
+        index = z.astype(np.intp)
+        index += np.arange(3) * _Z_STEPS
+        return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
         import cv2
@@ -251,30 +259,19 @@ class JpegSignal:
         a, b = max(first - 2, 0), min(last + 2, len(self.codes))
         if self.codes[a:b].max(initial=0) <= _TOP_CODE:
             return linear, None
-        full = (self.codes[a:b].max(axis=2) > _TOP_CODE).view(np.uint8)
-        wide = cv2.dilate(full, np.ones((5, 5), np.uint8))[first - a : last - a].view(np.bool_)
+        below = cv2.inRange(self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3)  # 255 where no colour is full
+        wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        z = predicted_cdm2 * self.per_cdm2
-        z *= np.float32(_Z_STEPS / 1.02)
-        index = np.minimum(np.nan_to_num(z, posinf=_Z_STEPS), _Z_STEPS - 1).astype(np.int32)
-        w = np.empty(z.shape, np.float32)
-        for c in range(3):
-            np.take(self._weight_of_z[:, c], index[..., c], out=w[..., c])
-        return w
+        return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
         low = -1.0 if self.dark_end else self.z_of_code[self.low_code]
         return (counts >= low) & (counts <= self.z_of_code[self._top])
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        variance = np.empty_like(counts)
-        for c in range(3):
-            curve = self.z_of_code[:, c].astype(np.float64)
-            slope = np.maximum(np.gradient(curve), 1e-6)
-            variance[..., c] = np.interp(counts[..., c], curve, slope**2 * (_SIGMA_CODE**2 + 1 / 12))
-        return counts <= self.z_of_code[_TOP_CODE], variance
+        return counts <= self.z_of_code[_TOP_CODE], self._looked_up(self._tables[0], counts.copy())
 
     def largest_cdm2(self) -> NDArray[np.float32]:
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
@@ -330,10 +327,13 @@ def load_jpeg(
 # ---------------------------------------------------------------------------------------------- memory
 
 
+FRAMES_BYTES = 800_000_000  # 18 JPEG of a fisheye's 13 megapixels, 16 raw of 24: with the sums about 1.3 GB
+
+
 class FrameStore:
     """Loads frames on demand and keeps them while they fit in `budget_bytes`; the rest are read again each pass."""
 
-    def __init__(self, loaders: Sequence[Callable[[], Signal]], budget_bytes: int = 600_000_000) -> None:
+    def __init__(self, loaders: Sequence[Callable[[], Signal]], budget_bytes: int = FRAMES_BYTES) -> None:
         self._loaders, self._left = loaders, budget_bytes
         self._kept: dict[int, Signal] = {}
         self._scale, self._noise = np.ones(len(loaders)), (1.0, 1.0)

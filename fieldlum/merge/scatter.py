@@ -64,10 +64,12 @@ def with_seen_noise(merged: Merged, store: FrameStore, y_from_rgb: Sequence[floa
     if not count.any():
         return merged
     ratio = _neighbourhood(total, count, (_REACH_CELLS / stride, _REACH_CELLS)).astype(np.float32)
-    row = np.minimum(np.arange(height) // (edge * stride), ratio.shape[0] - 1)
     column = np.minimum(np.arange(width) // edge, ratio.shape[1] - 1)
-    scale = np.where(merged.flags & Flag.MOTION, np.float32(1), ratio[row][:, column, None])
-    return replace(merged, variance=merged.variance * scale)
+    variance = merged.variance.copy()
+    for band, scale in enumerate(ratio[:, column, None]):  # band by band: whole arrays of factors are what memory lacks
+        at = slice(band * edge * stride, height if band == len(ratio) - 1 else (band + 1) * edge * stride)
+        np.multiply(variance[at], scale, out=variance[at], where=(merged.flags[at] & Flag.MOTION) == 0)
+    return replace(merged, variance=variance)
 
 
 def _bands_of(signal: Signal, merged: Merged, edge: int, stride: int) -> _Bands:

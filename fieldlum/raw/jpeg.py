@@ -37,7 +37,7 @@ def read_jpeg(path: Path) -> JpegFrame:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             with Image.open(path, formats=("JPEG",)) as image:
-                codes = np.asarray(image.convert("RGB"))
+                codes = np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
         found = "no JPEG" if type(error).__name__ == "UnidentifiedImageError" else str(error).splitlines()[0]
         raise InputError(path, found, "a whole JPEG", "copy it from the card again") from None
