@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum.calibrate import colour, keep, lens, order, response, scale, vignette
+from fieldlum.calibrate import boards, colour, keep, lens, order, response, scale, vignette
 from fieldlum.calibrate.frames import linear_frame, transmission
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark, write_panorama
@@ -424,7 +424,8 @@ def test_analytic_lens_from_chessboards() -> None:
         points = 8.0 * forward + board[:, :1] * right - board[:, 1:] * up
         x, y, _ = lens_pixels(truth, points / np.linalg.norm(points, axis=1, keepdims=True))
         corners.append(np.stack([x, y], axis=1) + 0.05 * rng.normal(size=(len(x), 2)))
-    targets = lens.from_boards(corners, columns, rows, (1280, 960))
+    seen = boards.from_boards(corners, columns, rows, (1280, 960))
+    targets = seen.targets
     found = lens.fit(targets, Lens((630.0, 490.0), 440.0, 180.0))
     fitted = LensGeometry(
         found.lens.centre_px, found.lens.radius_px, 180.0, found.lens.mapping, found.lens.coefficients
@@ -433,8 +434,14 @@ def test_analytic_lens_from_chessboards() -> None:
     x2, y2, _ = lens_pixels(fitted, targets.rays)
     near = angle < np.radians(60)
     assert np.hypot(x - x2, y - y2)[near].max() < 450.0 / 90 * 0.15  # a boards' own tilt is not a lens's pose
+    # the corners themselves: nearer than the model's rays, with what they miss by, and for a lens that looks back too
+    for azimuth in (0.0, 180.0):
+        better = boards.fit(seen, Lens((630.0, 490.0), 440.0, 180.0, azimuth_deg=azimuth))
+        assert better.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
+        assert better.lens.centre_px == pytest.approx(truth.centre_px, abs=0.1)
+        assert better.lens.azimuth_deg == azimuth and "the centre is known to 0.0" in better.choice.line
     with pytest.raises(NotEnoughDataError):
-        lens.from_boards(corners[:3], columns, rows, (1280, 960))
+        boards.from_boards(corners[:3], columns, rows, (1280, 960))
 
 
 def test_analytic_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> None:
@@ -445,11 +452,11 @@ def test_analytic_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> No
         if (row + column) % 2:
             board[60 + row * 50 : 110 + row * 50, 70 + column * 50 : 120 + column * 50] = 20
     cv2.imwrite(str(tmp_path / "board.png"), board)
-    corners = lens.chessboard_corners(tmp_path / "board.png", 9, 6)
+    corners = boards.chessboard_corners(tmp_path / "board.png", 9, 6)
     assert corners is not None and corners[0] == pytest.approx([120, 110], abs=0.1)
     assert corners[9] == pytest.approx([120, 160], abs=0.1)  # row by row
     cv2.imwrite(str(tmp_path / "none.png"), np.full((200, 300), 120, np.uint8))
-    assert lens.chessboard_corners(tmp_path / "none.png", 9, 6) is None
+    assert boards.chessboard_corners(tmp_path / "none.png", 9, 6) is None
 
 
 def test_analytic_circle_and_shift() -> None:

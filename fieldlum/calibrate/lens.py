@@ -65,7 +65,7 @@ def from_table(path: Path) -> Targets:
     return Targets(columns["x_px"], columns["y_px"], rays, (path,))
 
 
-def _geometry(lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool) -> LensGeometry:
+def geometry_of_figures(lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool) -> LensGeometry:
     """The lens with fitted figures: centre x, y, radius, [azimuth, tilt, roll], then the polynomial's higher terms."""
     x, y, radius, *rest = figures.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
@@ -90,7 +90,7 @@ def _solve(targets: Targets, rows: NDArray[np.bool_], lens: Lens, mapping: str, 
     scale = [lens.radius_px * 0.01] * 3 + ([1.0] * 3 if pose else []) + [0.05] * (len(powers) - 1)
 
     def misses(figures: Array) -> Array:
-        x, y, _ = lens_pixels(_geometry(lens, figures, mapping, powers, pose), targets.rays[rows])
+        x, y, _ = lens_pixels(geometry_of_figures(lens, figures, mapping, powers, pose), targets.rays[rows])
         return np.concatenate([x - targets.x_px[rows], y - targets.y_px[rows]])
 
     return least_squares(misses, start, x_scale=scale, loss="soft_l1", f_scale=2.0, max_nfev=400).x
@@ -106,7 +106,8 @@ def fit(targets: Targets, lens: Lens) -> Fit:
     n = len(targets.x_px)
     if n < LEAST:
         raise NotEnoughDataError(f"{n} targets are too few for a lens: take at least {LEAST}, spread over the circle")
-    start = lens if targets.pose_known else _posed(targets, lens)
+    level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
+    start = level if targets.pose_known else _posed(targets, lens)
     models: list[tuple[str, str, tuple[int, ...]]] = [
         ("equidistant", "equidistant", ()),
         ("equisolid", "equisolid", ()),
@@ -121,7 +122,7 @@ def fit(targets: Targets, lens: Lens) -> Fit:
     choice = choose("lens", candidates, "px", 1.0)
     _, mapping, powers = models[choice.index]
     figures = _solve(kept, np.ones(len(kept.x_px), bool), start, mapping, powers)
-    found = _geometry(start, figures, mapping, powers, not targets.pose_known)
+    found = geometry_of_figures(start, figures, mapping, powers, not targets.pose_known)
     residual, angle = _misses(found, targets)
     _check(found, residual[near], angle[near], targets)
     rms = float(np.sqrt(candidates[choice.index].errors.mean()))
@@ -131,10 +132,10 @@ def fit(targets: Targets, lens: Lens) -> Fit:
         radius_px=round(found.radius_px, 3),
         mapping=found.mapping,
         coefficients=tuple(round(c, 7) for c in found.coefficients),
-        azimuth_deg=round((found.azimuth_deg + 180) % 360 - 180, 4),
-        tilt_deg=round(found.tilt_deg, 4),
-        roll_deg=round(found.roll_deg, 4),
     )
+    if not targets.pose_known:
+        azimuth = round((found.azimuth_deg + 180) % 360 - 180, 4)
+        new = replace(new, azimuth_deg=azimuth, tilt_deg=round(found.tilt_deg, 4), roll_deg=round(found.roll_deg, 4))
     per_px = lens.full_angle_deg / 2 / found.radius_px
     doubts = _doubts(targets, residual, near, new, lens)
     return Fit(new, rms, rms * per_px, residual, float(np.degrees(angle[near].max())), choice, doubts)
@@ -165,7 +166,7 @@ def _near(targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[
     every, best = np.ones(len(targets.x_px), bool), np.full(len(targets.x_px), np.inf)
     for _, mapping, powers in models:
         figures = _solve(targets, every, start, mapping, powers)
-        missed, _ = _misses(_geometry(start, figures, mapping, powers, not targets.pose_known), targets)
+        missed, _ = _misses(geometry_of_figures(start, figures, mapping, powers, not targets.pose_known), targets)
         if np.median(missed) < np.median(best):
             best = missed
     near = best <= max(FAR_SIGMA * float(np.median(best)), FAR_RADIUS * start.radius_px)
@@ -217,12 +218,14 @@ def _held_out(targets: Targets, lens: Lens, mapping: str, powers: tuple[int, ...
     errors = np.zeros(n)
     for held in folds(np.arange(n), 6):
         figures = _solve(targets, ~held, lens, mapping, powers)
-        x, y, _ = lens_pixels(_geometry(lens, figures, mapping, powers, not targets.pose_known), targets.rays[held])
+        x, y, _ = lens_pixels(
+            geometry_of_figures(lens, figures, mapping, powers, not targets.pose_known), targets.rays[held]
+        )
         errors[held] = (x - targets.x_px[held]) ** 2 + (y - targets.y_px[held]) ** 2
     return errors
 
 
-# ---------------------------------------------------------------------------------------------- chessboard
+# ---------------------------------------------------------------------------------------------- circle and shift
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
@@ -242,69 +245,6 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
     cell = cv2.resize(cell, (columns, rows), interpolation=cv2.INTER_LINEAR)
     low, high = np.percentile(cell, [1, 99.5])
     return (255 * np.clip((cell - low) / max(high - low, 1e-6), 0, 1) ** (1 / 2.2)).astype(np.uint8)
-
-
-def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Inner corners [rows * columns, 2] in sensor coordinates; None where the board is not found."""
-    import cv2
-
-    found, corners = cv2.findChessboardCornersSB(
-        grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
-    )
-    return np.asarray(corners, float).reshape(-1, 2) + 0.5 if found else None  # OpenCV's zero is a pixel's middle
-
-
-def from_boards(
-    corners: Sequence[Array], columns: int, rows: int, size_px: tuple[int, int], paths: Sequence[Path] = ()
-) -> Targets:
-    """Directions from boards [rows * columns, 2] by OpenCV's omnidirectional model (Mei and Rives 2007).
-
-    Its figures are not unique, its rays are: the model is asked for rays, and those are what our lens is fitted to.
-    size_px: width, height. Raises NotEnoughDataError under four boards, InputError where the fit does not converge.
-    """
-    import cv2
-
-    if len(corners) < 4:
-        raise NotEnoughDataError(f"the board was found in {len(corners)} pictures: take at least four, up to the edge")
-    board = np.zeros((1, rows * columns, 3))
-    board[0, :, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    # (1, N, C): the one shape that OpenCV 4 and 5 both take
-    places = [np.asarray(c - 0.5, np.float64).reshape(1, -1, 2) for c in corners]
-    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-9)
-    omnidir: Any = cv2.omnidir
-    flags = omnidir.CALIB_FIX_SKEW
-    try:
-        rms, k, xi, d, *_ = omnidir.calibrate([board] * len(corners), places, size_px, None, None, None, flags, stop)
-    except cv2.error as error:
-        raise InputError("chessboard", str(error).splitlines()[0], "boards in many places, none edge-on") from None
-    if not np.isfinite(rms) or rms > 3:
-        raise InputError(
-            "chessboard", f"a fit that misses by {rms:.1f} px", "at most 3 px: sharper, more varied boards"
-        )
-    seen = np.concatenate([np.asarray(c, float) for c in corners])
-    return _model_rays(seen, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths))
-
-
-def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, ...]) -> Targets:
-    """Directions over the part of the picture where corners were: the model's projection of a fan of rays."""
-    import cv2
-
-    angle = np.radians(np.arange(1.0, 110.0, 2.0))
-    turn = np.radians(np.arange(0.0, 360.0, 15.0))
-    a, t = (grid.ravel() for grid in np.meshgrid(angle, turn))
-    away = np.stack([np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1)  # OpenCV: x right, y down
-    zero = np.zeros((3, 1))
-    shown, *_ = cv2.omnidir.projectPoints(away.reshape(1, -1, 3), zero, zero, k, xi, d)
-    at = np.asarray(shown).reshape(-1, 2) + 0.5
-    centre = k[:2, 2] + 0.5
-    reach = np.percentile(np.linalg.norm(seen - centre, axis=1), 99.5)
-    radius = np.linalg.norm(at - centre, axis=1)
-    near = radius <= reach
-    rays = np.stack([away[:, 0], away[:, 2], -away[:, 1]], axis=1)  # ours: x right (east), y forward (north), z up
-    return Targets(at[near, 0], at[near, 1], rays[near], paths, pose_known=True)
-
-
-# ---------------------------------------------------------------------------------------------- circle and shift
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,9 +120,19 @@ def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generat
         found = f"{bracket}: {len(flat)} flat places in the lens's circle that two frames hold (codes {LOW} to {HIGH})"
         raise NotEnoughDataError(f"{found}, at least 50: steps of at most 2 EV, of walls and sky rather than texture")
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2))
-    order = flat[np.argsort(brightness + rng.uniform(0, 1e-3, len(flat)))]
-    chosen = order[np.linspace(0, len(order) - 1, min(PLACES, len(order))).astype(int)]
+    brightness += rng.uniform(0, 1e-3, len(flat))
+    chosen = flat[_spread(brightness, min(PLACES, len(flat)))]
     return np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2)
+
+
+def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """At most `count` of `level` [n], half of them even over the levels (the few bright places are all that the short
+    frames see), the rest even over the places."""
+    order = np.argsort(level)
+    wanted = np.linspace(level.min(), level.max(), count // 2)
+    even = np.minimum(np.searchsorted(level[order], wanted), len(level) - 1)
+    ranks = np.linspace(0, len(level) - 1, count - len(np.unique(even))).astype(int)
+    return order[np.union1d(even, ranks)]
 
 
 # ---------------------------------------------------------------------------------------------- fit

@@ -98,8 +98,7 @@ def from_session(session: Session, profile_sha256: str) -> tuple[list[list[Readi
 
 
 def readings_of(quality: dict[str, Any]) -> list[Reading]:
-    """Of one bracket; frames through a filter are left out, since the filter's own error is in them, and so are pairs of
-    two ISOs."""
+    """Of one bracket, without frames through a filter and pairs of two ISOs: these have errors of their own."""
     headings: list[list[dict[str, Any]]] = []
     for frame in quality["frames"]:
         if not headings or headings[-1][0]["heading_deg"] != frame["heading_deg"]:

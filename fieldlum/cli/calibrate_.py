@@ -249,10 +249,11 @@ def _edge(sources: tuple[Path, ...], start: Any, against: Path | None, picture: 
 def _mapping(
     sources: tuple[Path, ...], start: Any, chessboard: str | None, profile: CameraProfile, picture: Path | None
 ) -> tuple[Any, str, dict]:
-    from fieldlum.calibrate import lens, pictures
+    from fieldlum.calibrate import boards, lens, pictures
 
-    targets = _boards(sources, chessboard, profile) if chessboard else lens.from_table(sources[0])
-    found = lens.fit(targets, start)
+    seen = _boards(sources, chessboard, profile) if chessboard else None
+    targets = seen.targets if seen else lens.from_table(sources[0])
+    found = boards.fit(seen, start) if seen else lens.fit(targets, start)
     if picture:
         pictures.save(pictures.of_lens(targets, found), picture)
     if found.widest_deg < 0.9 * start.full_angle_deg / 2:
@@ -273,19 +274,19 @@ def _mapping(
 
 
 def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) -> Any:
-    from fieldlum.calibrate import lens
+    from fieldlum.calibrate import boards
 
     try:
         columns, rows = (int(part) for part in chessboard.lower().split("x"))
     except ValueError:
         raise click.UsageError("--chessboard wants inner corners across x down, like 9x6") from None
-    found = {path: lens.chessboard_corners(path, columns, rows) for path in sources}
+    found = {path: boards.chessboard_corners(path, columns, rows) for path in sources}
     seen = {path: corners for path, corners in found.items() if corners is not None}
     for path in sources:
         if path not in seen:
             terminal.say(f"note: no {columns} x {rows} board found in {path}")
     size = (profile.camera.width_px, profile.camera.height_px)
-    return lens.from_boards(list(seen.values()), columns, rows, size, tuple(seen))
+    return boards.from_boards(list(seen.values()), columns, rows, size, tuple(seen))
 
 
 @command.command("colour")
