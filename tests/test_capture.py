@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +27,8 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.errors import DeviceError, NotEnoughDataError
 from fieldlum.profiles import load_camera_profile
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Panorama, Site, SiteFile, Slot
-from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256, write_plan
+from fieldlum.session import DayFiles, Session, create_session, day_files, read_day, read_journal, sha256, write_plan
+from fieldlum.session import lines as lines
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(2.0**-i, 5.6) for i in range(3))
@@ -409,6 +411,49 @@ def test_full_disk_is_recorded_and_survived(site: Field) -> None:
     assert site.outcomes() == ["done"] * 3
     assert events.count("disk-full") == 1 and "device-lost" not in events
     assert not (site.session.root / ".reserve").exists()
+
+
+def test_a_disk_that_was_away_costs_its_frames_at_most(site: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A share or a stick that is gone for some minutes: rows and events wait in memory, and nothing ends."""
+    away = [T0 + timedelta(hours=1, minutes=-2), T0 + timedelta(hours=1, minutes=20)]
+    really = lines.append_durably
+
+    def append(handle: int, data: bytes, *, flush: bool = True) -> None:
+        if away[0] <= site.clock.true_utc < away[1]:
+            raise OSError(errno.EIO, "Input/output error")
+        really(handle, data, flush=flush)
+
+    monkeypatch.setattr(lines, "append_durably", append)
+    site.run(replace(FAST, log_around_s=None, log_every_s=30.0))
+    assert site.outcomes() == ["done", "aborted", "done"]
+    (path,) = day_files(site.session)
+    rows = [row.t_utc for row in read_day(path)[0]]
+    assert max((b - a).total_seconds() for a, b in pairwise(rows)) < 60.0, "no row is lost"
+
+
+def test_a_moved_folder_and_a_spoilt_day_file_do_not_end_the_log(site: Field) -> None:
+    folder, moved = site.session.irradiance, site.session.root / "moved"
+
+    def fault(count: int) -> None:
+        if count == 10:
+            folder.rename(moved)
+
+    site.pyranometer_fault = fault
+    site.clock = FastClock(datetime(2027, 3, 20, 15, 25, tzinfo=UTC))
+    site.session = make_session(site.session.root.parent / "days", slots=30)
+    folder, moved = site.session.irradiance, site.session.root / "moved"
+    site.run(replace(FAST, log_around_s=None, log_every_s=1800.0))
+    assert site.outcomes() == ["done"] * 30
+    assert [path.stem for path in day_files(site.session)] == ["2027-03-21"] and moved.is_dir()
+    days = DayFiles(site.session, flush=False)
+    spoilt = site.session.irradiance / "2027-03-21.csv"
+    before = spoilt.read_bytes().replace(b",", b";").removesuffix(b"\n")  # as a spreadsheet saves it
+    spoilt.write_bytes(before)
+    days.append(IrradianceSample(datetime(2027, 3, 21, 23, tzinfo=UTC), 7.0))
+    days.close()
+    samples, broken = read_day(spoilt)
+    assert spoilt.read_bytes().startswith(before) and [row.ghi_wm2 for row in samples] == [7.0]
+    assert broken == before.count(b"\n") + 1
 
 
 @pytest.mark.parametrize("trusted", [False, True])

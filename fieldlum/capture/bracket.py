@@ -100,7 +100,7 @@ class Bracket:
                 continue
             for frame in taken:
                 if not self.recorder.tell("frame", slot=slot.id, frame=frame_fields(frame)):
-                    return self.abort(slot, state, "disk full")
+                    return self.abort(slot, state, "its frame could not be written down")
                 state = replace(state, frames=(*state.frames, frame))
                 self.between(frame)
             for frame in taken:
@@ -284,8 +284,9 @@ class Bracket:
 
 def _sweep(folder: Path) -> None:
     """What was begun under a passing name and never acknowledged."""
-    for scrap in folder.glob(".*"):
-        scrap.unlink(missing_ok=True)
+    with suppress(OSError):
+        for scrap in folder.glob(".*"):
+            scrap.unlink(missing_ok=True)
 
 
 def _settle(written: Path, final: Path, *, flush: bool) -> None:

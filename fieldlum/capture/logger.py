@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 
@@ -90,7 +91,8 @@ class Logger:
 
     def _loop(self) -> None:
         while not self._stop.is_set():
-            self.poll_if_due()
+            with suppress(Exception):  # whatever it was, the irradiance of the rest of the month is worth more
+                self.poll_if_due()
             self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
 
     def close(self) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from shutil import disk_usage
 from typing import Any
 
+from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
 
@@ -21,12 +22,16 @@ _KEPT_ROWS = 100_000  # almost six days at 5 s
 
 
 class Recorder:
-    """Journal and day files of one running capture. Never raises on a full disk: it says so, waits, and tries again."""
+    """Journal and day files of one running capture.
+
+    Once open, it raises for no trouble of the disk, full or away: it says so, keeps what it could not write, and tries
+    again at the next event or row.
+    """
 
     def __init__(
         self, session: Session, now: Callable[[], datetime], reserve_bytes: int = RESERVE_BYTES, *, flush: bool = True
     ) -> None:
-        self._now, self._reserve_bytes, self.flush = now, reserve_bytes, flush
+        self._session, self._now, self._reserve_bytes, self.flush = session, now, reserve_bytes, flush
         self._reserve = session.root / ".reserve"
         self._lock = threading.RLock()
         self._events: deque[tuple[str, datetime, dict[str, Any]]] = deque()
@@ -85,10 +90,10 @@ class Recorder:
                 _allocate(self._reserve, self._reserve_bytes)
                 self.full = False
             except OSError as error:
-                self._reserve.unlink(missing_ok=True)
-                if not disk_is_full(error):
-                    raise
-                self.make_room()
+                with suppress(OSError):
+                    self._reserve.unlink(missing_ok=True)
+                if disk_is_full(error):
+                    self.make_room()
             self._flush_events()
             self._flush_rows()
 
@@ -110,14 +115,15 @@ class Recorder:
         return True
 
     def _write(self, write: Callable[[], None]) -> bool:
-        """Once more after the reserve is given back; False when there is still no room."""
+        """Once more after the reserve is given back, or after the files are opened anew; False when that is in vain."""
         for _ in range(2):
             try:
                 write()
                 return True
             except OSError as error:
                 if not disk_is_full(error):
-                    raise
+                    self._open_anew(error)
+                    continue
                 if self.full:
                     return False
                 self.full = True
@@ -126,13 +132,26 @@ class Recorder:
                     self.journal.append("disk-full", self._now(), bytes_free=self._free_bytes())
         return False
 
+    def _open_anew(self, error: OSError) -> None:
+        """A disk or share that was away gives no second life to open files; a folder may have been moved meanwhile."""
+        self.last_event = f"not written: {error.strerror or error}"
+        with suppress(OSError, InputError):
+            self.days.close()
+        with suppress(OSError, InputError):
+            journal = Journal(self._session, flush=self.flush)
+            with suppress(OSError):
+                self.journal.close()
+            self.journal = journal
+            self.days = DayFiles(self._session, flush=self.flush)
+
     def close(self) -> None:
         with self._lock:
             self._flush_events()
             self._flush_rows()
-            self.journal.close()
-            self.days.close()
-            self._reserve.unlink(missing_ok=True)
+            with suppress(OSError):
+                self.journal.close()
+                self.days.close()
+                self._reserve.unlink(missing_ok=True)
 
 
 def _allocate(path: Path, size: int) -> None:

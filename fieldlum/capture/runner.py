@@ -275,7 +275,9 @@ class _Runner:
         try:
             return bracket.take(slot, state, deadline)
         except Exception as error:
-            known = fold(read_journal(self.session)).slots.get(slot.id, state)
+            known = state
+            with suppress(OSError):
+                known = fold(read_journal(self.session)).slots.get(slot.id, state)
             return bracket.abort(slot, known, f"{type(error).__name__}: {error}"[:300])
 
     def _too_late(self, bracket: Bracket, slot: Slot, state: SlotState, late_s: float) -> SlotState:
@@ -294,8 +296,10 @@ class _Runner:
         self._learn_sizes(slot, state)
 
     def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
-        paths = [self.session.raw / slot.id / frame.file for frame in state.frames]
-        sizes = [path.stat().st_size for path in paths if path.is_file()]
+        sizes: list[int] = []
+        with suppress(OSError):
+            paths = [self.session.raw / slot.id / frame.file for frame in state.frames]
+            sizes = [path.stat().st_size for path in paths if path.is_file()]
         if sizes:
             self.frame_bytes = max(sizes)
             self.bytes_per_slot = sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))

@@ -10,6 +10,7 @@ import zlib
 from datetime import UTC
 from pathlib import Path
 
+from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.lines import append_whole, cut_torn_tail
@@ -63,11 +64,15 @@ class DayFiles:
     def _open(self, day: str) -> None:
         self.close()
         path = self._folder / f"{day}.csv"
-        self.cut_bytes += cut_torn_tail(path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None)
+        spoilt = False
+        try:
+            self.cut_bytes += cut_torn_tail(path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None)
+        except InputError:  # somebody saved it with a spreadsheet: it stays, is added to, and reading counts its lines
+            spoilt = True
         handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         try:
-            if os.fstat(handle).st_size == 0:
-                append_whole(handle, _DAY_HEADER, flush=self._flush)
+            if spoilt or os.fstat(handle).st_size == 0:
+                append_whole(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)
                 sync_folder(self._folder)
         except OSError:
             os.close(handle)
