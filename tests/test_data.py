@@ -76,6 +76,13 @@ def test_rows_that_contradict_each_other_are_named(pairs: Path, column: str, cha
     assert said in str(caught.value)
 
 
+@pytest.mark.parametrize(("name", "said"), [("m3.exr", "merge all brackets at one size"), ("p3.exr", "pair again")])
+def test_a_picture_of_another_size_says_what_to_do(pairs: Path, name: str, said: str) -> None:  # contract
+    write_panorama(pairs.parent / name, Panorama(np.ones((24, 48), np.float32), 180.0))
+    with pytest.raises(InputError, match=said):
+        load_pairs(pairs)
+
+
 def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
     text = pairs.read_text()
     pairs.write_text(text.rstrip() + "\n" + text.splitlines()[1] + "\n")

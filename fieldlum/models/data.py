@@ -29,6 +29,8 @@ NEEDED = ("t_utc", "panorama", "dni_wm2", "dhi_wm2")
 MOST_IRRADIANCE_WM2 = 1600.0  # above the solar constant with cloud enhancement
 LEAST_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
 LEAST_DISC_CDM2 = 2e4  # a window's edge under a grey sky is far brighter than the frame, and no disc
+_MERGE_ALIKE = "render or merge all brackets at one size and heading"
+_PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again"
 LUMENS_PER_WATT = 93.0  # rough, and only used to tell a disc from a sunlit wall
 
 
@@ -331,14 +333,14 @@ def _read_pictures(
     masks = np.empty(maps.shape, bool)
     for k, row in enumerate(rows):
         progress(k, len(rows), row.panorama.name)
-        panorama = _checked(read_panorama(row.panorama), row.panorama, shape, heading, setup)
+        panorama = _checked(read_panorama(row.panorama), row.panorama, shape, heading, setup, _MERGE_ALIKE)
         sun_at = (float(altitude[k]), float(azimuth[k]), row.dni_wm2, heading)
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if row.sun_in_map:
             maps[k], disc[k] = split_disc(maps[k], *sun_at)
         if patches is not None and row.sunpatch is not None:
-            patch = _checked(read_panorama(row.sunpatch), row.sunpatch, shape, heading, setup)
+            patch = _checked(read_panorama(row.sunpatch), row.sunpatch, shape, heading, setup, _PAIR_AGAIN)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
             if row.sun_in_map:  # the patch holds the disc alone, without the sky around it: the better measure
                 patches[k], disc[k] = split_disc(patches[k], *sun_at)
@@ -358,14 +360,16 @@ def _says_heading(path: Path) -> bool:
         return PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
 
 
-def _checked(panorama: Panorama, path: Path, shape: tuple[int, ...], heading: float, setup: SiteFile) -> Panorama:
+def _checked(
+    panorama: Panorama, path: Path, shape: tuple[int, ...], heading: float, setup: SiteFile, remedy: str
+) -> Panorama:
     found = panorama.luminance_cdm2.shape
     if found != shape:
         said = f"{found[1]} x {found[0]} pixels", f"{shape[1]} x {shape[0]} as in the first row"
-        raise InputError(path, *said, "merge all brackets at one size")
+        raise InputError(path, *said, remedy)
     if abs((_heading(panorama, path, setup) - heading + 180.0) % 360.0 - 180.0) > 0.01:
         found = f"heading {_heading(panorama, path, setup):g}"
-        raise InputError(path, found, f"{heading:g} as in the first row", "render or merge all with one heading")
+        raise InputError(path, found, f"{heading:g} as in the first row", remedy)
     return panorama
 
 
