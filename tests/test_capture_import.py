@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -196,6 +197,8 @@ def test_logger_rows_are_added_once(session: Session) -> None:
     assert add_samples(session, rows) == 1000
     assert add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), 1.0)]) == 1
     assert sum(len(read_day(p)[0]) for p in day_files(session)) == 1001
+    later = IrradianceSample(DAWN + timedelta(days=1), 5.0)
+    assert add_samples(session, [later, later, replace(later, ghi_wm2=6.0)]) == 2
 
 
 def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -> None:
