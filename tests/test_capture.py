@@ -595,6 +595,9 @@ def test_log_alone_writes_rows(site: Field) -> None:
     rows = log(site.session, "sim:office?seed=1", clock=site.clock, every_s=5.0, rows=10, say=said.append)
     samples = [s for path in day_files(site.session) for s in read_day(path)[0]]
     assert rows == len(samples) == 10 and said[0].startswith("logging Delta-T SPN1 A1")
+    assert site.session.table()["devices"]["pyranometer"]["serial"].startswith("A1")
+    site.run()
+    assert {"camera", "pyranometer", "uris"} <= set(site.session.table()["devices"])
     assert (samples[-1].t_utc - samples[0].t_utc) == timedelta(seconds=45)
 
 

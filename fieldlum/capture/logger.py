@@ -8,13 +8,13 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 
-from fieldlum.capture.keeper import Keeper
+from fieldlum.capture.keeper import Keeper, plain_info
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.steady import SteadyClock
 from fieldlum.devices import Pyranometer, Streaming, open_pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.records import IrradianceSample
-from fieldlum.session import Session, sole_user
+from fieldlum.session import Session, sole_user, update_session
 
 _BAD_IN_A_ROW = 3  # readings that fail before the port is opened anew
 _TOLD_AN_HOUR = 20  # refused lines that are journalled one by one; a sketch that prints remarks must not fill the disk
@@ -118,6 +118,9 @@ def log(
         logger = Logger(keeper, recorder, steady, every_s)
         try:
             info = keeper.insist().info
+            known = session.table().get("devices", {})
+            with suppress(OSError):  # a full disk; the rows say so
+                update_session(session, {"devices": {**known, "pyranometer": plain_info(info)}})
             say(f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every {every_s:g} s; Ctrl-C stops")
             while rows is None or recorder.rows < rows:
                 for name, fields in steady.check():

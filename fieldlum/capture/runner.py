@@ -205,7 +205,7 @@ class _Runner:
         for name, fields in self.clock.check():
             self.recorder.tell(name, **fields)
         try:
-            update_session(self.session, {"devices": about})
+            update_session(self.session, {"devices": {**self.session.table().get("devices", {}), **about}})
         except OSError as error:
             if not disk_is_full(error):
                 raise
