@@ -12,6 +12,7 @@ from fieldlum.raw import channel_positions, read_mosaic, roll_deg_of
 
 Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)
+_LOOKED_AT = 6_000_000  # pixels
 _HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 
 
@@ -40,7 +41,8 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
         if shot.exposure.iso in found:
             continue
         mosaic = read_mosaic(shot.path)
-        planes = (mosaic.counts[row::2, column::2] for row, column in channel_positions(mosaic.cfa))
+        step = 2 * max(1, mosaic.counts.size // _LOOKED_AT)
+        planes = (mosaic.counts[row::step, column::2] for row, column in channel_positions(mosaic.cfa))
         red, green_1, green_2, blue = (saturation_plateau(plane, mosaic.white_dn) for plane in planes)
         found[shot.exposure.iso] = red, green_1, green_2, blue
         if any(profile.sensor.black_dn):

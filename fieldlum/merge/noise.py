@@ -18,7 +18,7 @@ from fieldlum.merge.ratios import Sample
 from fieldlum.photometry import PairRatio
 
 _STEPS = 12  # levels of a pair that are looked at
-_IN_A_STEP = 200  # pixels
+_IN_A_STEP, _MOST = 200, 12_000  # pixels of a step, of a pair
 _TOLD = 1.44  # of a variance (1.2 of noise): less is not told from the profile's
 
 
@@ -37,19 +37,25 @@ class SeenNoise:
 
 def seen_noise(samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]) -> SeenNoise:
     """By neighbouring frames; samples and pairs of raw frames before `correction`, which their pairs gave."""
-    from scipy.optimize import nnls
-
-    rows, seen = [], []
+    rows = []
     for pair in pairs:
         if pair.short == pair.long + 1:
             ratio = float(np.exp(np.log(correction[pair.short]) - np.log(correction[pair.long])))
             for shot, read, found in _steps(samples[pair.long], samples[pair.short], ratio):
                 rows.append((shot / found, read / found))  # relative: each step counts alike
-                seen.append(1.0)
     if len(rows) < 4:
         return SeenNoise()
-    shot, read = nnls(np.array(rows), np.array(seen))[0]
-    return SeenNoise(float(shot) if shot > _TOLD else 1.0, float(read) if read > _TOLD else 1.0)
+    shot, read = _factors(np.array(rows))
+    return SeenNoise(shot if shot > _TOLD else 1.0, read if read > _TOLD else 1.0)
+
+
+def _factors(rows: NDArray[np.float64]) -> tuple[float, float]:
+    """Least squares of rows @ (shot, read) = 1, none below 0."""
+    alone = rows.sum(axis=0) / np.maximum((rows**2).sum(axis=0), 1e-30)
+    shot, read = np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)[0]
+    if shot < 0:
+        return 0.0, float(alone[1])
+    return (float(alone[0]), 0.0) if read < 0 else (float(shot), float(read))
 
 
 def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, float, float]]:
@@ -58,9 +64,11 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
     if not (isinstance(a, RawSignal) and isinstance(b, RawSignal)):
         return []
     shape = long.counts.shape
-    ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape)
     good = a.usable(long.counts) & b.usable(short.counts) & ~long.full & ~short.full
-    y_long, y_short, ratio = long.counts[good], short.counts[good], ratio[good]
+    at = np.flatnonzero(good)
+    at = at[:: max(1, len(at) // _MOST)]
+    y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
+    ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape).ravel()[at]
     order = np.argsort(y_long)
     found = []
     for step in np.array_split(order, int(np.clip(len(order) // _IN_A_STEP, 1, _STEPS))):
