@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from fieldlum import doctor
 from fieldlum.cli import main
-from fieldlum.devices import FORM_ALONE, CameraInfo, InstrumentInfo
+from fieldlum.devices import FORM_ALONE, CameraInfo, IlluminanceReading, InstrumentInfo
 from fieldlum.doctor import awake
 from fieldlum.profiles import (
     Bracket,
@@ -251,6 +251,23 @@ def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
     slot = Slot(NOW, 30.0, 180.0, (Exposure(0.5, 5.6, nd="nd4"), Exposure(0.5, 5.6, nd="nd3")))
     assert ["nd4" in f.text for f in doctor._fit(profile, [slot])] == [True]
     assert doctor._age(profile, date(2027, 1, 1)).verdict == "ok"
+
+
+def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Meter:
+        info = InstrumentInfo("cl200a", "CL-200A", "10001")
+
+        def read(self) -> IlluminanceReading:
+            return IlluminanceReading(1234.0, low_battery=True)
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr(doctor, "open_meter", lambda uri, clock: Meter())
+    found = doctor.check_meter("cl200a:/dev/ttyUSB1")
+    assert [(f.verdict, f.text) for f in found] == [
+        ("ok", "CL-200A 10001 answers: 1234 lx"), ("warn", "its battery is low")
+    ]  # fmt: skip
+    assert doctor.check_meter("") == []
 
 
 def test_contract_exit_codes(tmp_path: Path) -> None:

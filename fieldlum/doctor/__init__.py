@@ -22,6 +22,7 @@ from fieldlum.devices import (
     InstrumentInfo,
     not_offered,
     open_camera,
+    open_meter,
     open_pyranometer,
     same_model,
 )
@@ -55,14 +56,16 @@ class Finding:
 
 
 def run(
-    session: Session, camera_uri: str, pyranometer_uri: str, now_utc: datetime, progress: Progress = quiet
-) -> list[Finding]:
+    session: Session, camera_uri: str, pyranometer_uri: str, now_utc: datetime, progress: Progress = quiet,
+    *, meter_uri: str = "",
+) -> list[Finding]:  # fmt: skip
     """All checks. A check that breaks is a failed finding, never an exception."""
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
         ("profile", lambda: check_profile(session, now_utc.date())),
         ("camera", lambda: check_camera(session, camera_uri, now_utc)),
         ("pyranometer", lambda: check_pyranometer(session, pyranometer_uri)),
+        ("meter", lambda: check_meter(meter_uri)),
         ("clock", lambda: [check_clock(kernel_clock())]),
         ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
         ("writing", lambda: check_writing(session.root)),
@@ -223,6 +226,19 @@ def check_pyranometer(session: Session, uri: str) -> list[Finding]:
         return judge_pyranometer(instrument.info, instrument.read(), session.site_file().site)
     finally:
         instrument.close()
+
+
+def check_meter(uri: str) -> list[Finding]:
+    """The illuminance meter beside the lens, where there is one, answers."""
+    if not uri:
+        return []
+    meter = open_meter(uri, clock=RealClock())
+    try:
+        who, reading = " ".join(part for part in (meter.info.model, meter.info.serial) if part), meter.read()
+    finally:
+        meter.close()
+    found = [Finding("meter", "ok", f"{who or meter.info.kind} answers: {reading.illuminance_lx:.4g} lx")]
+    return [*found, Finding("meter", "warn", "its battery is low")] if reading.low_battery else found
 
 
 def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
