@@ -94,7 +94,20 @@ def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     groups = [bracket(slot, PDT_S) for slot in MONTH[:60]]
     assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset")) == ""
     said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"))
-    assert said.startswith("with --utc-offset 55 of 60 brackets lie near slots, with an offset +1 h from it 60")
+    assert said.startswith("--utc-offset: 55 of 60 brackets lie near slots, with an offset +1 h from this 60 would")
+
+
+def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path) -> None:
+    plan = [replace(slot, exposures=LADDER[:1]) for slot in MONTH[:72]]
+    day_off, lost = PST_S + 86400.0, (datetime(2015, 1, 1, tzinfo=UTC) - plan[36].t_utc).total_seconds()
+    for name, clock_s in (("day", lambda i: day_off), ("lost", lambda i: PST_S if i < 36 else lost)):
+        for i, slot in enumerate(plan):
+            write(tmp_path / name / f"DSC_{i:04d}.jpg", LADDER[0], slot.t_utc + timedelta(seconds=clock_s(i)))
+    report = adopt.run(make_session(tmp_path / "a", plan), tmp_path / "day")
+    assert "60 of 72 brackets lie near slots, with an offset +24 h from this 72 would" in report.notes[0]
+    report = adopt.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
+    assert report.brackets == 36 and report.slots == tuple(slot.id for slot in plan[:36])
+    assert "DSC_0036.jpg and 35 brackets after it: brackets of 2015-01-01" in report.left_out[0]
 
 
 def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:

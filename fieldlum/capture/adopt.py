@@ -25,7 +25,7 @@ from fieldlum.capture.group import (
 from fieldlum.capture.logger_rows import adopt_rows
 from fieldlum.capture.misplaced import withdraw
 from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
-from fieldlum.errors import NotEnoughDataError
+from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.records import CameraSetup, Exposure, Progress, Slot, quiet, shutter_text, utc_text
 from fieldlum.session import (
     Journal,
@@ -92,14 +92,22 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
     matched: list[tuple[Match, Offset]] = []
     offsets: list[Offset] = []
     notes: list[str] = []
+    refused: list[InputError] = []
     for part in _parts(groups, slots, utc_offset_s):
-        offset = clock_offset(part, slots, setup, utc_offset_s)
+        try:
+            offset = clock_offset(part, slots, setup, utc_offset_s)
+        except InputError as error:  # of this campaign alone: a date that was lost with the battery, another plan's
+            refused.append(error)
+            left_out.append(f"{_range(part[0])} and {len(part) - 1} brackets after it: {error.found}")
+            continue
         found, unmatched = match_groups(part, slots, offset)
         offsets.append(offset)
         matched += [(match, offset) for match in found]
         left_out += [f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})" for u in unmatched]
-        if told := doubt(part, slots, offset) if utc_offset_s is not None or tells_utc(part) else "":
-            notes.append(told)
+        if said := doubt(part, slots, offset):
+            notes.append(said)
+    if refused and not matched:
+        raise refused[0]
     if not matched:
         raise NotEnoughDataError(f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}")
     matched, doubles = _one_a_slot(matched)

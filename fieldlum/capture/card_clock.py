@@ -113,19 +113,22 @@ def _steadiest(hits: np.ndarray) -> list[int]:
 
 
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
-    """What the plan says against an offset that was told or stands in the frames; empty where nothing."""
+    """What the plan says against an offset that was told, stands in the frames, or fits best of all civil ones.
+
+    Empty where nothing. A camera whose date is a day off is seen here: no zone is as far away.
+    """
     shifts = [3600.0 * hour for hour in _HOURS]
     hits = [int(np.sum(np.abs(late_s(groups, slots, offset.seconds + s)) <= WITHIN_S)) for s in shifts]
     as_it_is, best = hits[shifts.index(0.0)], int(np.argmax(hits))
     if hits[best] >= as_it_is + _EVIDENCE:
         return (
-            f"with {offset.how} {as_it_is} of {len(groups)} brackets lie near slots, with an offset "
-            f"{shifts[best] / 3600:+g} h from it {hits[best]}: check it"
+            f"{offset.how}: {as_it_is} of {len(groups)} brackets lie near slots, with an offset "
+            f"{shifts[best] / 3600:+g} h from this {hits[best]} would: check the camera's clock and date"
         )
     parts = clock_parts(groups, slots)
     for before, after in pairwise(parts):
         return (
-            f"with {offset.how} taken for all of them: the clock was set between {before[-1].frames[0].path} and "
+            f"{offset.how}, taken for all of them: the clock was set between {before[-1].frames[0].path} and "
             f"{after[0].frames[0].path}, says the plan; import the two parts from folders of their own"
         )
     return ""
