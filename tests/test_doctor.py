@@ -192,6 +192,10 @@ def test_what_does_not_keep_a_computer_awake() -> None:
     assert doctor.check_sleep(locks, lid=True).verdict == "ok"
     shut = doctor.check_sleep(locks[:2], lid=True)
     assert shut.verdict == "warn" and "closing the lid" in shut.text
+    assert doctor.check_sleep([], lid=True, own="sleep:idle:handle-lid-switch").verdict == "ok"
+    assert "capture itself, but closing" in doctor.check_sleep(None, lid=True, own="sleep:idle").text.replace(
+        " while it runs", ""
+    )
     assert doctor.check_sleep(None).verdict == "warn"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,7 +53,8 @@ def command(
         raise click.UsageError(f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}")
     ticking, options = capture.prepare(session, fast=clock == "fast")
     options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
-    with terminal.unattended(), shown(session.site_file().site, status_json) as watch:
+    awake = nullcontext() if clock == "fast" else terminal.awake()
+    with terminal.unattended(), awake, shown(session.site_file().site, status_json) as watch:
         ledger = capture.run(
             session,
             camera_uri,

@@ -28,7 +28,7 @@ def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
 
     session = open_session(folder)
     try:
-        with terminal.unattended():
+        with terminal.unattended(), terminal.awake():
             written = log(session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say)
         said = f"{written} rows"
     except KeyboardInterrupt:

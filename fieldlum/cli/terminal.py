@@ -61,6 +61,17 @@ def unattended() -> Iterator[None]:
 
 
 @contextmanager
+def awake() -> Iterator[None]:
+    """Hold the computer awake, or say that nothing does."""
+    from fieldlum.devices.awake import kept_awake
+
+    with kept_awake() as what:
+        if not what:
+            say("note: this command cannot keep the computer awake here: ask fieldlum doctor")
+        yield
+
+
+@contextmanager
 def progress(label: str) -> Iterator[Progress]:
     """A bar with the time left on a terminal; silent in a pipe."""
     if not seen():

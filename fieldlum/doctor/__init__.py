@@ -27,7 +27,7 @@ from fieldlum.devices import (
     same_model,
 )
 from fieldlum.devices.clock import RealClock
-from fieldlum.doctor.awake import Lock, has_lid, inhibitors
+from fieldlum.doctor.awake import Lock, has_lid, inhibitors, lock_to_be_had
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.profiles import CameraProfile, load_camera_profile
 from fieldlum.records import IrradianceSample, Progress, Site, SiteFile, Slot, quiet
@@ -69,7 +69,7 @@ def run(
         ("clock", lambda: [check_clock(kernel_clock())]),
         ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
         ("writing", lambda: check_writing(session.root)),
-        ("sleep", lambda: [check_sleep(inhibitors(), has_lid())]),
+        ("sleep", lambda: [check_sleep(inhibitors(), has_lid(), lock_to_be_had())]),
         ("calendar", lambda: check_calendar(session, now_utc)),
     ]
     found: list[Finding] = []
@@ -343,8 +343,8 @@ def check_writing(folder: Path) -> list[Finding]:
     return found
 
 
-def check_sleep(locks: list[Lock] | None, lid: bool = False) -> Finding:
-    """Whether something keeps this computer awake for the whole time.
+def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> Finding:
+    """Whether something keeps this computer awake for the whole time: a lock that is held, or `own`, `capture`'s.
 
     A closed lid is another matter: by logind's default it overrides a lock on sleep, and only one on handle-lid-switch
     holds.
@@ -353,9 +353,11 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False) -> Finding:
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
         "darwin": "caffeinate -dims fieldlum capture ...",
     }.get(sys.platform, "switch sleep off in the power settings")
-    if locks is None:
+    if locks is None and not own:
         return Finding("sleep", "warn", f"cannot tell whether this computer will sleep: {how}")
-    held = [lock for lock in locks if lock.mode == "block"]
+    held = [lock for lock in locks or () if lock.mode == "block"]
+    if own:
+        held.append(Lock("capture itself while it runs", frozenset(own.split(":")), "block"))
     by = next((lock.who for lock in held if "sleep" in lock.what), "")
     if not by:
         return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")

@@ -8,6 +8,8 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from fieldlum.devices.awake import kept_awake
+
 # One lock a line: who (may hold spaces), uid, user, pid, command, what, why (may hold spaces), mode.
 _LOCK = re.compile(
     r"(?P<who>.*?) +\d+ +\S+ +\d+ +\S+ +(?P<what>(?:shutdown|sleep|idle|handle-[a-z-]+)(?::[a-z-]+)*) +(?:.* )?"
@@ -49,3 +51,9 @@ def parse_locks(listed: str) -> list[Lock]:
 
 def has_lid() -> bool:
     return any(Path("/proc/acpi/button/lid").glob("*"))
+
+
+def lock_to_be_had() -> str:
+    """What `capture` will hold by itself while it runs."""
+    with kept_awake() as what:
+        return what

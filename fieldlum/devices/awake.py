@@ -1,0 +1,87 @@
+"""This computer as a device that falls asleep: held awake while something runs, by what the system offers for it."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+# A closed lid is a lock of its own; where that is not granted (a remote login, say), the rest is worth having.
+_WHAT = ("sleep:idle:handle-lid-switch", "sleep:idle")
+_PATIENCE_S = 5.0
+
+
+@contextmanager
+def kept_awake() -> Iterator[str]:
+    """Keep the computer awake inside; yields what holds (``sleep:idle:handle-lid-switch``), empty where nothing can.
+
+    Linux: a lock of systemd-logind; macOS: caffeinate; Windows: the thread's execution state (the last two were not
+    tried). The lock goes with this process, however it ends.
+    """
+    if sys.platform == "win32":
+        with _windows() as what:
+            yield what
+        return
+    process, what = _start()
+    try:
+        yield what
+    finally:
+        if process is not None:
+            with suppress(OSError):
+                if process.stdin is not None:
+                    process.stdin.close()
+                process.terminate()
+                process.wait(_PATIENCE_S)
+            if process.stdout is not None:
+                process.stdout.close()
+
+
+def _start() -> tuple[subprocess.Popen[bytes] | None, str]:
+    if sys.platform == "darwin":
+        with suppress(OSError):
+            line = ["caffeinate", "-dims", "-w", str(os.getpid())]
+            return subprocess.Popen(line, start_new_session=True), "sleep:idle"
+    elif sys.platform.startswith("linux"):
+        for what in _WHAT:
+            if (process := _inhibit(what)) is not None:
+                return process, what
+    return None, ""
+
+
+def _inhibit(what: str) -> subprocess.Popen[bytes] | None:
+    """A `cat` under the lock: it answers once the lock is granted, and ends when this process does."""
+    line = ["systemd-inhibit", f"--what={what}", "--who=fieldlum", "--why=captures are planned", "--mode=block", "cat"]
+    try:
+        process = subprocess.Popen(
+            line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+    except OSError:
+        return None
+    assert process.stdin is not None and process.stdout is not None
+    with suppress(OSError):
+        process.stdin.write(b"?\n")
+        process.stdin.flush()
+        if select.select([process.stdout], [], [], _PATIENCE_S)[0] and process.stdout.read(2) == b"?\n":
+            return process
+    process.kill()
+    process.wait()
+    with suppress(OSError):
+        process.stdin.close()
+    process.stdout.close()
+    return None
+
+
+@contextmanager
+def _windows() -> Iterator[str]:
+    import ctypes
+
+    state = getattr(ctypes, "windll").kernel32.SetThreadExecutionState  # noqa: B009
+    continuous, system_required = 0x80000000, 0x00000001
+    held = bool(state(continuous | system_required))
+    try:
+        yield "sleep:idle" if held else ""
+    finally:
+        state(continuous)
