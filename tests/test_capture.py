@@ -27,7 +27,17 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.errors import DeviceError, NotEnoughDataError
 from fieldlum.profiles import load_camera_profile
 from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Panorama, Site, SiteFile, Slot
-from fieldlum.session import DayFiles, Session, create_session, day_files, read_day, read_journal, sha256, write_plan
+from fieldlum.session import (
+    DayFiles,
+    Session,
+    create_session,
+    day_files,
+    read_day,
+    read_journal,
+    sha256,
+    update_session,
+    write_plan,
+)
 from fieldlum.session import lines as lines
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
@@ -232,6 +242,28 @@ def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(site: Field
     with pytest.raises(NotEnoughDataError, match=r"none of 3 slots is ahead: the last was 2027-03-20 17:30 UTC"):
         site.run()
     assert read_journal(site.session) == []
+
+
+def test_an_instrument_that_died_does_not_keep_a_restarted_capture_from_its_brackets(site: Field) -> None:
+    def dead() -> TinyPyranometer:
+        raise DeviceError("no such port")
+
+    def run_with(uri: str) -> None:
+        run(
+            site.session, "tiny:", uri, clock=site.clock, options=FAST, trusted=lambda: False,
+            open_cam=site.open_camera, open_pyr=dead,
+        )  # fmt: skip
+
+    with pytest.raises(DeviceError, match="no such port"):  # never seen before: somebody is there
+        run_with("tiny:")
+    update_session(site.session, {"devices": {"pyranometer": {"kind": "tiny"}, "uris": {"pyranometer": "tiny:"}}})
+    with pytest.raises(DeviceError, match="no such port"):  # mistyped
+        run_with("tinny:")
+    run_with("tiny:")
+    assert site.outcomes() == ["done"] * 3
+    lost = [e for e in read_journal(site.session) if e["event"] == "device-lost"]
+    assert [(e["device"], e["why"]) for e in lost] == [("pyranometer", "DeviceError: no such port")]
+    assert site.session.table()["devices"]["pyranometer"] == {"kind": "tiny"}
 
 
 def test_a_lost_camera_comes_back_within_the_bracket(site: Field) -> None:

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from shutil import disk_usage
+from typing import Any
 
 from fieldlum import __version__
 from fieldlum.capture.bracket import Bracket, Check, shots
 from fieldlum.capture.keeper import Keeper, plain_info
 from fieldlum.capture.logger import Logger
-from fieldlum.capture.recorder import RESERVE_BYTES, Recorder
+from fieldlum.capture.options import DEFAULTS, Options
+from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.refusals import refuse_a_past_plan, refuse_what_is_not_offered
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
@@ -26,21 +28,6 @@ from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Exposure, Slot, parse_utc
 from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
 
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    grace_s: float = 300.0  # a bracket may start this late; later it is missed, never caught up in a burst
-    log_every_s: float = 5.0
-    log_around_s: float | None = None  # log only this long before a slot (simulated time); None: all the time
-    threaded: bool = True  # the log in a thread of its own; else from the loop, for a simulated clock
-    watchdog_s: float = 60.0  # a device that is silent for longer has hung
-    on_misses: str = ""  # shell command to run when two slots in a row gave no bracket
-    reserve_bytes: int = RESERVE_BYTES
-    flush: bool = True  # False: survives a kill, but not a power cut
-    boot: str = ""  # which start of the machine this is; lets a restarted capture see a clock step made in between
-
-
-DEFAULTS = Options()
 FAST_LEAD_S = 20.0
 
 
@@ -181,7 +168,11 @@ class _Runner:
         self, open_cam: Callable[[], Camera], open_pyr: Callable[[], Pyranometer] | None,
         open_met: Callable[[], IlluminanceMeter] | None, uris: dict[str, str],
     ) -> None:  # fmt: skip
-        """Open all devices, or say now what is missing."""
+        """Open all devices, or say now what is missing.
+
+        An instrument that answered once, and does not now that the capture is started again, is waited for: the
+        brackets of the month are worth more.
+        """
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
         about = {"uris": uris}
@@ -190,11 +181,11 @@ class _Runner:
         about["camera"] = plain_info(camera.info)
         if open_pyr is not None:
             keeper = Keeper("pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s)
-            about["pyranometer"] = plain_info(keeper.insist().info)
+            about |= self._insist(keeper, uris)
             self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
         if open_met is not None:
             self.meter = Keeper("meter", open_met, self.clock, self.recorder.tell, options.watchdog_s)
-            about["meter"] = plain_info(self.meter.insist().info)
+            about |= self._insist(self.meter, uris)
         self.recorder.tell(
             "open",
             **self.clock.mark(),
@@ -211,6 +202,17 @@ class _Runner:
                 raise
         if self.logger is not None and options.threaded:
             self.logger.start()
+
+    def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> dict[str, dict[str, Any]]:
+        """What an instrument says it is; nothing where it is the one of before, and away."""
+        known = self.session.table().get("devices", {})
+        try:
+            return {keeper.name: plain_info(keeper.insist().info)}
+        except Exception as error:
+            if keeper.name not in known or known.get("uris", {}).get(keeper.name) != uris[keeper.name]:
+                raise
+            keeper.lost(error)
+            return {}
 
     def work(self) -> None:
         assert self.camera is not None
