@@ -232,6 +232,13 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
     )
 
 
+def test_a_slower_logger_on_other_days_is_no_gap() -> None:
+    slow = [at(60.0 * i - 86400.0, 700.0 + i % 7, 150.0) for i in range(60) if i not in (30, 31)]
+    fast = [at(5.0 * i, 700.0 + i % 7, 150.0) for i in range(900)]
+    found = checked([*slow, *fast])
+    assert np.flatnonzero(found.marks & Mark.GAP).tolist() == [30, 58]
+
+
 def test_rows_of_one_moment_that_differ_are_marked() -> None:
     twice = [at(0, 800.0, 150.0), at(5, 801.0, 150.0), at(5, 801.0, 150.0), at(10, 802.0, None), at(10, 830.0, None)]
     found = series_of(twice)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.irradiance.series import UNUSABLE, Array, Mark, Series, poll_period_s, series_of
+from fieldlum.irradiance.series import UNUSABLE, Array, Mark, Series, local_period_s, series_of
 from fieldlum.irradiance.verdict import Health as Health
 from fieldlum.irradiance.verdict import health as health
 from fieldlum.records import Float, Progress, Site, quiet
@@ -30,7 +30,7 @@ SPIKE_OVER_USUAL = 3.0  # and than the light changes around it
 _SPIKE_ROWS = 120  # "around it": rows on either side, ten minutes at 5 s
 _SPIKE_RANK = 9  # of the steps around it: four other spikes there hide none
 _BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all would take much memory
-_RECIPE = 4  # raise it when the arithmetic changes: clean.csv is then made again
+_RECIPE = 5  # raise it when the arithmetic changes: clean.csv is then made again
 
 
 # ---------------------------------------------------------------------------------------------- checks
@@ -64,7 +64,7 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
     for value in (ghi, dhi, dni):
         marks[spikes(series.t_unix_s, np.where(marks & UNUSABLE, np.nan, value))] |= Mark.SPIKE
     step = np.diff(series.t_unix_s, prepend=series.t_unix_s[:1])
-    marks[step > 2.5 * poll_period_s(series.t_unix_s)] |= Mark.GAP
+    marks[step > 2.5 * local_period_s(series.t_unix_s)] |= Mark.GAP
     ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
     two_level = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
     marks[two_level & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
@@ -110,7 +110,7 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
     if len(value) < 3 + 2 * _SPIKE_ROWS:
         return out
     step = np.diff(value)
-    step[np.diff(t_unix_s) > 2.5 * poll_period_s(t_unix_s)] = np.nan
+    step[np.diff(t_unix_s) > 2.5 * local_period_s(t_unix_s)[1:]] = np.nan
     from_left, from_right = step[:-1], -step[1:]
     with np.errstate(invalid="ignore"):
         same_side = from_left * from_right > 0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fieldlum.records import IrradianceSample
 
 Array = NDArray[np.float64]
+_BLOCK = 64  # rows over which a usual time is taken
 
 
 class Mark(IntFlag):
@@ -51,6 +52,16 @@ class Series:
 def poll_period_s(t_unix_s: Array) -> float:
     """The usual time between two rows."""
     return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
+
+
+def local_period_s(t_unix_s: Array) -> Array:
+    """The usual time between two rows around each of them [n]: one session may hold several loggers."""
+    step = np.diff(t_unix_s, prepend=t_unix_s[:1] - poll_period_s(t_unix_s))
+    blocks = [step[first : first + _BLOCK] for first in range(0, len(step), _BLOCK)]
+    usual = [float(np.median(block)) for block in blocks]
+    if len(blocks) > 1 and len(blocks[-1]) < _BLOCK // 2:
+        usual[-1] = usual[-2]
+    return np.repeat(usual, [len(block) for block in blocks])
 
 
 def series_of(samples: Sequence[IrradianceSample]) -> Series:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fieldlum import sun
-from fieldlum.irradiance.series import Array, Mark, Series, poll_period_s
+from fieldlum.irradiance.series import Array, Mark, Series, local_period_s, poll_period_s
 from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 from fieldlum.records import Site
 
@@ -43,7 +43,7 @@ def health(raw: Series, clean: Series, altitude: Array, top: Array, broken: int,
     passed = float(np.mean((clean.marks[testable] & Mark.CLOSURE) == 0)) if testable.any() else None
     period = poll_period_s(clean.t_unix_s)
     steps = np.diff(clean.t_unix_s)
-    gaps = steps[steps > 2.5 * period]
+    gaps = steps[steps > 2.5 * local_period_s(clean.t_unix_s)[1:]]
     counts = {mark.name.lower(): int(np.sum((clean.marks & mark) != 0)) for mark in Mark if mark.name}
     warnings: list[str] = []
     if offset is not None and offset > NIGHT_LIGHT_WM2:
