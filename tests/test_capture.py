@@ -410,6 +410,22 @@ def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(site: Field) ->
     assert [f["exposure"]["shutter_s"] for f in frames] == [2.0, 1.0, 0.5], "merge reads the exposure that they have"
 
 
+def test_half_a_frame_is_seen_at_once_and_taken_again(site: Field) -> None:
+    """Its EXIF is whole: only its pixels end early. It is looked at when the camera is done."""
+    seen: list[str] = []
+
+    def opens(path: Path) -> str:
+        seen.append(path.name)
+        return "its pixels end later" if seen.count("01_0.5s.dng") == 1 and path.name == "01_0.5s.dng" else ""
+
+    events = site.run(check_opens=opens)
+    assert site.outcomes() == ["done"] * 3 and events.count("retake") == 1
+    folder = site.session.raw / site.session.slots()[0].id
+    frames = json.loads((folder / "capture.json").read_text())["frames"]
+    assert [f["file"] for f in frames] == ["00_1s.dng", "01_0.5s_again.dng", "02_0.25s.dng"]
+    assert (folder / "01_0.5s.dng").exists() and "doubt" not in frames[1]
+
+
 def test_no_retake_after_the_window(site: Field) -> None:
     camera = SlippingCamera(site.clock, {2})
     site.session = make_session(site.session.root.parent / "one", slots=1)
@@ -603,7 +619,7 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(site: Field) -> None:
 def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     import numpy as np
 
-    from fieldlum.capture.verify import bracket_doubts, doubts
+    from fieldlum.capture.verify import bracket_doubts, doubts, unreadable
     from fieldlum.raw import write_dng, write_jpeg
 
     asked = Exposure(1 / 250, 5.6)
@@ -618,6 +634,11 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(tmp_path / "c.dng")
     (tmp_path / "d.dng").write_bytes((tmp_path / "c.dng").read_bytes()[:300])
     assert doubts(tmp_path / "d.dng", asked) or bracket_doubts(tmp_path / "d.dng")
+    for name in ("a.jpg", "c.dng"):
+        whole = (tmp_path / name).read_bytes()
+        (tmp_path / f"half_{name}").write_bytes(whole[: len(whole) - len(whole) // 4])
+        assert unreadable(tmp_path / name) == "" == doubts(tmp_path / f"half_{name}", asked)
+        assert unreadable(tmp_path / f"half_{name}")
 
 
 def test_log_alone_writes_rows(site: Field) -> None:

@@ -58,6 +58,7 @@ class Bracket:
     recorder: Recorder
     clock: SteadyClock
     check: Check
+    check_opens: Callable[[Path], str]
     check_shortest: Callable[[Path], str]
     between: Callable[[Frame | None], None]
     meter: Keeper[IlluminanceMeter] | None = None
@@ -78,6 +79,7 @@ class Bracket:
             have = {frame.index for frame in state.frames}
             missing = [shot for shot in wanted if shot.index not in have]
             if not missing:
+                state = self._opened(slot, folder, state, wanted, deadline)
                 return self._finish(slot, folder, state)
             try:
                 whole = missing == list(wanted) and self._takes_whole_brackets(wanted)
@@ -140,6 +142,19 @@ class Bracket:
         self.between(second)
         others = tuple(frame for frame in state.frames if frame.index != second.index)
         return replace(state, frames=(*others, second))
+
+    def _opened(
+        self, slot: Slot, folder: Path, state: SlotState, wanted: Sequence[Shot], deadline: datetime
+    ) -> SlotState:
+        """Read each frame's pixels now that the camera is done; one that does not open is taken again in time."""
+        for frame in sorted(state.frames, key=lambda frame: frame.index):
+            if not frame.doubt and (why := self.check_opens(folder / frame.file)):
+                doubtful = replace(frame, doubt=why)
+                others = tuple(other for other in state.frames if other.index != frame.index)
+                state = replace(state, frames=(*others, doubtful))
+                state = self._again(slot, folder, state, wanted[frame.index], doubtful, deadline)
+            self.between(None)
+        return state
 
     def _start(self, slot: Slot, attempt: int) -> SlotState:
         self.recorder.tell("started", slot=slot.id, attempt=attempt)

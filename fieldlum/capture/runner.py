@@ -81,7 +81,7 @@ def no_check(path: Path, exposure: Exposure) -> str:
     return ""
 
 
-def no_shortest_check(path: Path) -> str:
+def no_look(path: Path) -> str:
     """Finds nothing wrong."""
     return ""
 
@@ -95,7 +95,8 @@ def run(
     options: Options = DEFAULTS,
     watch: Watch = unwatched,
     check: Check = no_check,
-    check_shortest: Callable[[Path], str] = no_shortest_check,
+    check_opens: Callable[[Path], str] = no_look,
+    check_shortest: Callable[[Path], str] = no_look,
     meter_uri: str = "",
     trusted: Callable[[], bool] = synchronised,
     open_cam: Callable[[], Camera] | None = None,
@@ -109,7 +110,8 @@ def run(
     `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
     """
     with sole_user(session, "capture"):
-        runner = _Runner(session, SteadyClock(clock, trusted, options.boot), options, watch, check, check_shortest)
+        looks = check, check_opens, check_shortest
+        runner = _Runner(session, SteadyClock(clock, trusted, options.boot), options, watch, looks)
         try:
             runner.open(
                 open_cam or (lambda: open_camera(camera_uri, clock=clock, session=session)),
@@ -130,11 +132,11 @@ def run(
 
 class _Runner:
     def __init__(
-        self, session: Session, clock: SteadyClock, options: Options, watch: Watch, check: Check,
-        check_shortest: Callable[[Path], str],
+        self, session: Session, clock: SteadyClock, options: Options, watch: Watch,
+        looks: tuple[Check, Callable[[Path], str], Callable[[Path], str]],
     ) -> None:  # fmt: skip
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
-        self.check, self.check_shortest = check, check_shortest
+        self.looks = looks
         self.setup = session.site_file()
         self._plan_stamp = 0
         self._plan_stamp = self._stamp()
@@ -222,8 +224,7 @@ class _Runner:
             self.camera,
             self.recorder,
             self.clock,
-            self.check,
-            self.check_shortest,
+            *self.looks,
             self._between,
             self.meter,
             self.frame_bytes,

@@ -53,6 +53,15 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
     return ", ".join(said)
 
 
+def unreadable(path: Path) -> str:
+    """Why a frame's pixels cannot be read, or nothing; takes up to some seconds of a large raw frame."""
+    try:
+        read_jpeg(path) if path.suffix.lower() in JPEG else read_mosaic(path)
+    except InputError as error:
+        return error.found
+    return ""
+
+
 def clipped_share(path: Path) -> float:
     """Share of a frame's pixels at its highest value, or at the top code of a JPEG. Raises InputError."""
     if path.suffix.lower() in JPEG:

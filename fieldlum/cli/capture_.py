@@ -41,7 +41,7 @@ def command(
     fieldlum capture office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum import capture
-    from fieldlum.capture.verify import bracket_doubts, doubts
+    from fieldlum.capture.verify import bracket_doubts, doubts, unreadable
     from fieldlum.cli.live import shown
     from fieldlum.session import open_session, sha256
 
@@ -63,6 +63,7 @@ def command(
             options=options,
             watch=watch,
             check=doubts,
+            check_opens=unreadable,
             check_shortest=bracket_doubts,
             meter_uri=meter_uri,
         )
