@@ -217,7 +217,7 @@ class JpegSignal:
 
     codes: NDArray[np.uint8]
     z_of_code: NDArray[np.float32]  # [256, 3]
-    per_cdm2: NDArray[np.float32]  # [3]
+    per_cdm2: NDArray[np.float32]  # [w, 3]; or a scalar or [3], which is slower
     low_code: int
     high_code: int
     dark_end: bool  # the most exposed frame: codes below low_code are all there is
@@ -228,19 +228,33 @@ class JpegSignal:
     def _top(self) -> int:
         return _TOP_CODE if self.bright_end else self.high_code
 
+    def _rows(self, colours: NDArray[Any]) -> NDArray[Any]:
+        """[3] as [w, 3]: numpy goes through whole rows at once then, not through three values at a time."""
+        return np.ascontiguousarray(np.broadcast_to(colours, self.codes.shape[1:]))
+
+    @cached_property
+    def _limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """z of the lowest and highest code to predict from, and of the highest that is not saturated, [w, 3]."""
+        low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
+        return self._rows(low), self._rows(self.z_of_code[self._top]), self._rows(self.z_of_code[_TOP_CODE])
+
+    @cached_property
+    def _offsets(self) -> NDArray[np.intp]:
+        return self._rows(np.arange(3, dtype=np.intp) * _Z_STEPS)
+
     @cached_property
     def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Variance of z, and weight of a predicted z, over z in equal steps, one colour behind the other, [3 steps]."""
         z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
         variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
         codes = np.arange(256.0)
-        low = 0 if self.dark_end else self.low_code
+        low, per = 0 if self.dark_end else self.low_code, self._rows(self.per_cdm2)[0]
         for c in range(3):
             curve = self.z_of_code[:, c].astype(np.float64) + np.arange(256) * 1e-9
             code = np.interp(z, curve, codes)
             slope = np.interp(code, codes, np.maximum(np.gradient(curve), 1e-6))
             variance[c] = slope**2 * (_SIGMA_CODE**2 + 1 / 12)
-            weight[c] = np.where((code >= low) & (code <= self._top), self.per_cdm2[c] / variance[c], 0.0)
+            weight[c] = np.where((code >= low) & (code <= self._top), per[c] / variance[c], 0.0)
         return variance.reshape(-1), weight.reshape(-1)
 
     def _looked_up(self, table: NDArray[np.float32], z: Strip) -> Strip:
@@ -248,7 +262,7 @@ class JpegSignal:
         z *= np.float32(_Z_STEPS / _Z_TOP)
         np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
         index = z.astype(np.intp)
-        index += np.arange(3) * _Z_STEPS
+        index += self._offsets
         return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
@@ -267,11 +281,13 @@ class JpegSignal:
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        low = -1.0 if self.dark_end else self.z_of_code[self.low_code]
-        return (counts >= low) & (counts <= self.z_of_code[self._top])
+        low, high, _ = self._limits
+        ok = counts >= low
+        ok &= counts <= high
+        return ok
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        return counts <= self.z_of_code[_TOP_CODE], self._looked_up(self._tables[0], counts.copy())
+        return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
     def largest_cdm2(self) -> NDArray[np.float32]:
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
@@ -288,7 +304,9 @@ class JpegSignal:
         at = _spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
         full = np.stack([_or_none(self.strip(int(i), int(i) + 1)[1], self.codes.shape[1:]) for i in at])
-        return replace(self, codes=self.codes[at][:, ::step], bright_end=False, dark_end=False), full[:, ::step]
+        per = self._rows(self.per_cdm2)[::step]
+        codes = self.codes[at][:, ::step]
+        return replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False), full[:, ::step]
 
 
 def _or_none(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -316,7 +334,7 @@ def load_jpeg(
     return JpegSignal(
         np.ascontiguousarray(frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]),
         response_tables(profile),
-        np.asarray([per / f for f in nd_factors(exposure, profile)], np.float32),
+        np.tile(np.asarray([per / f for f in nd_factors(exposure, profile)], np.float32), (crop.width, 1)),
         profile.response.low_code,
         profile.response.high_code,
         *ends,
