@@ -98,7 +98,8 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
             offset = clock_offset(part, slots, setup, utc_offset_s)
         except InputError as error:  # of this campaign alone: a date that was lost with the battery, another plan's
             refused.append(error)
-            left_out.append(f"{_range(part[0])} and {len(part) - 1} brackets after it: {error.found}")
+            whose = f"{_range(part[0])} and {len(part) - 1} brackets after it"
+            left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
         found, unmatched = match_groups(part, slots, offset)
         offsets.append(offset)
