@@ -1,6 +1,6 @@
-"""Time and memory of merging 9 raw frames of 24 megapixels: accumulated luminance, a 1024 x 512 panorama, two workers.
+"""Time and memory of merging 9 frames of 24 megapixels: accumulated luminance, a 1024 x 512 panorama, two workers.
 
-python bench/merge_speed.py [--frames 9] [--workers] [--folder DIR]
+python bench/merge_speed.py [--frames 9] [--jpeg] [--workers] [--folder DIR]
 """
 
 from __future__ import annotations
@@ -10,14 +10,16 @@ import resource
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fieldlum.merge import merge_frames, merge_sensor
 from fieldlum.merge.shots import shots_of_files, sorted_shots
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Colour, Lens, Sensor
-from fieldlum.raw import write_dng
+from fieldlum.photometry import srgb_table
+from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Colour, Lens, Response, Sensor
+from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure
 
 WIDTH, HEIGHT = 6000, 4000
@@ -37,12 +39,26 @@ def profile(frames: int, whole_sensor: bool) -> CameraProfile:
     )  # fmt: skip
 
 
-def make_frames(folder: Path, times: tuple[float, ...]) -> list[Path]:
-    """A scene of 14 stops with shot and read noise (approximated by normal deviates, for speed)."""
-    rng = np.random.default_rng(1)
+def scene() -> np.ndarray:
+    """14 stops, [h, w]."""
     x, y = np.meshgrid(np.linspace(0, 1, WIDTH, dtype=np.float32), np.linspace(0, 1, HEIGHT, dtype=np.float32))
-    light = np.exp(9.5 * (x + 0.3 * np.sin(9 * y)) - 1.5)
-    paths = []
+    return np.exp(9.5 * (x + 0.3 * np.sin(9 * y)) - 1.5)
+
+
+def make_jpegs(folder: Path, times: tuple[float, ...]) -> list[Path]:
+    """The same scene as a camera's own pictures: grey, with a code of noise."""
+    rng, light, paths = np.random.default_rng(2), scene(), []
+    for number, t in enumerate(times):
+        codes = np.interp(light * np.float32(2.0 * t / (WHITE - BLACK)), srgb_table(), np.arange(256.0))
+        noisy = np.rint(codes + rng.standard_normal(light.shape, dtype=np.float32)).clip(0, 255).astype(np.uint8)
+        paths.append(folder / f"frame{number}.jpg")
+        write_jpeg(paths[-1], np.repeat(noisy[..., None], 3, axis=2), Exposure(t, 5.6, 100.0))
+    return paths
+
+
+def make_frames(folder: Path, times: tuple[float, ...]) -> list[Path]:
+    """The scene with shot and read noise (approximated by normal deviates, for speed)."""
+    rng, light, paths = np.random.default_rng(1), scene(), []
     for number, t in enumerate(times):
         signal = light * np.float32(2.0 * t)
         noise = rng.standard_normal(signal.shape, dtype=np.float32) * np.sqrt(signal / GAIN + (READ_E / GAIN) ** 2)
@@ -113,6 +129,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=9)
     parser.add_argument("--workers", action="store_true", help="also measure two workers (needs two free cores)")
     parser.add_argument("--folder", type=Path, help="keep the frames here")
+    parser.add_argument("--jpeg", action="store_true", help="also nine JPEG of the same size")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.folder or Path(scratch)
@@ -120,12 +137,20 @@ def main() -> None:
         dual = profile(options.frames, whole_sensor=False)
         files = sorted(folder.glob("frame*.dng")) or make_frames(folder, dual.bracket.shutter_s)
         print("| job | CPU s (first run) | CPU s (later) | peak memory GB |\n|---|---|---|---|")
-        for label, p, kind in (
-            ("every pixel of the sensor, to accumulated luminance", profile(options.frames, True), "accumulate"),
-            ("two lenses of 190 degrees, to accumulated luminance", dual, "accumulate"),
-            ("two lenses, to a 1024 x 512 panorama", dual, "panorama"),
-        ):
-            seconds, peak = _fresh(files, p, kind)
+        jobs = [
+            ("every pixel of the sensor, to accumulated luminance", files, profile(options.frames, True), "accumulate"),
+            ("two lenses of 190 degrees, to accumulated luminance", files, dual, "accumulate"),
+            ("two lenses, to a 1024 x 512 panorama", files, dual, "panorama"),
+        ]
+        if options.jpeg:
+            pictures = sorted(folder.glob("frame*.jpg")) or make_jpegs(folder, dual.bracket.shutter_s)
+            body = replace(dual.camera, kind="jpeg")
+            curve = tuple(float(z) for z in srgb_table())
+            response = Response("table", curve, curve, curve)
+            other = replace(dual, camera=body, response=response)
+            jobs.append(("two lenses, JPEG, to a 1024 x 512 panorama", pictures, other, "panorama"))
+        for label, given, p, kind in jobs:
+            seconds, peak = _fresh(given, p, kind)
             print(f"| {label} | {seconds[0]:.1f} | {min(seconds[1:]):.1f} | {peak:.2f} |", flush=True)
         if options.workers:
             print("\n| six brackets: one worker s | two workers s | times as fast |\n|---|---|---|")
