@@ -44,6 +44,13 @@ def test_plan_and_site_round_trip(session: Session) -> None:
     assert again.slots()[0].exposures == (Exposure(1 / 250, 5.6), Exposure(2.0, 5.6, 100, "nd3"))
     with pytest.raises(InputError, match="already a session"):
         create_session(session.root, SETUP, [], {})
+    session.toml.unlink()  # a kill before it was written
+    create_session(session.root, SETUP, [], {})
+    session.toml.unlink()
+    session.plan.write_text("my own shopping plan\n")
+    with pytest.raises(InputError, match="a file of something else"):
+        create_session(session.root, SETUP, [], {})
+    assert session.plan.read_text() == "my own shopping plan\n"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from fieldlum import __version__
 from fieldlum.errors import InputError
 from fieldlum.profiles import site_from_table, site_table
 from fieldlum.records import SiteFile, Slot
-from fieldlum.session.plan_file import read_plan, write_plan
+from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.writing import replacing, sha256
 
 
@@ -98,10 +98,15 @@ def open_session(root: Path) -> Session:
 
 
 def create_session(root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: dict[str, Any]) -> Session:
-    """Write plan.csv and session.toml. The plan is immutable: raises InputError when there is one already."""
+    """Write plan.csv and session.toml. The plan is immutable: raises InputError when there is one already.
+
+    A plan.csv without session.toml is what a kill between the two leaves, and is written again; another file is not.
+    """
     session = Session(root)
     if session.toml.exists():
         raise InputError(root, "already a session", "a new folder", "choose another --out, or use --replan")
+    if session.plan.is_file() and not session.plan.read_bytes().startswith(",".join(PLAN_COLUMNS).encode()):
+        raise InputError(session.plan, "a file of something else", "a new folder", "choose another --out")
     write_plan(session.plan, slots, setup.site.timezone)
     update_session(
         session,
