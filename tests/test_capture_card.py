@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldlum.capture import adopt
+from fieldlum.capture.card import of_the_session
 from fieldlum.capture.card_clock import clock_parts, doubt
 from fieldlum.capture.group import CardFrame, Group, Offset, in_order
 from fieldlum.capture.state import fold
@@ -123,6 +124,17 @@ def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
     assert report.left_out == ("33 frames of EOS 5D: the session's camera is D850",)
     names = {frame.file[:3] for state in fold(read_journal(session)).slots.values() for frame in state.frames}
     assert names == {"DSC"}
+
+
+def test_two_bodies_of_one_model_are_two_cameras() -> None:
+    def frames(serial: str, number: int) -> list[CardFrame]:
+        return [CardFrame(Path(f"{serial}{i}.NEF"), LADDER[0], NOON, False, "D850", serial) for i in range(number)]
+
+    setup = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
+    mine, said = of_the_session([*frames("3001", 5), *frames("3002", 9)], setup)
+    assert {f.serial for f in mine} == {"3002"} and said == ["5 frames of D850 3001: the session's camera is D850 3002"]
+    silent = [*frames("3001", 5), *frames("", 9)]
+    assert of_the_session(silent, setup) == (silent, [])
 
 
 def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:

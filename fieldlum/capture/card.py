@@ -13,6 +13,7 @@ from fieldlum.devices import same_model
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
 from fieldlum.raw import read_exif
+from fieldlum.raw.exif import tags_of
 from fieldlum.records import Progress, SiteFile, quiet
 
 RAW_SUFFIXES = (
@@ -58,8 +59,21 @@ def read_card(files: Sequence[Path], progress: Progress = quiet) -> tuple[list[C
         aware = info.t_camera.tzinfo is not None
         when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
         who = info.model or info.make or "a camera that does not say its name"
-        frames.append(CardFrame(path, info.exposure, when, aware, who))
+        frames.append(CardFrame(path, info.exposure, when, aware, who, _body_serial(path)))
     return frames, left_out
+
+
+def _body_serial(path: Path) -> str:
+    """Two bodies of one model take pictures that differ in nothing else."""
+    return str(getattr(tags_of(path).get("EXIF BodySerialNumber"), "values", "")).strip("\0 ")
+
+
+def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:
+    """Model and serial number of each; frames that do not tell the number are of the one body of their model."""
+    told: dict[str, set[str]] = {}
+    for frame in frames:
+        told.setdefault(frame.camera, set()).update({frame.serial} - {""})
+    return [(f.camera, f.serial or (next(iter(told[f.camera])) if len(told[f.camera]) == 1 else "")) for f in frames]
 
 
 def of_the_session(frames: Sequence[CardFrame], setup: SiteFile) -> tuple[list[CardFrame], list[str]]:
@@ -71,10 +85,15 @@ def of_the_session(frames: Sequence[CardFrame], setup: SiteFile) -> tuple[list[C
     body = CameraBody("", "raw", 0, 0)
     with suppress(InputError):  # a profile that is gone is told by doctor and merge; the frames are taken over
         body = load_camera_profile(setup.camera.profile).camera
-    count = Counter(frame.camera for frame in frames)
-    ours = next(iter(sorted(count, key=lambda who: (not same_model(who, body.model), -count[who]))), "")
-    said = [f"{number} frames of {who}: the session's camera is {ours}" for who, number in count.items() if who != ours]
-    mine = [frame for frame in frames if frame.camera == ours]
+    bodies = _bodies(frames)
+    count = Counter(bodies)
+    ours = min(count, key=lambda who: (not same_model(who[0], body.model), -count[who]), default=("", ""))
+    said = [
+        f"{number} frames of {' '.join(who).strip()}: the session's camera is {' '.join(ours).strip()}"
+        for who, number in count.items()
+        if who != ours
+    ]
+    mine = [frame for frame, who in zip(frames, bodies, strict=True) if who == ours]
     jpeg = [frame for frame in mine if frame.path.suffix.lower() in JPEG_SUFFIXES]
     raw = [frame for frame in mine if frame.path.suffix.lower() not in JPEG_SUFFIXES]
     first, second = (jpeg, raw) if body.kind == "jpeg" else (raw, jpeg)

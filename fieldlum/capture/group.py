@@ -33,6 +33,7 @@ class CardFrame:
     t_camera: datetime
     known_utc: bool = False
     camera: str = ""  # model
+    serial: str = ""  # of its body, where EXIF tells
 
 
 @dataclass(frozen=True, slots=True)
