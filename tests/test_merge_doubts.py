@@ -13,9 +13,13 @@ from fieldlum.merge.bracket import SensorMerge
 from fieldlum.merge.first_look import held_otherwise
 from fieldlum.merge.quality import Offsets, verdict
 from fieldlum.merge.ratios import beyond, offsets
+from fieldlum.merge.scatter import footprint_px
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
+from fieldlum.merge.stitch import u_of_edges
 from fieldlum.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
+from fieldlum.projection import Equirect
+from fieldlum.projection.resample import Fisheye
 from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure, Flag
 
@@ -176,3 +180,37 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
     assert held_otherwise(shots[:2], replace(profile, lens=(up,))) == ""
     assert held_otherwise(shots, profile).endswith("turned within the bracket, by its EXIF: roll 0 and 90 deg")
     assert "held 90 deg off" in merge_frames([s.path for s in shots[:2]], profile, height=24).verdict
+
+
+@pytest.mark.parametrize("target", [Equirect(24), Fisheye(48, 180.0, PROFILE.lens[0].geometry)])
+def test_analytic_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> None:
+    height, width = target.shape
+    slope = np.broadcast_to(np.geomspace(1.0, 1.15**width, width), (height, width))[:, ::-1].copy()
+    slope[:, 0] = slope[:, 1]  # the seam of a panorama is an edge here
+    inner = np.s_[8:16, 4 : width - 4]
+    assert u_of_edges(slope, target, PROFILE)[inner].max() == 0.0
+    window = np.full((height, width), 100.0)
+    window[:, width // 2 :] = 8000.0
+    u = u_of_edges(window, target, PROFILE)[12, width // 2 - 3 : width // 2 + 3]
+    width_px = footprint_px(PROFILE.lens[0].geometry, target)
+    assert u[[0, 1, 4, 5]] == pytest.approx(0.0)
+    assert u[2:4] == pytest.approx((7900 - 0.2 * 8000) * min(0.35 / width_px, 0.5), rel=0.01)
+
+
+def test_analytic_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
+    """A wall of 100 right beside a window of 5000 cd/m2 catches a part of it; its u was below 1 % before."""
+    light = np.full((SIZE, SIZE), 100.0)
+    light[:, SIZE // 2 :] = 5000.0
+    rng, shots = np.random.default_rng(5), []
+    for i, e in enumerate(EXPOSURES):
+        per = z_per_cdm2(snap_shutter_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
+        electrons = rng.poisson(light * per * 4.0) + rng.normal(0, 6.0, light.shape)
+        counts = np.minimum(np.rint(electrons / 4.0 + BLACK), 15800).astype(np.uint16)
+        write_dng(tmp_path / f"{i}.dng", counts, e, black_dn=(BLACK,) * 4, white_dn=WHITE, cfa="GBRG", model="doubt")
+        shots.append(tmp_path / f"{i}.dng")
+    panorama = merge_frames(shots, PROFILE, height=32).panorama
+    wall = np.s_[8:24, 24:32]  # right up to the border
+    assert panorama.u_cdm2 is not None
+    off = np.abs(panorama.luminance_cdm2 - 100.0)[wall]
+    assert off.max() > 20.0 and (off <= 2 * panorama.u_cdm2[wall]).all()
+    assert (panorama.u_cdm2[wall][:, :6] < 6.0).all()

@@ -13,15 +13,19 @@ from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop
 from fieldlum.merge.ratios import RatioCurve
+from fieldlum.merge.scatter import footprint_px
 from fieldlum.photometry import check_vignetting, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import LensGeometry, Resampler, resampler
+from fieldlum.projection import Equirect, LensGeometry, Resampler, resampler
 from fieldlum.projection.resample import Target
 from fieldlum.records import Flag
 
 # Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it makes a lower bound.
 _SHARE = {Flag.CLIPPED_HIGH: 1e-3, Flag.BLOOM: 0.05, Flag.MOTION: 0.25, Flag.ND: 0.25}
 _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
+# Of bilinear shares on a mosaic: a triangle two pixels to each side lets a third of a pixel over the border.
+_BLUR_PX = 0.35
+_SHADE = 0.2  # relative: from one pixel to the next that much is shading
 _TAPER_RAD = 0.06  # over which a lens fades in from its edge, where another lens sees the same
 
 
@@ -183,9 +187,9 @@ def blend(views: Sequence[View]) -> View:
 def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     """The GUM budget and the flags of the finished map.
 
-    u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2; a filter is part
-    of its frames' exposure; the glare floor is a share of the mean luminance seen. A clipped pixel is a lower bound:
-    its u is 100 %. bench/merge_budget.py holds it against whole simulated cameras.
+    u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2 + edges^2; a
+    filter is part of its frames' exposure; the glare floor is a share of the mean luminance seen. A clipped pixel is a
+    lower bound: its u is 100 %. bench/merge_budget.py holds it against whole simulated cameras.
     """
     p, light = profile, view.luminance
     seen = (view.flags & Flag.OUTSIDE_LENS) == 0
@@ -193,7 +197,8 @@ def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     relative = view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
     solid = target.solid_angles().ravel() * seen
     floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
-    u = np.sqrt(view.variance + light**2 * relative + floor**2)
+    edges = u_of_edges(light.reshape(target.shape), target, profile).ravel()
+    u = np.sqrt(view.variance + light**2 * relative + floor**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
     quiet = (view.flags & Flag.MOTION) == 0  # where frames disagree, their variance is no noise
@@ -205,6 +210,32 @@ def finish(view: View, profile: CameraProfile, target: Target) -> Map:
         light.reshape(shape).astype(np.float32), u.reshape(shape).astype(np.float32), flags.reshape(shape),
         None if rgb is None else rgb.reshape(*shape, 3), np.sqrt(view.variance).reshape(shape).astype(np.float32),
     )  # fmt: skip
+
+
+def u_of_edges(light: NDArray[np.float64], target: Target, profile: CameraProfile) -> NDArray[np.float64]:
+    """What a pixel beside an edge may have of its neighbour's light, for the sensor's pixels are not small, [H, W].
+
+    An edge on the border of two target pixels leaks the kernel's mean half-width over the pixel's width of the
+    difference; on a slope what comes from one side goes to the other.
+    """
+    width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
+    share = min(_BLUR_PX / width_px, 0.5)
+    if not isinstance(target, Equirect):
+        return share * np.maximum(_edges(light), _edges(light.T).T)
+    rows = (np.arange(target.height) + 0.5) / target.height * np.pi
+    narrow = np.minimum(share / np.sin(rows), 0.5)[:, None]  # meridians draw together
+    around = _edges(np.concatenate([light[:, -3:], light, light[:, :3]], axis=1).T).T[:, 3:-3]
+    return np.maximum(share * _edges(light), narrow * around)
+
+
+def _edges(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Down the columns, the larger of a pixel's two steps, less what goes on in the next one, and less _SHADE."""
+    bright = np.pad(np.maximum(light[:-1], light[1:]), ((1, 1), (0, 0)))
+    step = np.pad(np.diff(light, axis=0), ((2, 2), (0, 0)))
+    here, sign = step[1:-1], np.sign(step[1:-1])
+    goes_on = np.maximum(np.maximum(sign * step[:-2], sign * step[2:]), 0.0)
+    edge = np.maximum(np.abs(here) - goes_on - _SHADE * bright, 0.0)
+    return np.maximum(edge[:-1], edge[1:])
 
 
 def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float32]:
