@@ -88,7 +88,8 @@ def _band(signal: Signal, merged: Merged, first: int, edge: int, width: int) -> 
     if full is not None:
         good &= ~full
     variance = np.divide(1.0, w * signal.per_cdm2, out=np.zeros_like(w), where=w > 0)
-    return (counts / signal.per_cdm2)[:, :width], variance[:, :width], good.all(axis=2)[:, :width]
+    every = good[..., 0] & good[..., 1] & good[..., 2]
+    return (counts / signal.per_cdm2)[:, :width], variance[:, :width], every[:, :width]
 
 
 def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -115,8 +116,8 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
 def _cell_sums(values: NDArray[Any]) -> NDArray[np.float64]:
     """Over cells of edge x edge pixels: [bands, edge, columns, ..] to [bands, columns / edge, ..]."""
     bands, edge, columns = values.shape[:3]
-    cells = values.reshape(bands, edge, columns // edge, edge, *values.shape[3:])
-    return cells.sum(axis=(1, 3), dtype=np.float64)
+    down = values.sum(axis=1, dtype=np.float64)  # whole rows first: both at once would go three colours at a time
+    return down.reshape(bands, columns // edge, edge, *values.shape[3:]).sum(axis=2)
 
 
 def _by_level(level: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
