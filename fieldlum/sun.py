@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, date, datetime, time, timedelta, timezone
+from datetime import UTC, date, datetime, time, timedelta
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 from zoneinfo import ZoneInfo
@@ -190,27 +190,33 @@ def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
 
     if not days:
         return []
-    # A rise belongs to the calendar day of the index's own zone: let that be standard time.
-    zone = timezone(standard_offset(site.timezone, days[0].year))
-    index = pd.DatetimeIndex([pd.Timestamp(day) for day in days]).tz_localize(zone)
+    # pvlib files events under calendar days of the longitude's own: where the zone lies across the date line, others.
+    asked = sorted({day + timedelta(days=k) for day in days for k in (-1, 0, 1)})
+    index = pd.DatetimeIndex([pd.Timestamp(day) for day in asked]).tz_localize("UTC")
     table = sun_rise_set_transit_spa(index, site.latitude_deg, site.longitude_deg)
-    columns = [pd.to_datetime(table[name], utc=True).dt.floor("s") for name in ("sunrise", "transit", "sunset")]
-    rise, transit, down = ([None if pd.isna(t) else t.to_pydatetime() for t in column] for column in columns)
-    rows = zip(_refined(rise, site), transit, _refined(down, site), strict=True)
-    return [DayOfSun(*row) for row in rows]
+    columns = [
+        pd.to_datetime(table[name].dropna(), utc=True).dt.floor("s") for name in ("sunrise", "transit", "sunset")
+    ]
+    rise, transit, down = ([t.to_pydatetime() for t in column] for column in columns)
+    found = (_refined(rise, site), transit, _refined(down, site))
+    starts = [standard_midnight(day, site.timezone) for day in days]
+    return [DayOfSun(*(_within_a_day(moments, start) for moments in found)) for start in starts]
 
 
-def _refined(moments: list[datetime | None], site: Site) -> list[datetime | None]:
+def _within_a_day(moments: Sequence[datetime], start: datetime) -> datetime | None:
+    return next((t for t in moments if start <= t < start + timedelta(days=1)), None)
+
+
+def _refined(moments: Sequence[datetime], site: Site) -> list[datetime]:
     """Three Newton steps towards the rise altitude, each of at most ten minutes."""
-    known = [t for t in moments if t is not None]
-    for _ in range(3):
+    known = list(moments)
+    for _ in range(3 if known else 0):
         before, after = (position([t + timedelta(seconds=s) for t in known], site).altitude_deg for s in (-60, 60))
         rate = (after - before) / 120.0
         wanted = (RISE_ALTITUDE_DEG - (before + after) / 2) / np.where(np.abs(rate) > 1e-6, rate, 1e-6)
         steps = np.clip(wanted, -600, 600)
         known = [t + timedelta(seconds=round(float(s))) for t, s in zip(known, steps, strict=True)]
-    left = iter(known)
-    return [None if t is None else next(left) for t in moments]
+    return known
 
 
 # ---------------------------------------------------------------------------------------------- irradiance

@@ -86,6 +86,16 @@ def test_unsteady_light_is_cautioned_then_refused() -> None:
         assert (light.why == "") is ok and "light changed" in light.caution + light.why
 
 
+def test_each_bracket_goes_by_the_logger_of_its_own_time() -> None:
+    """Contract: days of a minute logger before weeks of a fast one are not refused as stale."""
+    slow, fast = np.arange(-3000.0, 3000.0, 60.0), np.arange(86400.0, 96400.0, 5.0)
+    t = np.r_[slow, fast]
+    both = log(t, np.full(len(t), 400.0), every=1.0)
+    for moment, rows in ((NOON, 4), (NOON + timedelta(days=1, hours=1), 13)):
+        light = outside(both, moment, moment + timedelta(seconds=60))
+        assert (light.why, light.rows) == ("", rows)
+
+
 def test_exchanged_components_are_refused() -> None:
     """Contract: global and diffuse in each other's column would be hours without any sun."""
     known = log(np.arange(-20.0, 20.0), np.full(40, 400.0))

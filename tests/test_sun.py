@@ -104,6 +104,18 @@ def test_authority_rise_and_set_to_the_minute(place: tuple[float, float, str]) -
             assert abs(off_s) <= 45, (place, day, text, moment)
 
 
+@pytest.mark.parametrize(
+    "place",
+    [(1.87, -157.4, "Pacific/Kiritimati"), (-43.95, -176.5, "Pacific/Chatham"), (-18.1, 178.4, "Pacific/Fiji")],
+    ids=lambda place: place[2],
+)
+def test_property_each_standard_day_has_its_own_sun_beside_the_date_line(place: tuple[float, float, str]) -> None:
+    days = [date(2027, 1, 1) + timedelta(days=13 * k) for k in range(28)]
+    for day, found in zip(days, sun.rise_transit_set(days, Site("", *place)), strict=True):
+        start = sun.standard_midnight(day, place[2])
+        assert all(t is not None and start <= t < start + timedelta(days=1) for t in found), day
+
+
 def _crossing(site: Site, low: datetime, high: datetime, altitude_deg: float) -> datetime:
     """Where the true altitude passes `altitude_deg`, by bisection on `sun.position`."""
     sign = np.sign(sun.position([high], site).altitude_deg[0] - altitude_deg)

@@ -17,6 +17,7 @@ MEASURED = "measured"
 UNSTEADY = 0.10  # relative range of the global from which a bracket gets a caution
 TOO_UNSTEADY = 0.50  # and from which it is refused: the frames saw different light
 COARSEST_S = 900.0  # rows further apart than this say nothing about a bracket
+_AROUND_ROWS = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +31,11 @@ class Log:
     source: NDArray[np.object_]
     flags: NDArray[np.object_]
 
-    @property
-    def every_s(self) -> float:
-        return float(np.median(np.diff(self.t_unix_s))) if len(self.t_unix_s) > 1 else 60.0
+    def every_s(self, moment_unix_s: float) -> float:
+        """The usual time between rows around a moment: one session may hold several loggers."""
+        at = int(np.searchsorted(self.t_unix_s, moment_unix_s))
+        steps = np.diff(self.t_unix_s[max(at - _AROUND_ROWS, 0) : at + _AROUND_ROWS])
+        return float(np.median(steps)) if len(steps) else 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +76,7 @@ def outside(log: Log, opened: datetime, closed: datetime) -> Outside:
     is never carried on.
     """
     start, end = opened.timestamp(), closed.timestamp()
-    every = max(log.every_s, 1.0)
+    every = max(log.every_s(start), 1.0)
     usable = np.isfinite(log.dni_wm2) & np.isfinite(log.dhi_wm2)
     first, last = np.searchsorted(log.t_unix_s, (start - 2.0 * every, end + 2.0 * every))
     near = slice(max(int(first) - 1, 0), int(last) + 1)
