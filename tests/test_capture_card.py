@@ -16,10 +16,9 @@ from fieldlum.capture.card import of_the_session
 from fieldlum.capture.card_clock import clock_parts, doubt
 from fieldlum.capture.group import CardFrame, Group, Offset, in_order
 from fieldlum.capture.state import fold
-from fieldlum.devices import same_model
 from fieldlum.errors import InputError
 from fieldlum.profiles import load_camera_profile, save_profile
-from fieldlum.raw import write_dng, write_jpeg
+from fieldlum.raw import same_model, write_dng, write_jpeg
 from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
 

@@ -9,10 +9,9 @@ from datetime import UTC
 from pathlib import Path
 
 from fieldlum.capture.group import CardFrame
-from fieldlum.devices import same_model
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
-from fieldlum.raw import read_exif
+from fieldlum.raw import read_exif, same_model
 from fieldlum.raw.exif import tags_of
 from fieldlum.records import Progress, SiteFile, quiet
 

@@ -109,12 +109,6 @@ def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
     return list(dict.fromkeys(said))
 
 
-def same_model(found: str, wanted: str) -> bool:
-    """Whether a camera's name is the profile's, whole or in part (a maker's name may stand before it)."""
-    a, b = (" ".join(name.split()).casefold() for name in (found, wanted))
-    return bool(a and b) and (a in b or b in a)
-
-
 class Pyranometer(Protocol):
     @property
     def info(self) -> InstrumentInfo: ...

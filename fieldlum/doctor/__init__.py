@@ -24,12 +24,12 @@ from fieldlum.devices import (
     open_camera,
     open_meter,
     open_pyranometer,
-    same_model,
 )
 from fieldlum.devices.clock import RealClock
 from fieldlum.doctor.awake import Lock, has_lid, inhibitors, lock_to_be_had
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.profiles import CameraProfile, load_camera_profile
+from fieldlum.raw import same_model
 from fieldlum.records import IrradianceSample, Progress, Site, SiteFile, Slot, quiet
 from fieldlum.session import Session, outcomes, sha256
 

@@ -15,9 +15,7 @@ from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.first_look import FirstLook, first_look, held_otherwise
 from fieldlum.merge.frames import (
-    FRAMES_BYTES,
     Crop,
-    FrameStore,
     lens_crop,
     load_jpeg,
     load_raw,
@@ -42,6 +40,7 @@ from fieldlum.merge.scatter import footprint_px, with_seen_noise
 from fieldlum.merge.shift import Moved, shifts
 from fieldlum.merge.shots import Shot, exposure_covariance, shots_of_files, sorted_shots, true_shutter_s
 from fieldlum.merge.stitch import SensorMap, View, blend, finish, lens_geometry, view_through
+from fieldlum.merge.store import FRAMES_BYTES, FrameStore
 from fieldlum.photometry import RatioFit, fit_ratios
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.merge.estimator import Signal, Strip
+from fieldlum.merge.estimator import Strip
 from fieldlum.merge.first_look import Plateau
 from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot, nd_factors
 from fieldlum.photometry import response_table, z_per_cdm2
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
+from fieldlum.raw import channel_positions, read_jpeg, read_mosaic, same_model
 
 _GATE = 0.97  # of the saturation, for predictions; noise is added to it
 _FULL = 0.99  # of the saturation: a count that is taken for saturated
@@ -197,13 +197,12 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, p
 
 
 def _check_camera(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
-    """By size and, where both tell it, by the model's name, whole or in part (a maker's name may stand before it)."""
+    """By size and, where both tell it, by the model's name."""
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
         size = f"{shape[1]} x {shape[0]} pixels"
         raise InputError(path, size, f"{body.width_px} x {body.height_px}, as {body.name} says", "use its own profile")
-    known, found = (" ".join(name.split()).casefold() for name in (body.model, model))
-    if known not in found and found not in known:
+    if model and body.model and not same_model(model, body.model):
         remedy = "use its own profile; where this is its own, write that model under [camera]"
         raise InputError(path, f"taken by {model}", f"{body.model}, as {body.name} says", remedy)
 
@@ -340,62 +339,3 @@ def load_jpeg(
         *ends,
         bool(exposure.nd),
     )
-
-
-# ---------------------------------------------------------------------------------------------- memory
-
-
-FRAMES_BYTES = 800_000_000  # 18 JPEG of a fisheye's 13 megapixels, 16 raw of 24: with the sums about 1.3 GB
-
-
-class FrameStore:
-    """Loads frames on demand and keeps them while they fit in `budget_bytes`; the rest are read again each pass."""
-
-    def __init__(self, loaders: Sequence[Callable[[], Signal]], budget_bytes: int = FRAMES_BYTES) -> None:
-        self._loaders, self._left = loaders, budget_bytes
-        self._kept: dict[int, Signal] = {}
-        self._scale, self._noise = np.ones(len(loaders)), (1.0, 1.0)
-
-    def __len__(self) -> int:
-        return len(self._loaders)
-
-    @property
-    def resident(self) -> bool:
-        """Whether every frame was read and kept."""
-        return len(self._kept) == len(self)
-
-    def correct(self, factors: NDArray[np.floating]) -> None:
-        """Multiply the frames' assumed exposures, now and for all later reads."""
-        self._scale = self._scale * factors
-        self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
-
-    def noisier(self, shot: float, read: float) -> None:
-        """Multiply the variances of raw frames' shot and read noise, once, now and for all later reads."""
-        self._noise = shot, read
-        self._kept = {i: _with_noise(signal, shot, read) for i, signal in self._kept.items()}
-
-    def small(self, number: int) -> Small:
-        """A frame reduced to what a turn of the camera can be seen in."""
-        signal = self[number]
-        assert isinstance(signal, RawSignal | JpegSignal)
-        return signal.small()
-
-    def __getitem__(self, number: int) -> Signal:
-        if number in self._kept:
-            return self._kept[number]
-        signal = _with_noise(_scaled(self._loaders[number](), float(self._scale[number])), *self._noise)
-        size = getattr(signal, "counts", getattr(signal, "codes", np.empty(0))).nbytes
-        if size <= self._left:
-            self._left -= size
-            self._kept[number] = signal
-        return signal
-
-
-def _scaled(signal: Any, factor: float) -> Any:
-    return replace(signal, per_cdm2=(signal.per_cdm2 * np.float32(factor)).astype(np.float32))
-
-
-def _with_noise(signal: Any, shot: float, read: float) -> Any:
-    if shot == read == 1.0:
-        return signal
-    return replace(signal, gain_e_per_dn=signal.gain_e_per_dn / shot, noise_dn2=signal.noise_dn2 * read)

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.merge.estimator import Signal
-from fieldlum.merge.frames import FrameStore, RawSignal
+from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.store import FrameStore
 from fieldlum.photometry import PairRatio, fit_ratios, pair_ratio
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels

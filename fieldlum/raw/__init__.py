@@ -5,7 +5,7 @@ maximum.
 """
 
 from fieldlum.raw.dng import channel_positions, write_dng
-from fieldlum.raw.exif import FrameInfo, roll_deg_of
+from fieldlum.raw.exif import FrameInfo, roll_deg_of, same_model
 from fieldlum.raw.jpeg import JpegFrame, read_jpeg, write_jpeg
 from fieldlum.raw.mosaic import Mosaic, read_exif, read_mosaic
 
@@ -18,6 +18,7 @@ __all__ = [
     "read_jpeg",
     "read_mosaic",
     "roll_deg_of",
+    "same_model",
     "write_dng",
     "write_jpeg",
 ]

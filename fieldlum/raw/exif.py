@@ -116,6 +116,12 @@ def roll_deg_of(path: Path) -> float | None:
     return _ROLL_DEG.get(int(tag[0])) if tag else None
 
 
+def same_model(found: str, wanted: str) -> bool:
+    """Whether a camera's name is the profile's, whole or in part (a maker's name may stand before it)."""
+    a, b = (" ".join(name.split()).casefold() for name in (found, wanted))
+    return bool(a and b) and (a in b or b in a)
+
+
 def rational(value: float) -> Fraction:
     """As a camera would write it: 1/250, 5.6 = 28/5; exact to 1e-6."""
     inverse = Fraction(1, max(round(1 / value), 1)) if 0 < value < 1 else Fraction(0)
