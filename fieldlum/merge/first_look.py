@@ -56,15 +56,16 @@ def held_otherwise(shots: Sequence[Shot], profile: CameraProfile) -> str:
 
     A map of a camera that was put on its side lies on its side, with every figure in order.
     """
+    lens = profile.lens[0]
+    if len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG:  # two lie as they like; upwards its sensor guesses
+        return ""
     told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(told) > 1:
         return f"the camera was turned within the bracket, by its EXIF: roll {_degrees(told)}"
-    if not told or abs(profile.lens[0].tilt_deg) > _LEVEL_DEG:  # up or down it does not know how it is held
-        return ""
-    off = (told.pop() - profile.lens[0].roll_deg + 180.0) % 360.0 - 180.0
+    off = (told.pop() - lens.roll_deg + 180.0) % 360.0 - 180.0 if told else 0.0
     if abs(off) <= _HELD_DEG:
         return ""
-    return f"by its EXIF the camera was held {abs(off):.0f} deg off the profile's roll of {profile.lens[0].roll_deg:g}"
+    return f"by its EXIF the camera was held {abs(off):.0f} deg off the profile's roll of {lens.roll_deg:g}"
 
 
 def _degrees(values: set[float]) -> str:

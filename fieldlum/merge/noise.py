@@ -19,7 +19,9 @@ from fieldlum.photometry import PairRatio
 
 _STEPS = 12  # levels of a pair that are looked at
 _IN_A_STEP, _MOST = 200, 12_000  # pixels of a step, of a pair
+_ROUNDED_DN2 = 1 / 12  # variance that a count gets by being a whole number
 _TOLD = 1.44  # of a variance (1.2 of noise): less is not told from the profile's
+_SURE_SIGMA = 3.0  # and by so many of its own standard errors: where shot noise is all there is, read noise is a guess
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +47,12 @@ def seen_noise(samples: Sequence[Sample], pairs: Sequence[PairRatio], correction
                 rows.append((shot / found, read / found))  # relative: each step counts alike
     if len(rows) < 4:
         return SeenNoise()
-    shot, read = _factors(np.array(rows))
-    return SeenNoise(shot if shot > _TOLD else 1.0, read if read > _TOLD else 1.0)
+    table = np.array(rows)
+    shot, read = _factors(table)
+    left = table @ (shot, read) - 1.0
+    u_shot, u_read = np.sqrt(np.diag(np.linalg.pinv(table.T @ table)) * np.mean(left**2))
+    sure = shot > max(_TOLD, 1 + _SURE_SIGMA * u_shot), read > max(_TOLD, 1 + _SURE_SIGMA * u_read)
+    return SeenNoise(shot if sure[0] else 1.0, read if sure[1] else 1.0)
 
 
 def _factors(rows: NDArray[np.float64]) -> tuple[float, float]:
@@ -70,16 +76,17 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
     y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
     ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape).ravel()[at]
     order = np.argsort(y_long)
+    # Where noise is about a count wide, a median of whole numbers jumps: spread evenly over a count's width first.
+    dither = np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
     found = []
     for step in np.array_split(order, int(np.clip(len(order) // _IN_A_STEP, 1, _STEPS))):
         if len(step) < _IN_A_STEP:
             continue
         r = ratio[step]
         light = np.maximum(y_long[step], 0.0)
-        off = y_short[step] - r * y_long[step]
+        off = y_short[step] - r * y_long[step] + dither[step]
         spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
         shot = float(np.median(r * light / b.gain_e_per_dn + r**2 * light / a.gain_e_per_dn))
         read = float(np.median(b.noise_dn2 + r**2 * a.noise_dn2))
-        if spread > 0:
-            found.append((shot, read, spread**2))
+        found.append((shot, read, max(spread**2 - _ROUNDED_DN2, _ROUNDED_DN2)))
     return found
