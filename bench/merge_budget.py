@@ -26,7 +26,7 @@ from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
 from fieldlum.merge.ratios import RatioCurve
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots, true_shutter_s
-from fieldlum.merge.stitch import SensorMap, blend, finish, lens_geometry, view_through
+from fieldlum.merge.stitch import SensorMap, blend, finish, lens_geometry, u_of_edges, view_through
 from fieldlum.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
 from fieldlum.profiles import (
     Bracket,
@@ -203,7 +203,10 @@ def realise(which: Set, profile: CameraProfile, folder: Path, target: Equirect, 
     true_views = [replace(m, luminance=v.luminance, rgb=v.rgb) for m, v in zip(merged, views, strict=True)]
     truth = blend(true_views).luminance.reshape(target.shape)
     good = (result.flags & (Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.OUTSIDE_LENS)) == 0
-    pull = (result.luminance_cdm2 - truth) / np.maximum(result.u_cdm2, 1e-12)
+    light = result.luminance_cdm2.astype(float)
+    edges = u_of_edges(light, (result.flags & Flag.OUTSIDE_LENS) == 0, target, profile)  # geometry too: merge_scene.py
+    u = np.sqrt(np.maximum(result.u_cdm2.astype(float) ** 2 - edges**2, 1e-24))
+    pull = (light - truth) / u
     return Outcome(pull[good], truth[good], _seam(views).reshape(target.shape)[good])
 
 

@@ -185,16 +185,16 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize("target", [Equirect(24), Fisheye(48, 180.0, PROFILE.lens[0].geometry)])
 def test_analytic_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> None:
     height, width = target.shape
-    slope = np.broadcast_to(np.geomspace(1.0, 1.15**width, width), (height, width))[:, ::-1].copy()
-    slope[:, 0] = slope[:, 1]  # the seam of a panorama is an edge here
-    inner = np.s_[8:16, 4 : width - 4]
-    assert u_of_edges(slope, target, PROFILE)[inner].max() == 0.0
+    seen = np.ones((height, width), bool)
+    slope = np.broadcast_to(np.linspace(1.0, 500.0, width), (height, width))
+    assert u_of_edges(slope, seen, target, PROFILE)[8:16, 4 : width - 4].max() == pytest.approx(0.0, abs=1e-9)
     window = np.full((height, width), 100.0)
     window[:, width // 2 :] = 8000.0
-    u = u_of_edges(window, target, PROFILE)[12, width // 2 - 3 : width // 2 + 3]
-    width_px = footprint_px(PROFILE.lens[0].geometry, target)
-    assert u[[0, 1, 4, 5]] == pytest.approx(0.0)
-    assert u[2:4] == pytest.approx((7900 - 0.2 * 8000) * min(0.35 / width_px, 0.5), rel=0.01)
+    share = min(0.35 / footprint_px(PROFILE.lens[0].geometry, target), 0.5) / np.sqrt(3)
+    u = u_of_edges(window, seen, target, PROFILE)[12, width // 2 - 3 : width // 2 + 3]
+    assert u == pytest.approx([0.0, 0.0, 7900 * share, 7900 * share, 0.0, 0.0], rel=0.01)
+    seen[:, width // 2 :] = False  # beyond the lens there is no light known to leak
+    assert u_of_edges(np.where(seen, window, 0.0), seen, target, PROFILE)[12, 4 : width - 4].max() == 0.0
 
 
 def test_analytic_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:

@@ -23,9 +23,9 @@ from fieldlum.records import Flag
 # Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it makes a lower bound.
 _SHARE = {Flag.CLIPPED_HIGH: 1e-3, Flag.BLOOM: 0.05, Flag.MOTION: 0.25, Flag.ND: 0.25}
 _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
-# Of bilinear shares on a mosaic: a triangle two pixels to each side lets a third of a pixel over the border.
-_BLUR_PX = 0.35
-_SHADE = 0.2  # relative: from one pixel to the next that much is shading
+# Sensor pixels of light that leak over an edge, at most: mean half-width of a pixel's square and of bilinear shares,
+# which reach two pixels where each colour has its own, one where every pixel sees all colours.
+_LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
 _TAPER_RAD = 0.06  # over which a lens fades in from its edge, where another lens sees the same
 
 
@@ -197,7 +197,7 @@ def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     relative = view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
     solid = target.solid_angles().ravel() * seen
     floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
-    edges = u_of_edges(light.reshape(target.shape), target, profile).ravel()
+    edges = u_of_edges(light.reshape(target.shape), seen.reshape(target.shape), target, profile).ravel()
     u = np.sqrt(view.variance + light**2 * relative + floor**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
@@ -212,30 +212,30 @@ def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     )  # fmt: skip
 
 
-def u_of_edges(light: NDArray[np.float64], target: Target, profile: CameraProfile) -> NDArray[np.float64]:
-    """What a pixel beside an edge may have of its neighbour's light, for the sensor's pixels are not small, [H, W].
+def u_of_edges(
+    light: NDArray[np.float64], seen: NDArray[np.bool_], target: Target, profile: CameraProfile
+) -> NDArray[np.float64]:
+    """What a pixel may have of its neighbours' light, for the sensor's pixels are not small, [H, W].
 
-    An edge on the border of two target pixels leaks the kernel's mean half-width over the pixel's width of the
-    difference; on a slope what comes from one side goes to the other.
+    An edge on the border of two target pixels leaks at most `_LEAK_PX` over the pixel's width of the difference, one
+    that lies elsewhere less: a rectangular distribution (GUM 4.3.7). On a slope what comes from one side goes to the
+    other, so that the second difference tells. Towards pixels that no lens sees nothing is told.
     """
     width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
-    share = min(_BLUR_PX / width_px, 0.5)
+    share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)
+    down = _second_difference(light, seen)
     if not isinstance(target, Equirect):
-        return share * np.maximum(_edges(light), _edges(light.T).T)
+        return share * np.hypot(down, _second_difference(light.T, seen.T).T)
     rows = (np.arange(target.height) + 0.5) / target.height * np.pi
-    narrow = np.minimum(share / np.sin(rows), 0.5)[:, None]  # meridians draw together
-    around = _edges(np.concatenate([light[:, -3:], light, light[:, :3]], axis=1).T).T[:, 3:-3]
-    return np.maximum(share * _edges(light), narrow * around)
+    narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]  # meridians draw together
+    wrapped, known = (np.concatenate([a[:, -1:], a, a[:, :1]], axis=1).T for a in (light, seen))
+    return np.hypot(share * down, narrow * _second_difference(wrapped, known).T[:, 1:-1])
 
 
-def _edges(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Down the columns, the larger of a pixel's two steps, less what goes on in the next one, and less _SHADE."""
-    bright = np.pad(np.maximum(light[:-1], light[1:]), ((1, 1), (0, 0)))
-    step = np.pad(np.diff(light, axis=0), ((2, 2), (0, 0)))
-    here, sign = step[1:-1], np.sign(step[1:-1])
-    goes_on = np.maximum(np.maximum(sign * step[:-2], sign * step[2:]), 0.0)
-    edge = np.maximum(np.abs(here) - goes_on - _SHADE * bright, 0.0)
-    return np.maximum(edge[:-1], edge[1:])
+def _second_difference(light: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Down the columns."""
+    step = np.pad(np.diff(light, axis=0) * (seen[1:] & seen[:-1]), ((1, 1), (0, 0)))
+    return np.diff(step, axis=0)
 
 
 def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float32]:
