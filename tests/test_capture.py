@@ -426,6 +426,15 @@ def test_half_a_frame_is_seen_at_once_and_taken_again(site: Field) -> None:
     assert (folder / "01_0.5s.dng").exists() and "doubt" not in frames[1]
 
 
+def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(site: Field) -> None:
+    """A camera newer than LibRaw: one second try, in vain, and every file stays, with what is wrong with it."""
+    site.session = make_session(site.session.root.parent / "one", slots=1)
+    events = site.run(check_opens=lambda path: "an unknown format")
+    assert site.outcomes() == ["done"] and events.count("retake") == 1 and site.cameras[0].count == 4
+    told = next(e for e in read_journal(site.session) if e["event"] == "done")["why"]
+    assert told.count("an unknown format") == 3 and "taken again" not in told
+
+
 def test_no_retake_after_the_window(site: Field) -> None:
     camera = SlippingCamera(site.clock, {2})
     site.session = make_session(site.session.root.parent / "one", slots=1)
@@ -639,6 +648,31 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
         (tmp_path / f"half_{name}").write_bytes(whole[: len(whole) - len(whole) // 4])
         assert unreadable(tmp_path / name) == "" == doubts(tmp_path / f"half_{name}", asked)
         assert unreadable(tmp_path / f"half_{name}")
+    assert unreadable(tmp_path / "gone.dng") == "No such file or directory"
+
+
+def test_a_defect_within_the_log_is_told_once_and_ends_nothing(site: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fieldlum.capture.keeper import Keeper
+    from fieldlum.capture.logger import Logger
+    from fieldlum.capture.recorder import Recorder
+
+    steady = SteadyClock(site.clock, lambda: False)
+    recorder = Recorder(site.session, steady.now, 4096, flush=False)
+    keeper: Keeper[Any] = Keeper("pyranometer", lambda: TinyPyranometer(site.clock), steady, recorder.tell, 5.0)
+    logger, polls, over = Logger(keeper, recorder, steady, 5.0), [], threading.Event()
+
+    def broken() -> None:
+        polls.append(len(polls))
+        if len(polls) > 2:
+            over.set()
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(logger, "poll_if_due", broken)
+    logger.start()
+    assert over.wait(30.0)
+    logger.close()
+    recorder.close()
+    assert [e["why"] for e in read_journal(site.session)] == ["ZeroDivisionError: a defect"]
 
 
 def test_log_alone_writes_rows(site: Field) -> None:

@@ -137,6 +137,7 @@ class Bracket:
             elif not isinstance(error, _Away):
                 self.camera.lost(error)
             return state
+        second = replace(second, doubt=second.doubt or self.check_opens(folder / second.file))
         if not self.recorder.tell("retake", slot=slot.id, frame=frame_fields(second), why=doubtful.doubt):
             return state
         self.between(second)
@@ -146,9 +147,12 @@ class Bracket:
     def _opened(
         self, slot: Slot, folder: Path, state: SlotState, wanted: Sequence[Shot], deadline: datetime
     ) -> SlotState:
-        """Read each frame's pixels now that the camera is done; one that does not open is taken again in time."""
+        """Read each frame's pixels now that the camera is done; one that does not open is taken again in time.
+
+        Second tries were read when they came.
+        """
         for frame in sorted(state.frames, key=lambda frame: frame.index):
-            if not frame.doubt and (why := self.check_opens(folder / frame.file)):
+            if not (frame.doubt or frame.instead_of) and (why := self.check_opens(folder / frame.file)):
                 doubtful = replace(frame, doubt=why)
                 others = tuple(other for other in state.frames if other.index != frame.index)
                 state = replace(state, frames=(*others, doubtful))

@@ -90,9 +90,16 @@ class Logger:
         self._thread.start()
 
     def _loop(self) -> None:
+        told = ""
         while not self._stop.is_set():
-            with suppress(Exception):  # whatever it was, the irradiance of the rest of the month is worth more
+            try:
                 self.poll_if_due()
+            except Exception as error:  # whatever it was, the irradiance of the rest of the month is worth more
+                why = f"{type(error).__name__}: {error}"[:300]
+                if why != told:  # at every poll it would fill the disk
+                    with suppress(Exception):
+                        self._recorder.tell("bad-reading", device=self.keeper.name, why=why)
+                told = why
             self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
 
     def close(self) -> None:

@@ -127,8 +127,8 @@ class Recorder:
                 if self.full:
                     return False
                 self.full = True
-                self._reserve.unlink(missing_ok=True)
                 with suppress(OSError):
+                    self._reserve.unlink(missing_ok=True)
                     self.journal.append("disk-full", self._now(), bytes_free=self._free_bytes())
         return False
 

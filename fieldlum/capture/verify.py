@@ -59,6 +59,8 @@ def unreadable(path: Path) -> str:
         read_jpeg(path) if path.suffix.lower() in JPEG else read_mosaic(path)
     except InputError as error:
         return error.found
+    except OSError as error:
+        return error.strerror or str(error)
     return ""
 
 

@@ -30,7 +30,7 @@ def kept_awake() -> Iterator[str]:
         yield what
     finally:
         if process is not None:
-            with suppress(OSError):
+            with suppress(OSError, subprocess.TimeoutExpired):
                 if process.stdin is not None:
                     process.stdin.close()
                 process.terminate()
