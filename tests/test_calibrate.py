@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from fieldlum.calibrate import boards, colour, keep, lens, order, response, scale, vignette
 from fieldlum.calibrate.frames import linear_frame, transmission
+from fieldlum.calibrate.keep import read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark, write_panorama
 from fieldlum.photometry import response_table, snap_shutter_s, vignetting_at, z_per_cdm2
@@ -571,3 +572,19 @@ def test_profiles_keep_figures_hashes_and_reasons(tmp_path: Path) -> None:
     assert len(again.provenance.frames_sha256) == 1 and len(again.provenance.log) == 2
     assert again.camera.date == "2027-01-03" and again.provenance.log[0].startswith("2027-01-02 response")
     save_profile(tmp_path / "p.toml", PROFILE)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("a,b\n1,0.98\n", 0.98), ("a;b\n1;0,98\n", 0.98), ("a\tb\n1\t0,98\n", 0.98), ("a,b\n1,0.98,,\n", 0.98)],
+)
+def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, text: str, value: float) -> None:
+    (tmp_path / "t.csv").write_text(text, encoding="utf-8-sig")
+    assert read_table(tmp_path / "t.csv", ("a", "b")) == [{"a": 1.0, "b": value}]
+
+
+def test_decimal_commas_between_commas_are_no_other_number(tmp_path: Path) -> None:
+    """0,98 read as 0, and 152,3 as 152, before: the rest of the line fell off the end."""
+    (tmp_path / "t.csv").write_text("a,b\n1,0.9\n1,0,98\n")
+    with pytest.raises(InputError, match=r"t.csv:3: more cells than the header has, expected 2 cells"):
+        read_table(tmp_path / "t.csv", ("a", "b"))

@@ -32,7 +32,12 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
         if name not in (*needed, *also):
             raise InputError(path, f"unknown column {name}", f"columns {', '.join([*needed, *also])}")
     rows.fieldnames = names
-    found = [{n: _cell(path, number, n, row[n], mark) for n in names} for number, row in enumerate(rows, start=2)]
+    found = []
+    for number, row in enumerate(rows, start=2):
+        if any(text.strip() for text in row.get(None) or ()):
+            remedy = "decimals with a point, or semicolons between the cells"
+            raise InputError(f"{path}:{number}", "more cells than the header has", f"{len(names)} cells", remedy)
+        found.append({n: _cell(path, number, n, row[n], mark) for n in names})
     if not found:
         raise InputError(path, "no readings", "one a line")
     return found
