@@ -153,6 +153,7 @@ def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
         files = {frame.file for state in fold(read_journal(session)).slots.values() for frame in state.frames}
         assert {(name[:3], name[-4:]) for name in files} == {("IMG", ".dng" if kind == "raw" else ".jpg")}
     assert same_model("Canon EOS 5D", "eos 5d") and not same_model("", "D850") and not same_model("D850", "D750")
+    assert not same_model("NIKON D800", "Nikon D80"), "words, not letters"
 
 
 def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> None:

@@ -117,9 +117,9 @@ def roll_deg_of(path: Path) -> float | None:
 
 
 def same_model(found: str, wanted: str) -> bool:
-    """Whether a camera's name is the profile's, whole or in part (a maker's name may stand before it)."""
-    a, b = (" ".join(name.split()).casefold() for name in (found, wanted))
-    return bool(a and b) and (a in b or b in a)
+    """Whether a camera's name is the profile's, whole or some of its words (a maker's name may stand before it)."""
+    a, b = (f" {' '.join(name.split())} ".casefold() for name in (found, wanted))
+    return bool(a.strip() and b.strip()) and (a in b or b in a)
 
 
 def rational(value: float) -> Fraction:
