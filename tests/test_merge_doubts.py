@@ -12,7 +12,7 @@ from fieldlum.merge import Shot, merge_frames, merge_sensor, shots_of_files
 from fieldlum.merge.bracket import SensorMerge
 from fieldlum.merge.first_look import held_otherwise
 from fieldlum.merge.quality import Offsets, verdict
-from fieldlum.merge.ratios import beyond, offsets
+from fieldlum.merge.ratios import beyond, free_fit
 from fieldlum.merge.scatter import footprint_px
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.merge.stitch import u_of_edges
@@ -120,13 +120,24 @@ def test_analytic_priors_that_are_contradicted_widen() -> None:
     assert wild.u_log == pytest.approx(0.05, rel=0.05)  # chi2 2 (0.05 / 0.003)^2 of one freedom, halved by the pair
 
 
+def test_analytic_the_noise_of_pairs_is_no_disagreement() -> None:
+    """Pairs that scatter by just their u say nothing of exposures: in the mean over draws nothing is left."""
+    rng, left = np.random.default_rng(4), []
+    for _ in range(200):
+        pairs = [PairRatio(i, i + 1, float(0.01 * rng.normal()), 0.01, 999) for i in range(7)]
+        left.append(beyond(free_fit(pairs, 8), 0.0) ** 2)
+    alone = np.mean([np.var(np.cumsum(0.01 * rng.normal(size=8))) for _ in range(200)])
+    assert np.mean(left) < 0.5 * alone  # what is left is the half of the draws that scatter more than usual
+
+
 def test_analytic_small_steps_add_up() -> None:
     """Seven neighbours that agree within 2 % each, all to one side, lie 14 % apart."""
     pairs = [PairRatio(i, i + 1, 0.02, 0.001, 999) for i in range(7)]
-    found = offsets(pairs, 8)
+    free = free_fit(pairs, 8)
+    found = np.log(free.correction)
     assert found == pytest.approx(0.02 * (np.arange(8) - 3.5), abs=0.003)
-    assert beyond(found, pairs, 0.01) == pytest.approx(np.sqrt(found.std() ** 2 - 0.01**2))
-    assert beyond(found, [], 0.01) == 0.0
+    assert beyond(free, 0.01) == pytest.approx(np.sqrt(found.std() ** 2 - 0.01**2), rel=0.01)
+    assert beyond(free_fit([], 8), 0.01) == 0.0
     assert Offsets(found, np.full(8, 0.01)).beyond_prior and not Offsets(found, np.full(8, 0.03)).beyond_prior
 
 

@@ -30,8 +30,8 @@ from fieldlum.merge.ratios import (
     RatioCurve,
     beyond,
     bracket_pairs,
+    free_fit,
     neighbours,
-    offsets,
     ratio_curve,
     take_samples,
     unexplained,
@@ -118,9 +118,9 @@ def merge_sensor(
     typical = float(np.median(ratios.u_log))
     response = 0.0 if raw else profile.response.u_rel
     explained = response if wanted else float(np.hypot(response, typical))
-    found = np.log(ratios.correction) if wanted else offsets(pairs, len(shots))
-    off = Offsets(found, np.hypot(np.sqrt(np.diag(prior)), response))
-    extra = max(unexplained(left, explained), 0.0 if wanted else beyond(found, pairs, explained))
+    seeming = ratios if wanted else free_fit(pairs, len(shots))
+    off = Offsets(np.log(seeming.correction), np.hypot(np.sqrt(np.diag(prior)), response))
+    extra = max(unexplained(left, explained), 0.0 if wanted else beyond(seeming, explained))
     apart = float(np.median([abs(n.residual_percent) for n in left])) / 100 if left and not wanted else typical
     shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
     tolerance = max(0.003, 3 * apart, response)  # what a JPEG's response gets wrong is no motion either

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.store import FrameStore
-from fieldlum.photometry import PairRatio, fit_ratios, pair_ratio
+from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
 _SNR_LONG = 30.0
@@ -116,19 +116,23 @@ def unexplained(left: Sequence[Neighbours], explained: float) -> float:
     return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
 
 
-def offsets(pairs: list[PairRatio], frames: int) -> NDArray[np.float64]:
-    """How far each frame's exposure seems off, relative, by its pairs alone; their mean is 0, unseen frames too.
+def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
+    """How far each frame's exposure seems off by its pairs alone; the corrections' mean is 1, unseen frames too.
 
     Neighbours that agree within 2 % may still add up to 30 % over a bracket: light that changed, or a response.
     """
-    return np.log(fit_ratios(pairs, np.eye(frames) * _FREE**2).correction)
+    return fit_ratios(pairs, np.eye(frames) * _FREE**2)
 
 
-def beyond(off: NDArray[np.float64], pairs: Sequence[PairRatio], explained: float) -> float:
-    """Relative u that exposures which seem `off` leave in a value, beyond what `explained` accounts for."""
-    seen = sorted({i for p in pairs for i in (p.long, p.short)})
-    spread = float(np.std(off[seen])) if seen else 0.0
-    return float(np.sqrt(max(spread**2 - explained**2, 0.0)))
+def beyond(free: RatioFit, explained: float) -> float:
+    """Relative u that exposures which seem off leave in a value, beyond what `explained` (relative) and the noise of
+    the pairs themselves account for."""
+    seen = sorted({i for p in free.pairs for i in (p.long, p.short)})
+    if not seen:
+        return 0.0
+    centred = np.eye(len(seen)) - 1.0 / len(seen)
+    noise2 = float(np.mean(np.diag(centred @ free.covariance[np.ix_(seen, seen)] @ centred)))
+    return float(np.sqrt(max(np.var(np.log(free.correction[seen])) - noise2 - explained**2, 0.0)))
 
 
 def ratio_curve(samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0) -> RatioCurve:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,8 +229,12 @@ def u_of_edges(
         return share * np.hypot(down, _second_difference(light.T, seen.T).T)
     rows = (np.arange(target.height) + 0.5) / target.height * np.pi
     narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]  # meridians draw together
-    wrapped, known = (np.concatenate([a[:, -1:], a, a[:, :1]], axis=1).T for a in (light, seen))
-    return np.hypot(share * down, narrow * _second_difference(wrapped, known).T[:, 1:-1])
+    around = _second_difference(_wrapped(light).T, _wrapped(seen).T).T[:, 1:-1]
+    return np.hypot(share * down, narrow * around)
+
+
+def _wrapped(values: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate([values[:, -1:], values, values[:, :1]], axis=1)
 
 
 def _second_difference(light: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
