@@ -297,6 +297,13 @@ def test_a_hidden_sun_is_left_alone(bracket) -> None:
     assert take_out_disc(panorama, 25.0, 0.0).sun is None
 
 
+def test_a_sun_behind_the_only_lens_takes_nothing_out_and_says_nothing() -> None:
+    light = np.zeros((60, 120), np.float32)
+    light[:, 30:90] = 500.0
+    panorama = Panorama(light, 0.0)
+    assert take_out_disc(panorama, 25.0, 180.0) is panorama
+
+
 # ---------------------------------------------------------------------------------------------- blending, bad frames
 
 

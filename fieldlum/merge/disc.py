@@ -103,7 +103,7 @@ def _brightest(
         return expected
     values = light[near]
     bright = values >= 0.5 * values.max()
-    if values.max() < 5 * np.median(values):
+    if values.max() <= 5 * np.median(values):  # also where no lens looks: all is 0 there
         return expected
     weights = (values * solid[near])[bright]
     mean = (rays[near][bright] * weights[:, None]).sum(axis=0)
