@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -108,6 +109,21 @@ def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path)
     report = adopt.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
     assert report.brackets == 36 and report.slots == tuple(slot.id for slot in plan[:36])
     assert "DSC_0036.jpg and 35 brackets after it: brackets of 2015-01-01" in report.left_out[0]
+
+
+def test_a_card_folder_that_holds_its_own_copy_makes_whole_brackets(tmp_path: Path) -> None:
+    """Each exposure came twice, so every bracket fell into pieces, and the best piece was taken."""
+    session = make_session(tmp_path / "s", MONTH[:12])
+    for i, slot in enumerate(MONTH[:12]):
+        for k, exposure in enumerate(LADDER):
+            t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
+            write(tmp_path / "card" / "DCIM" / f"DSC_{3 * i + k:04d}.jpg", exposure, t)
+    shutil.copytree(tmp_path / "card" / "DCIM", tmp_path / "card" / "backup")
+    report = adopt.run(session, tmp_path / "card")
+    assert (report.brackets, report.frames, report.notes) == (12, 36, ())
+    assert report.left_out == (
+        f"{tmp_path / 'card' / 'backup' / 'DSC_0000.jpg'}: a copy of another frame, and 35 more",
+    )
 
 
 def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.capture.bracket import shots, write_capture
-from fieldlum.capture.card import card_files, of_the_session, read_card
+from fieldlum.capture.card import card_files, of_the_session, read_card, without_copies
 from fieldlum.capture.card_clock import clock_offset, clock_parts, doubt, tells_utc
 from fieldlum.capture.group import (
     Group,
@@ -85,8 +85,9 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
     files, others = card_files(folder)
     frames, unread = read_card(files, progress)
     frames, strangers = of_the_session(frames, setup)
+    frames, copies = without_copies(frames)
     groups = group_frames(frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings)))
-    left_out = [*strangers, *unread, *others]
+    left_out = [*strangers, *copies, *unread, *others]
     if not groups:
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}")
     matched: list[tuple[Match, Offset]] = []

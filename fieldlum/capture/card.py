@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from datetime import UTC
+from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.capture.group import CardFrame
@@ -13,7 +13,8 @@ from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
 from fieldlum.raw import read_exif, same_model
 from fieldlum.raw.exif import tags_of
-from fieldlum.records import Progress, SiteFile, quiet
+from fieldlum.records import Exposure, Progress, SiteFile, quiet
+from fieldlum.session import sha256
 
 RAW_SUFFIXES = (
     ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw", ".raw",
@@ -60,6 +61,26 @@ def read_card(files: Sequence[Path], progress: Progress = quiet) -> tuple[list[C
         who = info.model or info.make or "a camera that does not say its name"
         frames.append(CardFrame(path, info.exposure, when, aware, who, _body_serial(path)))
     return frames, left_out
+
+
+def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[str]]:
+    """Each picture once: a second file of it would part its bracket in two. A line where there were copies."""
+    seen: dict[tuple[datetime, Exposure, int], dict[str, CardFrame]] = {}
+    alike = Counter(_likeness(frame) for frame in frames)
+    kept: list[CardFrame] = []
+    copies: list[Path] = []
+    for frame in frames:
+        if alike[_likeness(frame)] > 1:
+            known = seen.setdefault(_likeness(frame), {})
+            if known.setdefault(sha256(frame.path), frame) is not frame:
+                copies.append(frame.path)
+                continue
+        kept.append(frame)
+    return kept, [f"{copies[0]}: a copy of another frame, and {len(copies) - 1} more"] if copies else []
+
+
+def _likeness(frame: CardFrame) -> tuple[datetime, Exposure, int]:
+    return frame.t_camera, frame.exposure, frame.path.stat().st_size
 
 
 def _body_serial(path: Path) -> str:
