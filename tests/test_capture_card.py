@@ -88,6 +88,7 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
     assert "the clock was set between" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
     report = adopt.run(session, tmp_path / "card")
     assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
+    assert len(report.notes) == 1 and "DSC_0048.jpg: the camera's clock was set by +1 h between" in report.notes[0]
     assert report.slots == tuple(slot.id for slot in plan[:48]) and report.known == 72 and set(report.late_s) == {0.0}
 
 

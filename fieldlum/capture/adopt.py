@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fieldlum.capture.bracket import shots, write_capture
 from fieldlum.capture.card import card_files, of_the_session, read_card, without_copies
-from fieldlum.capture.card_clock import clock_offset, clock_parts, doubt, tells_utc
+from fieldlum.capture.card_clock import clock_offset, clock_parts, clock_steps, doubt, tells_utc
 from fieldlum.capture.group import (
     Group,
     Match,
@@ -91,7 +91,7 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
     if not groups:
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}")
     matched: list[tuple[Match, Offset]] = []
-    offsets: list[Offset] = []
+    clocks: list[tuple[list[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
     for part in _parts(groups, slots, utc_offset_s):
@@ -103,7 +103,7 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
         found, unmatched = match_groups(part, slots, offset)
-        offsets.append(offset)
+        clocks.append((part, offset))
         matched += [(match, offset) for match in found]
         left_out += [f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})" for u in unmatched]
         if said := doubt(part, slots, offset):
@@ -112,6 +112,8 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
         raise refused[0]
     if not matched:
         raise NotEnoughDataError(f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}")
+    notes += clock_steps(clocks)
+    offsets = [offset for _, offset in clocks]
     matched, doubles = _one_a_slot(matched)
     left_out += doubles
     notes += [text for match, _ in matched if (text := _lacking_text(match, setup.camera))]

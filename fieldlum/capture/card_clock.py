@@ -15,6 +15,7 @@ from fieldlum.records import SiteFile, Slot
 
 _NIGHT_S = 4 * 3600.0  # a clock is set between two days, for brackets of one day follow each other
 _HOURS = range(-26, 27)
+_STEP_S = 1800.0  # less is a clock that drifts
 _EVIDENCE = 3  # brackets more that another whole hour must bring to slots before a clock counts as set
 
 
@@ -110,6 +111,20 @@ def _steadiest(hits: np.ndarray) -> list[int]:
     for previous in reversed(came):
         path.append(int(previous[path[-1]]))
     return path[::-1]
+
+
+def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
+    """A line for each clock that the plan says was set: a person who began an hour early for days looks the same."""
+    said: list[str] = []
+    for (before, old), (after, new) in pairwise(clocks):
+        step_s = new.seconds - old.seconds
+        if abs(step_s) > _STEP_S:
+            said.append(
+                f"{before[-1].frames[0].path} to {after[0].frames[0].path}: the camera's clock was set by "
+                f"{step_s / 3600:+.3g} h between them, says the plan; if it was not, and brackets were taken at other "
+                "hours, give --utc-offset"
+            )
+    return said
 
 
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
