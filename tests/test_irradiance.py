@@ -69,6 +69,26 @@ def test_a_reading_that_never_changes_is_dead() -> None:
     assert (series.marks[:200] & Mark.STUCK).all() and not (series.marks[200:] & Mark.STUCK).any()
 
 
+def test_analytic_a_clear_noon_in_whole_watts_is_not_dead() -> None:
+    """It stood still for 19 minutes, which were blanked; an hour of one figure, or of none, is dead all the same."""
+    t = NOON.timestamp() + 60.0 * np.arange(-400, 400)
+    altitude, top = sky_geometry(t, SEATTLE)
+    sine = np.sin(np.radians(np.maximum(altitude, 1.0)))
+    ghi = np.asarray(np.rint(1098.0 * sine * np.exp(-0.057 / sine)), np.float64)
+    unknown = np.full(len(t), np.nan)
+    runs = np.diff(np.flatnonzero(np.diff(ghi)))
+    assert runs.max() > 15
+
+    def stuck(value: np.ndarray) -> np.ndarray:
+        series = irradiance.Series(t, value, unknown, unknown, np.zeros(len(t), np.int64))
+        return (check(series, altitude, top).marks & Mark.STUCK) > 0
+
+    assert not stuck(ghi).any()
+    for dead in (float(ghi[370]), 0.0):
+        spoilt = np.where((t >= t[370]) & (t < t[430]), dead, ghi)
+        assert stuck(spoilt)[372:428].all() and not stuck(spoilt)[[*range(365), *range(435, 800)]].any()
+
+
 def test_gaps_and_disorder_are_marked() -> None:
     series = checked([at(0, 500.0, 100.0), at(10, 500.1, 100.0), at(5, 500.2, 100.0), at(300, 501.0, 100.0)])
     assert list(np.diff(series.t_unix_s)) == [5.0, 5.0, 290.0]

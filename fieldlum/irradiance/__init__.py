@@ -30,7 +30,7 @@ SPIKE_OVER_USUAL = 3.0  # and than the light changes around it
 _SPIKE_ROWS = 120  # "around it": rows on either side, ten minutes at 5 s
 _SPIKE_RANK = 9  # of the steps around it: four other spikes there hide none
 _BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all would take much memory
-_RECIPE = 5  # raise it when the arithmetic changes: clean.csv is then made again
+_RECIPE = 6  # raise it when the arithmetic changes: clean.csv is then made again
 
 
 # ---------------------------------------------------------------------------------------------- checks
@@ -90,12 +90,21 @@ def _closure_fails(ghi: Array, dhi: Array, dni: Array, altitude: Array) -> NDArr
 
 
 def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
-    """Rows in a run of equal figures that lasts over ten minutes of daylight."""
+    """Rows in a run of equal figures that lasts over ten minutes of daylight, while the sun moved enough to change one.
+
+    In whole W/m2 a clear noon stands still for up to half an hour.
+    """
     if len(ghi) < 3:
         return np.zeros(len(ghi), bool)
-    changes = np.flatnonzero(np.diff(ghi) != 0.0) + 1
+    steps = np.abs(np.diff(ghi))
+    changes = np.flatnonzero(steps != 0.0) + 1
     starts, ends = np.r_[0, changes], np.r_[changes, len(ghi)]
-    long_run = (t_unix_s[ends - 1] - t_unix_s[starts] > STUCK_S) & (ends - starts > 2)
+    sine = np.sin(np.radians(np.maximum(altitude, 0.1)))
+    highest, lowest = np.maximum.reduceat(sine, starts), np.minimum.reduceat(sine, starts)
+    digit = steps[steps > 0.0].min(initial=np.inf)  # the smallest step that the log shows; none at all: all is stuck
+    with np.errstate(invalid="ignore"):
+        due = (ghi[starts] <= 0.0) | (ghi[starts] * (1.0 - lowest / highest) > digit) | np.isinf(digit)
+    long_run = (t_unix_s[ends - 1] - t_unix_s[starts] > STUCK_S) & (ends - starts > 2) & due
     out = np.repeat(long_run, ends - starts)
     return out & (altitude > 2.0) & np.isfinite(ghi)
 
