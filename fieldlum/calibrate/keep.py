@@ -21,7 +21,8 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     Commas, or semicolons or tabs (then decimals may have a comma). An empty cell is None. Raises InputError naming line
     and column.
     """
-    lines = _lines(path)
+    numbered = _lines(path)
+    lines = [line for _, line in numbered]
     mark = _separator(lines)
     rows = csv.DictReader(lines, delimiter=mark)
     names = [name.strip() for name in rows.fieldnames or []]
@@ -33,7 +34,7 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
             raise InputError(path, f"unknown column {name}", f"columns {', '.join([*needed, *also])}")
     rows.fieldnames = names
     found = []
-    for number, row in enumerate(rows, start=2):
+    for (number, _), row in zip(numbered[1:], rows, strict=False):
         if any(text.strip() for text in row.get(None) or ()):
             remedy = "decimals with a point, or semicolons between the cells"
             raise InputError(f"{path}:{number}", "more cells than the header has", f"{len(names)} cells", remedy)
@@ -43,18 +44,20 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     return found
 
 
-def _lines(path: Path) -> list[str]:
-    """Without empty lines and comments. Raises InputError."""
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Numbered from 1, without empty lines and comments. Raises InputError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, str(error), "a csv of readings") from None
-    return [line for line in text.splitlines() if line.strip()[:1] not in ("", "#")]
+    return [
+        (number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()[:1] not in ("", "#")
+    ]
 
 
 def columns_of(path: Path) -> list[str]:
     """Names in the header of a csv."""
-    lines = _lines(path)[:1]
+    lines = [line for _, line in _lines(path)[:1]]
     return [name.strip() for name in next(csv.reader(lines, delimiter=_separator(lines)), [])]
 
 
