@@ -628,8 +628,8 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(site: Field) -> None:
 def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     import numpy as np
 
-    from fieldlum.capture.verify import bracket_doubts, doubts, unreadable
-    from fieldlum.raw import write_dng, write_jpeg
+    from fieldlum.capture.verify import bracket_doubts, doubts
+    from fieldlum.raw import unreadable, write_dng, write_jpeg
 
     asked = Exposure(1 / 250, 5.6)
     grey, white = np.full((16, 16, 3), 90, np.uint8), np.full((16, 16, 3), 255, np.uint8)

@@ -103,11 +103,31 @@ def test_a_sun_on_few_pixels_says_how_well_it_is_known(session: Session, monkeyp
 
 def test_one_bad_bracket_stops_nothing(session: Session) -> None:
     slots = [take(session, 0), take(session, 1)]
-    (session.raw / slots[0] / "1.dng").write_bytes(b"no raw")
+    for name in ("0.dng", "1.dng"):
+        (session.raw / slots[0] / name).write_bytes(b"no raw")
     verdicts = merge.run(session, height=16)
     assert [v.state for v in verdicts] == ["failed", "merged"]
-    assert "1.dng" in verdicts[0].text
+    assert "0.dng" in verdicts[0].text
     assert not (session.panoramas / f"{slots[0]}.exr").exists()
+
+
+def test_a_frame_that_cannot_be_read_costs_no_bracket(session: Session) -> None:
+    """It is merged without it, says so each time, and is whole again once the frame is."""
+    slot = take(session, 0)
+    frame = session.raw / slot / "1.dng"
+    data = frame.read_bytes()
+    frame.write_bytes(data[: len(data) // 2])
+    for _ in range(2):
+        verdict = merge.run(session, height=16)[0]
+        assert verdict.state == "merged"
+        assert verdict.text.startswith("without 1.dng, whose pixels cannot be read: copy from the card again; ")
+    note = json.loads((session.panoramas / f"{slot}.json").read_text())
+    assert note["quality"]["lost"] == ["1.dng"] and note["verdict"] == verdict.text
+    panorama = read_panorama(session.panoramas / f"{slot}.exr")
+    assert panorama.flags is not None
+    assert np.median(panorama.luminance_cdm2[panorama.flags == 0]) == pytest.approx(200.0, rel=0.02)
+    frame.write_bytes(data)
+    assert merge.run(session, height=16)[0].text.startswith("good")
 
 
 def test_an_empty_session_has_nothing_to_merge(session: Session) -> None:

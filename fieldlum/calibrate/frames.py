@@ -12,11 +12,10 @@ from fieldlum.errors import InputError
 from fieldlum.photometry import response_table, saturation_plateau, snap_shutter_s, vignetting_at, z_per_cdm2
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import LensGeometry, angle_of_radius
-from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
+from fieldlum.raw import JPEG_SUFFIXES, channel_positions, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
 FULL = 0.97  # of the saturation: brighter pixels are left out
-JPEG = (".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +77,7 @@ def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> float:
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
     """Raises InputError for a frame that cannot be read or that another camera took."""
-    return _from_jpeg(path, profile) if path.suffix.lower() in JPEG else _from_mosaic(path, profile)
+    return _from_jpeg(path, profile) if path.suffix.lower() in JPEG_SUFFIXES else _from_mosaic(path, profile)
 
 
 def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:

@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.frames import JPEG
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import Mosaic, channel_positions, read_mosaic
+from fieldlum.raw import JPEG_SUFFIXES, Mosaic, channel_positions, read_mosaic
 
 LEAST_VIEWS, LEAST_DARK = 3, 2
 MOST = 1e-3  # of the pixels: more is no list of defects
@@ -124,7 +123,7 @@ def _frames_of(source: Path) -> list[Path]:
 
 
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
-    if path.suffix.lower() in JPEG:
+    if path.suffix.lower() in JPEG_SUFFIXES:
         raise InputError(path, "a JPEG frame", f"raw frames, as {profile.camera.name} takes")
     mosaic, body = read_mosaic(path), profile.camera
     if mosaic.counts.shape != (body.height_px, body.width_px):

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.frames import JPEG, check_size, true_shutter_s
+from fieldlum.calibrate.frames import check_size, true_shutter_s
 from fieldlum.calibrate.order import Candidate, Choice, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import dark_floor, fit_response, response_table
 from fieldlum.profiles import CameraProfile, Response
-from fieldlum.raw import read_jpeg
+from fieldlum.raw import JPEG_SUFFIXES, read_jpeg
 from fieldlum.records import Exposure
 
 PLACES = 500  # a bracket
@@ -49,7 +49,7 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     single = [path for path in paths if path.is_file()]
     found = [single] if single else []
     for folder in (path for path in paths if not path.is_file()):
-        frames = sorted(p for p in folder.glob("*") if p.suffix.lower() in JPEG)
+        frames = sorted(p for p in folder.glob("*") if p.suffix.lower() in JPEG_SUFFIXES)
         if not frames:
             raise InputError(folder, "no JPEG frames", "a folder that holds one bracket")
         found.append(frames)

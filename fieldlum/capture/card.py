@@ -11,7 +11,7 @@ from pathlib import Path
 from fieldlum.capture.group import CardFrame
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
-from fieldlum.raw import read_exif, same_model
+from fieldlum.raw import JPEG_SUFFIXES, read_exif, same_model
 from fieldlum.raw.exif import tags_of
 from fieldlum.records import Exposure, Progress, SiteFile, quiet
 from fieldlum.session import sha256
@@ -19,7 +19,6 @@ from fieldlum.session import sha256
 RAW_SUFFIXES = (
     ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw", ".raw",
 )  # fmt: skip
-JPEG_SUFFIXES = (".jpg", ".jpeg")
 _OTHER_PICTURES = (
     ".mpo", ".heic", ".heif", ".hif", ".tif", ".tiff", ".png", ".insp", ".gpr", ".x3f", ".3fr", ".iiq", ".avif",
 )  # fmt: skip

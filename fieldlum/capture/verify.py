@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.errors import InputError
-from fieldlum.raw import FrameInfo, read_exif, read_jpeg, read_mosaic
+from fieldlum.raw import JPEG_SUFFIXES, FrameInfo, read_exif, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
 TOLERANCE_EV = 1 / 6  # a camera that snapped to another setting is at least 1/3 EV away
 ALL_CLIPPED = 0.5  # share of clipped pixels from which even the shortest frame tells little
-JPEG = (".jpg", ".jpeg")
 
 
 def doubts(path: Path, asked: Exposure) -> str:
@@ -53,20 +52,9 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
     return ", ".join(said)
 
 
-def unreadable(path: Path) -> str:
-    """Why a frame's pixels cannot be read, or nothing; takes up to some seconds of a large raw frame."""
-    try:
-        read_jpeg(path) if path.suffix.lower() in JPEG else read_mosaic(path)
-    except InputError as error:
-        return error.found
-    except OSError as error:
-        return error.strerror or str(error)
-    return ""
-
-
 def clipped_share(path: Path) -> float:
     """Share of a frame's pixels at its highest value, or at the top code of a JPEG. Raises InputError."""
-    if path.suffix.lower() in JPEG:
+    if path.suffix.lower() in JPEG_SUFFIXES:
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
     mosaic = read_mosaic(path)
     plateau = min(float(mosaic.white_dn), float(mosaic.counts.max()))

@@ -41,8 +41,9 @@ def command(
     fieldlum capture office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum import capture
-    from fieldlum.capture.verify import bracket_doubts, doubts, unreadable
+    from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
+    from fieldlum.raw import unreadable
     from fieldlum.session import open_session, sha256
 
     session = open_session(folder)

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.photometry import prior_u_log, snap_shutter_s, z_per_cdm2
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import read_exif
+from fieldlum.raw import JPEG_SUFFIXES, read_exif
 from fieldlum.records import Exposure, parse_utc
 
-JPEG_SUFFIXES = (".jpg", ".jpeg")
 U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame
 U_ISO = 0.03  # relative, of an ISO that is not the one that the profile was made at: amplifiers are not exact
 _ONE_APERTURE = 0.02  # relative

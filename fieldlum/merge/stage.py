@@ -23,6 +23,7 @@ from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.merge.survey import survey_owed, write_survey
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
+from fieldlum.raw import unreadable
 from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, quiet, utc_text
 from fieldlum.session import Session, replacing, replacing_path, sha256
 
@@ -117,10 +118,7 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
         known = None if job.force else _done_before(job.session, job.slot, recipe["digest"])
         if known is not None:
             return Verdict(job.slot, "kept", known["verdict"], known["quality"])
-        result = merge_frames(
-            [s.path for s in shots], job.profile, height=job.height, heading_deg=job.setup.heading_deg,
-            shots=shots, fit=job.fit, drop_moved=job.drop_moved, progress=progress,
-        )  # fmt: skip
+        result, lost = _merged_without_lost(job, shots, progress)
         note = _capture_note(job.session, job.slot)
         panorama = replace(result.panorama, t_utc=_slot_time(note, job.slot, shots))
         panorama = take_out_sun(panorama, job.site)
@@ -128,11 +126,32 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
         quality = {**result.quality, "vertical_illuminance_lx": ev}
         whole = note.get("complete", True)
         said = result.verdict if whole else f"incomplete bracket; {result.verdict}"
+        if lost:  # the digest never matches then: once the frames are whole again, so is the map
+            said = f"without {', '.join(lost)}, whose pixels cannot be read: copy from the card again; {said}"
+            quality, recipe = {**quality, "lost": lost}, {**recipe, "digest": ""}
         said += _sun_note(panorama.sun, job.profile)
         _write(job, replace(result, panorama=panorama, quality=quality, verdict=said), recipe)
         return Verdict(job.slot, "merged", said, quality)
     except (FieldlumError, OSError) as error:
         return Verdict(job.slot, "failed", str(error), {})
+
+
+def _merged_without_lost(job: _Job, shots: list[Shot], progress: Progress) -> tuple[MergeResult, list[str]]:
+    """The bracket, and which frames it had to do without: a few that cannot be read are no reason to lose an hour."""
+
+    def merged(some: list[Shot]) -> MergeResult:
+        return merge_frames(
+            [s.path for s in some], job.profile, height=job.height, heading_deg=job.setup.heading_deg,
+            shots=some, fit=job.fit, drop_moved=job.drop_moved, progress=progress,
+        )  # fmt: skip
+
+    try:
+        return merged(shots), []
+    except InputError:
+        lost = [s.path.name for s in shots if unreadable(s.path)]
+        if not lost or len(shots) - len(lost) < max(2, len(shots) / 2):
+            raise
+        return merged([s for s in shots if s.path.name not in lost]), lost
 
 
 def _write(job: _Job, result: MergeResult, recipe: dict[str, Any]) -> None:

@@ -8,8 +8,10 @@ from fieldlum.raw.dng import channel_positions, write_dng
 from fieldlum.raw.exif import FrameInfo, roll_deg_of, same_model
 from fieldlum.raw.jpeg import JpegFrame, read_jpeg, write_jpeg
 from fieldlum.raw.mosaic import Mosaic, read_exif, read_mosaic
+from fieldlum.raw.whole import JPEG_SUFFIXES, unreadable
 
 __all__ = [
+    "JPEG_SUFFIXES",
     "FrameInfo",
     "JpegFrame",
     "Mosaic",
@@ -19,6 +21,7 @@ __all__ = [
     "read_mosaic",
     "roll_deg_of",
     "same_model",
+    "unreadable",
     "write_dng",
     "write_jpeg",
 ]

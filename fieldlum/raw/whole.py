@@ -1,0 +1,22 @@
+"""Whether a frame's pixels can be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fieldlum.errors import InputError
+from fieldlum.raw.jpeg import read_jpeg
+from fieldlum.raw.mosaic import read_mosaic
+
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+
+
+def unreadable(path: Path) -> str:
+    """Why a frame's pixels cannot be read, or nothing; takes up to some seconds of a large raw frame."""
+    try:
+        read_jpeg(path) if path.suffix.lower() in JPEG_SUFFIXES else read_mosaic(path)
+    except InputError as error:
+        return error.found
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
