@@ -227,6 +227,14 @@ def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:  # contract
     assert "sun measured on few pixels, to 20 %" in rows_of(session)[0]["why"] and rows_of(session)[0]["ok"] == "1"
 
 
+def test_a_map_that_did_without_a_frame_is_incomplete(tmp_path: Path) -> None:  # contract
+    session = make_session(tmp_path / "s", None)
+    note = session.panoramas / f"{slot_id(NOON)}.json"
+    note.write_text(json.dumps({**json.loads(note.read_text()), "quality": {"lost": ["03.dng"]}}))
+    pair.run(session)
+    assert ["incomplete" in row["why"] for row in rows_of(session)] == [True, False]
+
+
 def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
     """Contract: the same frames in two slots: one of the two is hours away from its light."""
     session = make_session(tmp_path / "s", None, hours=3)

@@ -105,7 +105,7 @@ def taken_brackets(session: Session) -> list[Taken]:
                 closed,
                 str(note.get("verdict", "")),
                 None if meter is None else float(meter),
-                bool(capture.get("complete", True)),
+                bool(capture.get("complete", True)) and not (note.get("quality") or {}).get("lost"),
                 frozenset(str(frame["sha256"]) for frame in capture.get("frames", ()) if "sha256" in frame),
                 sun_u_percent=float((note.get("sun") or {}).get("u_mosaic_percent", 0.0)),
             )
