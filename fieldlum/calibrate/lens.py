@@ -187,20 +187,11 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
 def _posed(targets: Targets, lens: Lens) -> Lens:
     """The lens turned as its targets stand, so that a camera held upright, or turned round, is found too.
 
-    The rotation from seen to true directions by singular values (Wahba 1965), slips weighed down; when a mirrored one
-    fits and no rotation does, signs are wrong: raises InputError.
+    By the rotation from seen to true directions; when one fits in a mirror and none as they are, signs are wrong:
+    raises InputError.
     """
     seen = lens_rays(replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0), targets.x_px, targets.y_px)
-    fits = []
-    for sign in (1.0, -1.0):
-        weight, turn, off = np.ones(len(seen)), np.eye(3), np.zeros(len(seen))
-        for _ in range(10):
-            u, _, vt = np.linalg.svd((targets.rays * weight[:, None]).T @ seen)
-            turn = u @ np.diag([1.0, 1.0, sign * np.linalg.det(u @ vt)]) @ vt
-            off = np.linalg.norm(targets.rays - seen @ turn.T, axis=1)
-            weight = 1.0 / np.maximum(off, 0.02)
-        fits.append((float(np.median(off)), turn))
-    (miss, turn), (mirrored, _) = fits
+    (miss, turn), (mirrored, _) = (_turn(seen * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0))
     if mirrored < 0.5 * miss and miss > 0.1:
         source = targets.frames[0] if targets.frames else "targets"
         remedy = "look for a wrong sign, or x and y exchanged"
@@ -211,6 +202,19 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     level = direction(0.0, azimuth + 90.0)
     roll = np.degrees(np.arctan2(-right @ np.cross(level, forward), right @ level))
     return replace(lens, azimuth_deg=float(azimuth), tilt_deg=float(tilt), roll_deg=float(roll))
+
+
+def _turn(seen: Array, true: Array) -> tuple[float, Array]:
+    """How far directions [n, 3] lie apart in the median, as chords, once turned upon each other, and that rotation
+    [3, 3] (Wahba 1965), slips weighed down."""
+    from scipy.spatial.transform import Rotation
+
+    weight, turn, off = np.ones(len(seen)), np.eye(3), np.zeros(len(seen))
+    for _ in range(10):
+        turn = Rotation.align_vectors(true, seen, weights=weight)[0].as_matrix()
+        off = np.linalg.norm(true - seen @ turn.T, axis=1)
+        weight = 1.0 / np.maximum(off, 0.02)
+    return float(np.median(off)), turn
 
 
 def _held_out(targets: Targets, lens: Lens, mapping: str, powers: tuple[int, ...]) -> Array:

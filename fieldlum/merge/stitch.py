@@ -190,7 +190,8 @@ def finish(view: View, profile: CameraProfile, target: Target) -> Map:
 
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2 + edges^2; a
     filter is part of its frames' exposure; the glare floor is a share of the mean luminance seen. A clipped pixel is a
-    lower bound: its u is 100 %. bench/merge_budget.py holds it against whole simulated cameras.
+    lower bound: its u is 100 %. bench/merge_budget.py holds it against whole simulated cameras,
+    bench/merge_scene.py the part for edges against a scene.
     """
     p, light = profile, view.luminance
     seen = (view.flags & Flag.OUTSIDE_LENS) == 0

@@ -13,7 +13,7 @@ from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frames import JpegSignal, RawSignal
 from fieldlum.merge.shift import Small
 
-FRAMES_BYTES = 800_000_000  # 18 JPEG of a fisheye's 13 megapixels, 16 raw of 24: with the sums about 1.3 GB
+FRAMES_BYTES = 800_000_000  # 18 JPEG of a fisheye's 13 megapixels, 16 raw of 24: with the sums about 1.5 GB
 
 
 class FrameStore:
