@@ -1,11 +1,13 @@
-"""Calibrate the simulated cameras from nothing but captures and readings, and compare with what they really are.
+"""Calibrate the simulated cameras from nothing but captures and readings, and compare with what
+they really are.
 
     python bench/calibrate_walkthrough.py OUT
 
-Photographs made-up scenes with `sim-fisheye` (raw) and `sim-dual-fisheye-jpeg`, then runs `fieldlum calibrate` on them
-as a person would: lens by its circle and by known directions, vignetting by one patch at many angles, colour by spot
-readings, scale by spots and vertical illuminance on a merged bracket, response by three JPEG brackets. Writes profiles
-and pictures to OUT and prints a Markdown table.
+Photographs made-up scenes with `sim-fisheye` (raw) and `sim-dual-fisheye-jpeg`, then runs `fieldlum
+calibrate` on them as a person would: lens by its circle and by known directions, vignetting by one
+patch at many angles, colour by spot readings, scale by spots and vertical illuminance on a merged
+bracket, response by three JPEG brackets. Writes profiles and pictures to OUT and prints a Markdown
+table.
 """
 
 from __future__ import annotations
@@ -63,7 +65,9 @@ def _picture(rgb: np.ndarray) -> Panorama:
     return Panorama(luminance.astype(np.float32), 180.0, rgb=(rgb / 179).astype(np.float32))
 
 
-def _spots(places: list[tuple[float, float]], colours: np.ndarray, radius_deg: float, ground: float) -> Panorama:
+def _spots(
+    places: list[tuple[float, float]], colours: np.ndarray, radius_deg: float, ground: float
+) -> Panorama:
     """Discs of light at (azimuth, altitude) on an even ground."""
     rgb = np.full((H, 2 * H, 3), ground)
     rays = equirect_rays(H, 2 * H, 180.0)
@@ -73,7 +77,11 @@ def _spots(places: list[tuple[float, float]], colours: np.ndarray, radius_deg: f
 
 
 def _shoot(
-    profile: CameraProfile, panorama: Panorama, exposure: Exposure, target: Path, heading: float = 180.0
+    profile: CameraProfile,
+    panorama: Panorama,
+    exposure: Exposure,
+    target: Path,
+    heading: float = 180.0,
 ) -> Path:
     camera = SimulatedCamera(Still(panorama), profile, FastClock(START), overhead_s=0.0)
     return camera.expose(exposure, target, heading_deg=heading)
@@ -94,7 +102,9 @@ def _at(truth: CameraProfile, azimuth: float, altitude: float) -> tuple[float, f
 
 
 def _blank(truth: CameraProfile) -> CameraProfile:
-    """What is known of a camera out of its box: the sensor's data sheet, nothing of lens, colour and scale."""
+    """What is known of a camera out of its box: the sensor's data sheet, nothing of lens, colour
+    and scale.
+    """
     middle = (truth.camera.width_px / 2, truth.camera.height_px / 2)
     plain = Lens(middle, 0.45 * truth.camera.height_px, 180.0, name="front")
     return replace(truth, lens=(plain,), colour=Colour(), scale=Scale(), provenance=Provenance())
@@ -119,17 +129,33 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
     )
     _run("lens", flat, *words)
     found, lens = load_camera_profile(mine).lens[0], truth.lens[0]
-    rows.append(("circle by its edge: centre, radius [px]", f"{lens.centre_px} {lens.radius_px:g}",
-                 f"{found.centre_px} {found.radius_px:g}"))  # fmt: skip
+    rows.append(
+        (
+            "circle by its edge: centre, radius [px]",
+            f"{lens.centre_px} {lens.radius_px:g}",
+            f"{found.centre_px} {found.radius_px:g}",
+        )
+    )
 
     rng = np.random.default_rng(1)
     places = [(float(a), float(b)) for a in range(-85, 86, 17) for b in (-60, -35, -10, 15, 40, 65)]
     targets = ["x_px,y_px,azimuth_deg,altitude_deg"]
     for azimuth, altitude in places:
         x, y = _at(truth, azimuth, altitude)
-        targets.append(f"{x + 0.3 * rng.normal():.2f},{y + 0.3 * rng.normal():.2f},{azimuth},{altitude}")
+        targets.append(
+            f"{x + 0.3 * rng.normal():.2f},{y + 0.3 * rng.normal():.2f},{azimuth},{altitude}"
+        )
     (out / "targets.csv").write_text("\n".join(targets))
-    _run("lens", out / "targets.csv", "--camera", mine, "--out", mine, "--picture", out / "calibrate-lens.png")
+    _run(
+        "lens",
+        out / "targets.csv",
+        "--camera",
+        mine,
+        "--out",
+        mine,
+        "--picture",
+        out / "calibrate-lens.png",
+    )
     found = load_camera_profile(mine).lens[0]
     seen = lens_pixels(geometry_of(lens), equirect_rays(60, 120, 0.0).reshape(-1, 3))
     inside = seen[2] < np.radians(93)
@@ -137,8 +163,13 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
     mine_rays = lens_rays(geometry_of(found), seen[0][inside], seen[1][inside])
     true_rays = equirect_rays(60, 120, 0.0).reshape(-1, 3)[inside]
     off = np.degrees(np.arccos(np.clip((mine_rays * true_rays).sum(axis=1), -1, 1)))
-    rows.append(("lens by 66 targets clicked to 0.3 px: mapping; worst ray", f"{lens.mapping}; 0 deg",
-                 f"{found.mapping}; {off.max():.2f} deg"))  # fmt: skip
+    rows.append(
+        (
+            "lens by 66 targets clicked to 0.3 px: mapping; worst ray",
+            f"{lens.mapping}; 0 deg",
+            f"{found.mapping}; {off.max():.2f} deg",
+        )
+    )
 
     patches = ["file,x_px,y_px,radius_px"]
     disc = _spots([(180.0, 0.0)], np.array([[400.0] * 3]), 3.0, 20.0)
@@ -147,15 +178,32 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
         x, y = _at(truth, turn, 0.0)
         patches.append(f"patch{i}.dng,{x:.1f},{y:.1f},4")
     (out / "patches.csv").write_text("\n".join(patches))
-    _run("vignette", out / "patches.csv", "--camera", mine, "--out", mine, "--picture", out / "calibrate-vignette.png")
+    _run(
+        "vignette",
+        out / "patches.csv",
+        "--camera",
+        mine,
+        "--out",
+        mine,
+        "--picture",
+        out / "calibrate-vignette.png",
+    )
     r = np.linspace(0, 0.92, 100)
     curves = [
-        vignetting_at(p.lens[0].vignetting[i].coefficients, r) for p, i in ((truth, 1), (load_camera_profile(mine), 0))
+        vignetting_at(p.lens[0].vignetting[i].coefficients, r)
+        for p, i in ((truth, 1), (load_camera_profile(mine), 0))
     ]
-    rows.append(("vignetting by one patch at 23 angles: worst difference", "0 %",
-                 f"{100 * np.abs(curves[1] / curves[0] - 1).max():.2f} %"))  # fmt: skip
+    rows.append(
+        (
+            "vignetting by one patch at 23 angles: worst difference",
+            "0 %",
+            f"{100 * np.abs(curves[1] / curves[0] - 1).max():.2f} %",
+        )
+    )
 
-    paints = np.array([[s * (c == 0), s * (c == 1), s * (c == 2)] for c in range(3) for s in (300.0,)])
+    paints = np.array(
+        [[s * (c == 0), s * (c == 1), s * (c == 2)] for c in range(3) for s in (300.0,)]
+    )
     paints = 60.0 + np.concatenate(
         [paints, paints[[0, 1, 2]] + paints[[1, 2, 0]], [[400.0] * 3, [90.0] * 3, [500.0, 300, 90]]]
     )
@@ -168,14 +216,31 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
         luminance = float(paint @ np.array([0.265, 0.670, 0.065])) * (1 + 0.01 * rng.normal())
         readings.append(f"{frame.name},{x:.1f},{y:.1f},4,{luminance:.2f}")
     (out / "spots.csv").write_text("\n".join(readings))
-    _run("colour", out / "spots.csv", "--camera", mine, "--out", mine, "--picture", out / "calibrate-colour.png")
-    shares = [np.array(p.colour.y_from_rgb) / sum(p.colour.y_from_rgb) for p in (truth, load_camera_profile(mine))]
+    _run(
+        "colour",
+        out / "spots.csv",
+        "--camera",
+        mine,
+        "--out",
+        mine,
+        "--picture",
+        out / "calibrate-colour.png",
+    )
+    shares = [
+        np.array(p.colour.y_from_rgb) / sum(p.colour.y_from_rgb)
+        for p in (truth, load_camera_profile(mine))
+    ]
     rows.append(
-        ("colour by nine spots read to 1 %: shares of R, G, B", *(" ".join(f"{v:.3f}" for v in s) for s in shares))
+        (
+            "colour by nine spots read to 1 %: shares of R, G, B",
+            *(" ".join(f"{v:.3f}" for v in s) for s in shares),
+        )
     )
 
     bracket = [
-        _shoot(truth, scene, e, out / f"b{i}") for i, e in enumerate(bracket_exposures(truth.bracket)) if not e.nd
+        _shoot(truth, scene, e, out / f"b{i}")
+        for i, e in enumerate(bracket_exposures(truth.bracket))
+        if not e.nd
     ]
     merged = merge_frames(bracket, load_camera_profile(mine), height=230)
     write_panorama(out / "merged.exr", merged.panorama)
@@ -183,22 +248,43 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
     for (azimuth, altitude), paint in zip(spots, paints, strict=True):
         luminance = float(paint @ np.array([0.265, 0.670, 0.065])) * (1 + 0.02 * rng.normal())
         lines.append(f"merged.exr,{azimuth},{altitude},{luminance:.2f},")
-    front = np.where(equirect_rays(H, 2 * H, 180.0) @ direction(0, 180) > 0, scene.luminance_cdm2, 0)
+    front = np.where(
+        equirect_rays(H, 2 * H, 180.0) @ direction(0, 180) > 0, scene.luminance_cdm2, 0
+    )
     lines.append(f"merged.exr,180,0,,{illuminance_lx(front, 180.0, 0.0, 180.0):.1f}")
     (out / "readings.csv").write_text("\n".join(lines))
-    _run("scale", out / "readings.csv", "--camera", mine, "--out", mine, "--picture", out / "calibrate-scale.png")
+    _run(
+        "scale",
+        out / "readings.csv",
+        "--camera",
+        mine,
+        "--out",
+        mine,
+        "--picture",
+        out / "calibrate-scale.png",
+    )
     final = load_camera_profile(mine)
     # what counts is k times the coefficients: both carry the factor
     wanted = truth.scale.k * sum(truth.colour.y_from_rgb)
     got = final.scale.k * sum(final.colour.y_from_rgb)
-    rows.append(("scale by nine spots read to 2 % and one illuminance: k (R + G + B)", f"{wanted:.4f}",
-                 f"{got:.4f} ({100 * (got / wanted - 1):+.2f} %, u {100 * final.scale.u_rel:.1f} %)"))  # fmt: skip
+    rows.append(
+        (
+            "scale by nine spots read to 2 % and one illuminance: k (R + G + B)",
+            f"{wanted:.4f}",
+            f"{got:.4f} ({100 * (got / wanted - 1):+.2f} %, u {100 * final.scale.u_rel:.1f} %)",
+        )
+    )
     again = merge_frames(bracket, final, height=230).panorama.luminance_cdm2
     true = merge_frames(bracket, truth, height=230).panorama.luminance_cdm2
     lit = (equirect_rays(230, 460, 180.0) @ direction(0, 180)) > np.cos(np.radians(85))
     off_map = np.abs(again[lit] / true[lit] - 1)
-    rows.append(("the same bracket merged by both profiles: median, 95th percentile", "0 %",
-                 f"{100 * np.median(off_map):.2f} %, {100 * np.percentile(off_map, 95):.2f} %"))  # fmt: skip
+    rows.append(
+        (
+            "the same bracket merged by both profiles: median, 95th percentile",
+            "0 %",
+            f"{100 * np.median(off_map):.2f} %, {100 * np.percentile(off_map, 95):.2f} %",
+        )
+    )
     return rows
 
 
@@ -207,7 +293,9 @@ def jpeg_camera(out: Path) -> list[tuple[str, str, str]]:
     save_profile(mine, replace(truth, response=Response()))
     rng = np.random.default_rng(2)
     for number in range(3):
-        blocks = 10 ** rng.uniform(0.3, 3.2, (H // 20, 2 * H // 20, 1)) * rng.uniform(0.7, 1.3, (1, 1, 3))
+        blocks = 10 ** rng.uniform(0.3, 3.2, (H // 20, 2 * H // 20, 1)) * rng.uniform(
+            0.7, 1.3, (1, 1, 3)
+        )
         scene = _picture(np.repeat(np.repeat(blocks, 20, axis=0), 20, axis=1))
         folder = out / f"bracket-{number + 1}"
         folder.mkdir(exist_ok=True)
@@ -215,13 +303,27 @@ def jpeg_camera(out: Path) -> list[tuple[str, str, str]]:
             if not exposure.nd:
                 _shoot(truth, scene, exposure, folder / f"f{i}")
     folders = sorted(out.glob("bracket-*"))
-    _run("response", *folders, "--camera", mine, "--out", mine, "--picture", out / "calibrate-response.png")
+    _run(
+        "response",
+        *folders,
+        "--camera",
+        mine,
+        "--out",
+        mine,
+        "--picture",
+        out / "calibrate-response.png",
+    )
     found, codes = load_camera_profile(mine).response, np.arange(27, 229)
     log = [np.log(response_table(r.kind, r.green)[codes]) for r in (truth.response, found)]
     off = log[1] - log[0]
     off -= off.mean()
-    return [("response by three JPEG brackets: rms, worst over codes 27 to 228", "0 %",
-             f"{100 * off.std():.2f} %, {100 * np.abs(off).max():.2f} %")]  # fmt: skip
+    return [
+        (
+            "response by three JPEG brackets: rms, worst over codes 27 to 228",
+            "0 %",
+            f"{100 * off.std():.2f} %, {100 * np.abs(off).max():.2f} %",
+        )
+    ]
 
 
 if __name__ == "__main__":

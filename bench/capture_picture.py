@@ -35,14 +35,20 @@ def main() -> None:
         _, options = capture.prepare(session, fast=True)
         nap = ClockFault(START + timedelta(hours=3, minutes=40), "suspend", 3900.0)
         capture.run(
-            session, "sim:office?seed=1", "sim:office?seed=1", clock=FastClock(START - timedelta(minutes=2), [nap]),
-            options=options, watch=seen.append,
-        )  # fmt: skip
+            session,
+            "sim:office?seed=1",
+            "sim:office?seed=1",
+            clock=FastClock(START - timedelta(minutes=2), [nap]),
+            options=options,
+            watch=seen.append,
+        )
     console = Console(record=True, width=66, file=io.StringIO())
     console.print(panel(seen[6], site))
     svg = console.export_svg(title="fieldlum capture office-2027")
     # The page stands alone: the reader's own fixed-width font, none from the net.
-    Path(sys.argv[1]).write_text(re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL), encoding="utf-8")
+    Path(sys.argv[1]).write_text(
+        re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL), encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

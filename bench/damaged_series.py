@@ -1,15 +1,17 @@
-"""Damaged lines within a day of irradiance: what ends as a number that nobody flagged, layer by layer.
+"""Damaged lines within a day of irradiance: what ends as a number that nobody flagged, layer by
+layer.
 
     python bench/damaged_series.py [--hours 160] [--turns 20] [--seed 1] [--only NAME]
 
-First table: readings of undamaged series that the spike guard flags, by sky and step. Second table: lines of undamaged
-readings are damaged one in a hundred, each once; how many then read as another number by the profile alone, how many
-the driver lets through, and how many of those quality control leaves without a flag. The driver asks the SPN1 again. Of
-what talks by itself it knows the form of sixty lines before, and of a line a second it takes the median of the newest
-three since the last reading; right is then what lies between the three undamaged ones. Of these further answers and
-lines one in ten is damaged too. A TOA5 row stands in a file of 59. Skies are made of clouds whose lengths follow a
-power law (exponent -1.66, as clouds' chords do), blown over the place at 5 to 20 m/s, their shadows' edges blurred by
-the sun's disc and their own softness.
+First table: readings of undamaged series that the spike guard flags, by sky and step. Second table:
+lines of undamaged readings are damaged one in a hundred, each once; how many then read as another
+number by the profile alone, how many the driver lets through, and how many of those quality control
+leaves without a flag. The driver asks the SPN1 again. Of what talks by itself it knows the form of
+sixty lines before, and of a line a second it takes the median of the newest three since the last
+reading; right is then what lies between the three undamaged ones. Of these further answers and
+lines one in ten is damaged too. A TOA5 row stands in a file of 59. Skies are made of clouds whose
+lengths follow a power law (exponent -1.66, as clouds' chords do), blown over the place at 5 to 20
+m/s, their shadows' edges blurred by the sun's disc and their own softness.
 """
 
 from __future__ import annotations
@@ -40,8 +42,13 @@ Array = NDArray[np.float64]
 ALTITUDE_DEG, TOP_WM2 = 50.0, 1361.0
 NOON = datetime(2027, 6, 21, 20, tzinfo=UTC)
 # Share of sky under clouds, shortest and longest cloud [m].
-SKIES = {"clear": (0.0, 1.0, 2.0), "small clouds": (0.05, 20.0, 300.0), "broken": (0.5, 30.0, 5000.0),
-         "fast broken": (0.5, 20.0, 500.0), "overcast": (1.0, 1.0, 2.0)}  # fmt: skip
+SKIES = {
+    "clear": (0.0, 1.0, 2.0),
+    "small clouds": (0.05, 20.0, 300.0),
+    "broken": (0.5, 30.0, 5000.0),
+    "fast broken": (0.5, 20.0, 500.0),
+    "overcast": (1.0, 1.0, 2.0),
+}
 FEW_WM2 = (3.0, 20.0)  # the SPN1's own noise; more than a steady sky does
 
 
@@ -57,7 +64,9 @@ def sky(kind: str, seconds: int, rng: np.random.Generator) -> tuple[Array, Array
         at += gap * (1.0 - cover) / cover
         beam_through[int(at) : int(at + cloud)] = rng.choice([0.0, 0.0, rng.uniform(0.0, 0.6)])
         at += cloud
-    edge_m = np.hypot(9.0, 15.0) / 2.0  # a kilometre up the sun's disc is 9 m wide; a cloud's own edge is soft
+    edge_m = (
+        np.hypot(9.0, 15.0) / 2.0
+    )  # a kilometre up the sun's disc is 9 m wide; a cloud's own edge is soft
     beam = gaussian_filter1d(beam_through, edge_m)
     clouds = gaussian_filter1d(1.0 - beam_through, 200.0)
     where = (wind * np.arange(seconds)).astype(int)
@@ -76,11 +85,14 @@ def _chord(shortest: float, longest: float, rng: np.random.Generator) -> float:
 def checked(t: Array, ghi: Array, dhi: Array | None) -> NDArray[np.int64]:
     """Marks [n] of quality control at a fixed sun."""
     blank = np.full(len(t), np.nan)
-    series = irradiance.Series(t, ghi, blank if dhi is None else dhi, blank, np.zeros(len(t), np.int64))
+    series = irradiance.Series(
+        t, ghi, blank if dhi is None else dhi, blank, np.zeros(len(t), np.int64)
+    )
     return irradiance.check(series, np.full(len(t), ALTITUDE_DEG), np.full(len(t), TOP_WM2)).marks
 
 
-# ---------------------------------------------------------------------------------------------- lines
+# ----------------------------------------------------------------------------------------------
+# lines
 
 
 Reading = tuple[float, float | None]
@@ -91,7 +103,9 @@ class Protocol(NamedTuple):
     name: str
     line: Callable[[float, float], bytes]
     read: Callable[[bytes], Reading]  # by the profile alone
-    accept: Callable[..., tuple[Reading, list[Reading]]]  # what the driver makes of it; the lines it used, undamaged
+    accept: Callable[
+        ..., tuple[Reading, list[Reading]]
+    ]  # what the driver makes of it; the lines it used, undamaged
     heard: int = 1  # lines between two readings, a second apart
 
 
@@ -106,7 +120,10 @@ def _values(profile: ascii_lines.AsciiProfile) -> Callable[[bytes], Reading]:
 def _toa5(rows: int, line: bytes) -> Reading:
     """A row in the middle of as many at a minute's step, whose light goes up and down."""
     minutes = range(_TOA5_MINUTE - rows // 2, _TOA5_MINUTE + rows // 2 + 1)
-    lines = [_toa5_row(minute, 500.0 + 470.0 * np.sin(minute), 60.0 + 50.0 * np.sin(minute)) for minute in minutes]
+    lines = [
+        _toa5_row(minute, 500.0 + 470.0 * np.sin(minute), 60.0 + 50.0 * np.sin(minute))
+        for minute in minutes
+    ]
     lines[rows // 2] = line
     text = (TOA5_HEAD + b"".join(lines)).decode("utf-8", "replace")
     due = NOON.replace(hour=8) + timedelta(minutes=_TOA5_MINUTE)
@@ -124,7 +141,9 @@ def _toa5_row(minute: int, ghi: float, dhi: float) -> bytes:
 
 
 def protocols() -> list[Protocol]:
-    keys, js, crc = (ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "arduino-json", "arduino-crc"))
+    keys, js, crc = (
+        ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "arduino-json", "arduino-crc")
+    )
 
     def spn1_read(line: bytes) -> Reading:
         found = spn1.parse_reading(line)
@@ -134,41 +153,69 @@ def protocols() -> list[Protocol]:
         return f"$G={g:.1f} D={d:.1f} T=24.1"
 
     def streams(
-        name: str, line: Callable[[float, float], bytes], profile: ascii_lines.AsciiProfile, heard: int
+        name: str,
+        line: Callable[[float, float], bytes],
+        profile: ascii_lines.AsciiProfile,
+        heard: int,
     ) -> Protocol:
         read = _values(profile)
         often = f"{name}, 1 line/s" if heard > 1 else name
-        return Protocol(often, line, read, partial(_heard, read, partial(ascii_lines.body_of, profile)), heard)
+        return Protocol(
+            often, line, read, partial(_heard, read, partial(ascii_lines.body_of, profile)), heard
+        )
 
     def json_line(g: float, d: float) -> bytes:
         return json.dumps({"G": round(g, 1), "T": 24.1}).encode() + b"\n"
 
     return [
-        Protocol("SPN1", lambda g, d: b"S%6.1f,%6.1f,1\r" % (g, d), spn1_read, partial(_asked_again, spn1_read)),
+        Protocol(
+            "SPN1",
+            lambda g, d: b"S%6.1f,%6.1f,1\r" % (g, d),
+            spn1_read,
+            partial(_asked_again, spn1_read),
+        ),
         streams("ASCII, CRC-16", lambda g, d: with_crc16(body(g, d)), crc, 1),
         *(streams("ASCII, XOR", lambda g, d: nmea(body(g, d)), keys, heard) for heard in (1, 5)),
         *(streams("ASCII JSON, nothing stated", json_line, js, heard) for heard in (1, 5)),
-        *(streams("ASCII key=value, all stated", lambda g, d: b"G=%06.1f T=024.1\n" % g, FIXED, n) for n in (1, 5)),
+        *(
+            streams("ASCII key=value, all stated", lambda g, d: b"G=%06.1f T=024.1\n" % g, FIXED, n)
+            for n in (1, 5)
+        ),
         Protocol("TOA5 row", partial(_toa5_row, _TOA5_MINUTE), partial(_toa5, 5), _left_in),
     ]
 
 
 def _asked_again(
-    read: Callable[[bytes], Reading], came: bytes, whole: Sequence[bytes], before: bytes, form: LineForm,
+    read: Callable[[bytes], Reading],
+    came: bytes,
+    whole: Sequence[bytes],
+    before: bytes,
+    form: LineForm,
     rng: np.random.Generator,
-) -> tuple[Reading, list[Reading]]:  # fmt: skip
-    """An SPN1, whose first answer is damaged, is asked twice more. Raises FieldlumError, as the others do."""
+) -> tuple[Reading, list[Reading]]:
+    """An SPN1, whose first answer is damaged, is asked twice more. Raises FieldlumError, as the
+    others do.
+    """
     left = [came, *(maybe_damaged(whole[-1], before, rng) for _ in range(2))]
     reading, _ = said_twice(
-        lambda: left.pop(0), spn1.parse_reading, spn1.apart_wm2, (spn1.NOISE_WM2, spn1.AGREE_WM2), spn1.in_line
+        lambda: left.pop(0),
+        spn1.parse_reading,
+        spn1.apart_wm2,
+        (spn1.NOISE_WM2, spn1.AGREE_WM2),
+        spn1.in_line,
     )
     return (reading.total_wm2, reading.diffuse_wm2), [read(whole[-1])]
 
 
 def _heard(
-    read: Callable[[bytes], Reading], body_of: Callable[[bytes], str], came: bytes, whole: Sequence[bytes],
-    before: bytes, form: LineForm, rng: np.random.Generator,
-) -> tuple[Reading, list[Reading]]:  # fmt: skip
+    read: Callable[[bytes], Reading],
+    body_of: Callable[[bytes], str],
+    came: bytes,
+    whole: Sequence[bytes],
+    before: bytes,
+    form: LineForm,
+    rng: np.random.Generator,
+) -> tuple[Reading, list[Reading]]:
     """As `LineInstrument` does with the lines since the last reading, the newest damaged."""
     sound: list[tuple[Reading, Reading]] = []
     lines = [*(maybe_damaged(line, before, rng) for line in whole[:-1]), came]
@@ -201,7 +248,9 @@ def maybe_damaged(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 
 def damage(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """As bench/fuzz_parsers.py: cut, lost, added, changed, joined, noise; never one of the two lines."""
+    """As bench/fuzz_parsers.py: cut, lost, added, changed, joined, noise; never one of the two
+    lines.
+    """
     while True:
         at, size = int(rng.integers(len(line))), int(rng.integers(1, 4))
         kind = rng.choice(["cut", "lost", "added", "changed", "joined", "noise"])
@@ -233,7 +282,9 @@ def learned(protocol: Protocol, ghi: Array, dhi: Array) -> LineForm:
     return form
 
 
-def one_series(protocol: Protocol, every: int, ghi: Array, dhi: Array, rng: np.random.Generator, tally: Tally) -> None:
+def one_series(
+    protocol: Protocol, every: int, ghi: Array, dhi: Array, rng: np.random.Generator, tally: Tally
+) -> None:
     """ghi, dhi [seconds] W/m2 of a day, read each `every` seconds."""
     ghi, dhi = ghi.round(1), dhi.round(1)
     form = learned(protocol, ghi, dhi)
@@ -246,7 +297,10 @@ def one_series(protocol: Protocol, every: int, ghi: Array, dhi: Array, rng: np.r
     off = np.zeros(len(rows))
     for i in np.flatnonzero(rng.random(len(rows)) < 0.01).tolist():
         now = int(rows[i])
-        whole = [protocol.line(float(ghi[j]), float(dhi[j])) for j in range(now - protocol.heard + 1, now + 1)]
+        whole = [
+            protocol.line(float(ghi[j]), float(dhi[j]))
+            for j in range(now - protocol.heard + 1, now + 1)
+        ]
         before = protocol.line(float(ghi[now - every]), float(dhi[now - every]))
         came = damage(whole[-1], before, rng)
         tally.damaged += 1
@@ -271,7 +325,9 @@ def one_series(protocol: Protocol, every: int, ghi: Array, dhi: Array, rng: np.r
     unflagged = bad[(marks[bad] & ~int(irradiance.Mark.GAP)) == 0]
     tally.accepted += len(bad)
     tally.unflagged += len(unflagged)
-    tally.far = [n + int((off[unflagged] > few).sum()) for n, few in zip(tally.far, FEW_WM2, strict=True)]
+    tally.far = [
+        n + int((off[unflagged] > few).sum()) for n, few in zip(tally.far, FEW_WM2, strict=True)
+    ]
 
 
 def _apart(a: Reading, b: Reading) -> float:
@@ -281,13 +337,18 @@ def _apart(a: Reading, b: Reading) -> float:
 def _outside(reading: Reading, true: Sequence[Reading]) -> float:
     """By how much a reading lies outside of the range of the true ones."""
     ranges = [[value or 0.0 for value in values] for values in zip(*true, strict=True)]
-    return max(max(min(r) - (x or 0.0), (x or 0.0) - max(r), 0.0) for x, r in zip(reading, ranges, strict=True))
+    return max(
+        max(min(r) - (x or 0.0), (x or 0.0) - max(r), 0.0)
+        for x, r in zip(reading, ranges, strict=True)
+    )
 
 
 def main() -> None:
     asked = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     asked.add_argument("--hours", type=int, default=160, help="of each sky")
-    asked.add_argument("--turns", type=int, default=20, help="days with damaged lines, of each sky at 5 s")
+    asked.add_argument(
+        "--turns", type=int, default=20, help="days with damaged lines, of each sky at 5 s"
+    )
     asked.add_argument("--seed", type=int, default=1)
     asked.add_argument("--only", default="", help="protocols whose name holds this text")
     options = asked.parse_args()
@@ -301,8 +362,14 @@ def main() -> None:
             for day in days[kind]:
                 ghi, dhi = (value[::every] for value in day)
                 marks = checked(1.8e9 + every * np.arange(len(ghi), dtype=float), ghi, dhi)
-                rows, flagged = rows + len(ghi), flagged + int(((marks & irradiance.Mark.SPIKE) != 0).sum())
-            print(f"| {kind} | {every} s | {rows} | {flagged} | {100 * flagged / rows:.3f} % |", flush=True)
+                rows, flagged = (
+                    rows + len(ghi),
+                    flagged + int(((marks & irradiance.Mark.SPIKE) != 0).sum()),
+                )
+            print(
+                f"| {kind} | {every} s | {rows} | {flagged} | {100 * flagged / rows:.3f} % |",
+                flush=True,
+            )
     head = [
         "protocol",
         "step",
@@ -322,10 +389,22 @@ def main() -> None:
                 for kind in kinds:
                     for turn in range(options.turns * every // 5):
                         one_series(protocol, every, *days[kind][turn % len(days[kind])], rng, tally)
-                share = [f"{n} ({100 * n / tally.damaged:.2f} %)" for n in
-                         (tally.by_form, tally.form_far, tally.accepted, tally.unflagged, *tally.far)]  # fmt: skip
+                share = [
+                    f"{n} ({100 * n / tally.damaged:.2f} %)"
+                    for n in (
+                        tally.by_form,
+                        tally.form_far,
+                        tally.accepted,
+                        tally.unflagged,
+                        *tally.far,
+                    )
+                ]
                 name = "steady" if kinds[0] == "clear" else "changing"
-                print(f"| {protocol.name} | {every} s | {name} | {tally.damaged} | {' | '.join(share)} |", flush=True)
+                print(
+                    f"| {protocol.name} | {every} s | {name} | {tally.damaged} | "
+                    f"{' | '.join(share)} |",
+                    flush=True,
+                )
     print(f"\nseed {options.seed}, {time.monotonic() - start:.0f} s")
 
 

@@ -1,10 +1,12 @@
 """Table 1 and Figure 8 of the paper, rerun at a size that two cores allow.
 
-    python bench/dense_ablations.py TRAIN.csv TEST.csv OUT [--height 23] [--steps 6000] [--figure-steps 1600]
+    python bench/dense_ablations.py TRAIN.csv TEST.csv OUT [--height 23] [--steps 6000]
+    [--figure-steps 1600]
 
-Within the table, and within the figure, every network makes the same number of updates and is asked about the same test
-hours. Writes table1.csv, figure8.csv, ablations.md and figure8.png; rows that OUT already holds at this size are not
-made again. The paper's order of rows: final, no sky map, CNN, gamma 10.
+Within the table, and within the figure, every network makes the same number of updates and is asked
+about the same test hours. Writes table1.csv, figure8.csv, ablations.md and figure8.png; rows that
+OUT already holds at this size are not made again. The paper's order of rows: final, no sky map,
+CNN, gamma 10.
 """
 
 from __future__ import annotations
@@ -28,12 +30,17 @@ from fieldlum.models.dense_state import Plan
 from fieldlum.models.scores import Truth, evaluate, summary, truth
 
 PAPER = {
-    "final": (9.54e-3, 4.85e-2), "no sky map": (9.78e-3, 4.91e-2), "CNN": (1.78e-2, 5.61e-2),
+    "final": (9.54e-3, 4.85e-2),
+    "no sky map": (9.78e-3, 4.91e-2),
+    "CNN": (1.78e-2, 5.61e-2),
     "gamma 10": (2.81e-2, 8.31e-2),
-}  # fmt: skip
+}
 TABLE_1: dict[str, dict[str, Any]] = {
-    "final": {}, "no sky map": {"sky_map": False}, "CNN": {"form": "cnn"}, "gamma 10": {"curve": "gamma"},
-}  # fmt: skip
+    "final": {},
+    "no sky map": {"sky_map": False},
+    "CNN": {"form": "cnn"},
+    "gamma 10": {"curve": "gamma"},
+}
 DEPTHS, WIDTHS = (2, 3, 4, 5), (150, 300, 600, 1200)
 
 
@@ -46,7 +53,12 @@ def coarse(data: Dataset, height: int) -> Dataset:
 
     assert data.patch_cdm2 is not None and data.shape[0] % height == 0
     seen = means(data.seen[None].astype(np.float32))[0] > 0.5
-    return replace(data, luminance_cdm2=means(data.luminance_cdm2), patch_cdm2=means(data.patch_cdm2), seen=seen)
+    return replace(
+        data,
+        luminance_cdm2=means(data.luminance_cdm2),
+        patch_cdm2=means(data.patch_cdm2),
+        seen=seen,
+    )
 
 
 def one(data: Any, test: Truth, plan: Plan, **shape: Any) -> dict[str, Any]:
@@ -54,13 +66,24 @@ def one(data: Any, test: Truth, plan: Plan, **shape: Any) -> dict[str, Any]:
     fitted = models.fit("dense", data, plan=plan, seed=0, **shape)
     seconds = time.monotonic() - start
     found = summary(evaluate(fitted, test))
-    keys = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
+    keys = (
+        "log10_mse_weighted",
+        "rer_weighted",
+        "paper_log10_mse",
+        "paper_rer",
+        "dgp_mse",
+        "rammg_mse",
+    )
     epochs = fitted.training["pixels_seen_per_pixel"]
-    return {"parameters": fitted.parameters, "epochs": epochs, "fit_s": seconds} | {key: found[key] for key in keys}
+    return {"parameters": fitted.parameters, "epochs": epochs, "fit_s": seconds} | {
+        key: found[key] for key in keys
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("train", type=Path)
     parser.add_argument("test", type=Path)
     parser.add_argument("out", type=Path)
@@ -73,17 +96,27 @@ def main() -> None:
     asked.out.mkdir(parents=True, exist_ok=True)
     data = coarse(load_pairs(asked.train), asked.height)
     fresh = without_training_hours(coarse(load_pairs(asked.test), asked.height), data)
-    some = np.unique(np.linspace(0, len(fresh) - 1, min(asked.test_hours, len(fresh))).round().astype(int))
+    some = np.unique(
+        np.linspace(0, len(fresh) - 1, min(asked.test_hours, len(fresh))).round().astype(int)
+    )
     test = truth(fresh.take(some))
     maps = f"{data.shape[1]}x{data.shape[0]} maps, {len(data)} captures, {len(some)} test hours"
     plan = Plan("short", steps=asked.steps, batch_pixels=asked.batch)
     rows = [
-        {"network": name} | dict(zip(("published_log10_mse", "published_rer"), PAPER[name], strict=True))
+        {"network": name}
+        | dict(zip(("published_log10_mse", "published_rer"), PAPER[name], strict=True))
         for name in TABLE_1
     ]
     size = f"{maps}, {asked.steps} updates of {asked.batch} pixels"
-    table = run(asked.out / "table1.csv", rows, size, lambda row: one(data, test, plan, **TABLE_1[row["network"]]))
-    rows = [{"depth": d, "width": 600} for d in DEPTHS] + [{"depth": 4, "width": w} for w in WIDTHS if w != 600]
+    table = run(
+        asked.out / "table1.csv",
+        rows,
+        size,
+        lambda row: one(data, test, plan, **TABLE_1[row["network"]]),
+    )
+    rows = [{"depth": d, "width": 600} for d in DEPTHS] + [
+        {"depth": 4, "width": w} for w in WIDTHS if w != 600
+    ]
     short = Plan("short", steps=asked.figure_steps, batch_pixels=asked.batch)
     size = f"{maps}, {asked.figure_steps} updates of {asked.batch} pixels"
     grid = run(asked.out / "figure8.csv", rows, size, lambda row: one(data, test, short, **row))
@@ -91,7 +124,10 @@ def main() -> None:
 
 
 def run(
-    path: Path, rows: list[dict[str, Any]], size: str, measured: Callable[[dict[str, Any]], dict[str, Any]]
+    path: Path,
+    rows: list[dict[str, Any]],
+    size: str,
+    measured: Callable[[dict[str, Any]], dict[str, Any]],
 ) -> list[dict[str, Any]]:
     """The rows with what was measured; those that the file holds at this size are taken from it."""
     known = _kept(path)
@@ -108,7 +144,10 @@ def _kept(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     with path.open(newline="", encoding="utf-8") as file:
-        return [{k: v if k in ("network", "size") else _number(v) for k, v in r.items()} for r in csv.DictReader(file)]
+        return [
+            {k: v if k in ("network", "size") else _number(v) for k, v in r.items()}
+            for r in csv.DictReader(file)
+        ]
 
 
 def _number(text: str) -> float | int:
@@ -128,9 +167,13 @@ def _write(out: Path, table: list[dict[str, Any]], grid: list[dict[str, Any]], s
     text = f"{markdown(table, columns)}\n{markdown(grid, {key: key for key in grid[0]})}"
     (out / "ablations.md").write_text(text, encoding="utf-8")
     figure, axes = _figure(9.0, 3.8, 2)
-    for axis, key, fixed, at in zip(axes, ("depth", "width"), ("width", "depth"), (600, 4), strict=True):
+    for axis, key, fixed, at in zip(
+        axes, ("depth", "width"), ("width", "depth"), (600, 4), strict=True
+    ):
         mine = sorted((row for row in grid if row[fixed] == at), key=lambda row: row[key])
-        axis.plot([r[key] for r in mine], [r["paper_log10_mse"] for r in mine], "o-", color="#c2410c")
+        axis.plot(
+            [r[key] for r in mine], [r["paper_log10_mse"] for r in mine], "o-", color="#c2410c"
+        )
         axis.set(xlabel=f"{key} of branch one ({fixed} {at})", ylabel="log10 MSE, paper mode")
         axis.set_xticks([r[key] for r in mine])
     figure.suptitle(size, fontsize=8)

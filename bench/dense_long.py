@@ -1,9 +1,10 @@
-"""The dense network trained for as long as one cares to wait, kept as a model folder for `office_tables.py --dense`.
+"""The dense network trained for as long as one cares to wait, kept as a model folder for
+`office_tables.py --dense`.
 
     python bench/dense_long.py PAIRS.csv OUT [--minutes 70 | --paper]
 
---minutes fits the short schedule into that time; --paper runs the paper's to its end (60 to 90 epochs).
-OUT/checkpoint.pt is written as it goes, and the same command takes it up again.
+--minutes fits the short schedule into that time; --paper runs the paper's to its end (60 to 90
+epochs). OUT/checkpoint.pt is written as it goes, and the same command takes it up again.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from fieldlum.models.data import load_pairs
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("pairs", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--minutes", type=float, default=70.0)
@@ -35,7 +38,9 @@ def main() -> None:
     data = load_pairs(asked.pairs)
     budget_s = None if asked.paper else 60.0 * asked.minutes
     checkpoint = asked.out / "checkpoint.pt"
-    fitted = models.fit("dense", data, seed=asked.seed, budget_s=budget_s, checkpoint=checkpoint, progress=progress)
+    fitted = models.fit(
+        "dense", data, seed=asked.seed, budget_s=budget_s, checkpoint=checkpoint, progress=progress
+    )
     models.save(asked.out, fitted, data)
     print(fitted.state()[0]["dense_training"])
 

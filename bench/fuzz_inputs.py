@@ -70,28 +70,52 @@ def make_originals(folder: Path) -> dict[str, list[Path]]:
     profile, site = folder / "camera.toml", folder / "site.toml"
     save_profile(profile, camera())
     plans = sorted(shipped("capture_plans").glob("*.toml"))
-    fallback = '[site]\nname = "here"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\ntimezone = "UTC"\n'
+    fallback = (
+        '[site]\nname = "here"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\ntimezone = "UTC"\n'
+    )
     site.write_text(plans[0].read_text(encoding="utf-8") if plans else fallback, encoding="utf-8")
     return {
-        "raw": raws[:1], "jpeg": [jpeg], "exr": [exr], "hdr": [hdr], "profile": [profile, *raws], "site": [site],
-        "exif": [jpeg, raws[0]], "merge": raws,
-    }  # fmt: skip
+        "raw": raws[:1],
+        "jpeg": [jpeg],
+        "exr": [exr],
+        "hdr": [hdr],
+        "profile": [profile, *raws],
+        "site": [site],
+        "exif": [jpeg, raws[0]],
+        "merge": raws,
+    }
 
 
-NASTY = (b"nan", b"inf", b"-1.0", b"0", b"1e999", b"-0.0", b"1e-30", b"99999999999999999999", b'"x"', b"[]", b"true")
+NASTY = (
+    b"nan",
+    b"inf",
+    b"-1.0",
+    b"0",
+    b"1e999",
+    b"-0.0",
+    b"1e-30",
+    b"99999999999999999999",
+    b'"x"',
+    b"[]",
+    b"true",
+)
 
 
 def reword(data: bytes, rng: np.random.Generator) -> bytes:
     """A text file with one or two of its numbers replaced by what nobody expects."""
     numbers = list(re.finditer(rb"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", data))
-    for number in sorted(rng.choice(len(numbers), min(2, len(numbers)), replace=False), reverse=True):
+    for number in sorted(
+        rng.choice(len(numbers), min(2, len(numbers)), replace=False), reverse=True
+    ):
         at = numbers[int(number)]
         data = data[: at.start()] + NASTY[int(rng.integers(len(NASTY)))] + data[at.end() :]
     return data
 
 
 def mutate(data: bytes, head: int, rng: np.random.Generator) -> bytes:
-    """Cut, flip, zero, insert, overwrite or remove; half of the time within the first `head` bytes."""
+    """Cut, flip, zero, insert, overwrite or remove; half of the time within the first `head`
+    bytes.
+    """
     body = bytearray(data)
     for _ in range(int(rng.integers(1, 5))):
         if not body:
@@ -128,9 +152,13 @@ def read(kind: str, path: Path, originals: list[Path]) -> None:
         merge_frames(originals[1:], load_camera_profile(path), height=8, heading_deg=0.0)
         return
     readers: dict[str, Callable[[Path], object]] = {
-        "raw": read_mosaic, "jpeg": read_jpeg, "exr": read_panorama, "hdr": read_radiance_hdr,
-        "site": load_site, "exif": read_exif,
-    }  # fmt: skip
+        "raw": read_mosaic,
+        "jpeg": read_jpeg,
+        "exr": read_panorama,
+        "hdr": read_radiance_hdr,
+        "site": load_site,
+        "exif": read_exif,
+    }
     readers[kind](path)
 
 
@@ -199,7 +227,11 @@ def main() -> None:
         worker = Worker(originals)
         for case in range(options.cases):
             kind = KINDS[case % len(KINDS)]
-            source = originals[kind][int(rng.integers(len(originals[kind])))] if kind == "exif" else originals[kind][0]
+            source = (
+                originals[kind][int(rng.integers(len(originals[kind])))]
+                if kind == "exif"
+                else originals[kind][0]
+            )
             path = Path(scratch) / f"case{source.suffix}"
             head = 1200 if source.suffix in (".dng", ".jpg", ".exr") else 400
             text = kind in ("profile", "site") and rng.random() < 0.7
@@ -214,12 +246,20 @@ def main() -> None:
                 print(f"case {case} ({kind}): {said}", file=sys.stderr, flush=True)
                 if options.keep:
                     options.keep.mkdir(parents=True, exist_ok=True)
-                    (options.keep / f"{case:05d}-{kind}{source.suffix}").write_bytes(path.read_bytes())
-    print("| input | cases | result | one-line error | defect, crash or hang | slowest s |\n|---|---|---|---|---|---|")
+                    (options.keep / f"{case:05d}-{kind}{source.suffix}").write_bytes(
+                        path.read_bytes()
+                    )
+    print(
+        "| input | cases | result | one-line error | defect, crash or hang | slowest s "
+        "|\n|---|---|---|---|---|---|"
+    )
     for kind in KINDS:
         c = counts[kind]
         good, error = c["result"], c["one-line error"]
-        print(f"| {kind} | {c.total()} | {good} | {error} | {c.total() - good - error} | {slowest_s[kind]:.1f} |")
+        print(
+            f"| {kind} | {c.total()} | {good} | {error} | {c.total() - good - error} | "
+            f"{slowest_s[kind]:.1f} |"
+        )
     sys.exit(1 if bad else 0)
 
 

@@ -2,10 +2,11 @@
 
     python bench/fuzz_parsers.py [--lines 13000] [--seed 1] [--only NAME]
 
-Hypothesis makes a whole line of each kind and damages it: cuts it, loses, adds or changes bytes, joins two halves, or
-puts noise in its place. Prints a Markdown table. Exits with 1 when a parser raised something else than the tool's own
-errors, refused a whole line, or read another number under a CRC. (The exclusive or of one byte misses one in 256 of
-the damages to several bytes: no parser can do better on such a line.)
+Hypothesis makes a whole line of each kind and damages it: cuts it, loses, adds or changes bytes,
+joins two halves, or puts noise in its place. Prints a Markdown table. Exits with 1 when a parser
+raised something else than the tool's own errors, refused a whole line, or read another number under
+a CRC. (The exclusive or of one byte misses one in 256 of the damages to several bytes: no parser
+can do better on such a line.)
 """
 
 from __future__ import annotations
@@ -60,7 +61,9 @@ class _Reply(serial.Serial):
 def modbus() -> Parser:
     profile, port = registers.load_register_profile("smp"), _Reply()
     client = minimalmodbus.Instrument(port, 1)
-    minimalmodbus._calculate_minimum_silent_period = lambda baud: 0.0  # the wire's silence, not ours to wait for
+    minimalmodbus._calculate_minimum_silent_period = lambda baud: (
+        0.0
+    )  # the wire's silence, not ours to wait for
 
     def line(tenths: int, warm: int, status: int) -> bytes:
         words = [1, status, 1, tenths, tenths, 0, warm & 0xFFFF, 234]
@@ -91,13 +94,14 @@ def with_crc16(body: str) -> bytes:
 
 # Lines of one's own, with all that can be stated of them.
 FIXED = ascii_lines.AsciiProfile(
-    "fixed", "key-value",
+    "fixed",
+    "key-value",
     (
         ascii_lines.AsciiField("ghi_wm2", "G", decimals=1, width=6, lowest=-10.0, highest=1600.0),
         ascii_lines.AsciiField("temperature_c", "T", decimals=1, width=5),
     ),
     only=True,
-)  # fmt: skip
+)
 
 
 TOA5_HEAD = (
@@ -123,43 +127,63 @@ def parsers() -> list[Parser]:
     tenths = st.tuples(WATTS, WATTS, CELSIUS)
     return [
         Parser(
-            "SPN1 reading", "", st.builds(lambda a, b: b"S%6.1f,%6.1f,1\r" % (a / 10, b / 10), WATTS, WATTS),
+            "SPN1 reading",
+            "",
+            st.builds(lambda a, b: b"S%6.1f,%6.1f,1\r" % (a / 10, b / 10), WATTS, WATTS),
             spn1.parse_reading,
         ),
         Parser(
-            "SPN1 status", "", st.builds(lambda n: b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\rA%d\r" % n, WATTS),
+            "SPN1 status",
+            "",
+            st.builds(lambda n: b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\rA%d\r" % n, WATTS),
             spn1.parse_status,
         ),
         modbus(),
         Parser(
-            "ASCII pattern", "XOR", tenths.map(lambda v: nmea(body(v))), lambda d: ascii_lines.parse_line(keys, d),
+            "ASCII pattern",
+            "XOR",
+            tenths.map(lambda v: nmea(body(v))),
+            lambda d: ascii_lines.parse_line(keys, d),
         ),
         Parser(
-            "ASCII pattern, CRC", "CRC-16", tenths.map(lambda v: with_crc16(body(v))),
+            "ASCII pattern, CRC",
+            "CRC-16",
+            tenths.map(lambda v: with_crc16(body(v))),
             lambda d: ascii_lines.parse_line(crc, d),
         ),
         Parser(
-            "ASCII key=value", "", st.integers(0, 20000).map(lambda v: b"G_mV=%.3f\n" % (v / 1000)),
+            "ASCII key=value",
+            "",
+            st.integers(0, 20000).map(lambda v: b"G_mV=%.3f\n" % (v / 1000)),
             lambda d: ascii_lines.parse_line(words, d),
         ),
         Parser(
-            "ASCII key=value, all stated", "",
+            "ASCII key=value, all stated",
+            "",
             tenths.map(lambda v: b"G=%06.1f T=%05.1f\n" % (v[0] / 10, v[2] / 10)),
             lambda d: ascii_lines.parse_line(FIXED, d),
         ),
         Parser(
-            "ASCII JSON", "", tenths.map(lambda v: json.dumps({"G": v[0] / 10, "T": v[2] / 10}).encode() + b"\n"),
+            "ASCII JSON",
+            "",
+            tenths.map(lambda v: json.dumps({"G": v[0] / 10, "T": v[2] / 10}).encode() + b"\n"),
             lambda d: ascii_lines.parse_line(js, d),
         ),
         Parser(
-            "TOA5 row", "",
-            tenths.map(lambda v: b'"2027-03-20 08:00:00",100,%.1f,%.1f,%.1f\r\n' % tuple(x / 10 for x in v)), _toa5_row,
+            "TOA5 row",
+            "",
+            tenths.map(
+                lambda v: b'"2027-03-20 08:00:00",100,%.1f,%.1f,%.1f\r\n' % tuple(x / 10 for x in v)
+            ),
+            _toa5_row,
         ),
         Parser(
-            "CL-200A", "XOR", st.integers(100, 9999).map(lambda v: cl200a.frame(b"0002    +%04d4+33300+33400" % v)),
+            "CL-200A",
+            "XOR",
+            st.integers(100, 9999).map(lambda v: cl200a.frame(b"0002    +%04d4+33300+33400" % v)),
             cl200a.parse_answer,
         ),
-    ]  # fmt: skip
+    ]
 
 
 @st.composite
@@ -225,14 +249,21 @@ def main() -> None:
     options = asked.parse_args()
     start, total, bad = time.monotonic(), 0, False
     print(
-        "| parser | guard | whole | refused | damaged | refused | read the same | read otherwise | other exceptions |"
+        "| parser | guard | whole | refused | damaged | refused | read the same | read otherwise "
+        "| other exceptions |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for parser in (p for p in parsers() if options.only in p.name):
         f = fuzz(parser, options.lines, options.seed)
         total += f["whole"] + f["damaged"]
-        bad |= bool(f["whole refused"] or f["other exceptions"] or (parser.check == "CRC-16" and f["read otherwise"]))
-        by = ", ".join(f"{kind[3:]} {f[kind]}" for kind in sorted(f) if kind.startswith("by ") and f[kind])
+        bad |= bool(
+            f["whole refused"]
+            or f["other exceptions"]
+            or (parser.check == "CRC-16" and f["read otherwise"])
+        )
+        by = ", ".join(
+            f"{kind[3:]} {f[kind]}" for kind in sorted(f) if kind.startswith("by ") and f[kind]
+        )
         names = ("whole", "whole refused", "damaged", "refused", "read the same")
         row = [parser.name, parser.check or "form only", *(str(f[name]) for name in names)]
         row += [f"{f['read otherwise']} ({by})" if by else "0", str(f["other exceptions"])]

@@ -1,7 +1,9 @@
-"""Bias, noise and coverage of the merge estimator on simulated brackets, against the Cramer-Rao bound.
+"""Bias, noise and coverage of the merge estimator on simulated brackets, against the Cramer-Rao
+bound.
 
-8 frames 2 EV apart, gain 4 e-/DN, read noise 6 e-, 14 bits, saturation at 15 000 DN below a tag of 16 383, nominal EXIF
-times that are wrong by up to 4 %. SNR is that of the longest frame, were it not clipped.
+8 frames 2 EV apart, gain 4 e-/DN, read noise 6 e-, 14 bits, saturation at 15 000 DN below a tag of
+16 383, nominal EXIF times that are wrong by up to 4 %. SNR is that of the longest frame, were it
+not clipped.
 
     python bench/merge_estimator.py [--draws 200000]
 """
@@ -20,14 +22,25 @@ from fieldlum.photometry import fit_ratios, prior_u_log, snap_shutter_s
 
 GAIN, READ_E, BLACK, SATURATION, WHITE = 4.0, 6.0, 512.0, 15000.0, 16383.0
 NOMINAL_S = (13.0, 3.2, 0.8, 0.2, 1 / 20, 1 / 80, 1 / 320, 1 / 1250)
-TRUE_S = (12.7, 3.17, 0.79, 0.2, 0.0493, 0.0125, 1 / 330, 1 / 1330)  # and a shutter that is no ideal one either
+TRUE_S = (
+    12.7,
+    3.17,
+    0.79,
+    0.2,
+    0.0493,
+    0.0125,
+    1 / 330,
+    1 / 1330,
+)  # and a shutter that is no ideal one either
 PER_S = 300.0  # DN per second and cd/m2
 SNRS = (0.2, 1.0, 5.0, 35.0, 84.0, 500.0, 2000.0, 8000.0)
 
 
 def frame(light: np.ndarray, true_s: float, rng: np.random.Generator) -> np.ndarray:
     """Counts of one exposure: shot noise, read noise, quantisation, plateau below the tag."""
-    electrons = rng.poisson(np.minimum(light * PER_S * true_s * GAIN, 1e9)) + rng.normal(0, READ_E, light.shape)
+    electrons = rng.poisson(np.minimum(light * PER_S * true_s * GAIN, 1e9)) + rng.normal(
+        0, READ_E, light.shape
+    )
     return np.clip(np.round(electrons / GAIN + BLACK), 0, SATURATION).astype(np.uint16)
 
 
@@ -65,10 +78,21 @@ def main() -> None:
     rng = np.random.default_rng(options.seed)
     corrections = _ratios(rng)
     snapped = np.array([snap_shutter_s(t) for t in NOMINAL_S])
-    print("nominal times, relative to the first:", _percent(np.array(NOMINAL_S) / TRUE_S / (NOMINAL_S[0] / TRUE_S[0])))
-    print("after snapping:                     ", _percent(snapped / TRUE_S / (snapped[0] / TRUE_S[0])))
-    print("after the fit:                      ", _percent(corrections / TRUE_S / (corrections[0] / TRUE_S[0])))
-    print("| SNR | bias % | bias with fitted times % | noise / bound | coverage of 95 % interval % |")
+    print(
+        "nominal times, relative to the first:",
+        _percent(np.array(NOMINAL_S) / TRUE_S / (NOMINAL_S[0] / TRUE_S[0])),
+    )
+    print(
+        "after snapping:                     ",
+        _percent(snapped / TRUE_S / (snapped[0] / TRUE_S[0])),
+    )
+    print(
+        "after the fit:                      ",
+        _percent(corrections / TRUE_S / (corrections[0] / TRUE_S[0])),
+    )
+    print(
+        "| SNR | bias % | bias with fitted times % | noise / bound | coverage of 95 % interval % |"
+    )
     print("|---|---|---|---|---|")
     width = 500
     shape = (options.draws // (2 * width), 2, width)
@@ -94,7 +118,9 @@ def main() -> None:
 
 def _ratios(rng: np.random.Generator) -> np.ndarray:
     """Times fitted from a scene of 18 stops (a smooth gradient) with nominal EXIF times."""
-    light = np.repeat(np.exp(np.linspace(np.log(0.1), np.log(30000.0), 300)), 1000).reshape(300, 2, 500)
+    light = np.repeat(np.exp(np.linspace(np.log(0.1), np.log(30000.0), 300)), 1000).reshape(
+        300, 2, 500
+    )
     times = [snap_shutter_s(t) for t in NOMINAL_S]
     signals = [signal(frame(light, t, rng), s) for t, s in zip(TRUE_S, times, strict=True)]
     store = FrameStore([lambda s=s: s for s in signals])

@@ -1,7 +1,9 @@
-"""Somebody walks through a bracket: error with all frames, and with the moved ones left out; and a still room.
+"""Somebody walks through a bracket: error with all frames, and with the moved ones left out; and a
+still room.
 
-9 frames 2 EV apart (gain 4 e-/DN, read noise 6 e-) of a room from 3 to 30 000 cd/m2, 400 x 400 pixels of a mosaic; a
-figure with soft edges, 50 x 120 pixels, somewhere else in every draw, of a luminance between 2 and 8000 cd/m2.
+9 frames 2 EV apart (gain 4 e-/DN, read noise 6 e-) of a room from 3 to 30 000 cd/m2, 400 x 400
+pixels of a mosaic; a figure with soft edges, 50 x 120 pixels, somewhere else in every draw, of a
+luminance between 2 and 8000 cd/m2.
 
     python bench/merge_motion.py [--draws 40]
 """
@@ -25,7 +27,9 @@ WALKS = {"nobody": 0, "one frame": 1, "two frames in a row": 2, "three frames in
 
 
 def expose(light: np.ndarray, per_cdm2: float, rng: np.random.Generator) -> RawSignal:
-    electrons = rng.poisson(np.minimum(light * per_cdm2 * GAIN, 1e9)) + rng.normal(0, READ_E, light.shape)
+    electrons = rng.poisson(np.minimum(light * per_cdm2 * GAIN, 1e9)) + rng.normal(
+        0, READ_E, light.shape
+    )
     counts = np.clip(np.round(electrons / GAIN + BLACK), 0, FULL).astype(np.uint16)
     constants = (np.asarray(v, np.float32) for v in (BLACK, FULL - BLACK, per_cdm2))
     return RawSignal(counts, *constants, GAIN, (READ_E / GAIN) ** 2 + 1 / 12)
@@ -43,7 +47,9 @@ def with_figure(light: np.ndarray, column: float, row: float, luminance: float) 
 
 
 def draw(frames: int, rng: np.random.Generator) -> dict[str, np.ndarray | float]:
-    """Relative errors of the pixels that the figure crossed, with all frames, without the moved, and with nobody."""
+    """Relative errors of the pixels that the figure crossed, with all frames, without the moved,
+    and with nobody.
+    """
     light = room(rng)
     first = int(rng.integers(0, len(STEPS) - 2 - max(frames - 1, 0)))
     column, row, pace = rng.uniform(40, 360), rng.uniform(80, 320), rng.uniform(15, 60)
@@ -55,7 +61,9 @@ def draw(frames: int, rng: np.random.Generator) -> dict[str, np.ndarray | float]
         if first <= i < first + frames:
             seen = with_figure(light, column + pace * (i - first), row, luminance)
             # What the frame lost to saturation it lost with or without the figure.
-            crossed |= (np.abs(seen / light - 1) > 0.01) & (np.minimum(seen, light) * e < 0.9 * (FULL - BLACK))
+            crossed |= (np.abs(seen / light - 1) > 0.01) & (
+                np.minimum(seen, light) * e < 0.9 * (FULL - BLACK)
+            )
         signals.append(expose(seen.reshape(SHAPE), e, np.random.default_rng(seeds[i])))
         still.append(expose(light.reshape(SHAPE), e, np.random.default_rng(seeds[i])))
     loaders = [lambda s=s: s for s in signals]
@@ -70,16 +78,23 @@ def draw(frames: int, rng: np.random.Generator) -> dict[str, np.ndarray | float]
     pull = (np.abs(dropped.value_cdm2 - truth) / np.sqrt(dropped.variance))[at]
     changed = dropped.value_cdm2 != kept.value_cdm2
     return {
-        "before": off[0], "after": off[1], "still": off[2], "pull": pull, "changed": changed[at],
-        "flagged": ((dropped.flags & Flag.MOTION) > 0)[at], "false": float((changed & ~_wide(crossed)).mean()),
+        "before": off[0],
+        "after": off[1],
+        "still": off[2],
+        "pull": pull,
+        "changed": changed[at],
+        "flagged": ((dropped.flags & Flag.MOTION) > 0)[at],
+        "false": float((changed & ~_wide(crossed)).mean()),
         "seconds": seconds,
-    }  # fmt: skip
+    }
 
 
 def _wide(mark: np.ndarray) -> np.ndarray:
     import cv2
 
-    return cv2.dilate(mark.astype(np.uint8), np.ones((17, 17), np.uint8)).astype(bool).reshape(SHAPE)
+    return (
+        cv2.dilate(mark.astype(np.uint8), np.ones((17, 17), np.uint8)).astype(bool).reshape(SHAPE)
+    )
 
 
 def main() -> None:
@@ -87,11 +102,17 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    print("| who walks | rms before % | rms after % | nobody there % | > 5 % off before | after | of these flagged "
-          "| within 2 u after % | left out elsewhere, share |")  # fmt: skip
+    print(
+        "| who walks | rms before % | rms after % | nobody there % | > 5 % off before | after | "
+        "of these flagged "
+        "| within 2 u after % | left out elsewhere, share |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for name, frames in WALKS.items():
-        found = [draw(frames, np.random.default_rng([options.seed, frames, n])) for n in range(options.draws)]
+        found = [
+            draw(frames, np.random.default_rng([options.seed, frames, n]))
+            for n in range(options.draws)
+        ]
         false = np.mean([f["false"] for f in found])
         if not frames:
             print(f"| {name} | | | | | | | | {false:.1e} |")

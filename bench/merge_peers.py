@@ -2,9 +2,10 @@
 
     python bench/merge_peers.py --venv FOLDER [--size 1536x1024]
 
-Makes a virtual environment of its own in FOLDER (once) and installs the peers from the package index. The scene is a
-grey gradient of 16 stops; 8 frames 2 EV apart with dial times in EXIF, gain 4 e-/DN, read noise 6 e-, saturation below
-the tag. Bias and noise are of the green pixels, after one scale factor for each tool, over bands of luminance.
+Makes a virtual environment of its own in FOLDER (once) and installs the peers from the package
+index. The scene is a grey gradient of 16 stops; 8 frames 2 EV apart with dial times in EXIF, gain 4
+e-/DN, read noise 6 e-, saturation below the tag. Bias and noise are of the green pixels, after one
+scale factor for each tool, over bands of luminance.
 """
 
 from __future__ import annotations
@@ -21,13 +22,21 @@ from pathlib import Path
 
 import numpy as np
 
-PEERS = ("hdrutils==1.2", "colour-hdri==0.2.6", "opencv-python-headless", "numpy<2.3", "imageio<2.36", "rawpy")
+PEERS = (
+    "hdrutils==1.2",
+    "colour-hdri==0.2.6",
+    "opencv-python-headless",
+    "numpy<2.3",
+    "imageio<2.36",
+    "rawpy",
+)
 BLACK, FULL, WHITE, GAIN, READ_E = 512.0, 15000.0, 16383.0, 4.0, 6.0
 DIAL_S = (4.0, 1.0, 1 / 4, 1 / 15, 1 / 60, 1 / 250, 1 / 1000, 1 / 4000)
 TRUE_S = (4.0, 1.0, 1 / 4, 1 / 16, 1 / 64, 1 / 256, 1 / 1024, 1 / 4096)
 F_NUMBER, ISO = 5.6, 100.0
 
-# What each peer runs in its own environment: argv is frames..., out.npy; prints seconds and peak memory.
+# What each peer runs in its own environment: argv is frames..., out.npy; prints seconds and peak
+# memory.
 COMMON = """
 import sys, json, time, resource
 import numpy as np, rawpy
@@ -53,7 +62,8 @@ done(hdr[..., 1])
     "HDRutils, on the mosaic": """
 import HDRutils
 t0 = time.process_time()
-hdr = HDRutils.merge(files, demosaic_first=False, exp=times, gain=[1.0] * len(files), aperture=%(n)f)[0]
+gains = [1.0] * len(files)
+hdr = HDRutils.merge(files, demosaic_first=False, exp=times, gain=gains, aperture=%(n)f)[0]
 done(hdr[..., 1])
 """,
     "HDRutils, as it comes": """
@@ -83,7 +93,9 @@ def make_frames(folder: Path, width: int, height: int) -> tuple[list[Path], np.n
     from fieldlum.records import Exposure
 
     rng = np.random.default_rng(1)
-    light = np.repeat(np.exp(np.linspace(np.log(0.1), np.log(6500.0), width))[None, :], height, axis=0)
+    light = np.repeat(
+        np.exp(np.linspace(np.log(0.1), np.log(6500.0), width))[None, :], height, axis=0
+    )
     paths = []
     for number, (dial, true) in enumerate(zip(DIAL_S, TRUE_S, strict=True)):
         mean = light * z_per_cdm2(true, F_NUMBER, ISO) * (WHITE - BLACK)
@@ -91,7 +103,9 @@ def make_frames(folder: Path, width: int, height: int) -> tuple[list[Path], np.n
         counts = np.clip(np.round(electrons / GAIN + BLACK), 0, FULL).astype(np.uint16)
         path = folder / f"frame{number}.dng"
         exposure = Exposure(dial, F_NUMBER, ISO)
-        write_dng(path, counts, exposure, black_dn=(BLACK,) * 4, white_dn=WHITE, colour_matrix=np.eye(3))
+        write_dng(
+            path, counts, exposure, black_dn=(BLACK,) * 4, white_dn=WHITE, colour_matrix=np.eye(3)
+        )
         paths.append(path)
     return paths, light
 
@@ -103,9 +117,11 @@ def own(files: list[Path], width: int, height: int) -> tuple[np.ndarray, float]:
 
     lens = Lens((width / 2, height / 2), float(width), 180.0)
     profile = CameraProfile(
-        CameraBody("bench", "raw", width, height), (lens,), Bracket(F_NUMBER, ISO, DIAL_S),
+        CameraBody("bench", "raw", width, height),
+        (lens,),
+        Bracket(F_NUMBER, ISO, DIAL_S),
         Sensor("RGGB", (BLACK,) * 4, (FULL,) * 4, WHITE, GAIN, READ_E, ISO),
-    )  # fmt: skip
+    )
     started = time.process_time()
     merged = merge_sensor(sorted_shots(shots_of_files(files), profile), profile).merged
     return merged.value_cdm2.reshape(height, width), time.process_time() - started
@@ -122,19 +138,29 @@ def environment(folder: Path) -> Path:
 
 def peer(python: Path, script: str, files: list[Path], out: Path) -> dict[str, float] | str:
     """Its seconds and memory, or the last line of its error."""
-    words = {"times": [repr(t) for t in DIAL_S], "black": BLACK, "full": FULL, "n": F_NUMBER, "iso": ISO}
+    words = {
+        "times": [repr(t) for t in DIAL_S],
+        "black": BLACK,
+        "full": FULL,
+        "n": F_NUMBER,
+        "iso": ISO,
+    }
     text = (COMMON + script) % words
     said = subprocess.run(
         [str(python), "-W", "ignore", "-c", text, *map(str, files), str(out)],
-        capture_output=True, text=True, timeout=1800,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=1800,
+    )
     if said.returncode:
         return (said.stderr.strip().splitlines() or ["failed"])[-1][:90]
     return json.loads(said.stdout.strip().splitlines()[-1])
 
 
 def score(picture: np.ndarray, light: np.ndarray) -> str:
-    """Largest band bias and the noise in the dark, middle and bright bands, relative to the truth. [%]"""
+    """Largest band bias and the noise in the dark, middle and bright bands, relative to the
+    truth. [%]
+    """
     green = np.zeros(light.shape, bool)
     green[0::2, 1::2] = green[1::2, 0::2] = True
     green[:, :8] = green[:, -8:] = green[:8] = green[-8:] = False
@@ -153,13 +179,17 @@ def score(picture: np.ndarray, light: np.ndarray) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--venv", type=Path, required=True)
     parser.add_argument("--size", default="1536x1024")
     options = parser.parse_args()
     width, height = (int(n) for n in options.size.split("x"))
     python = environment(options.venv)
-    print("| tool | bias of bands % | noise, dark % | middle % | bright % | CPU s | peak memory GB |")
+    print(
+        "| tool | bias of bands % | noise, dark % | middle % | bright % | CPU s | peak memory GB |"
+    )
     print("|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as scratch:
         files, light = make_frames(Path(scratch), width, height)
@@ -173,7 +203,10 @@ def main() -> None:
                 print(f"| {name} | {used} | | | | | |", flush=True)
             else:
                 result = score(np.load(out), light)
-                print(f"| {name} | {result} | {used['cpu_s']:.1f} | {used['peak_gb']:.2f} |", flush=True)
+                print(
+                    f"| {name} | {result} | {used['cpu_s']:.1f} | {used['peak_gb']:.2f} |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""Time and memory of merging 9 frames of 24 megapixels: accumulated luminance, a 1024 x 512 panorama, two workers.
+"""Time and memory of merging 9 frames of 24 megapixels: accumulated luminance, a 1024 x 512
+panorama, two workers.
 
 python bench/merge_speed.py [--frames 9] [--jpeg] [--workers] [--folder DIR]
 """
@@ -27,21 +28,31 @@ BLACK, FULL, WHITE, GAIN, READ_E = 512.0, 15000.0, 16383.0, 4.0, 6.0
 
 
 def profile(frames: int, whole_sensor: bool) -> CameraProfile:
-    """A dual fisheye of 24 MP; whole_sensor: one circle around the sensor, so that every pixel is merged."""
+    """A dual fisheye of 24 MP; whole_sensor: one circle around the sensor, so that every pixel
+    is merged.
+    """
     if whole_sensor:
         lenses = (Lens((WIDTH / 2, HEIGHT / 2), 3610.0, 186.0),)
     else:
-        lenses = tuple(Lens((1500.0 + 3000 * i, 2000.0), 1490.0, 190.0, azimuth_deg=180.0 * i) for i in range(2))
+        lenses = tuple(
+            Lens((1500.0 + 3000 * i, 2000.0), 1490.0, 190.0, azimuth_deg=180.0 * i)
+            for i in range(2)
+        )
     times = tuple(2.0 ** (2 - 2 * k) for k in range(frames))
     return CameraProfile(
-        CameraBody("bench", "raw", WIDTH, HEIGHT), lenses, Bracket(5.6, 100.0, times),
-        Sensor("RGGB", (BLACK,) * 4, (FULL,) * 4, WHITE, GAIN, READ_E, 100.0), colour=Colour((0.25, 0.7, 0.05)),
-    )  # fmt: skip
+        CameraBody("bench", "raw", WIDTH, HEIGHT),
+        lenses,
+        Bracket(5.6, 100.0, times),
+        Sensor("RGGB", (BLACK,) * 4, (FULL,) * 4, WHITE, GAIN, READ_E, 100.0),
+        colour=Colour((0.25, 0.7, 0.05)),
+    )
 
 
 def scene() -> np.ndarray:
     """14 stops, [h, w]."""
-    x, y = np.meshgrid(np.linspace(0, 1, WIDTH, dtype=np.float32), np.linspace(0, 1, HEIGHT, dtype=np.float32))
+    x, y = np.meshgrid(
+        np.linspace(0, 1, WIDTH, dtype=np.float32), np.linspace(0, 1, HEIGHT, dtype=np.float32)
+    )
     return np.exp(9.5 * (x + 0.3 * np.sin(9 * y)) - 1.5)
 
 
@@ -49,8 +60,14 @@ def make_jpegs(folder: Path, times: tuple[float, ...]) -> list[Path]:
     """The same scene as a camera's own pictures: grey, with a code of noise."""
     rng, light, paths = np.random.default_rng(2), scene(), []
     for number, t in enumerate(times):
-        codes = np.interp(light * np.float32(2.0 * t / (WHITE - BLACK)), srgb_table(), np.arange(256.0))
-        noisy = np.rint(codes + rng.standard_normal(light.shape, dtype=np.float32)).clip(0, 255).astype(np.uint8)
+        codes = np.interp(
+            light * np.float32(2.0 * t / (WHITE - BLACK)), srgb_table(), np.arange(256.0)
+        )
+        noisy = (
+            np.rint(codes + rng.standard_normal(light.shape, dtype=np.float32))
+            .clip(0, 255)
+            .astype(np.uint8)
+        )
         paths.append(folder / f"frame{number}.jpg")
         write_jpeg(paths[-1], np.repeat(noisy[..., None], 3, axis=2), Exposure(t, 5.6, 100.0))
     return paths
@@ -61,7 +78,9 @@ def make_frames(folder: Path, times: tuple[float, ...]) -> list[Path]:
     rng, light, paths = np.random.default_rng(1), scene(), []
     for number, t in enumerate(times):
         signal = light * np.float32(2.0 * t)
-        noise = rng.standard_normal(signal.shape, dtype=np.float32) * np.sqrt(signal / GAIN + (READ_E / GAIN) ** 2)
+        noise = rng.standard_normal(signal.shape, dtype=np.float32) * np.sqrt(
+            signal / GAIN + (READ_E / GAIN) ** 2
+        )
         counts = np.clip(np.round(signal + noise + BLACK), 0, FULL).astype(np.uint16)
         path = folder / f"frame{number}.dng"
         write_dng(path, counts, Exposure(t, 5.6, 100.0), black_dn=(BLACK,) * 4, white_dn=WHITE)
@@ -82,7 +101,9 @@ def panorama(files: list[Path], p: CameraProfile) -> float:
 
 
 def _child(files: list[Path], p: CameraProfile, kind: str) -> tuple[list[float], float]:
-    """CPU seconds of three runs (the first builds the matrices) and the peak memory of a fresh process. [GB]"""
+    """CPU seconds of three runs (the first builds the matrices) and the peak memory of a fresh
+    process. [GB]
+    """
     work = accumulate if kind == "accumulate" else panorama
     seconds = [work(files, p) for _ in range(3)]
     return seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
@@ -95,11 +116,13 @@ def _fresh(files: list[Path], p: CameraProfile, kind: str) -> tuple[list[float],
         return pool.submit(_child, files, p, kind).result()
 
 
-def _scaling(files: list[Path], p: CameraProfile, brackets: int = 6, rounds: int = 4) -> list[tuple[float, float]]:
+def _scaling(
+    files: list[Path], p: CameraProfile, brackets: int = 6, rounds: int = 4
+) -> list[tuple[float, float]]:
     """Wall seconds of several brackets by one and by two workers, a pair for each round. [s]
 
-    Matrices are built before. The two take turns, because a machine's speed drifts over minutes by more than the
-    difference that is asked about.
+    Matrices are built before. The two take turns, because a machine's speed drifts over minutes by
+    more than the difference that is asked about.
     """
     import multiprocessing
 
@@ -107,7 +130,9 @@ def _scaling(files: list[Path], p: CameraProfile, brackets: int = 6, rounds: int
 
     context = multiprocessing.get_context("spawn")
     once, twice = (
-        ProcessPoolExecutor(workers, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,))
+        ProcessPoolExecutor(
+            workers, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,)
+        )
         for workers in (1, 2)
     )
     walls: list[tuple[float, float]] = []
@@ -127,7 +152,9 @@ def _scaling(files: list[Path], p: CameraProfile, brackets: int = 6, rounds: int
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=9)
-    parser.add_argument("--workers", action="store_true", help="also measure two workers (needs two free cores)")
+    parser.add_argument(
+        "--workers", action="store_true", help="also measure two workers (needs two free cores)"
+    )
     parser.add_argument("--folder", type=Path, help="keep the frames here")
     parser.add_argument("--jpeg", action="store_true", help="also nine JPEG of the same size")
     options = parser.parse_args()
@@ -138,12 +165,19 @@ def main() -> None:
         files = sorted(folder.glob("frame*.dng")) or make_frames(folder, dual.bracket.shutter_s)
         print("| job | CPU s (first run) | CPU s (later) | peak memory GB |\n|---|---|---|---|")
         jobs = [
-            ("every pixel of the sensor, to accumulated luminance", files, profile(options.frames, True), "accumulate"),
+            (
+                "every pixel of the sensor, to accumulated luminance",
+                files,
+                profile(options.frames, True),
+                "accumulate",
+            ),
             ("two lenses of 190 degrees, to accumulated luminance", files, dual, "accumulate"),
             ("two lenses, to a 1024 x 512 panorama", files, dual, "panorama"),
         ]
         if options.jpeg:
-            pictures = sorted(folder.glob("frame*.jpg")) or make_jpegs(folder, dual.bracket.shutter_s)
+            pictures = sorted(folder.glob("frame*.jpg")) or make_jpegs(
+                folder, dual.bracket.shutter_s
+            )
             body = replace(dual.camera, kind="jpeg")
             curve = tuple(float(z) for z in srgb_table())
             response = Response("table", curve, curve, curve)
@@ -151,7 +185,9 @@ def main() -> None:
             jobs.append(("two lenses, JPEG, to a 1024 x 512 panorama", pictures, other, "panorama"))
         for label, given, p, kind in jobs:
             seconds, peak = _fresh(given, p, kind)
-            print(f"| {label} | {seconds[0]:.1f} | {min(seconds[1:]):.1f} | {peak:.2f} |", flush=True)
+            print(
+                f"| {label} | {seconds[0]:.1f} | {min(seconds[1:]):.1f} | {peak:.2f} |", flush=True
+            )
         if options.workers:
             print("\n| six brackets: one worker s | two workers s | times as fast |\n|---|---|---|")
             ratios = []

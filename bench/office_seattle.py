@@ -1,9 +1,11 @@
-"""Turn the team's 1 378 rendered hours of the paper's office into a folder that `fieldlum train` and `bench` read.
+"""Turn the team's 1 378 rendered hours of the paper's office into a folder that `fieldlum train`
+and `bench` read.
 
     python bench/office_seattle.py office_seattle.npz FOLDER
 
-writes FOLDER/<set>.csv for every set (k200, 9d, 12d, 4d, mar, sep, test), test100.csv (every fifth test hour), all.csv,
-pictures as EXR, site.toml. The archive itself is described where it lies; it is not part of the project.
+writes FOLDER/<set>.csv for every set (k200, 9d, 12d, 4d, mar, sep, test), test100.csv (every fifth
+test hour), all.csv, pictures as EXR, site.toml. The archive itself is described where it lies; it
+is not part of the project.
 """
 
 from __future__ import annotations
@@ -86,10 +88,14 @@ def _write_hour(k: int, arrays: dict[str, np.ndarray], folder: Path) -> dict[str
     write_panorama(folder / f"maps/{k:04d}.exr", Panorama(luminance, HEADING_DEG, t_utc=t_utc))
     write_panorama(folder / f"patches/{k:04d}.exr", Panorama(direct, HEADING_DEG, t_utc=t_utc))
     return row | {
-        "dni_wm2": dni, "dhi_wm2": dhi, "sun_altitude_deg": f"{altitude:.5f}",
-        "sun_azimuth_deg": f"{(azimuth + 180.0) % 360.0:.5f}", "sunpatch": f"patches/{k:04d}.exr",
-        "sun_in_map": 1, "ok": 1,
-    }  # fmt: skip
+        "dni_wm2": dni,
+        "dhi_wm2": dhi,
+        "sun_altitude_deg": f"{altitude:.5f}",
+        "sun_azimuth_deg": f"{(azimuth + 180.0) % 360.0:.5f}",
+        "sunpatch": f"patches/{k:04d}.exr",
+        "sun_in_map": 1,
+        "ok": 1,
+    }
 
 
 if __name__ == "__main__":

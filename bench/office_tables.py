@@ -1,10 +1,11 @@
 """The office's score table: every set against the same test hours, one machine, one run.
 
-    python bench/office_tables.py FOLDER OUT.csv [--sets k200,9d,...] [--models ...] [--dense ROOT] [--test NAME]
+    python bench/office_tables.py FOLDER OUT.csv [--sets k200,9d,...] [--models ...] [--dense ROOT]
+    [--test NAME]
 
-FOLDER is what office_seattle.py wrote. --dense ROOT adds the networks trained before in ROOT/<set>. Rows are added to
-OUT.csv as they come, so that a run that was cut off has what it had; each set's chart is drawn beside it at the end
-(--sets "" only draws).
+FOLDER is what office_seattle.py wrote. --dense ROOT adds the networks trained before in ROOT/<set>.
+Rows are added to OUT.csv as they come, so that a run that was cut off has what it had; each set's
+chart is drawn beside it at the end (--sets "" only draws).
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ COLUMNS = ("set", *TABLE)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--sets", default="k200,9d,12d,4d,mar")
@@ -37,7 +40,11 @@ def main() -> None:
     for name in filter(None, asked.sets.split(",")):
         data = load_pairs(asked.folder / f"{name}.csv")
         known = truth(without_training_hours(test, data))
-        trained = [str(asked.dense / name)] if asked.dense and (asked.dense / name / "config.json").is_file() else []
+        trained = (
+            [str(asked.dense / name)]
+            if asked.dense and (asked.dense / name / "config.json").is_file()
+            else []
+        )
         for spec in parse_specs([*asked.models.split(","), *trained]):
             row = {"set": name} | score_row(spec, data, known, seed=0, budget_s=60.0)[0]
             rows.append(row)
@@ -54,7 +61,11 @@ def _draw(path: Path) -> None:
     figures = ("fit_cpu_s", "predict_cpu_s_per_map", "paper_log10_mse")
     rows = [row | {key: float(row[key] or "nan") for key in figures} for row in stored]
     for name in dict.fromkeys(row["set"] for row in rows):
-        speed_accuracy(path.with_name(f"{path.stem}_{name}.png"), [r for r in rows if r["set"] == name], machine())
+        speed_accuracy(
+            path.with_name(f"{path.stem}_{name}.png"),
+            [r for r in rows if r["set"] == name],
+            machine(),
+        )
 
 
 def _add(path: Path, row: dict[str, Any]) -> None:

@@ -16,7 +16,15 @@ from pathlib import Path
 
 from fieldlum import irradiance, sun
 from fieldlum.records import Exposure, IrradianceSample, Site, SiteFile, Slot
-from fieldlum.session import DayFiles, Journal, Session, create_session, day_files, read_day, read_journal
+from fieldlum.session import (
+    DayFiles,
+    Journal,
+    Session,
+    create_session,
+    day_files,
+    read_day,
+    read_journal,
+)
 
 START = datetime(2027, 3, 5, tzinfo=UTC)
 
@@ -27,7 +35,9 @@ def memory_mb() -> float:
 
 def sample(i: int) -> IrradianceSample:
     ghi = 300.0 + (i * 7919 % 4000) / 10.0
-    return IrradianceSample(START + timedelta(seconds=5 * i), ghi, 0.3 * ghi, raw=f"S {ghi:.1f}, {0.3 * ghi:.1f},1")
+    return IrradianceSample(
+        START + timedelta(seconds=5 * i), ghi, 0.3 * ghi, raw=f"S {ghi:.1f}, {0.3 * ghi:.1f},1"
+    )
 
 
 def write(session: Session, rows: int) -> tuple[float, float]:
@@ -43,7 +53,9 @@ def write(session: Session, rows: int) -> tuple[float, float]:
 
 
 def cut_everywhere(session: Session) -> tuple[int, int]:
-    """Cut the last day file at every byte of its last two lines; (cuts, cuts after which a row was lost or wrong)."""
+    """Cut the last day file at every byte of its last two lines; (cuts, cuts after which a row
+    was lost or wrong).
+    """
     path = day_files(session)[-1]
     whole = path.read_bytes()
     lines = whole.splitlines(keepends=True)
@@ -68,7 +80,9 @@ def cut_everywhere(session: Session) -> tuple[int, int]:
 def cut_journal(session: Session) -> tuple[int, int]:
     journal = Journal(session)
     for i in range(20):
-        journal.append("frame", START, slot="20270305T000000Z", index=i, frame={"file": f"{i:02d}_0.25s.dng"})
+        journal.append(
+            "frame", START, slot="20270305T000000Z", index=i, frame={"file": f"{i:02d}_0.25s.dng"}
+        )
     journal.close()
     whole = session.journal.read_bytes()
     lines = whole.splitlines(keepends=True)
@@ -98,13 +112,21 @@ def main() -> None:
     per_row, grown = write(session, asked.rows)
     print("| step | figure |\n|---|---|")
     print(f"| rows written, each flushed | {asked.rows}, {1e3 * per_row:.3f} ms a row |")
-    print(f"| memory before, growth over the last 90 % of the rows | {begun:.0f} MB, {grown:.1f} MB |")
+    print(
+        f"| memory before, growth over the last 90 % of the rows | {begun:.0f} MB, {grown:.1f} MB |"
+    )
     rows = sum(len(read_day(p)[0]) for p in day_files(session))
     print(f"| rows read back | {rows} |")
     cuts, bad = cut_everywhere(session)
-    print(f"| day file cut at every byte of its last two lines | {cuts} cuts, {bad} lost or harmed a row |")
+    print(
+        f"| day file cut at every byte of its last two lines | {cuts} cuts, {bad} lost or harmed "
+        f"a row |"
+    )
     cuts, bad = cut_journal(session)
-    print(f"| journal cut at every byte of its last two lines | {cuts} cuts, {bad} lost or harmed an event |")
+    print(
+        f"| journal cut at every byte of its last two lines | {cuts} cuts, {bad} lost or harmed "
+        f"an event |"
+    )
     before = memory_mb()
     sun.position([START], site.site)  # pandas and pvlib themselves
     sun.extraterrestrial_wm2([START])
@@ -112,7 +134,10 @@ def main() -> None:
     tick = time.perf_counter()
     told = irradiance.run(session)
     seconds = time.perf_counter() - tick
-    peak = f"peak {memory_mb():.0f} MB, of it {libraries:.0f} MB before its first row ({before:.0f} MB without pandas)"
+    peak = (
+        f"peak {memory_mb():.0f} MB, of it {libraries:.0f} MB before its first row "
+        f"({before:.0f} MB without pandas)"
+    )
     print(f"| quality control of all rows | {told.rows} rows, {seconds:.0f} s, {peak} |")
     shutil.rmtree(folder)
 

@@ -2,11 +2,13 @@
 
     python bench/reliability_month.py --work DIR [--every 5] [--seed 1]
 
-The month runs in fast-clock time through the real capture loop, the real SPN1 driver on a pseudo-terminal and a camera
-in a watched child process, in a process that is killed at random. DIR should lie on a small file system of its own,
-so that the disk really gets full; on Linux, without being root:
+The month runs in fast-clock time through the real capture loop, the real SPN1 driver on a
+pseudo-terminal and a camera in a watched child process, in a process that is killed at random. DIR
+should lie on a small file system of its own, so that the disk really gets full; on Linux, without
+being root:
 
-    unshare -rm sh -c 'mount -t tmpfs -o size=400m tmpfs /mnt && python bench/reliability_month.py --work /mnt'
+    unshare -rm sh -c 'mount -t tmpfs -o size=400m tmpfs /mnt && python bench/reliability_month.py
+    --work /mnt'
 
 Prints the table of docs/reliability.md.
 """
@@ -83,17 +85,29 @@ class Fault:
 
 
 def schedule(slots: list[Slot], rng: random.Random) -> list[Fault]:
-    """Faults over the whole month; those of the camera and half of the kills strike within a bracket."""
+    """Faults over the whole month; those of the camera and half of the kills strike within a
+    bracket.
+    """
     first, last = slots[0].t_utc, slots[-1].t_utc
     span = (last - first).total_seconds()
-    lasting = {"serial": (20, 1200), "garbage": (10, 120), "partial": (10, 120), "instrument": (20, 400),
-               "camera switched": (60, 5000), "card": (3000, 9000), "disk": (1800, 8000), "laptop": (600, 7000),
-               "kill -9 of the capture": (5, 900)}  # fmt: skip
+    lasting = {
+        "serial": (20, 1200),
+        "garbage": (10, 120),
+        "partial": (10, 120),
+        "instrument": (20, 400),
+        "camera switched": (60, 5000),
+        "card": (3000, 9000),
+        "disk": (1800, 8000),
+        "laptop": (600, 7000),
+        "kill -9 of the capture": (5, 900),
+    }
     faults: list[Fault] = []
     for kind, count in KINDS.items():
         for i in range(count):
             low, high = next((v for k, v in lasting.items() if kind.startswith(k)), (1, 1))
-            in_bracket = ("camera" in kind or (kind.startswith("kill") and i % 2 == 0)) and "switched" not in kind
+            in_bracket = (
+                "camera" in kind or (kind.startswith("kill") and i % 2 == 0)
+            ) and "switched" not in kind
             start = first + timedelta(seconds=rng.uniform(0, span))
             if in_bracket:
                 start = rng.choice(slots).t_utc + timedelta(seconds=rng.uniform(0.5, 12.0))
@@ -104,12 +118,16 @@ def schedule(slots: list[Slot], rng: random.Random) -> list[Fault]:
     # Set wrong, then set right again some hours later: the clock never runs away.
     for i, fault in enumerate(sorted(steps, key=lambda f: f.t_utc)):
         faults.remove(fault)
-        faults.append(Fault("wall clock set 1 h " + ("forward" if i % 2 == 0 else "back"), fault.t_utc, 1))
+        faults.append(
+            Fault("wall clock set 1 h " + ("forward" if i % 2 == 0 else "back"), fault.t_utc, 1)
+        )
     return sorted(faults, key=lambda f: f.t_utc)
 
 
 class Shared:
-    """What outlives a kill: time, and which faults have struck. Memory shared with the forked process."""
+    """What outlives a kill: time, and which faults have struck. Memory shared with the forked
+    process.
+    """
 
     def __init__(self, faults: int) -> None:
         self._map = mmap.mmap(-1, 64 + faults)
@@ -128,7 +146,9 @@ class Shared:
 
 
 class MonthClock(FastClock):
-    """Goes on from where the killed process left it, and makes the world's faults happen on the way."""
+    """Goes on from where the killed process left it, and makes the world's faults happen on the
+    way.
+    """
 
     def __init__(self, shared: Shared, down_s: float) -> None:
         unix, step, boot, slept = shared.time()
@@ -187,14 +207,18 @@ def serve_camera(pipe: Connection) -> None:
 class World:
     """The devices of the month, and what happens to them."""
 
-    def __init__(self, folder: Path, faults: list[Fault], shared: Shared, clock: MonthClock) -> None:
+    def __init__(
+        self, folder: Path, faults: list[Fault], shared: Shared, clock: MonthClock
+    ) -> None:
         self.folder, self.faults, self.shared, self.clock = folder, faults, shared, clock
         self.link = folder / "dev-by-id-spn1"
         self.ballast = folder / "ballast"
         self.instrument: PtyInstrument | None = None
         self.child = Child("camera", serve_camera)
         self.of_kind = {kind: [f for f in faults if f.kind == kind] for kind in KINDS}
-        self.moments = sorted({f.t_utc for f in faults} | {f.t_utc + timedelta(seconds=f.seconds) for f in faults})
+        self.moments = sorted(
+            {f.t_utc for f in faults} | {f.t_utc + timedelta(seconds=f.seconds) for f in faults}
+        )
         self.quiet_until = datetime.min.replace(tzinfo=UTC)
         self.line: Fault | None = None
         self.harms = 0
@@ -244,10 +268,15 @@ class World:
             self.ballast.unlink(missing_ok=True)
         self.line = next((f for kind in LINE for f in (self.active(kind),) if f), None)
         now = clock.true_utc
-        self.quiet_until = next((t for t in self.moments if t > now), datetime.max.replace(tzinfo=UTC))
+        self.quiet_until = next(
+            (t for t in self.moments if t > now), datetime.max.replace(tzinfo=UTC)
+        )
 
     def fill(self) -> None:
-        with self.ballast.open("wb", buffering=0) as file, suppress(OSError):  # a buffer would fail again on closing
+        with (
+            self.ballast.open("wb", buffering=0) as file,
+            suppress(OSError),
+        ):  # a buffer would fail again on closing
             while True:
                 file.write(b"\0" * 65536)
 
@@ -270,7 +299,9 @@ class World:
         if self.line is None:
             return line
         self.harms += 1
-        rng = random.Random(f"{self.clock.true_utc.timestamp()} {self.harms}")  # each answer is harmed in its own way
+        rng = random.Random(
+            f"{self.clock.true_utc.timestamp()} {self.harms}"
+        )  # each answer is harmed in its own way
         at = rng.randrange(len(line))
         if self.line.kind == "partial lines":
             return line[:at]
@@ -286,13 +317,24 @@ class World:
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         how = "ok"
-        for kind, word in (("camera hangs", "hang"), ("camera driver crashes (SIGSEGV)", "crash"),
-                           ("kill -9 of the camera's process", "killed")):  # fmt: skip
+        for kind, word in (
+            ("camera hangs", "hang"),
+            ("camera driver crashes (SIGSEGV)", "crash"),
+            ("kill -9 of the camera's process", "killed"),
+        ):
             how = word if how == "ok" and self.fired(kind) else how
-        how = "card full" if self.active("card full") else "switched off" if self.active("camera switched off") else how
+        how = (
+            "card full"
+            if self.active("card full")
+            else "switched off"
+            if self.active("camera switched off")
+            else how
+        )
         path = target.with_name(f"{target.name}.raw")
         text = f"{target.parent.name} {exposure} {self.clock.true_utc}"
-        answer = self.child.ask("expose", str(path), text, how, timeout_s=30.0 if how != "hang" else HANG_S)
+        answer = self.child.ask(
+            "expose", str(path), text, how, timeout_s=30.0 if how != "hang" else HANG_S
+        )
         if isinstance(answer, int):
             raise OSError(answer, os.strerror(answer))
         self.clock.sleep(exposure.shutter_s + 1.0)
@@ -302,16 +344,26 @@ class World:
         self.child.close(0.2)
 
 
-def one_life(session: Session, faults: list[Fault], shared: Shared, down_s: float, every_s: float) -> None:
+def one_life(
+    session: Session, faults: list[Fault], shared: Shared, down_s: float, every_s: float
+) -> None:
     """The capture process, until it is killed or the month is over."""
     clock = MonthClock(shared, down_s)
     world = World(session.root.parent, faults, shared, clock)
-    options = capture.Options(log_every_s=every_s, threaded=False, watchdog_s=60.0, boot="month", reserve_bytes=1 << 20)
+    options = capture.Options(
+        log_every_s=every_s, threaded=False, watchdog_s=60.0, boot="month", reserve_bytes=1 << 20
+    )
     uri = f"serial:{world.link}?kind=spn1&timeout=0.1"
     capture.run(
-        session, "bench:", "", clock=clock, options=options, trusted=lambda: False, open_cam=lambda: world,
+        session,
+        "bench:",
+        "",
+        clock=clock,
+        options=options,
+        trusted=lambda: False,
+        open_cam=lambda: world,
         open_pyr=lambda: open_pyranometer(uri, clock=clock),
-    )  # fmt: skip
+    )
 
 
 def run_month(session: Session, faults: list[Fault], every_s: float) -> dict[str, Any]:
@@ -347,7 +399,9 @@ def run_month(session: Session, faults: list[Fault], every_s: float) -> dict[str
             break
         true_now = datetime.fromtimestamp(shared.time()[0], UTC)
         kills = [f for f in faults if f.kind == "kill -9 of the capture" and f.t_utc <= true_now]
-        down_s = kills[-1].seconds if code == -9 and kills else 60.0  # systemd starts it again after a minute
+        down_s = (
+            kills[-1].seconds if code == -9 and kills else 60.0
+        )  # systemd starts it again after a minute
         if lives > 400:
             raise SystemExit("it does not get on: over 400 lives")
     return {"lives": lives, "lost_frames": lost_frames, "lost_rows": lost_rows, "struck": shared}
@@ -362,9 +416,13 @@ def audit(session: Session, faults: list[Fault], outcome: dict[str, Any], every_
     lost = acknowledged - set(on_disk)
     doubled = [h for h, n in on_disk.items() if n > 1]
     stray = set(on_disk) - acknowledged
-    result = Counter(ledger.slots[s.id].outcome if s.id in ledger.slots else "nothing" for s in slots)
+    result = Counter(
+        ledger.slots[s.id].outcome if s.id in ledger.slots else "nothing" for s in slots
+    )
     whole = sum(
-        len(st.frames) == len(s.exposures) for s in slots if (st := ledger.slots.get(s.id)) and st.outcome == "done"
+        len(st.frames) == len(s.exposures)
+        for s in slots
+        if (st := ledger.slots.get(s.id)) and st.outcome == "done"
     )
     total = wrong = near = broken = 0
     for path in day_files(session):
@@ -376,25 +434,50 @@ def audit(session: Session, faults: list[Fault], outcome: dict[str, Any], every_
         near += sum(0.06 < o <= spn1.NOISE_WM2 for o in off)
     span_s = (slots[-1].t_utc - slots[0].t_utc).total_seconds()
     away_s = sum(
-        f.seconds for f in faults if f.kind.split()[0] in ("serial", "instrument", "garbage", "partial", "laptop")
+        f.seconds
+        for f in faults
+        if f.kind.split()[0] in ("serial", "instrument", "garbage", "partial", "laptop")
     )
     away_s += sum(f.seconds for f in faults if f.kind == "kill -9 of the capture")
-    print(f"slots: {len(slots)} planned, " + ", ".join(f"{n} {name}" for name, n in sorted(result.items())))
+    print(
+        f"slots: {len(slots)} planned, "
+        + ", ".join(f"{n} {name}" for name, n in sorted(result.items()))
+    )
     print(f"done brackets that are whole: {whole} of {result['done']}")
-    print(f"frames: {len(acknowledged)} acknowledged, {len(lost)} lost, {len(doubled)} doubled, {len(stray)} strays")
-    print(f"rows: {total} written of {span_s / every_s:.0f} polls ({away_s / every_s:.0f} fell into faults), "
-          f"{wrong} wrong, {near} off by at most {spn1.NOISE_WM2:g} W/m2, {broken} broken, "
-          f"{outcome['lost_rows']} acknowledged and lost")  # fmt: skip
-    print(f"processes: {outcome['lives']} lives; acknowledged frames lost over them: {outcome['lost_frames']}")
+    print(
+        f"frames: {len(acknowledged)} acknowledged, {len(lost)} lost, {len(doubled)} doubled, "
+        f"{len(stray)} strays"
+    )
+    print(
+        f"rows: {total} written of {span_s / every_s:.0f} polls ({away_s / every_s:.0f} fell into "
+        f"faults), "
+        f"{wrong} wrong, {near} off by at most {spn1.NOISE_WM2:g} W/m2, {broken} broken, "
+        f"{outcome['lost_rows']} acknowledged and lost"
+    )
+    print(
+        f"processes: {outcome['lives']} lives; acknowledged frames lost over them: "
+        f"{outcome['lost_frames']}"
+    )
     print("events: " + ", ".join(f"{n} {k}" for k, n in sorted(ledger.counts.items())))
-    print("\n| fault | injected | survived | slots missed or aborted around it | frames lost | rows lost |")
+    print(
+        "\n| fault | injected | survived | slots missed or aborted around it | frames lost | rows "
+        "lost |"
+    )
     print("|---|---|---|---|---|---|")
     for kind in KINDS:
         mine = [f for f in faults if f.kind == kind and f.t_utc < slots[-1].t_utc]
-        near = {s.id for s in slots for f in mine if _touches(f, s) and ledger.slots[s.id].outcome != "done"}
+        near = {
+            s.id
+            for s in slots
+            for f in mine
+            if _touches(f, s) and ledger.slots[s.id].outcome != "done"
+        }
         survived = sum(_next_done(f, slots, faults, ledger) for f in mine)
-        print(f"| {kind} | {len(mine)} | {survived} | {len(near)} | 0 | 0 |" if not lost and not outcome["lost_rows"]
-              else f"| {kind} | {len(mine)} | {survived} | {len(near)} | ? | ? |")  # fmt: skip
+        print(
+            f"| {kind} | {len(mine)} | {survived} | {len(near)} | 0 | 0 |"
+            if not lost and not outcome["lost_rows"]
+            else f"| {kind} | {len(mine)} | {survived} | {len(near)} | ? | ? |"
+        )
     print("| daylight saving time begins (14 March) | 1 | 1 | 0 | 0 | 0 |")
 
 
@@ -423,8 +506,19 @@ def main() -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / "site.toml").write_text(SITE)
-    words = [sys.executable, "-c", "from fieldlum.cli import main; main()", "plan", str(folder / "site.toml"),
-             "--set", "month", "--year", "2027", "--out", str(folder / "s")]  # fmt: skip
+    words = [
+        sys.executable,
+        "-c",
+        "from fieldlum.cli import main; main()",
+        "plan",
+        str(folder / "site.toml"),
+        "--set",
+        "month",
+        "--year",
+        "2027",
+        "--out",
+        str(folder / "s"),
+    ]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
     session = open_session(folder / "s")
     slots = session.slots()
@@ -432,7 +526,10 @@ def main() -> None:
     begun = time.monotonic()
     outcome = run_month(session, faults, asked.every)
     audit(session, faults, outcome, asked.every)
-    print(f"\n{len(faults)} faults, {time.monotonic() - begun:.0f} s, {threading.active_count()} thread")
+    print(
+        f"\n{len(faults)} faults, {time.monotonic() - begun:.0f} s, {threading.active_count()} "
+        f"thread"
+    )
 
 
 if __name__ == "__main__":

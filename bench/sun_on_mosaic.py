@@ -1,7 +1,8 @@
 """How far off a small sun comes out because each colour of a mosaic stands on some pixels only.
 
-A disc of so many pixels, softened by the optics as a Gaussian, falls anywhere between the pixels of an RGGB mosaic.
-Each colour's own pixels are summed, each with the area it stands for, as the projection does. Without noise.
+A disc of so many pixels, softened by the optics as a Gaussian, falls anywhere between the pixels of
+an RGGB mosaic. Each colour's own pixels are summed, each with the area it stands for, as the
+projection does. Without noise.
 
     python bench/sun_on_mosaic.py [--places 200]
 """
@@ -19,7 +20,9 @@ FINE = 16  # points along a pixel
 WIDE_PX, SPREAD_PX = (0.7, 1.3, 2.0, 3.0, 5.0, 8.0, 16.0), (0.0, 0.5, 0.8, 1.2)
 
 
-def luminances(wide_px: float, spread_px: float, places: int, rng: np.random.Generator) -> np.ndarray:
+def luminances(
+    wide_px: float, spread_px: float, places: int, rng: np.random.Generator
+) -> np.ndarray:
     """Of a disc of luminance 1 at so many places."""
     import cv2
 
@@ -47,9 +50,14 @@ def main() -> None:
     for wide in WIDE_PX:
         off = [luminances(wide, spread, options.places, rng) - 1 for spread in SPREAD_PX]
         cells = [
-            f"{100 * np.sqrt(np.mean(e**2)):.1f} ({100 * e.mean():+.1f}, {100 * np.abs(e).max():.1f})" for e in off
+            f"{100 * np.sqrt(np.mean(e**2)):.1f} ({100 * e.mean():+.1f}, "
+            f"{100 * np.abs(e).max():.1f})"
+            for e in off
         ]
-        print(f"| {wide:g} | " + " | ".join(cells) + f" | {100 * mosaic_u_rel(wide):.1f} |", flush=True)
+        print(
+            f"| {wide:g} | " + " | ".join(cells) + f" | {100 * mosaic_u_rel(wide):.1f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
-"""Time a year of sun patches: python bench/sun_patches_year.py [SITE.toml] [--height 230] [--every 1] [--rtrace 3]
+"""Time a year of sun patches: python bench/sun_patches_year.py [SITE.toml] [--height 230] [--every
+1] [--rtrace 3]
 
-Prints wall and CPU seconds and peak memory of the own tracer, and of rtrace -ab 0 on a few hours for comparison.
+Prints wall and CPU seconds and peak memory of the own tracer, and of rtrace -ab 0 on a few hours
+for comparison.
 """
 
 from __future__ import annotations
@@ -25,9 +27,13 @@ def _cpu() -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("site", nargs="?", type=Path, default=shipped("capture_plans") / "seattle-office.toml")
+    parser.add_argument(
+        "site", nargs="?", type=Path, default=shipped("capture_plans") / "seattle-office.toml"
+    )
     parser.add_argument("--height", type=int, default=230)
-    parser.add_argument("--every", type=int, default=1, help="take every n-th hour and multiply the time")
+    parser.add_argument(
+        "--every", type=int, default=1, help="take every n-th hour and multiply the time"
+    )
     parser.add_argument("--rtrace", type=int, default=0, help="hours to trace by rtrace as well")
     asked = parser.parse_args()
     setup = load_site(asked.site)
@@ -35,7 +41,9 @@ def main() -> None:
     year = weather_for(setup).daylight()[:: asked.every]
     at = sun.position(year.t_utc, setup.site)
     toward = sun.direction(at.altitude_deg, at.azimuth_deg)
-    normal = sky.direct_normal_illuminance_lx(year.dni_wm2, year.dhi_wm2, at.altitude_deg, year.t_utc)
+    normal = sky.direct_normal_illuminance_lx(
+        year.dni_wm2, year.dhi_wm2, at.altitude_deg, year.t_utc
+    )
     prepare = _cpu()
     scene.look(setup.room, asked.height, setup.camera.heading_deg)
     prepare = _cpu() - prepare
@@ -45,11 +53,17 @@ def main() -> None:
         total += float(part.luminance_cdm2.sum(dtype=np.float64))
     wall, cpu = time.perf_counter() - wall, _cpu() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"{setup.site.name}, {2 * asked.height}x{asked.height}, {len(year)} hours, {(normal > 0).sum()} with sun")
+    print(
+        f"{setup.site.name}, {2 * asked.height}x{asked.height}, {len(year)} hours, "
+        f"{(normal > 0).sum()} with sun"
+    )
     print(f"own tracer: {wall:.1f} s wall, {cpu:.1f} s CPU, peak {peak:.2f} GB")
     print(f"pixels once {prepare:.1f} CPU s, then a year of hours {cpu * asked.every:.0f} CPU s")
     built = scene.build(setup.room)
-    text, (_, rays) = radiance.rad_text(built), view.pixel_rays(asked.height, setup.camera.heading_deg, 3)
+    text, (_, rays) = (
+        radiance.rad_text(built),
+        view.pixel_rays(asked.height, setup.camera.heading_deg, 3),
+    )
     rays = built.to_room(rays)
     for k in np.argsort(-normal)[: asked.rtrace]:
         cpu = _cpu()

@@ -1,9 +1,12 @@
-"""How many captures are enough: chosen greedily from weather alone against chosen at random, on the office's hours.
+"""How many captures are enough: chosen greedily from weather alone against chosen at random, on the
+office's hours.
 
-    python bench/transport_captures.py office_seattle.npz [--counts 12,25,50,100,200] [--draws 2] [--pixels 3000]
+    python bench/transport_captures.py office_seattle.npz [--counts 12,25,50,100,200] [--draws 2]
+    [--pixels 3000]
 
-Both choose from the 200 hours of the even set. Greedy knows the weather of all 1 378 hours and the window's azimuth; it
-sees no picture. Patches known; scores on the 500 test hours over random pixels drawn by solid angle.
+Both choose from the 200 hours of the even set. Greedy knows the weather of all 1 378 hours and the
+window's azimuth; it sees no picture. Patches known; scores on the 500 test hours over random pixels
+drawn by solid angle.
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ from fieldlum.models.transport import fit
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("archive", type=Path)
     parser.add_argument("--counts", default="12,25,50,100,200")
     parser.add_argument("--draws", type=int, default=2)
@@ -36,18 +41,32 @@ def main() -> None:
     # Without [room], so that the figures are those of the kernel that chose the hours.
     pool = replace(pool, seen=seen, setup=replace(pool.setup, room=None))
     features = light_features(pool.light)
-    order = greedy_hours(Kernel(one_facade(180.0)), light_features(every.light), features, len(pool)).index
+    order = greedy_hours(
+        Kernel(one_facade(180.0)), light_features(every.light), features, len(pool)
+    ).index
 
     def score(rows: np.ndarray) -> float:
         model = fit(pool.take(np.sort(rows)))
-        e = errors(truth, model.predict(test.light, test.patch_cdm2).luminance_cdm2, test.light, test.disc_lx)
+        e = errors(
+            truth,
+            model.predict(test.light, test.patch_cdm2).luminance_cdm2,
+            test.light,
+            test.disc_lx,
+        )
         return float((e[:, seen] ** 2).mean())
 
     print("| captures | greedy | random |\n|---|---|---|")
     for count in (int(c) for c in options.counts.split(",")):
         greedy = score(order[:count])
-        drawn = [] if count >= len(pool) else [score(rng.permutation(len(pool))[:count]) for _ in range(options.draws)]
-        print(f"| {count} | {greedy:.2e} | {', '.join(f'{value:.2e}' for value in drawn)} |", flush=True)
+        drawn = (
+            []
+            if count >= len(pool)
+            else [score(rng.permutation(len(pool))[:count]) for _ in range(options.draws)]
+        )
+        print(
+            f"| {count} | {greedy:.2e} | {', '.join(f'{value:.2e}' for value in drawn)} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

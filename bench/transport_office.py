@@ -1,10 +1,13 @@
-"""Light transport on the 1 378 rendered hours of the paper's office: weighted log10 MSE on its 500 test hours.
+"""Light transport on the 1 378 rendered hours of the paper's office: weighted log10 MSE on its 500
+test hours.
 
-    python bench/transport_office.py office_seattle.npz [--sets k200,9d,12d,4d,mar] [--modes absolute,gain,none,tape]
+    python bench/transport_office.py office_seattle.npz [--sets k200,9d,12d,4d,mar] [--modes
+    absolute,gain,none,tape]
         [--noise 0.05] [--seed 0] [--coverage]
 
-The archive is described where it lies; it is not part of the project. Maps are compared with the sun's disc put back.
-Mode "tape": the patches are not the rendering's but made from a box with one clear window and no furniture.
+The archive is described where it lies; it is not part of the project. Maps are compared with the
+sun's disc put back. Mode "tape": the patches are not the rendering's but made from a box with one
+clear window and no furniture.
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 HEADING_DEG = 180.0
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1, 0.88, 4, 0.08, 2.9),))
-SETUP = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(heading_deg=HEADING_DEG), ROOM)
+SETUP = SiteFile(
+    Site("office", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(heading_deg=HEADING_DEG), ROOM
+)
 TAPE = replace(ROOM, window=(replace(ROOM.window[0], panes=1, frame_m=0.0, transom_m=0.0),))
 UNKNOWN_GAIN = 3.7  # factor that the "gain" mode has to find
 
@@ -39,7 +44,9 @@ def decode(codes: NDArray[np.uint16]) -> NDArray[np.float32]:
 
 
 def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[np.float32]]:
-    """Captures of some rows with the disc taken out, and the maps as they are. Sky and sun are the rendering's own."""
+    """Captures of some rows with the disc taken out, and the maps as they are. Sky and sun are
+    the rendering's own.
+    """
     c = archive["conditions"][rows]
     towards = c[:, 15:18] / np.linalg.norm(c[:, 15:18], axis=1, keepdims=True)
     altitude = np.degrees(np.arcsin(towards[:, 2]))
@@ -51,7 +58,9 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
     )
     unknown = np.full(len(rows), np.nan)
     direct_lx = 179.0 * c[:, 7] * SUN_SOLID_ANGLE_SR
-    perez = PerezSky(179.0 * c[:, 8], 179.0 * c[:, 9], c[:, 10:15], unknown, unknown, direct_lx, unknown)
+    perez = PerezSky(
+        179.0 * c[:, 8], 179.0 * c[:, 9], c[:, 10:15], unknown, unknown, direct_lx, unknown
+    )
     whole = decode(archive["lum"][rows])
     codes = archive["sunpatch"][rows]
     patch = np.where(codes > 0, decode(codes), np.float32(0.0))
@@ -60,7 +69,10 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
         at = (float(altitude[k]), float(azimuth[k]), float(c[k, 3]), HEADING_DEG)
         maps[k] = split_disc(whole[k], *at)[0]
         patch[k], disc[k] = split_disc(patch[k], *at)
-    days = np.array([f"2027-{int(m):02d}-{int(d):02d}" for m, d in zip(months, dates, strict=True)], "datetime64[D]")
+    days = np.array(
+        [f"2027-{int(m):02d}-{int(d):02d}" for m, d in zip(months, dates, strict=True)],
+        "datetime64[D]",
+    )
     light = Light(times, c[:, 3], c[:, 4], altitude, azimuth, perez)
     seen, steady = np.ones(maps.shape[1:], bool), np.zeros(len(rows))
     slots = tuple(slot_id(t) for t in times)
@@ -68,11 +80,18 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
 
 
 def told(data: Dataset, mode: str) -> Dataset:
-    """The captures as a mode knows them: the rendering's patches, those off by a factor, or a tape measure's."""
+    """The captures as a mode knows them: the rendering's patches, those off by a factor, or a
+    tape measure's.
+    """
     if mode == "tape":
         light = data.light
         made = sun_patches(
-            TAPE, SETUP, light.sun_direction, light.direct_lx, height=data.shape[0], heading_deg=HEADING_DEG
+            TAPE,
+            SETUP,
+            light.sun_direction,
+            light.direct_lx,
+            height=data.shape[0],
+            heading_deg=HEADING_DEG,
         )
         return replace(data, patch_cdm2=made.luminance_cdm2, setup=replace(SETUP, room=TAPE))
     assert data.patch_cdm2 is not None
@@ -88,14 +107,18 @@ def draw(shape: tuple[int, int], pixels: int, rng: np.random.Generator) -> NDArr
     return seen.reshape(shape)
 
 
-def errors(truth: NDArray, predicted: NDArray, light: Light, disc_lx: NDArray) -> NDArray[np.float64]:
+def errors(
+    truth: NDArray, predicted: NDArray, light: Light, disc_lx: NDArray
+) -> NDArray[np.float64]:
     """log10 errors of recomposed maps above 1 cd/m2, [n, H, W]."""
     whole = add_disc(predicted, light, disc_lx, HEADING_DEG)
     return np.log10(np.maximum(whole, 1.0)) - np.log10(np.maximum(truth, 1.0))
 
 
 def coverage(model: Transport, test: Dataset, truth: NDArray, patch: NDArray | None) -> str:
-    """Share of test pixels within the 90 % interval, by the sun's share of the light; and what the flag finds."""
+    """Share of test pixels within the 90 % interval, by the sun's share of the light; and what
+    the flag finds.
+    """
     found = model.predict(test.light, patch)
     assert found.log10_sd is not None
     e = errors(truth, found.luminance_cdm2, test.light, test.disc_lx)
@@ -104,7 +127,11 @@ def coverage(model: Transport, test: Dataset, truth: NDArray, patch: NDArray | N
     w = w / w.sum()
     share = (inside * w).sum(axis=(1, 2))
     beam = test.light.direct_lx / test.light.total_lx
-    kinds = {"overcast": beam < 0.05, "intermediate": (beam >= 0.05) & (beam < 0.5), "clear": beam >= 0.5}
+    kinds = {
+        "overcast": beam < 0.05,
+        "intermediate": (beam >= 0.05) & (beam < 0.5),
+        "clear": beam >= 0.5,
+    }
     actual = (e**2 * w).sum(axis=(1, 2))
     worst = np.argsort(actual)[-len(actual) // 10 :]
     flagged = np.argsort(found.expected_mse)[-len(actual) // 10 :]
@@ -112,18 +139,24 @@ def coverage(model: Transport, test: Dataset, truth: NDArray, patch: NDArray | N
     caught = actual[flagged].sum() / actual.sum()
     parts = [f"{name} {share[rows].mean():.3f}" for name, rows in kinds.items()]
     return (
-        f"    90 % intervals hold {', '.join(parts)}; flagged tenth: {hit:.0%} of the worst tenth, {caught:.0%} of all "
-        f"error; guess / actual {found.expected_mse.mean() / actual.mean():.2f}; trusted {found.trusted.mean():.0%} "
+        f"    90 % intervals hold {', '.join(parts)}; flagged tenth: {hit:.0%} of the worst "
+        f"tenth, {caught:.0%} of all "
+        f"error; guess / actual {found.expected_mse.mean() / actual.mean():.2f}; trusted "
+        f"{found.trusted.mean():.0%} "
         f"(their MSE {actual[found.trusted].mean() if found.trusted.any() else np.nan:.2e})"
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("archive", type=Path)
     parser.add_argument("--sets", default="k200,9d,12d,4d,mar")
     parser.add_argument("--modes", default="absolute,gain,none")
-    parser.add_argument("--noise", type=float, default=0.0, help="relative pixel noise of the training maps")
+    parser.add_argument(
+        "--noise", type=float, default=0.0, help="relative pixel noise of the training maps"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--coverage", action="store_true")
     options = parser.parse_args()
@@ -132,11 +165,16 @@ def main() -> None:
     test, truth = read(archive, archive["set_test"])
     w = equirect_solid_angles(*test.shape)
     w = w / w.mean()
-    print("set   patch     noise  weighted  unweighted RER     median   p90      worst    fit s  predict s  recipe")
+    print(
+        "set   patch     noise  weighted  unweighted RER     median   p90      worst    fit s  "
+        "predict s  recipe"
+    )
     for name in options.sets.split(","):
         train, _ = read(archive, archive[f"set_{name}"])
         rng = np.random.default_rng(options.seed)
-        noisy = train.luminance_cdm2 * (1.0 + options.noise * rng.standard_normal(train.luminance_cdm2.shape))
+        noisy = train.luminance_cdm2 * (
+            1.0 + options.noise * rng.standard_normal(train.luminance_cdm2.shape)
+        )
         train = replace(train, luminance_cdm2=np.maximum(noisy, 1e-3).astype(np.float32))
         for mode in options.modes.split(","):
             known, asked = told(train, mode), told(test, mode)
@@ -149,11 +187,16 @@ def main() -> None:
             e = errors(truth, maps, test.light, test.disc_lx)
             each = (e**2 * w).mean(axis=(1, 2))
             rer = np.sqrt((e**2 * w).sum() / (np.log10(np.maximum(truth, 1.0)) ** 2 * w).sum())
-            figures = " ".join(f"{v:.2e}" for v in (np.median(each), np.percentile(each, 90), each.max()))
+            figures = " ".join(
+                f"{v:.2e}" for v in (np.median(each), np.percentile(each, 90), each.max())
+            )
             print(
-                f"{name:5s} {mode:9s} {options.noise:5.2f}  {each.mean():.2e}  {(e**2).mean():.2e}   {rer:.4f}  "
-                f"{figures} {fitted - start:5.1f} {done - fitted:8.1f}    noise {model.recipe.noise:g} "
-                f"rounds {model.recipe.rounds} second {model.recipe.second:g} scale {model.patch_scale:.2f}",
+                f"{name:5s} {mode:9s} {options.noise:5.2f}  {each.mean():.2e}  "
+                f"{(e**2).mean():.2e}   {rer:.4f}  "
+                f"{figures} {fitted - start:5.1f} {done - fitted:8.1f}    noise "
+                f"{model.recipe.noise:g} "
+                f"rounds {model.recipe.rounds} second {model.recipe.second:g} scale "
+                f"{model.patch_scale:.2f}",
                 flush=True,
             )
             if options.coverage:

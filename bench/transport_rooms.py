@@ -1,11 +1,14 @@
-"""Light transport over rooms it was not made for: weighted log10 MSE on test hours, worst room included.
+"""Light transport over rooms it was not made for: weighted log10 MSE on test hours, worst room
+included.
 
-    python bench/transport_rooms.py FOLDER... [--sets even,9-day] [--rooms given,rough,none] [--modes absolute]
+    python bench/transport_rooms.py FOLDER... [--sets even,9-day] [--rooms given,rough,none]
+    [--modes absolute]
 
-Each FOLDER is a session of rendered hours with pairs.csv and sets.json ({set: rows of pairs.csv}; made by
-`fieldlum simulate` and bench/rooms). --rooms says what the model is told about the room: the file that the rendering
-was made from (given), a rough one as a tape measure gives it (no furniture, window edges 3 to 5 cm off and without
-bars, reflectances off by 20 to 50 %, those outside by 30 %), or nothing. The sun patches are the rendering's own.
+Each FOLDER is a session of rendered hours with pairs.csv and sets.json ({set: rows of pairs.csv};
+made by `fieldlum simulate` and bench/rooms). --rooms says what the model is told about the room:
+the file that the rendering was made from (given), a rough one as a tape measure gives it (no
+furniture, window edges 3 to 5 cm off and without bars, reflectances off by 20 to 50 %, those
+outside by 30 %), or nothing. The sun patches are the rendering's own.
 """
 
 from __future__ import annotations
@@ -35,13 +38,23 @@ def rough(room: Room) -> Room:
         reflectance_walls=min(1.2 * room.reflectance_walls, 0.85),
         reflectance_ceiling=0.88 * room.reflectance_ceiling,
         reflectance_floor=1.5 * room.reflectance_floor,
-        obstruction=tuple(replace(o, reflectance=0.7 * o.reflectance) for o in room.obstruction if not inside(o)),
+        obstruction=tuple(
+            replace(o, reflectance=0.7 * o.reflectance) for o in room.obstruction if not inside(o)
+        ),
         window=tuple(
-            replace(w, left_m=w.left_m + 0.05, width_m=w.width_m - 0.1, sill_m=w.sill_m + 0.03,
-                    height_m=w.height_m - 0.06, panes=1, frame_m=0.0, transom_m=0.0)
+            replace(
+                w,
+                left_m=w.left_m + 0.05,
+                width_m=w.width_m - 0.1,
+                sill_m=w.sill_m + 0.03,
+                height_m=w.height_m - 0.06,
+                panes=1,
+                frame_m=0.0,
+                transom_m=0.0,
+            )
             for w in room.window
         ),
-    )  # fmt: skip
+    )
 
 
 def told(data: Dataset, what: str) -> Dataset:
@@ -73,24 +86,40 @@ def run(folder: Path, sets: list[str], rooms: list[str], modes: list[str]) -> No
                 kinds = (beam < 0.05, (beam >= 0.05) & (beam < 0.5), beam >= 0.5)
                 held = ", ".join(f"{inside[k].mean():.2f}" if k.any() else "-" for k in kinds)
                 tenth = max(1, len(each) // 10)
-                hit = len(np.intersect1d(np.argsort(each)[-tenth:], np.argsort(found.expected_mse)[-tenth:])) / tenth
+                hit = (
+                    len(
+                        np.intersect1d(
+                            np.argsort(each)[-tenth:], np.argsort(found.expected_mse)[-tenth:]
+                        )
+                    )
+                    / tenth
+                )
+                physics = "used" if model.physics is not None else "dropped"
                 print(
-                    f"| {folder.name} | {name} | {mode} | {what} | {each.mean():.2e} | {np.median(each):.1e} | "
-                    f"{np.percentile(each, 90):.1e} | {each.max():.1e} | {held} | {hit:.0%} | {seconds:.0f} | "
-                    f"{'used' if model.physics is not None else 'dropped' if what != 'none' else '-'} |",
+                    f"| {folder.name} | {name} | {mode} | {what} | {each.mean():.2e} | "
+                    f"{np.median(each):.1e} | "
+                    f"{np.percentile(each, 90):.1e} | {each.max():.1e} | {held} | {hit:.0%} | "
+                    f"{seconds:.0f} | "
+                    f"{physics if what != 'none' else '-'} "
+                    f"|",
                     flush=True,
                 )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--sets", default="even,9-day")
     parser.add_argument("--rooms", default="given,rough,none")
     parser.add_argument("--modes", default="absolute")
     options = parser.parse_args()
-    print("| room | set | patch | room told | weighted log10 MSE | median | p90 | worst | in 90 % interval: overcast, "
-          "intermediate, clear | worst tenth flagged | fit CPU s | physics |")  # fmt: skip
+    print(
+        "| room | set | patch | room told | weighted log10 MSE | median | p90 | worst | in 90 % "
+        "interval: overcast, "
+        "intermediate, clear | worst tenth flagged | fit CPU s | physics |"
+    )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|")
     for folder in options.folders:
         run(folder, options.sets.split(","), options.rooms.split(","), options.modes.split(","))

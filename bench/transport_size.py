@@ -1,9 +1,11 @@
-"""How large light transport must be: numbers of features forced on it, and what held-out days let it take.
+"""How large light transport must be: numbers of features forced on it, and what held-out days let
+it take.
 
     python bench/transport_size.py office_seattle.npz [--sets k200,9d] [--pixels 3000]
 
-The office's captures as they are, with 5 % noise on every pixel, and with each whole picture off by 10 % (an irradiance
-that is not the room's). Patches known; scores on the 500 test hours over random pixels drawn by solid angle.
+The office's captures as they are, with 5 % noise on every pixel, and with each whole picture off by
+10 % (an irradiance that is not the room's). Patches known; scores on the 500 test hours over random
+pixels drawn by solid angle.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ def disturbed(data: Dataset, pixels: float, levels: float) -> Dataset:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("archive", type=Path)
     parser.add_argument("--sets", default="k200,9d")
     parser.add_argument("--pixels", type=int, default=3000)
@@ -43,7 +47,10 @@ def main() -> None:
         archive = {name: stored[name] for name in stored.files}
     test, truth = read(archive, archive["set_test"])
     seen = draw(test.shape, options.pixels, np.random.default_rng(0))
-    print("| set | captures | features | held-out days | test hours | numbers held | fit [CPU s] | 500 maps [CPU s] |")
+    print(
+        "| set | captures | features | held-out days | test hours | numbers held | fit [CPU s] | "
+        "500 maps [CPU s] |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     for name in options.sets.split(","):
         clean = replace(read(archive, archive[f"set_{name}"])[0], seen=seen)
@@ -60,10 +67,16 @@ def main() -> None:
                 done = time.process_time()
                 e = errors(truth, maps, test.light, test.disc_lx)[:, seen]
                 assert model.held_out_mse is not None
-                said = f"**{model.pixels.b.shape[1]} (chosen)**" if size is None else str(model.pixels.b.shape[1])
+                said = (
+                    f"**{model.pixels.b.shape[1]} (chosen)**"
+                    if size is None
+                    else str(model.pixels.b.shape[1])
+                )
                 print(
-                    f"| {name} | {kind} | {said} | {model.held_out_mse.mean():.2e} | {(e**2).mean():.2e} "
-                    f"| {model.parameters / 1e3:.0f} k | {fitted - start:.1f} | {done - fitted:.1f} |",
+                    f"| {name} | {kind} | {said} | {model.held_out_mse.mean():.2e} | "
+                    f"{(e**2).mean():.2e} "
+                    f"| {model.parameters / 1e3:.0f} k | {fitted - start:.1f} | "
+                    f"{done - fitted:.1f} |",
                     flush=True,
                 )
 

@@ -1,7 +1,8 @@
-"""Learning curve and collection periods on a simulated year (the paper's Figures 18 to 22 and Table 2).
+"""Learning curve and collection periods on a simulated year (the paper's Figures 18 to 22 and Table
+2).
 
-    fieldlum simulate capture_plans/seattle-office.toml --year-sample 4379 --size 92x46 --quality draft --out YEAR
-    python bench/year_periods.py YEAR/pairs.csv OUT [--model transport]
+    fieldlum simulate capture_plans/seattle-office.toml --year-sample 4379 --size 92x46 --quality
+    draft --out YEAR python bench/year_periods.py YEAR/pairs.csv OUT [--model transport]
 
 The same tables as `fieldlum bench` writes for a year, without its score table.
 """
@@ -19,7 +20,9 @@ from fieldlum.models.data import load_pairs
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("pairs", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--model", default="transport")
@@ -32,7 +35,10 @@ def main() -> None:
     _keep(asked.out, "periods", rows, charts.collection_periods)
     print(markdown(rows, PERIODS), flush=True)
     order = np.random.default_rng(0).permutation(len(data))
-    test, pool = data.take(np.sort(order[: year.TEST_HOURS])), data.take(np.sort(order[year.TEST_HOURS :]))
+    test, pool = (
+        data.take(np.sort(order[: year.TEST_HOURS])),
+        data.take(np.sort(order[year.TEST_HOURS :])),
+    )
     rows = year.learning_curve(spec, pool, test)
     _keep(asked.out, "learning_curve", rows, charts.learning_curves)
     print(markdown(rows, CURVE), flush=True)

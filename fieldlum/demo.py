@@ -1,8 +1,9 @@
-"""The whole job on simulated captures: one real session, every stage's own `run`, and at the end the truth.
+"""The whole job on simulated captures: one real session, every stage's own `run`, and at the end
+the truth.
 
-Radiance renders the paper's office at every planned hour; a simulated camera photographs it into raw brackets, a
-simulated SPN1 is read over a pseudo-terminal; from there on nothing knows that it is a simulation. What was merged,
-paired and predicted is then held against the rendered truth.
+Radiance renders the paper's office at every planned hour; a simulated camera photographs it into
+raw brackets, a simulated SPN1 is read over a pseudo-terminal; from there on nothing knows that it
+is a simulation. What was merged, paired and predicted is then held against the rendered truth.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ class Outcome:
 
 
 def prepare(folder: Path) -> Session:
-    """The session of the nine days of the paper's office; an earlier demo in `folder` is taken up again."""
+    """The session of the nine days of the paper's office; an earlier demo in `folder` is taken
+    up again.
+    """
     from fieldlum import plan
 
     if (folder / "session.toml").is_file():
@@ -75,32 +78,53 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
 
 
 def trained(session: Session, how: Preset, seed: int, progress: Progress) -> dict[str, Any]:
-    """The scores of the session's model; trained only where the one there is comes from other captures or options."""
+    """The scores of the session's model; trained only where the one there is comes from other
+    captures or options.
+    """
     from fieldlum import train
     from fieldlum.models.data import load_pairs
 
     model = session.models / MODEL
     note, scores = model / "demo.json", model / "scores.json"
     learned_from = {
-        "files": {path.relative_to(session.root).as_posix(): sha256(path) for path in _lessons(session)},
+        "files": {
+            path.relative_to(session.root).as_posix(): sha256(path) for path in _lessons(session)
+        },
         "options": {"model": MODEL, "budget_min": how.budget_min, "seed": seed},
         "fieldlum": __version__,
     }
-    if note.is_file() and scores.is_file() and json.loads(note.read_text(encoding="utf-8")) == learned_from:
+    if (
+        note.is_file()
+        and scores.is_file()
+        and json.loads(note.read_text(encoding="utf-8")) == learned_from
+    ):
         return json.loads(scores.read_text(encoding="utf-8"))
     note.unlink(missing_ok=True)  # a training that is cut off leaves no word of the one before
-    answer = train.run(load_pairs(session), MODEL, budget_min=how.budget_min, seed=seed, out=model, progress=progress)
+    answer = train.run(
+        load_pairs(session),
+        MODEL,
+        budget_min=how.budget_min,
+        seed=seed,
+        out=model,
+        progress=progress,
+    )
     with replacing(note, "w", encoding="utf-8") as file:
         json.dump(learned_from, file, indent=1)
     return answer
 
 
 def _lessons(session: Session) -> list[Path]:
-    return [session.pairs, *sorted(session.panoramas.glob("*.exr")), *sorted(session.sunpatches.glob("*.exr"))]
+    return [
+        session.pairs,
+        *sorted(session.panoramas.glob("*.exr")),
+        *sorted(session.sunpatches.glob("*.exr")),
+    ]
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
-    """Median error, share of unflagged pixels within 5 %, and the number of maps; over all merged panoramas."""
+    """Median error, share of unflagged pixels within 5 %, and the number of maps; over all
+    merged panoramas.
+    """
     from fieldlum.images import read_panorama
 
     medians, within = [], []
@@ -109,7 +133,11 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
         if not truth_path.is_file():
             continue
         merged, truth = read_panorama(path), read_panorama(truth_path)
-        good = np.ones(merged.luminance_cdm2.shape, bool) if merged.flags is None else merged.flags == 0
+        good = (
+            np.ones(merged.luminance_cdm2.shape, bool)
+            if merged.flags is None
+            else merged.flags == 0
+        )
         good &= truth.luminance_cdm2 > 0
         error = np.abs(merged.luminance_cdm2[good] / truth.luminance_cdm2[good] - 1.0)
         medians.append(float(np.median(error)))
@@ -118,37 +146,72 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
 
 
 def irradiance_against_truth(session: Session) -> tuple[float, float]:
-    """Root-mean-square error of paired DNI and DHI against the simulator's own, sun above 10 degrees. [W/m2]"""
+    """Root-mean-square error of paired DNI and DHI against the simulator's own, sun above 10
+    degrees. [W/m2]
+    """
     from fieldlum.report.captured import read_csv
 
     truth = {row["t_utc"][:13]: row for row in read_csv(session.truth / "irradiance.csv")}
     errors = [
-        (float(row["dni_wm2"]) - float(known["dni_wm2"]), float(row["dhi_wm2"]) - float(known["dhi_wm2"]))
+        (
+            float(row["dni_wm2"]) - float(known["dni_wm2"]),
+            float(row["dhi_wm2"]) - float(known["dhi_wm2"]),
+        )
         for row in read_csv(session.pairs)
-        if row["ok"] == "1" and float(row["sun_altitude_deg"]) > 10 and (known := truth.get(row["t_utc"][:13]))
+        if row["ok"] == "1"
+        and float(row["sun_altitude_deg"]) > 10
+        and (known := truth.get(row["t_utc"][:13]))
     ]
     dni, dhi = np.sqrt(np.mean(np.square(errors), axis=0))
     return float(dni), float(dhi)
 
 
-def _figures(session: Session, scores: dict[str, Any], annual: Any) -> tuple[tuple[str, str, str], ...]:
+def _figures(
+    session: Session, scores: dict[str, Any], annual: Any
+) -> tuple[tuple[str, str, str], ...]:
     median, within, maps = merged_against_truth(session)
     dni, dhi = irradiance_against_truth(session)
     chosen = next(row for row in scores["models"] if row["name"] == scores["chosen"])
     best = min(annual.about["protection"], key=lambda row: row["dgp_exceeded"])
     return (
-        ("merged luminance", f"{100 * median:.2f} %", f"median error against the truth, {maps} brackets"),
+        (
+            "merged luminance",
+            f"{100 * median:.2f} %",
+            f"median error against the truth, {maps} brackets",
+        ),
         ("", f"{100 * within:.1f} %", "of the unflagged pixels within 5 % of the truth"),
-        ("paired DNI, DHI", f"{dni:.1f}, {dhi:.1f} W/m²", "rms error against the truth, sun above 10°"),
-        ("model chosen", scores["chosen"], f"fitted in {chosen['fit_s']:.1f} s, on {chosen['n_train']} captures"),
-        ("its error", f"{chosen['log10_mse_weighted']:.2e}", "log10 MSE on held-out days, solid-angle weighted"),
-        ("a year", f"{len(annual)} hours", f"predicted at {annual.about['width']} x {annual.about['height']}"),
+        (
+            "paired DNI, DHI",
+            f"{dni:.1f}, {dhi:.1f} W/m²",
+            "rms error against the truth, sun above 10°",
+        ),
+        (
+            "model chosen",
+            scores["chosen"],
+            f"fitted in {chosen['fit_s']:.1f} s, on {chosen['n_train']} captures",
+        ),
+        (
+            "its error",
+            f"{chosen['log10_mse_weighted']:.2e}",
+            "log10 MSE on held-out days, solid-angle weighted",
+        ),
+        (
+            "a year",
+            f"{len(annual)} hours",
+            f"predicted at {annual.about['width']} x {annual.about['height']}",
+        ),
         ("best view", f"{best['azimuth_deg']:.0f}°", best["sentence"]),
     )
 
 
 def run(
-    folder: Path, *, preset: str = "quick", seed: int = 1, show: Show, workers: int = 2, weather: Path | None = None
+    folder: Path,
+    *,
+    preset: str = "quick",
+    seed: int = 1,
+    show: Show,
+    workers: int = 2,
+    weather: Path | None = None,
 ) -> Outcome:
     """Do the whole job in `folder`, in the paper's weather unless another is given.
 
@@ -175,9 +238,15 @@ def run(
     stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
     scores = stage("train", lambda p: trained(session, how, seed, p))
     model = session.models / MODEL
-    annual, _ = stage("predict a year", lambda p: predict.run(model, weather, seed=seed, progress=p))
+    annual, _ = stage(
+        "predict a year", lambda p: predict.run(model, weather, seed=seed, progress=p)
+    )
     page = stage("report", lambda p: report.run(session, progress=p))
     outcome = Outcome(page, seconds, _figures(session, scores, annual))
     with replacing(folder / "demo.json", "w", encoding="utf-8") as file:
-        json.dump({"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores}, file, indent=1)
+        json.dump(
+            {"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores},
+            file,
+            indent=1,
+        )
     return outcome

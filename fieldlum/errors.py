@@ -22,7 +22,9 @@ class InputError(FieldlumError):
 
     exit_code = 3
 
-    def __init__(self, source: Path | str, found: str, expected: str = "", remedy: str = "") -> None:
+    def __init__(
+        self, source: Path | str, found: str, expected: str = "", remedy: str = ""
+    ) -> None:
         self.source, self.found, self.expected, self.remedy = source, found, expected, remedy
         said = [found, f"expected {expected}" if expected else "", remedy]
         super().__init__(f"{source}: " + ", ".join(part for part in said if part))

@@ -1,9 +1,11 @@
-"""The light outside, its description for learning, and the kernel that says which hours teach about which others.
+"""The light outside, its description for learning, and the kernel that says which hours teach about
+which others.
 
-A room answers linearly to the sky's patches and to the sun. What it makes of a sun direction varies smoothly with it,
-but for the sharp sun patch, which is known from geometry or left to its own model. The kernel below is the covariance
-that follows: linear in the sky vector, linear in the sun's share and smooth in its direction, nothing for a sun that
-stands behind all facades. `plan` uses it before there is a picture, `models.transport` to learn from pictures.
+A room answers linearly to the sky's patches and to the sun. What it makes of a sun direction varies
+smoothly with it, but for the sharp sun patch, which is known from geometry or left to its own
+model. The kernel below is the covariance that follows: linear in the sky vector, linear in the
+sun's share and smooth in its direction, nothing for a sun that stands behind all facades. `plan`
+uses it before there is a picture, `models.transport` to learn from pictures.
 """
 
 from __future__ import annotations
@@ -24,16 +26,26 @@ from fieldlum.sky import PerezSky, perez_coefficients, perez_luminance, reinhart
 Array = NDArray[np.float64]
 
 LEAST_LX = 1e-3  # normaliser of an hour without any light
-BEHIND = 0.1  # share of a sun behind the facade that still enters: by reflection from ground and sky-side surfaces
-FACING = 0.8  # typical cosine between facade and sun, so that the facade factor is about the beam's share
-WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}  # turned from the room's south wall
+# share of a sun behind the facade that still enters: by reflection from ground and sky-side
+# surfaces
+BEHIND = 0.1
+# typical cosine between facade and sun, so that the facade factor is about the beam's share
+FACING = 0.8
+WALLS_DEG = {
+    "south": 0.0,
+    "west": 90.0,
+    "north": 180.0,
+    "east": 270.0,
+}  # turned from the room's south wall
 
 
 @dataclass(frozen=True)
 class Light:
-    """The light of n moments: irradiance and where the sun stands (true altitude; azimuth clockwise from north).
+    """The light of n moments: irradiance and where the sun stands (true altitude; azimuth clockwise
+    from north).
 
-    `perez` holds a sky known otherwise (a rendering's own coefficients); None: made from the irradiance.
+    `perez` holds a sky known otherwise (a rendering's own coefficients); None: made from the
+    irradiance.
     """
 
     t_utc: tuple[datetime, ...]
@@ -61,7 +73,10 @@ class Light:
     def scaled(self, factor: float) -> Light:
         """The same sky and sun, `factor` times as bright."""
         sky = self.sky
-        bright = {name: getattr(sky, name) * factor for name in ("norm_cdm2", "ground_cdm2", "direct_lx", "diffuse_lx")}
+        bright = {
+            name: getattr(sky, name) * factor
+            for name in ("norm_cdm2", "ground_cdm2", "direct_lx", "diffuse_lx")
+        }
         more = {"dni_wm2": self.dni_wm2 * factor, "dhi_wm2": self.dhi_wm2 * factor}
         return replace(self, **more, perez=replace(sky, **bright))
 
@@ -82,7 +97,9 @@ class Light:
         return self.sky_at(reinhart_patches().directions)
 
     def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Luminance of the sky (below the horizon: of an open ground) in directions [m, 3], without the sun, [n, m]."""
+        """Luminance of the sky (below the horizon: of an open ground) in directions [m, 3],
+        without the sun, [n, m].
+        """
         return perez_luminance(self.sky, self.sun_direction, directions, dtype=np.float32)  # pyright: ignore
 
     @property
@@ -94,27 +111,36 @@ class Light:
     def diffuse_lx(self) -> Array:
         """The sky's illuminance on the horizontal, summed over the patches, [n]."""
         patches = reinhart_patches()
-        return np.asarray(self.sky_cdm2 @ (patches.solid_angles_sr * patches.directions[:, 2]), float)
+        return np.asarray(
+            self.sky_cdm2 @ (patches.solid_angles_sr * patches.directions[:, 2]), float
+        )
 
     @cached_property
     def total_lx(self) -> Array:
-        """Sky on the horizontal plus sun on its normal: a normaliser without a blow-up at low sun, [n]."""
+        """Sky on the horizontal plus sun on its normal: a normaliser without a blow-up at low
+        sun, [n].
+        """
         return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
 
 
 def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2: Array) -> Light:
     """Light of some moments with the sun where SPA puts it. Raises ValueError for naive times."""
     at = sun.position(times_utc, site)
-    dni, dhi = (np.broadcast_to(np.asarray(a, float), len(times_utc)).copy() for a in (dni_wm2, dhi_wm2))
+    dni, dhi = (
+        np.broadcast_to(np.asarray(a, float), len(times_utc)).copy() for a in (dni_wm2, dhi_wm2)
+    )
     return Light(tuple(times_utc), dni, dhi, at.altitude_deg, at.azimuth_deg)
 
 
-# ---------------------------------------------------------------------------------------------- facades
+# ----------------------------------------------------------------------------------------------
+# facades
 
 
 @dataclass(frozen=True, slots=True)
 class Facades:
-    """Outward normals of the walls that let light in, as azimuths [f] deg, and how much each counts, [f]."""
+    """Outward normals of the walls that let light in, as azimuths [f] deg, and how much each
+    counts, [f].
+    """
 
     azimuths_deg: Array
     weights: Array
@@ -134,7 +160,9 @@ def facades_unknown() -> Facades:
 
 
 def facades_of(room: Room | None) -> Facades:
-    """The walls with windows, the largest counting one, others by the root of their share of glass."""
+    """The walls with windows, the largest counting one, others by the root of their share of
+    glass.
+    """
     if room is None or room.kind != "box" or not room.window:
         return facades_unknown()
     glass = dict.fromkeys((w.wall for w in room.window), 0.0)
@@ -145,16 +173,18 @@ def facades_of(room: Room | None) -> Facades:
     return Facades(azimuths, np.sqrt(area / area.max()))
 
 
-# ---------------------------------------------------------------------------------------------- features and kernel
+# ----------------------------------------------------------------------------------------------
+# features and kernel
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
     """What the kernel looks at, per unit of total light.
 
-    sky [n, P] root-solid-angle weighted luminances; beam [n] the sun's share; direction [n, 3] of the sun; flux [n] and
-    cells [n, c] the direct sun that falls into view, whole and by cells, where patches are known; bounced [n, k] what a
-    coarse model of the room makes of the sun, where there is one.
+    sky [n, P] root-solid-angle weighted luminances; beam [n] the sun's share; direction [n, 3] of
+    the sun; flux [n] and cells [n, c] the direct sun that falls into view, whole and by cells,
+    where patches are known; bounced [n, k] what a coarse model of the room makes of the sun, where
+    there is one.
     """
 
     sky: NDArray[np.float32]
@@ -187,14 +217,17 @@ def light_features(light: Light) -> Features:
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Prior covariance between hours of the light that reaches a pixel per unit of total light outside.
+    """Prior covariance between hours of the light that reaches a pixel per unit of total light
+    outside.
 
-    The defaults come from a study of one room and are robust within a factor of three either way; widths are in units
-    of the chord of the sun's direction (0.5 is about 29 degrees).
+    The defaults come from a study of one room and are robust within a factor of three either way;
+    widths are in units of the chord of the sun's direction (0.5 is about 29 degrees).
     """
 
     facades: Facades
-    constant: float = 1.0  # a room that follows the total light; the sun as a whole; the sun on the ground
+    constant: float = (
+        1.0  # a room that follows the total light; the sun as a whole; the sun on the ground
+    )
     sky: float = 2.0
     beam_width: float = 0.5
     facade: float = 1.0  # sun on the facades, smooth in its direction
@@ -249,10 +282,11 @@ def _facade(a: Features, facades: Facades) -> Array:
 
 
 def _upright(a: Array, b: Array) -> Array:
-    """Covariance of the light on matt upright surfaces of all azimuths alike, 1 for the same sun on the horizon.
+    """Covariance of the light on matt upright surfaces of all azimuths alike, 1 for the same sun on
+    the horizon.
 
-    The integral of max(0, a.n) max(0, b.n) over horizontal n: the arc-cosine kernel of order one (Cho and Saul 2009)
-    in the plane.
+    The integral of max(0, a.n) max(0, b.n) over horizontal n: the arc-cosine kernel of order one
+    (Cho and Saul 2009) in the plane.
     """
     length = np.outer(np.hypot(a[:, 0], a[:, 1]), np.hypot(b[:, 0], b[:, 1]))
     cosine = np.clip(a[:, :2] @ b[:, :2].T / np.maximum(length, 1e-12), -1.0, 1.0)
@@ -260,13 +294,15 @@ def _upright(a: Array, b: Array) -> Array:
     return length * (np.sin(angle) + (np.pi - angle) * cosine) / np.pi
 
 
-# ---------------------------------------------------------------------------------------------- choosing hours
+# ----------------------------------------------------------------------------------------------
+# choosing hours
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """index [k] into the pool in the order of choice; variance [k + 1]: mean predictive variance over the year before
-    any choice and after each, as a share of the prior variance."""
+    """index [k] into the pool in the order of choice; variance [k + 1]: mean predictive variance
+    over the year before any choice and after each, as a share of the prior variance.
+    """
 
     index: NDArray[np.intp]
     variance: Array
@@ -283,17 +319,21 @@ def greedy_hours(
     weights: Array | None = None,
     progress: Progress = quiet,
 ) -> Chosen:
-    """Choose from `pool`, one after the other, the hour that most lowers the summed variance over `year`.
+    """Choose from `pool`, one after the other, the hour that most lowers the summed variance over
+    `year`.
 
-    Needs weather only, no picture. `taken` are hours already captured; weights [len(year)] say how much each hour of
-    the year matters; noise is the variance of one capture in units of the kernel. Cost: O(len(year) len(pool) count).
+    Needs weather only, no picture. `taken` are hours already captured; weights [len(year)] say how
+    much each hour of the year matters; noise is the variance of one capture in units of the kernel.
+    Cost: O(len(year) len(pool) count).
     """
     w = np.ones(len(year)) if weights is None else np.asarray(weights, float)
     cross, own = kernel(year, pool), kernel(pool, pool)
     prior = kernel.diagonal(year)
     if taken is not None and len(taken):
         known = kernel(taken, taken) + noise * np.eye(len(taken))
-        towards = np.linalg.solve(known, np.concatenate((kernel(taken, pool), kernel(taken, year)), axis=1))
+        towards = np.linalg.solve(
+            known, np.concatenate((kernel(taken, pool), kernel(taken, year)), axis=1)
+        )
         cross = cross - kernel(year, taken) @ towards[:, : len(pool)]
         own = own - kernel(pool, taken) @ towards[:, : len(pool)]
         left = prior - np.einsum("ij,ji->i", kernel(year, taken), towards[:, len(pool) :])

@@ -1,4 +1,6 @@
-"""What the time is by the light itself: logged days of light are centred on solar noon, whatever the clouds do."""
+"""What the time is by the light itself: logged days of light are centred on solar noon, whatever
+the clouds do.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,25 @@ from fieldlum.records import Site
 Array = NDArray[np.float64]
 
 LIT_WM2 = 10.0  # the global crosses it with the sun at 1 (clear) to 4 degrees (overcast)
-CLOCK_WARN_S = 1200.0  # mornings and evenings whose clouds differ twentyfold shift the middle by under 7 minutes
+# mornings and evenings whose clouds differ twentyfold shift the middle by under 7 minutes
+CLOCK_WARN_S = 1200.0
 _SET_S, _LEAST_DAYS = 1800.0, 3
 _SETS_DEG = 5.0  # the night's lowest sun, and the day's highest: else clouds make day and night
 _LONGEST_STORM_S = 7200.0  # a darker spell within a day
-_NIGHT_SUN_DEG = -3.0  # 40 lx at most, 0.4 W/m2; an hour of daylight saving lights it at every dusk or every dawn
-_SEEN_DARK_S = 900.0  # before and after the day; rows further apart than this do not show when it began
+_NIGHT_SUN_DEG = (
+    -3.0
+)  # 40 lx at most, 0.4 W/m2; an hour of daylight saving lights it at every dusk or every dawn
+_SEEN_DARK_S = (
+    900.0  # before and after the day; rows further apart than this do not show when it began
+)
 
 
 def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
-    """Median over days of (logged middle of the light minus solar noon); None where no whole day was logged.
+    """Median over days of (logged middle of the light minus solar noon); None where no whole day
+    was logged.
 
-    t_unix_s, ghi_wm2 [n]: rows in order of time. A positive answer is a clock that is fast, or an offset from UTC that
-    was told too small: -43 200 to 43 200 s.
+    t_unix_s, ghi_wm2 [n]: rows in order of time. A positive answer is a clock that is fast, or an
+    offset from UTC that was told too small: -43 200 to 43 200 s.
     """
     off = days_off_s(t_unix_s, ghi_wm2, site)[1]
     return float(np.median(off)) if len(off) else None
@@ -44,10 +52,12 @@ def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[dateti
 
 
 def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, float] | None:
-    """The first day after the clock was set, as for daylight saving, and by how much; None where it was not.
+    """The first day after the clock was set, as for daylight saving, and by how much; None where it
+    was not.
 
-    The split of the days with the least scatter on both sides, at least three days on each; a step counts from half an
-    hour on, and where it takes away half of all scatter: the middle of one day of broken clouds can lie an hour beside.
+    The split of the days with the least scatter on both sides, at least three days on each; a step
+    counts from half an hour on, and where it takes away half of all scatter: the middle of one day
+    of broken clouds can lie an hour beside.
     """
     days, off = days_off_s(t_unix_s, ghi_wm2, site)
     splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
@@ -71,7 +81,9 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
 
 
 def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
-    """First and last moment of each spell of light that has darkness, logged without a gap, on either side."""
+    """First and last moment of each spell of light that has darkness, logged without a gap, on
+    either side.
+    """
     lit = ghi_wm2 > LIT_WM2
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
     ends = np.flatnonzero(lit & ~np.r_[lit[1:], True])
@@ -95,9 +107,11 @@ def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
 
 
 def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
-    """Minutes with light while the sun is well down: the logger's clock, the offset told, or the longitude's sign.
+    """Minutes with light while the sun is well down: the logger's clock, the offset told, or the
+    longitude's sign.
 
-    Unlike `clock_off_s` this needs no whole day, but tells no figure, and nothing under half an hour.
+    Unlike `clock_off_s` this needs no whole day, but tells no figure, and nothing under half an
+    hour.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     if len(minutes) == 0:

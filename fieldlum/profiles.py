@@ -1,4 +1,6 @@
-"""Strict TOML: site files, camera profiles, capture plans. An unknown key is an error, not a shrug."""
+"""Strict TOML: site files, camera profiles, capture plans. An unknown key is an error, not a
+shrug.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
     return in_wheel if in_wheel.is_dir() else _HERE.parent / kind
 
 
-# ---------------------------------------------------------------------------------------------- strict building
+# ----------------------------------------------------------------------------------------------
+# strict building
 
 
 def build(cls: type[T], table: dict[str, Any], where: str) -> T:
@@ -40,12 +43,16 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     for key in table:
         if key not in known:
             near = get_close_matches(key, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(known))}"
+            hint = (
+                f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(known))}"
+            )
             raise InputError(where, f"unknown key '{key}'", remedy=hint)
     for name, f in known.items():
         if name not in table and f.default is MISSING and f.default_factory is MISSING:
             raise InputError(where, f"no '{name}'", f"a value for '{name}'", "add it")
-    return cls(**{key: _value(hints[key], value, f"{where} [{key}]") for key, value in table.items()})
+    return cls(
+        **{key: _value(hints[key], value, f"{where} [{key}]") for key, value in table.items()}
+    )
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
@@ -62,7 +69,9 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
         if inner is None and len(value) != len(arguments):
             raise InputError(where, f"{len(value)} values", f"{len(arguments)} values")
-        return tuple(_value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value))
+        return tuple(
+            _value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value)
+        )
     if origin is dict:
         if not isinstance(value, dict):
             raise InputError(where, repr(value), "a table")
@@ -72,27 +81,41 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             raise InputError(where, repr(value), "a table")
         return build(typing.cast(type, hint), value, where)
     if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
             raise InputError(where, repr(value), "a number")
         return float(value)
-    if isinstance(hint, type) and (not isinstance(value, hint) or (hint is int and isinstance(value, bool))):
-        raise InputError(where, repr(value), {int: "a whole number", str: "text", bool: "true or false"}[hint])
+    if isinstance(hint, type) and (
+        not isinstance(value, hint) or (hint is int and isinstance(value, bool))
+    ):
+        raise InputError(
+            where, repr(value), {int: "a whole number", str: "text", bool: "true or false"}[hint]
+        )
     return value
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Raises InputError for a missing file or for what is not TOML."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # editors of Windows put a mark before the text
+        return tomllib.loads(
+            path.read_text(encoding="utf-8-sig")
+        )  # editors of Windows put a mark before the text
     except OSError as error:
         raise InputError(path, error.strerror or str(error), "a readable TOML file") from None
     except UnicodeDecodeError as error:
         raise InputError(
-            path, f"byte {error.object[error.start]:#04x} that is no UTF-8", "TOML in UTF-8",
+            path,
+            f"byte {error.object[error.start]:#04x} that is no UTF-8",
+            "TOML in UTF-8",
             "save it again with the encoding UTF-8",
-        ) from None  # fmt: skip
+        ) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(path, str(error), "TOML", "mend that line: text in quotes, decimals with a point") from None
+        raise InputError(
+            path, str(error), "TOML", "mend that line: text in quotes, decimals with a point"
+        ) from None
 
 
 def plain(value: Any) -> Any:
@@ -106,7 +129,8 @@ def plain(value: Any) -> Any:
     return value
 
 
-# ---------------------------------------------------------------------------------------------- SITE.toml
+# ----------------------------------------------------------------------------------------------
+# SITE.toml
 
 
 _MOST_OFF_SUN_H = 4.0  # western China's clocks are 3.1 h ahead of their sun, more than any other's
@@ -118,20 +142,36 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
     setup = build(SiteFile, table, where)
     site = setup.site
     if not -90 <= site.latitude_deg <= 90:
-        raise InputError(where, f"latitude_deg = {site.latitude_deg:g}", "-90 to 90", "south is negative")
+        raise InputError(
+            where, f"latitude_deg = {site.latitude_deg:g}", "-90 to 90", "south is negative"
+        )
     if not -180 <= site.longitude_deg <= 180:
-        raise InputError(where, f"longitude_deg = {site.longitude_deg:g}", "-180 to 180", "east is positive")
+        raise InputError(
+            where, f"longitude_deg = {site.longitude_deg:g}", "-180 to 180", "east is positive"
+        )
     if not -500 <= site.altitude_m <= 9000:
-        raise InputError(where, f"altitude_m = {site.altitude_m:g}", "-500 to 9000", "metres above the sea")
+        raise InputError(
+            where, f"altitude_m = {site.altitude_m:g}", "-500 to 9000", "metres above the sea"
+        )
     try:
         ZoneInfo(site.timezone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
         raise InputError(
-            where, f"unknown time zone '{site.timezone}'", "an IANA name such as America/Los_Angeles"
+            where,
+            f"unknown time zone '{site.timezone}'",
+            "an IANA name such as America/Los_Angeles",
         ) from None
-    if abs(site.latitude_deg) < _MERIDIANS_MEET_DEG and abs(off_h := sun.zone_off_sun_h(site)) > _MOST_OFF_SUN_H:
-        found = f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, {abs(off_h):.1f} h off the sun"
-        raise InputError(where, found, f"at most {_MOST_OFF_SUN_H:g} h", "east is positive, west negative")
+    if (
+        abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
+        and abs(off_h := sun.zone_off_sun_h(site)) > _MOST_OFF_SUN_H
+    ):
+        found = (
+            f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
+            f"{abs(off_h):.1f} h off the sun"
+        )
+        raise InputError(
+            where, found, f"at most {_MOST_OFF_SUN_H:g} h", "east is positive, west negative"
+        )
     return setup
 
 
@@ -141,7 +181,9 @@ def site_table(setup: SiteFile) -> dict[str, Any]:
 
 
 def load_site(path: Path) -> SiteFile:
-    """A person's file. The camera's height may stand in [camera] or in [room], and counts in both."""
+    """A person's file. The camera's height may stand in [camera] or in [room], and counts in
+    both.
+    """
     table = read_toml(path)
     camera, room = table.setdefault("camera", {}), table.get("room")
     if isinstance(camera, dict) and isinstance(room, dict):
@@ -152,7 +194,8 @@ def load_site(path: Path) -> SiteFile:
     return site_from_table(table, str(path))
 
 
-# ---------------------------------------------------------------------------------------------- camera profiles
+# ----------------------------------------------------------------------------------------------
+# camera profiles
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +216,15 @@ class Sensor:
 
     cfa: str = "RGGB"
     black_dn: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
-    saturation_dn: tuple[float, ...] = (65535.0, 65535.0, 65535.0, 65535.0)  # the plateau, not the file's tag
-    white_dn: float = 65535.0  # DN where linear z = 1 by definition (minus black); only fixes what scale.k means
+    saturation_dn: tuple[float, ...] = (
+        65535.0,
+        65535.0,
+        65535.0,
+        65535.0,
+    )  # the plateau, not the file's tag
+    white_dn: float = (
+        65535.0  # DN where linear z = 1 by definition (minus black); only fixes what scale.k means
+    )
     gain_e_per_dn: float = 1.0  # at iso
     read_noise_e: float = 3.0
     iso: float = 100.0
@@ -203,7 +253,9 @@ class ShutterTime:
 
 @dataclass(frozen=True, slots=True)
 class Vignetting:
-    """Relative transmission V in powers of r = angle / (full angle / 2): V = sum c_k r^k, c_0 first, V(0) = 1."""
+    """Relative transmission V in powers of r = angle / (full angle / 2): V = sum c_k r^k, c_0
+    first, V(0) = 1.
+    """
 
     f_number: float
     coefficients: tuple[float, ...]
@@ -212,13 +264,17 @@ class Vignetting:
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """One lens on the sensor. Pixel coordinates: (0, 0) is the top left corner of the sensor's top left pixel."""
+    """One lens on the sensor. Pixel coordinates: (0, 0) is the top left corner of the sensor's
+    top left pixel.
+    """
 
     centre_px: tuple[float, float]  # x to the right, y down
     radius_px: float  # of the image circle at full_angle_deg / 2
     full_angle_deg: float
     mapping: Literal["equidistant", "equisolid", "polynomial"] = "equisolid"
-    coefficients: tuple[float, ...] = ()  # polynomial: r / radius_px = sum c_k (angle / half angle)^(k+1)
+    coefficients: tuple[
+        float, ...
+    ] = ()  # polynomial: r / radius_px = sum c_k (angle / half angle)^(k+1)
     name: str = "lens"
     azimuth_deg: float = 0.0  # optical axis relative to the camera's heading, clockwise
     tilt_deg: float = 0.0  # up
@@ -229,9 +285,15 @@ class Lens:
     def geometry(self) -> LensGeometry:
         """Where it puts a direction, on the whole sensor, relative to the camera's heading."""
         return LensGeometry(
-            self.centre_px, self.radius_px, self.full_angle_deg, self.mapping, self.coefficients,
-            self.azimuth_deg, self.tilt_deg, self.roll_deg,
-        )  # fmt: skip
+            self.centre_px,
+            self.radius_px,
+            self.full_angle_deg,
+            self.mapping,
+            self.coefficients,
+            self.azimuth_deg,
+            self.tilt_deg,
+            self.roll_deg,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +314,9 @@ class Colour:
     """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB."""
 
     y_from_rgb: tuple[float, float, float] = (0.265, 0.670, 0.065)
-    rgb_to_radiance: tuple[float, ...] = ()  # 9 values, row by row; empty: no colour is written, only Y
+    rgb_to_radiance: tuple[
+        float, ...
+    ] = ()  # 9 values, row by row; empty: no colour is written, only Y
     u_rel: float = 0.02
 
 
@@ -302,9 +366,15 @@ DEFAULT_CAMERA = "sim-dual-fisheye"
 
 
 def find_camera_profile(name: str) -> Path:
-    """A path as it stands, else a name in the shipped calibration/. Raises InputError listing what there is."""
+    """A path as it stands, else a name in the shipped calibration/. Raises InputError listing
+    what there is.
+    """
     path = Path(name or DEFAULT_CAMERA)
-    for candidate in (path, shipped("calibration") / path.name, shipped("calibration") / f"{path.name}.toml"):
+    for candidate in (
+        path,
+        shipped("calibration") / path.name,
+        shipped("calibration") / f"{path.name}.toml",
+    ):
         if candidate.is_file():
             return candidate
     known = ", ".join(sorted(p.stem for p in shipped("calibration").glob("*.toml")))
@@ -335,7 +405,9 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         "bracket.iso": (p.bracket.iso,),
         "sensor.gain_e_per_dn": (p.sensor.gain_e_per_dn,),
         "sensor.iso": (p.sensor.iso,),
-        "shutter.nominal_s and true_s": tuple(t for x in p.shutter for t in (x.nominal_s, x.true_s)),
+        "shutter.nominal_s and true_s": tuple(
+            t for x in p.shutter for t in (x.nominal_s, x.true_s)
+        ),
         "scale.k": (p.scale.k,),
         "scale.f_numbers": p.scale.f_numbers,
         "nd.factor_rgb": tuple(f for x in p.nd for f in x.factor_rgb),
@@ -344,22 +416,43 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         for value in values:
             if not 0 < value < 1e12:
                 raise InputError(where, f"{key} = {value:g}", "a number above 0")
-    relative = (p.colour.u_rel, p.scale.u_rel, p.response.u_rel, p.glare_floor_rel, *(x.u_rel for x in p.shutter))
+    relative = (
+        p.colour.u_rel,
+        p.scale.u_rel,
+        p.response.u_rel,
+        p.glare_floor_rel,
+        *(x.u_rel for x in p.shutter),
+    )
     relative += (*(x.u_rel for x in p.nd), *(v.u_rel for x in p.lens for v in x.vignetting))
     if not all(0 <= value < 1 for value in relative):
-        raise InputError(where, f"a share of {next(v for v in relative if not 0 <= v < 1):g}", "u_rel: 0 to below 1")
+        raise InputError(
+            where,
+            f"a share of {next(v for v in relative if not 0 <= v < 1):g}",
+            "u_rel: 0 to below 1",
+        )
     if min(p.sensor.read_noise_e, p.bracket.seconds_per_frame, p.bracket.megabytes_per_frame) < 0:
-        raise InputError(where, "read_noise_e, seconds_per_frame or megabytes_per_frame below 0", "0 or more")
-    if max(x.full_angle_deg for x in p.lens) > 300 or max(p.camera.width_px, p.camera.height_px) > 100_000:
-        raise InputError(where, "a lens beyond 300 degrees or a sensor beyond 100 000 pixels", "a real camera")
+        raise InputError(
+            where, "read_noise_e, seconds_per_frame or megabytes_per_frame below 0", "0 or more"
+        )
+    if (
+        max(x.full_angle_deg for x in p.lens) > 300
+        or max(p.camera.width_px, p.camera.height_px) > 100_000
+    ):
+        raise InputError(
+            where, "a lens beyond 300 degrees or a sensor beyond 100 000 pixels", "a real camera"
+        )
     for lens in p.lens:
         _check_mapping(lens, where)
     if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
         raise InputError(where, "[sensor] black_dn or saturation_dn", "four values: R, G1, G2, B")
     if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
-        raise InputError(where, "[sensor] black at or above saturation", "black below saturation and white")
+        raise InputError(
+            where, "[sensor] black at or above saturation", "black below saturation and white"
+        )
     if len(p.colour.rgb_to_radiance) not in (0, 9):
-        raise InputError(where, f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values", "9, or none")
+        raise InputError(
+            where, f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values", "9, or none"
+        )
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
         raise InputError(where, "response.low_code, high_code", "0 <= low < high <= 255")
 
@@ -368,14 +461,24 @@ def _check_mapping(lens: Lens, where: str) -> None:
     """The radius must rise with the angle up to the edge of the circle, and reach 1 there."""
     if lens.mapping != "polynomial":
         return
-    found = f"lens '{lens.name}': polynomial of {', '.join(f'{c:g}' for c in lens.coefficients) or 'no coefficients'}"
+    found = (
+        f"lens '{lens.name}': polynomial of "
+        f"{', '.join(f'{c:g}' for c in lens.coefficients) or 'no coefficients'}"
+    )
     remedy = "fit it again: fieldlum calibrate lens"
     try:
         angle_of_radius(lens.geometry, 1.0)
     except ValueError as error:
-        raise InputError(where, f"{found} ({error})", "one that rises up to the edge of the circle", remedy) from None
+        raise InputError(
+            where, f"{found} ({error})", "one that rises up to the edge of the circle", remedy
+        ) from None
     if abs(sum(lens.coefficients) - 1.0) > 0.02:
-        raise InputError(where, f"{found}, in all {sum(lens.coefficients):g}", "coefficients that sum to 1", remedy)
+        raise InputError(
+            where,
+            f"{found}, in all {sum(lens.coefficients):g}",
+            "coefficients that sum to 1",
+            remedy,
+        )
 
 
 def save_profile(path: Path, profile: CameraProfile) -> None:
@@ -390,7 +493,9 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
 
 def bracket_exposures(bracket: Bracket) -> tuple[Exposure, ...]:
     """Longest first, then the frames through each filter."""
-    open_frames = [Exposure(t, bracket.f_number, bracket.iso) for t in sorted(bracket.shutter_s, reverse=True)]
+    open_frames = [
+        Exposure(t, bracket.f_number, bracket.iso) for t in sorted(bracket.shutter_s, reverse=True)
+    ]
     filtered = [
         Exposure(t, bracket.f_number, bracket.iso, name)
         for name in bracket.nd

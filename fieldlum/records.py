@@ -1,4 +1,6 @@
-"""Frozen values that cross the borders between stages. Units are in the names; times are aware UTC."""
+"""Frozen values that cross the borders between stages. Units are in the names; times are aware
+UTC.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ def quiet(done: int, total: int, text: str) -> None:
     """The progress that shows nothing."""
 
 
-# ---------------------------------------------------------------------------------------------- time
+# ----------------------------------------------------------------------------------------------
+# time
 
 
 def utc_text(t_utc: datetime) -> str:
@@ -28,25 +31,36 @@ def utc_text(t_utc: datetime) -> str:
     if t_utc.tzinfo is None:
         raise ValueError(f"naive time {t_utc}: give it a time zone")
     t = t_utc.astimezone(UTC)
-    return t.strftime("%Y-%m-%dT%H:%M:%S") + (f".{t.microsecond // 1000:03d}" if t.microsecond else "") + "Z"
+    return (
+        t.strftime("%Y-%m-%dT%H:%M:%S")
+        + (f".{t.microsecond // 1000:03d}" if t.microsecond else "")
+        + "Z"
+    )
 
 
 def parse_utc(text: str) -> datetime:
-    """Inverse of `utc_text`; any ISO time with an offset is accepted, a naive one is a ValueError."""
+    """Inverse of `utc_text`; any ISO time with an offset is accepted, a naive one is a
+    ValueError.
+    """
     t = datetime.fromisoformat(text)
     if t.tzinfo is None:
-        raise ValueError(f"time {text!r} has no time zone: write it as UTC, like 2027-03-20T15:30:00Z")
+        raise ValueError(
+            f"time {text!r} has no time zone: write it as UTC, like 2027-03-20T15:30:00Z"
+        )
     return t.astimezone(UTC)
 
 
 def slot_id(t_utc: datetime) -> str:
-    """A slot is named by its UTC start: ``20270320T153000Z``. Raises ValueError for a naive time."""
+    """A slot is named by its UTC start: ``20270320T153000Z``. Raises ValueError for a naive
+    time.
+    """
     if t_utc.tzinfo is None:
         raise ValueError(f"naive time {t_utc}: give it a time zone")
     return t_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 
-# ---------------------------------------------------------------------------------------------- flags
+# ----------------------------------------------------------------------------------------------
+# flags
 
 
 class Flag(IntFlag):
@@ -61,7 +75,8 @@ class Flag(IntFlag):
     OUTSIDE_LENS = 64  # no lens saw it
 
 
-# ---------------------------------------------------------------------------------------------- site and room
+# ----------------------------------------------------------------------------------------------
+# site and room
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +92,17 @@ class Site:
 class CameraSetup:
     profile: str = ""  # name in calibration/ or a path; empty: the default simulated camera
     heading_deg: float = 180.0  # azimuth of the panorama's centre column, clockwise from true north
-    headings: tuple[float, ...] = ()  # of a single fisheye on a turned head; empty for one fixed camera
+    headings: tuple[
+        float, ...
+    ] = ()  # of a single fisheye on a turned head; empty for one fixed camera
     height_m: float = 1.6
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A glazed rectangle in a wall, seen from inside; ``left_m`` runs from the wall's left end as seen from inside."""
+    """A glazed rectangle in a wall, seen from inside; ``left_m`` runs from the wall's left end
+    as seen from inside.
+    """
 
     wall: Literal["south", "west", "north", "east"]
     left_m: float
@@ -98,7 +117,9 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Obstruction:
-    """A box, in room coordinates (x to the right, y away from the south wall, z up), inside or outside."""
+    """A box, in room coordinates (x to the right, y away from the south wall, z up), inside or
+    outside.
+    """
 
     x_m: float
     y_m: float
@@ -111,16 +132,21 @@ class Obstruction:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """`kind` box: a shoebox; its "south" wall is y = 0 and faces ``wall_azimuth_deg``. `kind` radiance: a file."""
+    """`kind` box: a shoebox; its "south" wall is y = 0 and faces ``wall_azimuth_deg``. `kind`
+    radiance: a file.
+    """
 
     kind: Literal["box", "radiance"] = "box"
-    width_m: float = 6.0  # along x; x grows towards the right-hand end of the south wall seen from OUTSIDE, i.e. east
+    # along x; x grows towards the right-hand end of the south wall seen from OUTSIDE, i.e. east
+    width_m: float = 6.0
     depth_m: float = 14.0  # along y, away from the south wall
     height_m: float = 4.5
     camera_x_m: float = 3.0
     camera_y_m: float = 3.0
     camera_z_m: float = 1.6
-    wall_azimuth_deg: float = 180.0  # where the outward normal of the "south" wall points, clockwise from true north
+    wall_azimuth_deg: float = (
+        180.0  # where the outward normal of the "south" wall points, clockwise from true north
+    )
     wall_thickness_m: float = 0.25
     reflectance_walls: float = 0.5
     reflectance_ceiling: float = 0.8
@@ -149,7 +175,8 @@ class SiteFile:
     pyranometer: PyranometerSetup = field(default_factory=PyranometerSetup)
 
 
-# ---------------------------------------------------------------------------------------------- capture
+# ----------------------------------------------------------------------------------------------
+# capture
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,12 +220,15 @@ class IrradianceSample:
     raw: str = ""  # the line or register words as received
 
 
-# ---------------------------------------------------------------------------------------------- luminance
+# ----------------------------------------------------------------------------------------------
+# luminance
 
 
 @dataclass(frozen=True, slots=True)
 class SunSource:
-    """The sun as the lens sees it, kept beside the map. Illuminance is on a plane normal to it, at the lens."""
+    """The sun as the lens sees it, kept beside the map. Illuminance is on a plane normal to it,
+    at the lens.
+    """
 
     altitude_deg: float
     azimuth_deg: float  # clockwise from north
@@ -211,7 +241,8 @@ class SunSource:
 class Panorama:
     """A luminance map of all directions, without the sun's disc.
 
-    luminance_cdm2, u_cdm2 (standard uncertainty), flags : [H, W = 2H], row 0 at the zenith, centre column at heading.
+    luminance_cdm2, u_cdm2 (standard uncertainty), flags : [H, W = 2H], row 0 at the zenith, centre
+    column at heading.
     """
 
     luminance_cdm2: Float

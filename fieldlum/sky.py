@@ -1,8 +1,9 @@
 """Perez all-weather skies and Reinhart patches, vectorised.
 
-The sky is that of Radiance's gendaylit 2.5 (Perez, Seals, Michalsky 1993, Solar Energy 50(3)) with perezlum.cal;
-luminous efficacies are those of Perez, Ineichen, Seals, Michalsky, Stewart 1990, Solar Energy 44(5), at 2 cm of water.
-Axes: x east, y north, z up. Luminance is 179 times perezlum's radiance.
+The sky is that of Radiance's gendaylit 2.5 (Perez, Seals, Michalsky 1993, Solar Energy 50(3)) with
+perezlum.cal; luminous efficacies are those of Perez, Ineichen, Seals, Michalsky, Stewart 1990,
+Solar Energy 44(5), at 2 cm of water. Axes: x east, y north, z up. Luminance is 179 times perezlum's
+radiance.
 """
 
 from __future__ import annotations
@@ -27,44 +28,223 @@ _CLEARNESS = (1.0, 12.01)
 _BRIGHTNESS = (0.01, 0.6)
 
 # Perez 1993, table 1: a, b, c, d, e, each as (1, Z, Delta, Delta Z).
-_SHAPE = np.array([
-    [1.3525, -0.2576, -0.2690, -1.4366, -0.7670, 0.0007, 1.2734, -0.1233, 2.8000, 0.6004,
-     1.2375, 1.0000, 1.8734, 0.6297, 0.9738, 0.2809, 0.0356, -0.1246, -0.5718, 0.9938],
-    [-1.2219, -0.7730, 1.4148, 1.1016, -0.2054, 0.0367, -3.9128, 0.9156, 6.9750, 0.1774,
-     6.4477, -0.1239, -1.5798, -0.5081, -1.7812, 0.1080, 0.2624, 0.0672, -0.2190, -0.4285],
-    [-1.1000, -0.2515, 0.8952, 0.0156, 0.2782, -0.1812, -4.5000, 1.1766, 24.7219, -13.0812,
-     -37.7000, 34.8438, -5.0000, 1.5218, 3.9229, -2.6204, -0.0156, 0.1597, 0.4199, -0.5562],
-    [-0.5484, -0.6654, -0.2672, 0.7117, 0.7234, -0.6219, -5.6812, 2.6297, 33.3389, -18.3000,
-     -62.2500, 52.0781, -3.5000, 0.0016, 1.1477, 0.1062, 0.4659, -0.3296, -0.0876, -0.0329],
-    [-0.6000, -0.3566, -2.5000, 2.3250, 0.2937, 0.0496, -5.6812, 1.8415, 21.0000, -4.7656,
-     -21.5906, 7.2492, -3.5000, -0.1554, 1.4062, 0.3988, 0.0032, 0.0766, -0.0656, -0.1294],
-    [-1.0156, -0.3670, 1.0078, 1.4051, 0.2875, -0.5328, -3.8500, 3.3750, 14.0000, -0.9999,
-     -7.1406, 7.5469, -3.4000, -0.1078, -1.0750, 1.5702, -0.0672, 0.4016, 0.3017, -0.4844],
-    [-1.0000, 0.0211, 0.5025, -0.5119, -0.3000, 0.1922, 0.7023, -1.6317, 19.0000, -5.0000,
-     1.2438, -1.9094, -4.0000, 0.0250, 0.3844, 0.2656, 1.0468, -0.3788, -2.4517, 1.4656],
-    [-1.0500, 0.0289, 0.4260, 0.3590, -0.3250, 0.1156, 0.7781, 0.0025, 31.0625, -14.5000,
-     -46.1148, 55.3750, -7.2312, 0.4050, 13.3500, 0.6234, 1.5000, -0.6426, 1.8564, 0.5636],
-]).reshape(8, 5, 4)  # fmt: skip
+_SHAPE = np.array(
+    [
+        [
+            1.3525,
+            -0.2576,
+            -0.2690,
+            -1.4366,
+            -0.7670,
+            0.0007,
+            1.2734,
+            -0.1233,
+            2.8000,
+            0.6004,
+            1.2375,
+            1.0000,
+            1.8734,
+            0.6297,
+            0.9738,
+            0.2809,
+            0.0356,
+            -0.1246,
+            -0.5718,
+            0.9938,
+        ],
+        [
+            -1.2219,
+            -0.7730,
+            1.4148,
+            1.1016,
+            -0.2054,
+            0.0367,
+            -3.9128,
+            0.9156,
+            6.9750,
+            0.1774,
+            6.4477,
+            -0.1239,
+            -1.5798,
+            -0.5081,
+            -1.7812,
+            0.1080,
+            0.2624,
+            0.0672,
+            -0.2190,
+            -0.4285,
+        ],
+        [
+            -1.1000,
+            -0.2515,
+            0.8952,
+            0.0156,
+            0.2782,
+            -0.1812,
+            -4.5000,
+            1.1766,
+            24.7219,
+            -13.0812,
+            -37.7000,
+            34.8438,
+            -5.0000,
+            1.5218,
+            3.9229,
+            -2.6204,
+            -0.0156,
+            0.1597,
+            0.4199,
+            -0.5562,
+        ],
+        [
+            -0.5484,
+            -0.6654,
+            -0.2672,
+            0.7117,
+            0.7234,
+            -0.6219,
+            -5.6812,
+            2.6297,
+            33.3389,
+            -18.3000,
+            -62.2500,
+            52.0781,
+            -3.5000,
+            0.0016,
+            1.1477,
+            0.1062,
+            0.4659,
+            -0.3296,
+            -0.0876,
+            -0.0329,
+        ],
+        [
+            -0.6000,
+            -0.3566,
+            -2.5000,
+            2.3250,
+            0.2937,
+            0.0496,
+            -5.6812,
+            1.8415,
+            21.0000,
+            -4.7656,
+            -21.5906,
+            7.2492,
+            -3.5000,
+            -0.1554,
+            1.4062,
+            0.3988,
+            0.0032,
+            0.0766,
+            -0.0656,
+            -0.1294,
+        ],
+        [
+            -1.0156,
+            -0.3670,
+            1.0078,
+            1.4051,
+            0.2875,
+            -0.5328,
+            -3.8500,
+            3.3750,
+            14.0000,
+            -0.9999,
+            -7.1406,
+            7.5469,
+            -3.4000,
+            -0.1078,
+            -1.0750,
+            1.5702,
+            -0.0672,
+            0.4016,
+            0.3017,
+            -0.4844,
+        ],
+        [
+            -1.0000,
+            0.0211,
+            0.5025,
+            -0.5119,
+            -0.3000,
+            0.1922,
+            0.7023,
+            -1.6317,
+            19.0000,
+            -5.0000,
+            1.2438,
+            -1.9094,
+            -4.0000,
+            0.0250,
+            0.3844,
+            0.2656,
+            1.0468,
+            -0.3788,
+            -2.4517,
+            1.4656,
+        ],
+        [
+            -1.0500,
+            0.0289,
+            0.4260,
+            0.3590,
+            -0.3250,
+            0.1156,
+            0.7781,
+            0.0025,
+            31.0625,
+            -14.5000,
+            -46.1148,
+            55.3750,
+            -7.2312,
+            0.4050,
+            13.3500,
+            0.6234,
+            1.5000,
+            -0.6426,
+            1.8564,
+            0.5636,
+        ],
+    ]
+).reshape(8, 5, 4)
 
 # Perez 1990, table 4: a, b (water), c (zenith), d (brightness) of each bin.
-_DIFFUSE_EFFICACY = np.array([
-    [97.24, -0.46, 12.00, -8.91], [107.22, 1.15, 0.59, -3.95], [104.97, 2.96, -5.53, -8.77],
-    [102.39, 5.59, -13.95, -13.90], [100.71, 5.94, -22.75, -23.74], [106.42, 3.83, -36.15, -28.83],
-    [141.88, 1.90, -53.24, -14.03], [152.23, 0.35, -45.27, -7.98],
-])  # fmt: skip
-_DIRECT_EFFICACY = np.array([
-    [57.20, -4.55, -2.98, 117.12], [98.99, -3.46, -1.21, 12.38], [109.83, -4.90, -1.71, -8.81],
-    [110.34, -5.84, -1.99, -4.56], [106.36, -3.97, -1.75, -6.16], [107.19, -1.25, -1.51, -26.73],
-    [105.75, 0.77, -1.26, -34.44], [101.18, 1.58, -1.10, -8.29],
-])  # fmt: skip
+_DIFFUSE_EFFICACY = np.array(
+    [
+        [97.24, -0.46, 12.00, -8.91],
+        [107.22, 1.15, 0.59, -3.95],
+        [104.97, 2.96, -5.53, -8.77],
+        [102.39, 5.59, -13.95, -13.90],
+        [100.71, 5.94, -22.75, -23.74],
+        [106.42, 3.83, -36.15, -28.83],
+        [141.88, 1.90, -53.24, -14.03],
+        [152.23, 0.35, -45.27, -7.98],
+    ]
+)
+_DIRECT_EFFICACY = np.array(
+    [
+        [57.20, -4.55, -2.98, 117.12],
+        [98.99, -3.46, -1.21, 12.38],
+        [109.83, -4.90, -1.71, -8.81],
+        [110.34, -5.84, -1.99, -4.56],
+        [106.36, -3.97, -1.75, -6.16],
+        [107.19, -1.25, -1.51, -26.73],
+        [105.75, 0.77, -1.26, -34.44],
+        [101.18, 1.58, -1.10, -8.29],
+    ]
+)
 
 
-# ---------------------------------------------------------------------------------------------- patches
+# ----------------------------------------------------------------------------------------------
+# patches
 
 
 @dataclass(frozen=True, slots=True)
 class SkyPatches:
-    """directions [P, 3] of the patches' middles, solid_angles_sr [P]; the sky only, all together 2 pi."""
+    """directions [P, 3] of the patches' middles, solid_angles_sr [P]; the sky only, all together
+    2 pi.
+    """
 
     directions: Array
     solid_angles_sr: Array
@@ -81,9 +261,11 @@ def patches_per_row(mf: int = 4) -> list[int]:
 
 @lru_cache(maxsize=4)
 def reinhart_patches(mf: int = 4) -> SkyPatches:
-    """Reinhart's division of the sky, 144 mf^2 + 1 patches, in the order of Radiance's reinhartb.cal and rskysrc.cal.
+    """Reinhart's division of the sky, 144 mf^2 + 1 patches, in the order of Radiance's
+    reinhartb.cal and rskysrc.cal.
 
-    Bin 0 is the first: centred on north, at the horizon; azimuth grows clockwise. The ground is no patch.
+    Bin 0 is the first: centred on north, at the horizon; azimuth grows clockwise. The ground is no
+    patch.
     """
     rows = patches_per_row(mf)
     height = np.pi / 2 / (7 * mf + 0.5)
@@ -110,15 +292,18 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
     return out
 
 
-# ---------------------------------------------------------------------------------------------- Perez
+# ----------------------------------------------------------------------------------------------
+# Perez
 
 
 @dataclass(frozen=True, slots=True)
 class PerezSky:
-    """Skies of n moments, arrays [n] and shape [n, 5] = Perez's a, b, c, d, e (perezlum's A3 to A7).
+    """Skies of n moments, arrays [n] and shape [n, 5] = Perez's a, b, c, d, e (perezlum's A3 to
+    A7).
 
-    norm_cdm2 = 179 A1; ground_cdm2 = 179 A2 (luminance of an open ground of reflectance .2, with its sun);
-    direct_lx is the sun's illuminance on a plane normal to it, diffuse_lx the sky's on the horizontal.
+    norm_cdm2 = 179 A1; ground_cdm2 = 179 A2 (luminance of an open ground of reflectance .2, with
+    its sun); direct_lx is the sun's illuminance on a plane normal to it, diffuse_lx the sky's on
+    the horizontal.
     """
 
     norm_cdm2: Array
@@ -143,9 +328,12 @@ def day_of_year(times_utc: Sequence[datetime]) -> Array:
 def _eccentricity(day: Array) -> Array:
     angle = 2 * np.pi * (day - 1) / 365
     return (
-        1.00011 + 0.034221 * np.cos(angle) + 0.00128 * np.sin(angle)
-        + 0.000719 * np.cos(2 * angle) + 0.000077 * np.sin(2 * angle)
-    )  # fmt: skip
+        1.00011
+        + 0.034221 * np.cos(angle)
+        + 0.00128 * np.sin(angle)
+        + 0.000719 * np.cos(2 * angle)
+        + 0.000077 * np.sin(2 * angle)
+    )
 
 
 def _air_mass(zenith_deg: Array) -> Array:
@@ -153,7 +341,9 @@ def _air_mass(zenith_deg: Array) -> Array:
     return 1 / (np.cos(np.radians(zenith_deg)) + 0.15 * (93.885 - zenith_deg) ** -1.253)
 
 
-def _clearness_brightness(dni: Array, dhi: Array, zenith_deg: Array, day: Array) -> tuple[Array, Array]:
+def _clearness_brightness(
+    dni: Array, dhi: Array, zenith_deg: Array, day: Array
+) -> tuple[Array, Array]:
     """Perez's epsilon and Delta, kept within the model's range as gendaylit does."""
     cubed = 1.041 * np.radians(zenith_deg) ** 3
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -167,7 +357,9 @@ def _clearness_brightness(dni: Array, dhi: Array, zenith_deg: Array, day: Array)
 
 def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
     """a, b, c, d, e, [n, 5]; zenith in radians."""
-    brightness = np.where((clearness > 1.065) & (clearness < 2.8), np.maximum(brightness, 0.2), brightness)
+    brightness = np.where(
+        (clearness > 1.065) & (clearness < 2.8), np.maximum(brightness, 0.2), brightness
+    )
     x = _SHAPE[np.searchsorted(_BINS, clearness, side="right")]
     terms = np.stack((np.ones_like(zenith), zenith, brightness, brightness * zenith), axis=-1)
     shape = np.einsum("nij,nj->ni", x, terms)
@@ -176,7 +368,8 @@ def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
     z, delta = zenith[overcast], brightness[overcast]
     shape[overcast, 2] = np.exp((delta * (c[:, 0] + c[:, 1] * z)) ** c[:, 2]) - c[:, 3]
     shape[overcast, 3] = -np.exp(delta * (d[:, 0] + d[:, 1] * z)) + d[:, 2] + delta * d[:, 3]
-    # A positive b grows without bound towards the horizon. gendaylit then gives a black sky; level it instead.
+    # A positive b grows without bound towards the horizon. gendaylit then gives a black sky; level
+    # it instead.
     shape[:, 1] = np.minimum(shape[:, 1], 0.0)
     return shape
 
@@ -199,12 +392,14 @@ def _tregenza() -> tuple[Array, Array]:
 def _relative_horizontal(shape: Array, zenith: Array) -> Array:
     """Integral of the relative luminance times the cosine, [n], by gendaylit's rule of 145 points.
 
-    Far outside Perez's data the formula is negative all over the sky, which the normalisation undoes (the integral is
-    negative too), or in a part of it: there is no light in that part then.
+    Far outside Perez's data the formula is negative all over the sky, which the normalisation
+    undoes (the integral is negative too), or in a part of it: there is no light in that part then.
     """
     theta, phi = _tregenza()
     z = zenith[:, None]
-    gamma = np.arccos(np.clip(np.cos(z) * np.cos(theta) + np.sin(z) * np.sin(theta) * np.cos(phi), -1, 1))
+    gamma = np.arccos(
+        np.clip(np.cos(z) * np.cos(theta) + np.sin(z) * np.sin(theta) * np.cos(phi), -1, 1)
+    )
     parts = _relative(shape[:, None, :], np.cos(theta), gamma) * np.cos(theta)
     sign = np.where(parts.sum(axis=1) < 0, -1.0, 1.0)
     lit = np.maximum(sign[:, None] * parts, 0.0).sum(axis=1)
@@ -218,28 +413,35 @@ def _ground_over_zenith(clearness: Array, altitude: Array) -> Array:
     between = np.polynomial.polynomial.polyval(x, (3.5556, -2.7152, -1.3081, 1.0660, 0.60227))
     zenith = np.pi / 2 - altitude
     f_clear = 0.274 * (0.91 + 10 * np.exp(-3 * zenith) + 0.45 * np.sin(altitude) ** 2)
-    f_between = (2.739 + 0.9891 * np.sin(0.3119 + 2.6 * altitude)) * np.exp(-zenith * (0.4441 + 1.48 * altitude))
+    f_between = (2.739 + 0.9891 * np.sin(0.3119 + 2.6 * altitude)) * np.exp(
+        -zenith * (0.4441 + 1.48 * altitude)
+    )
     mixed = np.where(clearness >= 6, clear / f_clear, between / f_between) / np.pi
     return np.where(clearness <= 1, 0.777778, mixed)
 
 
 def perez_coefficients(
-    dni_wm2: ArrayLike, dhi_wm2: ArrayLike, sun_altitude_deg: ArrayLike, when: ArrayLike | Sequence[datetime]
+    dni_wm2: ArrayLike,
+    dhi_wm2: ArrayLike,
+    sun_altitude_deg: ArrayLike,
+    when: ArrayLike | Sequence[datetime],
 ) -> PerezSky:
     """Skies from direct normal and diffuse horizontal irradiance, as gendaylit -W makes them.
 
-    when: day of the year [n] or UTC times. The sun's altitude counts as 0 to 87 degrees, as in gendaylit. Unlike
-    gendaylit, a sky outside the model (its coefficient b positive) is levelled towards the horizon, not black.
-    Negative irradiance counts as none.
+    when: day of the year [n] or UTC times. The sun's altitude counts as 0 to 87 degrees, as in
+    gendaylit. Unlike gendaylit, a sky outside the model (its coefficient b positive) is levelled
+    towards the horizon, not black. Negative irradiance counts as none.
     """
     day = _days(when)
     dni, dhi, altitude_deg, day = (
         np.asarray(a, float)
         for a in np.broadcast_arrays(
-            np.maximum(np.asarray(dni_wm2, float), 0), np.maximum(np.asarray(dhi_wm2, float), 0),
-            np.clip(np.asarray(sun_altitude_deg, float), 0.0, 87.0), day,
+            np.maximum(np.asarray(dni_wm2, float), 0),
+            np.maximum(np.asarray(dhi_wm2, float), 0),
+            np.clip(np.asarray(sun_altitude_deg, float), 0.0, 87.0),
+            day,
         )
-    )  # fmt: skip
+    )
     shape_in = dni.shape
     dni, dhi, altitude_deg, day = (np.atleast_1d(a).ravel() for a in (dni, dhi, altitude_deg, day))
     zenith_deg = 90.0 - altitude_deg
@@ -254,7 +456,8 @@ def perez_coefficients(
     norm = diffuse_lx / _relative_horizontal(shape, zenith)
     zenith_cdm2 = np.maximum(norm * _relative(shape, np.ones_like(zenith), zenith), 0.0)
     ground = GROUND_REFLECTANCE * (
-        zenith_cdm2 * _ground_over_zenith(clearness, altitude) + direct_lx * np.sin(altitude) / np.pi
+        zenith_cdm2 * _ground_over_zenith(clearness, altitude)
+        + direct_lx * np.sin(altitude) / np.pi
     )
     parts = (norm, ground, shape, clearness, brightness, direct_lx, diffuse_lx)
     return PerezSky(*(np.asarray(p).reshape((*(shape_in or (1,)), *p.shape[1:])) for p in parts))
@@ -270,7 +473,8 @@ def _days(when: ArrayLike | Sequence[datetime]) -> Array:
 def perez_luminance(
     sky: PerezSky, sun_direction: ArrayLike, directions: ArrayLike, *, dtype: type = np.float64
 ) -> NDArray[np.floating]:
-    """Luminance of n skies in m directions, [n, m] cd/m2: 179 times perezlum, its blend into the ground included.
+    """Luminance of n skies in m directions, [n, m] cd/m2: 179 times perezlum, its blend into the
+    ground included.
 
     sun_direction [n, 3], directions [m, 3]: unit vectors. The sun's disc is not in it.
     """
@@ -279,7 +483,10 @@ def perez_luminance(
     up = rays[:, 2].astype(np.float64)
     gamma = np.arccos(np.clip(sun @ rays.T, -1.0, 1.0))
     shape = sky.shape.astype(dtype)[:, None, :]
-    bright = _relative(shape, np.maximum(up, 0.01).astype(dtype), gamma) * sky.norm_cdm2.astype(dtype)[:, None]
+    bright = (
+        _relative(shape, np.maximum(up, 0.01).astype(dtype), gamma)
+        * sky.norm_cdm2.astype(dtype)[:, None]
+    )
     bright = np.maximum(bright, 0.0)
     # perezlum.cal: skybright = wmean((Dz + 1.01)^10, sky, (Dz + 1.01)^-10, ground)
     share = (1.0 / (1.0 + (up + 1.01) ** -20.0)).astype(dtype)
@@ -287,9 +494,13 @@ def perez_luminance(
 
 
 def direct_normal_illuminance_lx(
-    dni_wm2: ArrayLike, dhi_wm2: ArrayLike, sun_altitude_deg: ArrayLike, when: ArrayLike | Sequence[datetime]
+    dni_wm2: ArrayLike,
+    dhi_wm2: ArrayLike,
+    sun_altitude_deg: ArrayLike,
+    when: ArrayLike | Sequence[datetime],
 ) -> Array:
-    """The sun's illuminance on a plane normal to it, [n] lx, by Perez's direct luminous efficacy (never 179 lm/W).
+    """The sun's illuminance on a plane normal to it, [n] lx, by Perez's direct luminous efficacy
+    (never 179 lm/W).
 
     when: day of the year or UTC times. About 93 lm/W on average over the year in Seattle.
     """

@@ -1,4 +1,5 @@
-"""Where the sun stands, when the seasons turn, and how sunlight splits: pvlib, with naive times refused.
+"""Where the sun stands, when the seasons turn, and how sunlight splits: pvlib, with naive times
+refused.
 
 Heavy imports stay inside the functions.
 """
@@ -21,14 +22,21 @@ from fieldlum.records import Site
 if TYPE_CHECKING:
     import pandas as pd
 
-SUN_SOLID_ANGLE_SR = 6.797e-5  # 2 pi (1 - cos 0.2665 deg): the mean disc, as Radiance's gendaylit uses it
-LOW_SUN_DEG = 5.0  # below it a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark, do not trust
+SUN_SOLID_ANGLE_SR = (
+    6.797e-5  # 2 pi (1 - cos 0.2665 deg): the mean disc, as Radiance's gendaylit uses it
+)
+LOW_SUN_DEG = (
+    5.0  # below it a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark, do not trust
+)
 CLEAR_SUN_DEG = 10.0  # above it shares and ratios of horizontal readings can be asked for
-LEAST_CLEARNESS = 0.005  # of the light above the air; the darkest storm lets ten times that through, kW a thousandth
+# of the light above the air; the darkest storm lets ten times that through, kW a thousandth
+LEAST_CLEARNESS = 0.005
 
 
 class SunPosition(NamedTuple):
-    """Arrays [n]: true altitude (physics), apparent altitude (pictures), azimuth clockwise from north. [deg]"""
+    """Arrays [n]: true altitude (physics), apparent altitude (pictures), azimuth clockwise from
+    north. [deg]
+    """
 
     altitude_deg: NDArray[np.float64]
     apparent_altitude_deg: NDArray[np.float64]
@@ -45,13 +53,17 @@ def _index(times_utc: Sequence[datetime], who: str) -> pd.DatetimeIndex:
 
 
 def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
-    """Sun position by NREL's SPA (Reda and Andreas 2004, through pvlib). Raises ValueError for naive times."""
+    """Sun position by NREL's SPA (Reda and Andreas 2004, through pvlib). Raises ValueError for
+    naive times.
+    """
     from pvlib.solarposition import get_solarposition
 
     index = _index(times_utc, "position")
     if len(index) == 0:
         return SunPosition(np.empty(0), np.empty(0), np.empty(0))
-    found = get_solarposition(index, site.latitude_deg, site.longitude_deg, site.altitude_m, method="nrel_numpy")
+    found = get_solarposition(
+        index, site.latitude_deg, site.longitude_deg, site.altitude_m, method="nrel_numpy"
+    )
     return SunPosition(
         np.asarray(found["elevation"], float),
         np.asarray(found["apparent_elevation"], float),
@@ -62,11 +74,16 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
 def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
     """Unit vectors towards the sun, [..., 3]: x east, y north, z up."""
     altitude, azimuth = np.radians(altitude_deg), np.radians(azimuth_deg)
-    parts = (np.cos(altitude) * np.sin(azimuth), np.cos(altitude) * np.cos(azimuth), np.sin(altitude))
+    parts = (
+        np.cos(altitude) * np.sin(azimuth),
+        np.cos(altitude) * np.cos(azimuth),
+        np.sin(altitude),
+    )
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
-# ---------------------------------------------------------------------------------------------- days and seasons
+# ----------------------------------------------------------------------------------------------
+# days and seasons
 
 
 @lru_cache(maxsize=256)
@@ -76,12 +93,17 @@ def standard_offset(timezone: str, year: int) -> timedelta:
     The time zone data's own "dst" field is not used: for Ireland it calls winter the exception.
     """
     zone = ZoneInfo(timezone)
-    offsets = [datetime(year, month, 15, 12, tzinfo=zone).utcoffset() or timedelta() for month in range(1, 13)]
+    offsets = [
+        datetime(year, month, 15, 12, tzinfo=zone).utcoffset() or timedelta()
+        for month in range(1, 13)
+    ]
     return min(offsets)
 
 
 def zone_off_sun_h(site: Site) -> float:
-    """Standard time of the zone minus mean solar time of the longitude, -12 to 12 h; 0 for UTC, which is no place's."""
+    """Standard time of the zone minus mean solar time of the longitude, -12 to 12 h; 0 for UTC,
+    which is no place's.
+    """
     if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
         return 0.0
     standard = standard_offset(site.timezone, 2027)
@@ -110,12 +132,16 @@ def standard_midnight(day: date, timezone: str) -> datetime:
 
 
 def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
-    """Daylight-saving changes from local midnight of `first` to that after `last`: (moment in UTC, change)."""
+    """Daylight-saving changes from local midnight of `first` to that after `last`: (moment in
+    UTC, change).
+    """
     zone = ZoneInfo(timezone)
     start, found = standard_midnight(first, timezone), []
     hours = ((last - first).days + 1) * 24
     before = start.astimezone(zone).utcoffset() or timedelta()
-    for hour in range(1, hours * 2 + 1):  # every change of the last fifty years fell on a half hour of UTC
+    for hour in range(
+        1, hours * 2 + 1
+    ):  # every change of the last fifty years fell on a half hour of UTC
         moment = start + timedelta(minutes=30 * hour)
         now = moment.astimezone(zone).utcoffset() or timedelta()
         if now != before:
@@ -125,12 +151,16 @@ def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime
 
 
 def _apparent_longitude_deg(unix_s: float) -> float:
-    """Apparent geocentric ecliptic longitude of the sun, by the steps of Reda and Andreas 2004 (pvlib.spa)."""
+    """Apparent geocentric ecliptic longitude of the sun, by the steps of Reda and Andreas 2004
+    (pvlib.spa).
+    """
     from pvlib import spa
 
     ut = np.atleast_1d(unix_s)
     moment = datetime.fromtimestamp(unix_s, UTC)
-    jde = spa.julian_ephemeris_day(spa.julian_day(ut), spa.calculate_deltat(moment.year, moment.month))
+    jde = spa.julian_ephemeris_day(
+        spa.julian_day(ut), spa.calculate_deltat(moment.year, moment.month)
+    )
     jce = spa.julian_ephemeris_century(jde)
     jme = spa.julian_ephemeris_millennium(jce)
     nutation = np.zeros((2, 1))  # filled in place: longitude, obliquity
@@ -150,14 +180,17 @@ def _apparent_longitude_deg(unix_s: float) -> float:
 
 @lru_cache(maxsize=128)
 def season(year: int, which: int) -> datetime:
-    """Instant at which the sun's apparent longitude passes ``90 deg * which``: 0 March equinox, 1 June solstice, ...
+    """Instant at which the sun's apparent longitude passes ``90 deg * which``: 0 March equinox, 1
+    June solstice, ...
 
-    To the second in UTC; within a minute of the almanac's tables from 1950 to 2050. Named by month: "spring" is
-    another season south of the equator.
+    To the second in UTC; within a minute of the almanac's tables from 1950 to 2050. Named by month:
+    "spring" is another season south of the equator.
     """
     month, target = (3, 6, 9, 12)[which], 90.0 * which
     moment = datetime(year, month, 21, tzinfo=UTC).timestamp()
-    for _ in range(8):  # Newton with the mean rate of the longitude: each step shrinks the error by about 30
+    for _ in range(
+        8
+    ):  # Newton with the mean rate of the longitude: each step shrinks the error by about 30
         behind = (target - _apparent_longitude_deg(moment) + 180.0) % 360.0 - 180.0
         moment += behind / 360.0 * 365.2422 * 86400.0
     return datetime.fromtimestamp(round(moment), UTC)
@@ -169,33 +202,40 @@ def declination_deg(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
 
 
 class DayOfSun(NamedTuple):
-    """Rise, transit and set of a local standard day, in UTC, with refraction, of the upper limb; None: it does not."""
+    """Rise, transit and set of a local standard day, in UTC, with refraction, of the upper limb;
+    None: it does not.
+    """
 
     rise: datetime | None
     transit: datetime | None
     set: datetime | None
 
 
-RISE_ALTITUDE_DEG = -0.8333  # true altitude of the centre at rise and set: 34' of refraction and 16' of radius
+RISE_ALTITUDE_DEG = (
+    -0.8333
+)  # true altitude of the centre at rise and set: 34' of refraction and 16' of radius
 
 
 def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
-    """By pvlib's SPA, rise and set refined on `position`; a polar night or a midnight sun has neither.
+    """By pvlib's SPA, rise and set refined on `position`; a polar night or a midnight sun has
+    neither.
 
-    pvlib alone is off by up to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the
-    sun grazes the horizon.
+    pvlib alone is off by up to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by
+    minutes where the sun grazes the horizon.
     """
     import pandas as pd
     from pvlib.solarposition import sun_rise_set_transit_spa
 
     if not days:
         return []
-    # pvlib files events under calendar days of the longitude's own: where the zone lies across the date line, others.
+    # pvlib files events under calendar days of the longitude's own: where the zone lies across the
+    # date line, others.
     asked = sorted({day + timedelta(days=k) for day in days for k in (-1, 0, 1)})
     index = pd.DatetimeIndex([pd.Timestamp(day) for day in asked]).tz_localize("UTC")
     table = sun_rise_set_transit_spa(index, site.latitude_deg, site.longitude_deg)
     columns = [
-        pd.to_datetime(table[name].dropna(), utc=True).dt.floor("s") for name in ("sunrise", "transit", "sunset")
+        pd.to_datetime(table[name].dropna(), utc=True).dt.floor("s")
+        for name in ("sunrise", "transit", "sunset")
     ]
     rise, transit, down = ([t.to_pydatetime() for t in column] for column in columns)
     found = (_refined(rise, site), transit, _refined(down, site))
@@ -211,15 +251,21 @@ def _refined(moments: Sequence[datetime], site: Site) -> list[datetime]:
     """Three Newton steps towards the rise altitude, each of at most ten minutes."""
     known = list(moments)
     for _ in range(3 if known else 0):
-        before, after = (position([t + timedelta(seconds=s) for t in known], site).altitude_deg for s in (-60, 60))
+        before, after = (
+            position([t + timedelta(seconds=s) for t in known], site).altitude_deg
+            for s in (-60, 60)
+        )
         rate = (after - before) / 120.0
-        wanted = (RISE_ALTITUDE_DEG - (before + after) / 2) / np.where(np.abs(rate) > 1e-6, rate, 1e-6)
+        wanted = (RISE_ALTITUDE_DEG - (before + after) / 2) / np.where(
+            np.abs(rate) > 1e-6, rate, 1e-6
+        )
         steps = np.clip(wanted, -600, 600)
         known = [t + timedelta(seconds=round(float(s))) for t, s in zip(known, steps, strict=True)]
     return known
 
 
-# ---------------------------------------------------------------------------------------------- irradiance
+# ----------------------------------------------------------------------------------------------
+# irradiance
 
 
 @contextmanager
@@ -231,7 +277,9 @@ def _old_names() -> Iterator[None]:
 
 
 def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
-    """Irradiance on a plane normal to the sun above the air, [n] W/m2 (Spencer 1971 through pvlib)."""
+    """Irradiance on a plane normal to the sun above the air, [n] W/m2 (Spencer 1971 through
+    pvlib).
+    """
     from pvlib.irradiance import get_extra_radiation
 
     with _old_names():
@@ -247,7 +295,9 @@ class Irradiance(NamedTuple):
 
 
 def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
-    """Cloudless irradiance by Ineichen and Perez 2002 with pvlib's bundled monthly turbidity; works offline."""
+    """Cloudless irradiance by Ineichen and Perez 2002 with pvlib's bundled monthly turbidity;
+    works offline.
+    """
     from pvlib.location import Location
 
     place = Location(site.latitude_deg, site.longitude_deg, "UTC", site.altitude_m)
@@ -256,12 +306,15 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     return Irradiance(*(np.asarray(found[name], float) for name in ("ghi", "dni", "dhi")))
 
 
-def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) -> NDArray[np.float64]:
-    """DNI [n] W/m2 from a regular series of global irradiance by DIRINT (Perez et al. 1992, through pvlib).
+def dirint_dni(
+    ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site
+) -> NDArray[np.float64]:
+    """DNI [n] W/m2 from a regular series of global irradiance by DIRINT (Perez et al. 1992, through
+    pvlib).
 
-    The best of pvlib's decompositions on BSRN Payerne, June 2016: RMSE 92 W/m2 (38 %) by the minute, 70 (30 %) by the
-    hour. It looks at neighbours: give it the whole series, sorted and evenly spaced, not lone samples. Zero with the
-    sun under 3 degrees; NaN where the global is NaN.
+    The best of pvlib's decompositions on BSRN Payerne, June 2016: RMSE 92 W/m2 (38 %) by the
+    minute, 70 (30 %) by the hour. It looks at neighbours: give it the whole series, sorted and
+    evenly spaced, not lone samples. Zero with the sun under 3 degrees; NaN where the global is NaN.
     """
     from pvlib.atmosphere import alt2pres
     from pvlib.irradiance import dirint
@@ -270,7 +323,10 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
     zenith = 90.0 - position(times_utc, site).altitude_deg
     with np.errstate(divide="ignore", invalid="ignore"), _old_names():
         found = dirint(
-            np.maximum(ghi, 0.0), zenith, _index(times_utc, "dirint_dni"), pressure=alt2pres(site.altitude_m)
+            np.maximum(ghi, 0.0),
+            zenith,
+            _index(times_utc, "dirint_dni"),
+            pressure=alt2pres(site.altitude_m),
         )
     dni = np.nan_to_num(np.asarray(found, float), nan=0.0)
     # Never more beam than there is global, nor than stands above the air.
@@ -279,14 +335,20 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
     return np.where(np.isnan(ghi), np.nan, np.where(zenith > 87.0, 0.0, dni))
 
 
-def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike) -> NDArray[np.float64]:
+def dhi_by_closure(
+    ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
+) -> NDArray[np.float64]:
     """Diffuse = global - DNI sin(altitude), never negative. [W/m2]"""
     beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     return np.maximum(np.asarray(ghi_wm2, float) - beam, 0.0)
 
 
-def dni_by_closure(ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike) -> NDArray[np.float64]:
-    """DNI = (global - diffuse) / sin(altitude); zero under 2 degrees, where it cannot be told. [W/m2]"""
+def dni_by_closure(
+    ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike
+) -> NDArray[np.float64]:
+    """DNI = (global - diffuse) / sin(altitude); zero under 2 degrees, where it cannot be told.
+    [W/m2]
+    """
     altitude = np.asarray(altitude_deg, float)
     beam = np.maximum(np.asarray(ghi_wm2, float) - np.asarray(dhi_wm2, float), 0.0)
     return np.where(altitude > 2.0, beam / np.sin(np.radians(np.maximum(altitude, 2.0))), 0.0)
@@ -300,19 +362,33 @@ class Limits(NamedTuple):
     dni_wm2: tuple[float, NDArray[np.float64]]
 
 
-def bsrn_limits(altitude_deg: ArrayLike, extraterrestrial: ArrayLike, *, extreme: bool = False) -> Limits:
-    """BSRN's physically possible (default) or extremely rare limits (Long and Dutton 2002, QCRad)."""
+def bsrn_limits(
+    altitude_deg: ArrayLike, extraterrestrial: ArrayLike, *, extreme: bool = False
+) -> Limits:
+    """BSRN's physically possible (default) or extremely rare limits (Long and Dutton 2002,
+    QCRad).
+    """
     mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     sa = np.asarray(extraterrestrial, float)
     if extreme:
         return Limits(
-            (-2.0, 1.2 * sa * mu**1.2 + 50.0), (-2.0, 0.75 * sa * mu**1.2 + 30.0), (-2.0, 0.95 * sa * mu**0.2 + 10.0)
+            (-2.0, 1.2 * sa * mu**1.2 + 50.0),
+            (-2.0, 0.75 * sa * mu**1.2 + 30.0),
+            (-2.0, 0.95 * sa * mu**0.2 + 10.0),
         )
-    return Limits((-4.0, 1.5 * sa * mu**1.2 + 100.0), (-4.0, 0.95 * sa * mu**1.2 + 50.0), (-4.0, sa + 0.0 * mu))
+    return Limits(
+        (-4.0, 1.5 * sa * mu**1.2 + 100.0),
+        (-4.0, 0.95 * sa * mu**1.2 + 50.0),
+        (-4.0, sa + 0.0 * mu),
+    )
 
 
-def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> NDArray[np.bool_]:
-    """Less global light [n] than any sky lets through: a covered or dead instrument, or kW/m2; False for a low sun."""
+def too_weak(
+    ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike
+) -> NDArray[np.bool_]:
+    """Less global light [n] than any sky lets through: a covered or dead instrument, or kW/m2;
+    False for a low sun.
+    """
     altitude = np.asarray(altitude_deg, float)
     top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
     return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < LEAST_CLEARNESS * top)
@@ -321,7 +397,9 @@ def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: Arra
 def closure_ratio(
     ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
 ) -> NDArray[np.float64]:
-    """Global over (diffuse + DNI sin altitude), [n]; NaN (not testable) where that sum is under 50 W/m2."""
+    """Global over (diffuse + DNI sin altitude), [n]; NaN (not testable) where that sum is under
+    50 W/m2.
+    """
     beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     total = np.asarray(dhi_wm2, float) + beam
     return np.divide(ghi_wm2, total, out=np.full(total.shape, np.nan), where=total > 50.0)

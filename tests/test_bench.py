@@ -30,7 +30,12 @@ def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, [*asked, *options])
     assert result.exit_code == 0, result.output
     answer = json.loads(result.stdout)
-    assert [row["name"] for row in answer["models"]] == ["mean", "nearest", "transport", "transport:none"]
+    assert [row["name"] for row in answer["models"]] == [
+        "mean",
+        "nearest",
+        "transport",
+        "transport:none",
+    ]
     assert answer["chosen"] in {row["name"] for row in answer["models"]}
     with (out / "scores.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 4
@@ -44,8 +49,10 @@ def test_specs_name_models_patches_and_folders(tmp_path: Path) -> None:
     models.save(tmp_path / "kept", models.fit("mean", DATA), DATA, patch="absolute")
     found = parse_specs(["dense", "transport:gain", str(tmp_path / "kept")])
     assert [(s.label, s.name, s.patch) for s in found] == [
-        ("dense", "dense", "absolute"), ("transport:gain", "transport", "gain"), ("mean (kept)", "mean", "absolute"),
-    ]  # fmt: skip
+        ("dense", "dense", "absolute"),
+        ("transport:gain", "transport", "gain"),
+        ("mean (kept)", "mean", "absolute"),
+    ]
     with pytest.raises(InputError):
         parse_specs(["transport:half"])
 
@@ -65,9 +72,20 @@ def test_hours_of_a_kept_model_are_never_asked(tmp_path: Path) -> None:
 
 
 def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
-    """contract: the nearest hour of a training hour is itself, so an error of nothing would mean that it was asked."""
+    """contract: the nearest hour of a training hour is itself, so an error of nothing would mean
+    that it was asked.
+    """
     write_pairs(tmp_path, DATA)
-    options = ["--models", "nearest", "--render", "0", "--stress", "--out", str(tmp_path / "out"), "--json"]
+    options = [
+        "--models",
+        "nearest",
+        "--render",
+        "0",
+        "--stress",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+    ]
     result = CliRunner().invoke(main, ["bench", str(tmp_path / "pairs.csv"), *options])
     assert result.exit_code == 0, result.output
     with (tmp_path / "out/stress.csv").open() as file:
@@ -84,7 +102,14 @@ def test_the_front_holds_what_nothing_beats() -> None:
 
 def test_seeds_become_mean_and_spread() -> None:
     """analytic: 1 and 3 have mean 2 and standard deviation sqrt 2."""
-    keys = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
+    keys = (
+        "log10_mse_weighted",
+        "rer_weighted",
+        "paper_log10_mse",
+        "paper_rer",
+        "dgp_mse",
+        "rammg_mse",
+    )
     rows = [
         dict.fromkeys(keys, v) | {"name": "dense", "fit_s": v, "fit_cpu_s": v, "seed": s}
         for s, v in enumerate((1.0, 3.0))
@@ -104,23 +129,34 @@ def test_stress_rows_stand_beside_their_normal_case() -> None:
     rows = stress.run(spec, DATA, TEST, DATA)
     by_name = {row["regime"]: row for row in rows}
     assert by_name["normal"]["times_normal"] == 1.0
-    for name in ("every capture twice", "pixel noise 5 %", "irradiance noise 5 %", "sun patch off by 2 px"):
+    for name in (
+        "every capture twice",
+        "pixel noise 5 %",
+        "irradiance noise 5 %",
+        "sun patch off by 2 px",
+    ):
         assert np.isfinite(by_name[name]["log10_mse_weighted"])
     assert by_name["every capture twice"]["times_normal"] == pytest.approx(1.0, abs=1e-6)
     assert by_name["sun patch off by 2 px"]["times_normal"] > 1.0
 
 
 def test_transport_does_not_fail_unseen_in_any_regime() -> None:
-    """No wild map may pass that the model trusted and expected to be good, whatever was done to the captures."""
+    """No wild map may pass that the model trusted and expected to be good, whatever was done to
+    the captures.
+    """
     rows = stress.run(parse_specs(["transport"])[0], DATA, TEST, DATA)
     assert all(np.isfinite(row["log10_mse_weighted"]) for row in rows)
     assert {row["regime"]: row["wild_unflagged"] for row in rows if row["wild_unflagged"]} == {}
 
 
 def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
-    """analytic: 15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4 degrees of azimuth."""
+    """analytic: 15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4
+    degrees of azimuth.
+    """
     turned = stress.turned(TEST, 2.0)
-    np.testing.assert_allclose((turned.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0, 2.0, atol=1e-9)
+    np.testing.assert_allclose(
+        (turned.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0, 2.0, atol=1e-9
+    )
     late = stress.late(TEST, 15.0)
     moved = (late.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0
     assert (moved > 1.5).all() and (moved < 12.0).all()

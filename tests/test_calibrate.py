@@ -26,7 +26,7 @@ from fieldlum.profiles import (
     Vignetting,
     load_camera_profile,
     save_profile,
-)  # fmt: skip
+)
 from fieldlum.projection import LensGeometry, angle_of_radius, direction, lens_pixels
 from fieldlum.raw import read_jpeg, write_dng, write_jpeg
 from fieldlum.records import Exposure, Flag, Panorama
@@ -62,18 +62,24 @@ def _raw(path: Path, rgb_cdm2: np.ndarray, exposure: Exposure, rng: np.random.Ge
     return path
 
 
-# ---------------------------------------------------------------------------------------------- order
+# ----------------------------------------------------------------------------------------------
+# order
 
 
 def test_analytic_the_smallest_of_equals_is_chosen() -> None:
     rng = np.random.default_rng(1)
     noise = rng.chisquare(1, 200)
-    same = order.choose("x", [order.Candidate("small", 0, noise * 1.001), order.Candidate("large", 3, noise)])
+    same = order.choose(
+        "x", [order.Candidate("small", 0, noise * 1.001), order.Candidate("large", 3, noise)]
+    )
     assert same.index == 0 or "large" in same.line
-    better = order.choose("x", [order.Candidate("small", 0, noise * 2), order.Candidate("large", 3, noise)])
+    better = order.choose(
+        "x", [order.Candidate("small", 0, noise * 2), order.Candidate("large", 3, noise)]
+    )
     assert better.index == 1
     shuffled = order.choose(
-        "x", [order.Candidate("small", 0, rng.permutation(noise)), order.Candidate("large", 3, noise)]
+        "x",
+        [order.Candidate("small", 0, rng.permutation(noise)), order.Candidate("large", 3, noise)],
     )
     assert shuffled.index == 0
 
@@ -85,7 +91,8 @@ def test_property_folds_hold_out_every_datum_once(groups: list[int]) -> None:
     assert (held == 1).all()
 
 
-# ---------------------------------------------------------------------------------------------- vignetting
+# ----------------------------------------------------------------------------------------------
+# vignetting
 
 
 def test_analytic_vignetting_from_a_uniform_field(tmp_path: Path) -> None:
@@ -103,10 +110,14 @@ def test_analytic_vignetting_from_one_patch_at_many_angles(tmp_path: Path) -> No
     rng, lines = np.random.default_rng(3), ["file,x_px,y_px,radius_px,reference"]
     y, x = np.mgrid[:SIZE, :SIZE] + 0.5
     for i, angle in enumerate(np.linspace(0, 85, 18)):
-        at = lens_pixels(LensGeometry(LENS.centre_px, LENS.radius_px, LENS.full_angle_deg), direction(0, angle))
+        at = lens_pixels(
+            LensGeometry(LENS.centre_px, LENS.radius_px, LENS.full_angle_deg), direction(0, angle)
+        )
         drift = 1.0 + 0.02 * i
         shown = np.where(np.hypot(x - at[0], y - at[1]) < 9, 300.0 * drift, 5.0)
-        picture = shown[..., None] * vignetting_at(TRUE_V, _relative_angles())[..., None] * np.ones(3)
+        picture = (
+            shown[..., None] * vignetting_at(TRUE_V, _relative_angles())[..., None] * np.ones(3)
+        )
         _raw(tmp_path / f"{i}.dng", picture, Exposure(1 / 60, 5.6), rng)
         lines.append(f"{i}.dng,{float(at[0]):.2f},{float(at[1]):.2f},6,{drift}")
     table = tmp_path / "patches.csv"
@@ -125,7 +136,11 @@ def test_property_vignetting_only_falls(second: float, fourth: float, seed: int)
     v = vignetting_at(found.coefficients, np.linspace(0, 1, 101))
     assert (np.diff(v) <= 1e-5).all() and v[0] == 1.0
     assert (
-        np.abs(v[::10] / (1 - second * np.linspace(0, 1, 11) ** 2 - fourth * np.linspace(0, 1, 11) ** 4) - 1).max()
+        np.abs(
+            v[::10]
+            / (1 - second * np.linspace(0, 1, 11) ** 2 - fourth * np.linspace(0, 1, 11) ** 4)
+            - 1
+        ).max()
         < 0.08
     )
 
@@ -142,20 +157,24 @@ def test_the_wrong_sign_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("slip", [1.12, 0.3, 10.0])
-def test_analytic_one_slip_among_vignetting_readings_is_left_out(tmp_path: Path, slip: float) -> None:
+def test_analytic_one_slip_among_vignetting_readings_is_left_out(
+    tmp_path: Path, slip: float
+) -> None:
     """12 % at half the angle had bent the whole curve by 4 % before."""
     half, angles = LENS.full_angle_deg / 2, np.abs(np.linspace(-90, 90, 15))
     values = 100 * vignetting_at(TRUE_V, angles / half)
     values[10] *= slip
     table = tmp_path / "v.csv"
     table.write_text(
-        "angle_deg;value\n" + "\n".join(f"{a:g};{v:.2f}".replace(".", ",") for a, v in zip(angles, values, strict=True))
+        "angle_deg;value\n"
+        + "\n".join(f"{a:g};{v:.2f}".replace(".", ",") for a, v in zip(angles, values, strict=True))
     )
     found = vignette.fit(vignette.from_table(table, PROFILE))
     r = np.linspace(0, 0.95, 30)
     assert np.abs(vignetting_at(found.coefficients, r) / vignetting_at(TRUE_V, r) - 1).max() < 0.003
     assert found.choice.line.endswith(
-        f"left out, far from those beside them: one at {100 * angles[10] / half:.0f} % of the half angle"
+        f"left out, far from those beside them: one at {100 * angles[10] / half:.0f} % of the "
+        f"half angle"
     )
     assert len(found.residual_rel) == 15
 
@@ -170,20 +189,29 @@ def test_analytic_a_steep_rim_is_no_slip() -> None:
 
 def test_vignetting_beyond_the_lens_is_refused(tmp_path: Path) -> None:
     table = tmp_path / "v.csv"
-    table.write_text("angle_deg,value\n" + "\n".join(f"{a},{100 - a / 4}" for a in range(0, 180, 20)))
+    table.write_text(
+        "angle_deg,value\n" + "\n".join(f"{a},{100 - a / 4}" for a in range(0, 180, 20))
+    )
     with pytest.raises(
-        InputError, match=r"v.csv: angle_deg up to 160, expected at most 93, angles from the optical axis"
+        InputError,
+        match=r"v.csv: angle_deg up to 160, expected at most 93, angles from the optical axis",
     ):
         vignette.from_table(table, PROFILE)
-    table.write_text("angle_deg,value\n" + "\n".join(f"{np.radians(a):.3f},{100 - a / 4}" for a in range(0, 90, 10)))
+    table.write_text(
+        "angle_deg,value\n"
+        + "\n".join(f"{np.radians(a):.3f},{100 - a / 4}" for a in range(0, 90, 10))
+    )
     with pytest.raises(NotEnoughDataError, match=r"v.csv: 9 readings up to 2 %.*degrees"):
         vignette.fit(vignette.from_table(table, PROFILE))
 
 
-# ---------------------------------------------------------------------------------------------- response
+# ----------------------------------------------------------------------------------------------
+# response
 
 
-def _bracket(folder: Path, table: np.ndarray, seed: int, shutters: tuple[float, ...], drift: float = 0.0) -> Path:
+def _bracket(
+    folder: Path, table: np.ndarray, seed: int, shutters: tuple[float, ...], drift: float = 0.0
+) -> Path:
     rng = np.random.default_rng(seed)
     folder.mkdir()
     blocks = 0.02 * 10 ** (3.2 * rng.random((SIZE // 6, SIZE // 6)))
@@ -191,17 +219,23 @@ def _bracket(folder: Path, table: np.ndarray, seed: int, shutters: tuple[float, 
     for i, shutter in enumerate(shutters):
         z = scene[..., None] * snap_shutter_s(shutter) * np.array([0.8, 1.0, 0.7]) * (1 + drift * i)
         z = z * (1 + 0.004 * rng.normal(size=z.shape))
-        codes = np.rint(np.interp(z, table + np.arange(256) * 1e-9, np.arange(256.0))).astype(np.uint8)
+        codes = np.rint(np.interp(z, table + np.arange(256) * 1e-9, np.arange(256.0))).astype(
+            np.uint8
+        )
         write_jpeg(folder / f"{i}.jpg", codes, exposure=Exposure(shutter, 5.6))
     return folder
 
 
-JPEG_PROFILE = replace(PROFILE, camera=CameraBody("j", "jpeg", SIZE, SIZE), lens=(replace(LENS, radius_px=170.0),))
+JPEG_PROFILE = replace(
+    PROFILE, camera=CameraBody("j", "jpeg", SIZE, SIZE), lens=(replace(LENS, radius_px=170.0),)
+)
 SHUTTERS = (2.0, 1.0, 0.5, 1 / 4, 1 / 8, 1 / 15, 1 / 30, 1 / 60)
 
 
 def test_analytic_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
-    """A curve that is neither sRGB nor linear, within 2 % of light over the codes that count, pooled brackets."""
+    """A curve that is neither sRGB nor linear, within 2 % of light over the codes that count,
+    pooled brackets.
+    """
     code = np.arange(256) / 255
     truth = 0.6 * code**2.6 + 0.25 * code**1.5 + 0.15 * code**5
     folders = [_bracket(tmp_path / f"b{seed}", truth, seed, SHUTTERS) for seed in (1, 2, 3)]
@@ -229,18 +263,27 @@ def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
         frame = read_jpeg(path)
         write_jpeg(path, np.roll(frame.codes, 6, axis=1), exposure=frame.exposure)
     found = _fitted(still)
-    assert found.response.u_rel > response.DOUBTFUL and "did the camera or the light move" in found.choice.line
+    assert (
+        found.response.u_rel > response.DOUBTFUL
+        and "did the camera or the light move" in found.choice.line
+    )
 
 
 def _fitted(folder: Path) -> response.Fit:
-    return response.fit(response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0)))
+    return response.fit(
+        response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
+    )
 
 
 def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
     """Frames of another sensor were fitted where the profile's circle happened to lie on them."""
     _bracket(tmp_path / "b", response_table("srgb"), 3, (0.5, 0.25, 0.125, 1 / 15))
-    other = replace(JPEG_PROFILE, camera=replace(JPEG_PROFILE.camera, width_px=5616, height_px=3744))
-    with pytest.raises(InputError, match=r"pixels, expected 5616 x 3744, as .* says, use its own profile"):
+    other = replace(
+        JPEG_PROFILE, camera=replace(JPEG_PROFILE.camera, width_px=5616, height_px=3744)
+    )
+    with pytest.raises(
+        InputError, match=r"pixels, expected 5616 x 3744, as .* says, use its own profile"
+    ):
         response.sample(response.brackets_in([tmp_path / "b"]), other, np.random.default_rng(1))
 
 
@@ -253,11 +296,14 @@ def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
         response.brackets_in([tmp_path / "empty"])
 
 
-# ---------------------------------------------------------------------------------------------- scale
+# ----------------------------------------------------------------------------------------------
+# scale
 
 
 def test_analytic_scale_with_an_outlier(tmp_path: Path) -> None:
-    """k is off by 8 %; nine spots with 2 % noise, one read from the wrong place, and the vertical illuminance."""
+    """k is off by 8 %; nine spots with 2 % noise, one read from the wrong place, and the
+    vertical illuminance.
+    """
     rng = np.random.default_rng(5)
     luminance = np.full((90, 180), 100.0, np.float32)
     luminance[:45] = 400.0
@@ -281,7 +327,9 @@ def test_analytic_scale_with_an_outlier(tmp_path: Path) -> None:
 
 
 def _spots(path: Path, lines: list[str]) -> Path:
-    path.write_text("\n".join(["panorama,azimuth_deg,altitude_deg,luminance_cdm2,illuminance_lx", *lines]))
+    path.write_text(
+        "\n".join(["panorama,azimuth_deg,altitude_deg,luminance_cdm2,illuminance_lx", *lines])
+    )
     return path
 
 
@@ -289,7 +337,9 @@ def test_analytic_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
     """The picture says with which k it was merged; it moved k twice before."""
     write_panorama(
         tmp_path / "p.exr",
-        Panorama(np.full((60, 120), 100.0, np.float32), 180.0, attributes=calibration_mark(PROFILE)),
+        Panorama(
+            np.full((60, 120), 100.0, np.float32), 180.0, attributes=calibration_mark(PROFILE)
+        ),
     )
     table = _spots(tmp_path / "t.csv", [f"p.exr,{a},0,{148 + a % 3}," for a in range(150, 200, 10)])
     k = PROFILE.scale.k
@@ -299,7 +349,9 @@ def test_analytic_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
         k = profile.scale.k * scale.fit(readings).factor
         assert k == pytest.approx(1.49 * PROFILE.scale.k, rel=0.01) and not notes
     other = replace(PROFILE, colour=Colour((0.3, 0.6, 0.1)))
-    with pytest.raises(InputError, match=r"p.exr: merged with sim of another calibration.*merge it again"):
+    with pytest.raises(
+        InputError, match=r"p.exr: merged with sim of another calibration.*merge it again"
+    ):
         scale.from_table(table, other)
     write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))
     assert "does not say with which k" in scale.from_table(table, PROFILE)[2][0]
@@ -314,7 +366,12 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
     picture = [80.0, 120.0, 300.0, 40.0, 900.0, 60.0]
     slip = _readings([80.0, 1200.0, 300.0, 40.0 / 3.426, 900.0, 60.0], picture)
     said = scale.slips(slip, scale.fit(slip))
-    assert "spot 1" in said[0] and "factor of ten" in said[0] and "fL typed" in said[1] and len(said) == 2
+    assert (
+        "spot 1" in said[0]
+        and "factor of ten" in said[0]
+        and "fL typed" in said[1]
+        and len(said) == 2
+    )
     with pytest.raises(InputError, match=r"t.csv: 3 of 6 readings are far.*one unit"):
         scale.fit(_readings([80.0, 20.0, 300.0, 9.0, 4000.0, 60.0], picture), source="t.csv")
     right = scale.fit(_readings(picture, picture))
@@ -322,7 +379,9 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
     feet = scale.fit(_readings([p / 3.426 for p in picture], picture))
     assert "1 fL" in scale.check_level(feet, PROFILE, tmp_path)
     with pytest.raises(InputError, match=r"k \(R \+ G \+ B\) would be 0.001.*klx"):
-        scale.check_level(scale.fit(_readings([p / 1000 for p in picture], picture)), PROFILE, tmp_path)
+        scale.check_level(
+            scale.fit(_readings([p / 1000 for p in picture], picture)), PROFILE, tmp_path
+        )
 
 
 def test_scale_takes_no_reading_from_what_is_clipped(tmp_path: Path) -> None:
@@ -333,13 +392,22 @@ def test_scale_takes_no_reading_from_what_is_clipped(tmp_path: Path) -> None:
     for line in ("p.exr,180,28.5,100,", "p.exr,180,0,,310"):
         with pytest.raises(InputError, match=r"p.exr: clipped in every frame"):
             scale.from_table(_spots(tmp_path / "t.csv", [line]), PROFILE)
-    assert len(scale.from_table(_spots(tmp_path / "t.csv", ["p.exr,180,-30,100,", "p.exr,0,0,,310"]), PROFILE)[0]) == 2
+    assert (
+        len(
+            scale.from_table(
+                _spots(tmp_path / "t.csv", ["p.exr,180,-30,100,", "p.exr,0,0,,310"]), PROFILE
+            )[0]
+        )
+        == 2
+    )
 
 
 def test_scale_refuses_a_line_without_reading(tmp_path: Path) -> None:
     write_panorama(tmp_path / "p.exr", Panorama(np.ones((20, 40), np.float32), 0.0))
     table = tmp_path / "t.csv"
-    table.write_text("panorama,azimuth_deg,altitude_deg,luminance_cdm2,illuminance_lx\np.exr,0,0,,\n")
+    table.write_text(
+        "panorama,azimuth_deg,altitude_deg,luminance_cdm2,illuminance_lx\np.exr,0,0,,\n"
+    )
     with pytest.raises(InputError, match="neither"):
         scale.from_table(table, PROFILE)
     table.write_text("panorama,azimuth_deg,altitude_deg,luminance_cdm2\np.exr,0,zero,5\n")
@@ -347,20 +415,28 @@ def test_scale_refuses_a_line_without_reading(tmp_path: Path) -> None:
         scale.from_table(table, PROFILE)
 
 
-# ---------------------------------------------------------------------------------------------- lens
+# ----------------------------------------------------------------------------------------------
+# lens
 
 
-def _targets(geometry: LensGeometry, count: int, noise_px: float, widest: float = 88.0) -> lens.Targets:
+def _targets(
+    geometry: LensGeometry, count: int, noise_px: float, widest: float = 88.0
+) -> lens.Targets:
     rng = np.random.default_rng(7)
     angle, turn = np.radians(widest * np.sqrt(rng.random(count))), 2 * np.pi * rng.random(count)
-    local = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
+    local = np.stack(
+        [np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1
+    )
     rays = local @ geometry.axes()
     x, y, _ = lens_pixels(geometry, rays)
-    return lens.Targets(x + noise_px * rng.normal(size=count), y + noise_px * rng.normal(size=count), rays)
+    return lens.Targets(
+        x + noise_px * rng.normal(size=count), y + noise_px * rng.normal(size=count), rays
+    )
 
 
 @pytest.mark.parametrize(
-    ("mapping", "coefficients"), [("equisolid", ()), ("equidistant", ()), ("polynomial", (1.12, 0.0, -0.12))]
+    ("mapping", "coefficients"),
+    [("equisolid", ()), ("equidistant", ()), ("polynomial", (1.12, 0.0, -0.12))],
 )
 def test_analytic_lens_from_known_directions(mapping: str, coefficients: tuple[float, ...]) -> None:
     """0.3 px of noise on 60 targets: rays within 0.1 deg everywhere, and the mapping named."""
@@ -369,15 +445,23 @@ def test_analytic_lens_from_known_directions(mapping: str, coefficients: tuple[f
     assert found.lens.mapping == mapping
     check = _targets(truth, 200, 0.0)
     fitted = LensGeometry(
-        found.lens.centre_px, found.lens.radius_px, 186.0, found.lens.mapping, found.lens.coefficients,
-        found.lens.azimuth_deg, found.lens.tilt_deg, found.lens.roll_deg,
-    )  # fmt: skip
+        found.lens.centre_px,
+        found.lens.radius_px,
+        186.0,
+        found.lens.mapping,
+        found.lens.coefficients,
+        found.lens.azimuth_deg,
+        found.lens.tilt_deg,
+        found.lens.roll_deg,
+    )
     x, y, _ = lens_pixels(fitted, check.rays)
     assert np.degrees(np.hypot(x - check.x_px, y - check.y_px).max() / 900.0 * np.radians(93)) < 0.1
     assert found.rms_px < 0.8
 
 
-def _with_directions(targets: lens.Targets, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> lens.Targets:
+def _with_directions(
+    targets: lens.Targets, azimuth_deg: np.ndarray, altitude_deg: np.ndarray
+) -> lens.Targets:
     return replace(targets, rays=direction(altitude_deg, azimuth_deg))
 
 
@@ -388,7 +472,10 @@ def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
     good = _targets(truth, 30, 0.3)
     azimuth = np.degrees(np.arctan2(good.rays[:, 0], good.rays[:, 1]))
     altitude = np.degrees(np.arcsin(good.rays[:, 2]))
-    for wrong in (_with_directions(good, -azimuth, altitude), _with_directions(good, azimuth, -altitude)):
+    for wrong in (
+        _with_directions(good, -azimuth, altitude),
+        _with_directions(good, azimuth, -altitude),
+    ):
         with pytest.raises(InputError, match=r"in a mirror only"):
             lens.fit(wrong, start)
     with pytest.raises(InputError):
@@ -410,7 +497,9 @@ def test_analytic_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: f
 
 
 def test_analytic_lens_from_chessboards() -> None:
-    """Boards seen by an equisolid fisheye: OpenCV's model turned into ours misses by under a tenth of a degree."""
+    """Boards seen by an equisolid fisheye: OpenCV's model turned into ours misses by under a
+    tenth of a degree.
+    """
     rng, columns, rows = np.random.default_rng(8), 9, 6
     truth = LensGeometry((640.0, 480.0), 450.0, 180.0, "equisolid")
     corners = []
@@ -419,7 +508,9 @@ def test_analytic_lens_from_chessboards() -> None:
         turn, lean = 2 * np.pi * rng.random(), np.radians(55 * np.sqrt(rng.random()))
         forward = np.array([np.sin(lean) * np.cos(turn), np.cos(lean), np.sin(lean) * np.sin(turn)])
         facing = forward + 0.4 * rng.normal(size=3)
-        right = np.cross(facing / np.linalg.norm(facing), [0.1 * rng.normal(), 0.1 * rng.normal(), 1.0])
+        right = np.cross(
+            facing / np.linalg.norm(facing), [0.1 * rng.normal(), 0.1 * rng.normal(), 1.0]
+        )
         right /= np.linalg.norm(right)
         up = np.cross(right, facing / np.linalg.norm(facing))
         points = 8.0 * forward + board[:, :1] * right - board[:, 1:] * up
@@ -429,18 +520,28 @@ def test_analytic_lens_from_chessboards() -> None:
     targets = seen.targets
     found = lens.fit(targets, Lens((630.0, 490.0), 440.0, 180.0))
     fitted = LensGeometry(
-        found.lens.centre_px, found.lens.radius_px, 180.0, found.lens.mapping, found.lens.coefficients
+        found.lens.centre_px,
+        found.lens.radius_px,
+        180.0,
+        found.lens.mapping,
+        found.lens.coefficients,
     )
     x, y, angle = lens_pixels(truth, targets.rays)
     x2, y2, _ = lens_pixels(fitted, targets.rays)
     near = angle < np.radians(60)
-    assert np.hypot(x - x2, y - y2)[near].max() < 450.0 / 90 * 0.15  # a boards' own tilt is not a lens's pose
-    # the corners themselves: nearer than the model's rays, with what they miss by, and for a lens that looks back too
+    assert (
+        np.hypot(x - x2, y - y2)[near].max() < 450.0 / 90 * 0.15
+    )  # a boards' own tilt is not a lens's pose
+    # the corners themselves: nearer than the model's rays, with what they miss by, and for a lens
+    # that looks back too
     for azimuth in (0.0, 180.0):
         better = boards.fit(seen, Lens((630.0, 490.0), 440.0, 180.0, azimuth_deg=azimuth))
         assert better.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
         assert better.lens.centre_px == pytest.approx(truth.centre_px, abs=0.1)
-        assert better.lens.azimuth_deg == azimuth and "the centre is known to 0.0" in better.choice.line
+        assert (
+            better.lens.azimuth_deg == azimuth
+            and "the centre is known to 0.0" in better.choice.line
+        )
     with pytest.raises(NotEnoughDataError):
         boards.from_boards(corners[:3], columns, rows, (1280, 960))
 
@@ -475,14 +576,19 @@ def test_analytic_circle_and_shift() -> None:
         lens.circle(np.full((200, 300), 90, np.uint8))
 
 
-# ---------------------------------------------------------------------------------------------- colour
+# ----------------------------------------------------------------------------------------------
+# colour
 
 
-def _colours(count: int, noise: float, truth: tuple[float, float, float], seed: int = 1) -> colour.Colours:
+def _colours(
+    count: int, noise: float, truth: tuple[float, float, float], seed: int = 1
+) -> colour.Colours:
     rng = np.random.default_rng(seed)
     rgb = rng.uniform(0.1, 1.0, (count, 3)) * rng.uniform(20, 400, (count, 1))
     y = 1.07 * rgb @ np.array(truth) * (1 + noise * rng.normal(size=count))
-    return colour.Colours(rgb, y, np.full(count, max(noise, 0.01)), tuple(map(str, range(count))), (Path("x"),))
+    return colour.Colours(
+        rgb, y, np.full(count, max(noise, 0.01)), tuple(map(str, range(count))), (Path("x"),)
+    )
 
 
 def test_analytic_colour_leaves_a_wrong_prior_when_readings_prove_it() -> None:
@@ -522,9 +628,21 @@ def _chart_frame(path: Path, seed: int = 1) -> tuple[Path, list[float]]:
     left, top, cell = 60, 80, 20
     for i in range(24):
         row, column = divmod(i, 6)
-        picture[top + row * cell : top + (row + 1) * cell, left + column * cell : left + (column + 1) * cell] = rgb[i]
+        picture[
+            top + row * cell : top + (row + 1) * cell,
+            left + column * cell : left + (column + 1) * cell,
+        ] = rgb[i]
     picture = picture * vignetting_at(TRUE_V, _relative_angles())[..., None]
-    corners = [left, top, left + 6 * cell, top, left + 6 * cell, top + 4 * cell, left, top + 4 * cell]
+    corners = [
+        left,
+        top,
+        left + 6 * cell,
+        top,
+        left + 6 * cell,
+        top + 4 * cell,
+        left,
+        top + 4 * cell,
+    ]
     return _raw(path, picture, Exposure(1 / 60, 5.6), rng), [float(c) for c in corners]
 
 
@@ -535,17 +653,25 @@ def test_analytic_colour_from_a_chart(tmp_path: Path) -> None:
     found = colour.fit(colours, PROFILE)
     shares = np.array(found.y_from_rgb) / sum(found.y_from_rgb)
     assert shares == pytest.approx((0.30, 0.60, 0.10), abs=0.03)
-    with pytest.raises(InputError, match=r"another order.*clockwise"):  # the corners from the black patch on
+    with pytest.raises(
+        InputError, match=r"another order.*clockwise"
+    ):  # the corners from the black patch on
         colour.from_chart(path, PROFILE, corners[4:] + corners[:4])
 
 
 def test_a_frame_without_a_chart_says_what_to_do(tmp_path: Path) -> None:
-    path = _raw(tmp_path / "flat.dng", np.full((SIZE, SIZE, 3), 200.0), Exposure(1 / 60, 5.6), np.random.default_rng(1))
+    path = _raw(
+        tmp_path / "flat.dng",
+        np.full((SIZE, SIZE, 3), 200.0),
+        Exposure(1 / 60, 5.6),
+        np.random.default_rng(1),
+    )
     with pytest.raises(InputError, match=r"no colour chart.*--corners"):
         colour.from_chart(path, PROFILE)
 
 
-# ---------------------------------------------------------------------------------------------- frames and profiles
+# ----------------------------------------------------------------------------------------------
+# frames and profiles
 
 
 def test_analytic_patches_are_linear_and_clipping_is_refused(tmp_path: Path) -> None:
@@ -566,19 +692,30 @@ def test_profiles_keep_figures_hashes_and_reasons(tmp_path: Path) -> None:
     frame = tmp_path / "f.bin"
     frame.write_bytes(b"x")
     out = tmp_path / "new.toml"
-    first = keep(out, PROFILE, [frame], ["response: srgb"], date(2027, 1, 2), response=Response(kind="srgb"))
+    first = keep(
+        out, PROFILE, [frame], ["response: srgb"], date(2027, 1, 2), response=Response(kind="srgb")
+    )
     again = keep(out, load_camera_profile(out), [frame], ["scale: one factor"], date(2027, 1, 3))
     assert load_camera_profile(out) == again and first.response.kind == "srgb"
     assert len(again.provenance.frames_sha256) == 1 and len(again.provenance.log) == 2
-    assert again.camera.date == "2027-01-03" and again.provenance.log[0].startswith("2027-01-02 response")
+    assert again.camera.date == "2027-01-03" and again.provenance.log[0].startswith(
+        "2027-01-02 response"
+    )
     save_profile(tmp_path / "p.toml", PROFILE)
 
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("a,b\n1,0.98\n", 0.98), ("a;b\n1;0,98\n", 0.98), ("a\tb\n1\t0,98\n", 0.98), ("a,b\n1,0.98,,\n", 0.98)],
+    [
+        ("a,b\n1,0.98\n", 0.98),
+        ("a;b\n1;0,98\n", 0.98),
+        ("a\tb\n1\t0,98\n", 0.98),
+        ("a,b\n1,0.98,,\n", 0.98),
+    ],
 )
-def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, text: str, value: float) -> None:
+def test_tables_are_read_as_spreadsheets_write_them(
+    tmp_path: Path, text: str, value: float
+) -> None:
     (tmp_path / "t.csv").write_text(text, encoding="utf-8-sig")
     assert read_table(tmp_path / "t.csv", ("a", "b")) == [{"a": 1.0, "b": value}]
 
@@ -586,5 +723,7 @@ def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, text: str, v
 def test_decimal_commas_between_commas_are_no_other_number(tmp_path: Path) -> None:
     """0,98 read as 0, and 152,3 as 152, before: the rest of the line fell off the end."""
     (tmp_path / "t.csv").write_text("# by hand\n\na,b\n1,0.9\n1,0,98\n")
-    with pytest.raises(InputError, match=r"t.csv:5: more cells than the header has, expected 2 cells"):
+    with pytest.raises(
+        InputError, match=r"t.csv:5: more cells than the header has, expected 2 cells"
+    ):
         read_table(tmp_path / "t.csv", ("a", "b"))

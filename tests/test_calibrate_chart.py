@@ -15,12 +15,18 @@ from fieldlum.errors import InputError
 from fieldlum.photometry import srgb_table
 from fieldlum.records import Exposure
 
-CAMERA = np.array([[0.60, 0.30, 0.05], [0.15, 0.75, 0.10], [0.02, 0.25, 0.60]])  # its colours of sRGB's
+CAMERA = np.array(
+    [[0.60, 0.30, 0.05], [0.15, 0.75, 0.10], [0.02, 0.25, 0.60]]
+)  # its colours of sRGB's
 CELL, RIM = 60, 10
 
 
-def drawn(seed: int, order: list[int], width_px: float = 300, turn_deg: float = 0.0) -> tuple[LinearFrame, np.ndarray]:
-    """A chart with black gaps, at an angle, over a clutter of boxes; and its patches' corners, dark skin first."""
+def drawn(
+    seed: int, order: list[int], width_px: float = 300, turn_deg: float = 0.0
+) -> tuple[LinearFrame, np.ndarray]:
+    """A chart with black gaps, at an angle, over a clutter of boxes; and its patches' corners,
+    dark skin first.
+    """
     rng = np.random.default_rng(seed)
     colours = srgb_table()[np.array(chart._SRGB)][order]
     card = np.full((4 * CELL + 2 * RIM, 6 * CELL + 2 * RIM, 3), 0.02)
@@ -41,25 +47,41 @@ def drawn(seed: int, order: list[int], width_px: float = 300, turn_deg: float = 
     mask = cv2.warpPerspective(np.ones((high, wide)), how, (700, 520))[..., None]
     picture = room * (1 - mask) + cv2.warpPerspective(card, how, (700, 520)) * mask
     picture = cv2.GaussianBlur(picture, (0, 0), 0.8) + rng.normal(0, 0.004, picture.shape)
-    inner = np.array([[RIM, RIM], [wide - RIM, RIM], [wide - RIM, high - RIM], [RIM, high - RIM]], np.float32)
+    inner = np.array(
+        [[RIM, RIM], [wide - RIM, RIM], [wide - RIM, high - RIM], [RIM, high - RIM]], np.float32
+    )
     corners = cv2.perspectiveTransform(inner[None], how)[0]
     rgb = (np.maximum(picture, 0) @ CAMERA.T * 120).astype(np.float32)
-    return LinearFrame(Path("chart.dng"), rgb, np.zeros((520, 700), bool), 1, Exposure(0.01, 5.6)), corners
+    return LinearFrame(
+        Path("chart.dng"), rgb, np.zeros((520, 700), bool), 1, Exposure(0.01, 5.6)
+    ), corners
 
 
 @pytest.fixture(params=(1, 2))
 def threads(request: pytest.FixtureRequest) -> Iterator[None]:
     before = cv2.getNumThreads()
-    cv2.setNumThreads(request.param)  # OpenCV's own detector finds more with some numbers of them than with others
+    cv2.setNumThreads(
+        request.param
+    )  # OpenCV's own detector finds more with some numbers of them than with others
     yield
     cv2.setNumThreads(before)
 
 
-CASES = [(1, 300, 0), (2, 160, 10), (3, 380, 180), (4, 240, -12), (11, 300, 90), (12, 120, 45), (13, 200, -30)]
+CASES = [
+    (1, 300, 0),
+    (2, 160, 10),
+    (3, 380, 180),
+    (4, 240, -12),
+    (11, 300, 90),
+    (12, 120, 45),
+    (13, 200, -30),
+]
 
 
 def found_inside(frame: LinearFrame, corners: np.ndarray) -> bool:
-    """Whether every found centre, with its radius, lies within the true patch, by its shorter side."""
+    """Whether every found centre, with its radius, lies within the true patch, by its shorter
+    side.
+    """
     centres, radius_px = chart.find_chart(frame)
     true, _ = chart.patch_centres(corners)
     patch = np.linalg.norm(true[1] - true[0])
@@ -68,12 +90,16 @@ def found_inside(frame: LinearFrame, corners: np.ndarray) -> bool:
 
 @pytest.mark.usefixtures("threads")
 @pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES)
-def test_a_chart_is_found_at_an_angle(seed: int, width_px: float, turn_deg: float) -> None:  # analytic
+def test_a_chart_is_found_at_an_angle(
+    seed: int, width_px: float, turn_deg: float
+) -> None:  # analytic
     assert found_inside(*drawn(seed, list(range(24)), width_px, turn_deg))
 
 
 @pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES[1:5])
-def test_a_chart_is_found_in_a_poor_frame(seed: int, width_px: float, turn_deg: float) -> None:  # property
+def test_a_chart_is_found_in_a_poor_frame(
+    seed: int, width_px: float, turn_deg: float
+) -> None:  # property
     frame, corners = drawn(seed, list(range(24)), width_px, turn_deg)
     rng = np.random.default_rng(seed)
     uneven = frame.rgb * np.linspace(1, 3, frame.rgb.shape[1])[:, None]
@@ -83,7 +109,9 @@ def test_a_chart_is_found_in_a_poor_frame(seed: int, width_px: float, turn_deg: 
     assert found_inside(poor, corners)
 
 
-def test_the_finder_of_lattices_draws_nothing_at_random(monkeypatch: pytest.MonkeyPatch) -> None:  # contract
+def test_the_finder_of_lattices_draws_nothing_at_random(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # contract
     monkeypatch.setattr(chart, "_TRIES", ())  # OpenCV's detector stays out of it
     frame, corners = drawn(3, list(range(24)), 380, 180)
     assert found_inside(frame, corners)
@@ -94,7 +122,12 @@ def test_the_finder_of_lattices_draws_nothing_at_random(monkeypatch: pytest.Monk
 
 def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:  # analytic
     picture = np.full((300, 420, 3), 30, np.uint8)
-    for i in set(range(24)) - {0, 5, 9, 14}:  # two corners and two in the middle are as dark as the gaps
+    for i in set(range(24)) - {
+        0,
+        5,
+        9,
+        14,
+    }:  # two corners and two in the middle are as dark as the gaps
         x, y = 40 + i % 6 * 56, 40 + i // 6 * 56
         picture[y : y + 48, x : x + 48] = 200
     centres = np.array([(40 + i % 6 * 56 + 23.5, 40 + i // 6 * 56 + 23.5) for i in range(24)])
@@ -102,7 +135,9 @@ def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:  # analytic
     assert min(float(np.abs(way - centres).max()) for way in ways) < 1.0
 
 
-def test_a_card_of_other_colours_is_refused() -> None:  # contract: a wrong find must not become a calibration
+def test_a_card_of_other_colours_is_refused() -> (
+    None
+):  # contract: a wrong find must not become a calibration
     order = list(np.random.default_rng(7).permutation(24))
     with pytest.raises(InputError, match=r"no colour chart found.*--corners") as caught:
         chart.find_chart(drawn(1, order)[0])
@@ -114,7 +149,13 @@ def test_the_order_of_colours_tells_a_chart() -> None:  # property
     glare = rgb + 0.03 * rgb.mean(axis=0)
     assert chart.misfit(rgb) < 0.01 and chart.misfit(glare) < 0.05
     grid = rgb.reshape(4, 6, 3)
-    for other in (grid[::-1], grid[:, ::-1], grid[::-1, ::-1], np.roll(grid, 1, axis=0), np.roll(grid, 1, axis=1)):
+    for other in (
+        grid[::-1],
+        grid[:, ::-1],
+        grid[::-1, ::-1],
+        np.roll(grid, 1, axis=0),
+        np.roll(grid, 1, axis=1),
+    ):
         assert chart.misfit(other.reshape(24, 3)) > 0.5
         assert not chart.in_order(other.reshape(24, 3)[:, 1])
     assert chart.in_order(rgb[:, 1]) and chart.in_order(glare[:, 1])

@@ -1,4 +1,6 @@
-"""Contract: `fieldlum calibrate` end to end on simulated captures, its exit codes and its one JSON object."""
+"""Contract: `fieldlum calibrate` end to end on simulated captures, its exit codes and its one
+JSON object.
+"""
 
 import json
 from dataclasses import replace
@@ -36,8 +38,12 @@ class Still:
 TRUTH = load_camera_profile("sim-fisheye")
 
 
-def _shoot(luminance: np.ndarray, target: Path, heading: float = 180.0, exposure: Exposure | None = None) -> Path:
-    camera = SimulatedCamera(Still(luminance), TRUTH, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0)
+def _shoot(
+    luminance: np.ndarray, target: Path, heading: float = 180.0, exposure: Exposure | None = None
+) -> Path:
+    camera = SimulatedCamera(
+        Still(luminance), TRUTH, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0
+    )
     return camera.expose(exposure or Exposure(1 / 60, 5.6), target, heading_deg=heading)
 
 
@@ -59,7 +65,10 @@ def test_contract_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> N
     flat = _shoot(np.full((H, 2 * H), 300.0), tmp_path / "flat")
     keep = ("--camera", mine, "--out", mine)
     edge = _call("lens", flat, "--circle", *keep, "--picture", tmp_path / "c.png")
-    assert edge["radius_px"] == pytest.approx(236, abs=2.5) and (tmp_path / "c.png").stat().st_size > 1000
+    assert (
+        edge["radius_px"] == pytest.approx(236, abs=2.5)
+        and (tmp_path / "c.png").stat().st_size > 1000
+    )
 
     from fieldlum.calibrate.frames import geometry_of
 
@@ -81,9 +90,12 @@ def test_contract_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> N
     luminance = 50 + 400 * np.clip(rays @ direction(20, 200), 0, 1) ** 2
     write_panorama(tmp_path / "p.exr", Panorama((luminance / 1.1).astype(np.float32), 180.0))
     spots = [
-        f"p.exr,{a},0,{50 + 400 * max(direction(0, a) @ direction(20, 200), 0) ** 2:.2f}" for a in (150, 180, 210, 240)
+        f"p.exr,{a},0,{50 + 400 * max(direction(0, a) @ direction(20, 200), 0) ** 2:.2f}"
+        for a in (150, 180, 210, 240)
     ]
-    (tmp_path / "r.csv").write_text("\n".join(["panorama,azimuth_deg,altitude_deg,luminance_cdm2", *spots]))
+    (tmp_path / "r.csv").write_text(
+        "\n".join(["panorama,azimuth_deg,altitude_deg,luminance_cdm2", *spots])
+    )
     scaled = _call("scale", tmp_path / "r.csv", *keep, "--picture", tmp_path / "s.png")
     assert scaled["factor"] == pytest.approx(1.1, rel=0.01) and len(scaled["points"]) == 4
 
@@ -97,7 +109,9 @@ def test_contract_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
     luminance = np.repeat(np.repeat(rng.uniform(50, 500, (H // 6, H // 3)), 6, axis=0), 6, axis=1)
     old = _shoot(luminance, tmp_path / "old")
     moved = replace(TRUTH, lens=(replace(TRUTH.lens[0], centre_px=(244.3, 238.6)),))
-    camera = SimulatedCamera(Still(luminance), moved, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0)
+    camera = SimulatedCamera(
+        Still(luminance), moved, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0
+    )
     new = camera.expose(Exposure(1 / 60, 5.6), tmp_path / "new", heading_deg=180.0)
     found = _call("lens", new, "--against", old, "--camera", mine, "--out", tmp_path / "moved.toml")
     assert found["shift_px"] == pytest.approx([2.0, -3.0], abs=0.1)
@@ -121,23 +135,48 @@ def test_contract_colour_by_spots(tmp_path: Path, mine: Path) -> None:
     _shoot(luminance, tmp_path / "spots")
     (tmp_path / "spots.csv").write_text("\n".join(lines))
     out = tmp_path / "colour.toml"
-    found = _call("colour", tmp_path / "spots.csv", "--camera", mine, "--out", out, "--picture", tmp_path / "c.png")
+    found = _call(
+        "colour",
+        tmp_path / "spots.csv",
+        "--camera",
+        mine,
+        "--out",
+        out,
+        "--picture",
+        tmp_path / "c.png",
+    )
     assert found["y_from_rgb"] == pytest.approx(TRUTH.colour.y_from_rgb, abs=1e-5)
-    assert found["readings"] == 5 and found["u_rel"] < 0.03 and load_camera_profile(out).colour.u_rel < 0.03
+    assert (
+        found["readings"] == 5
+        and found["u_rel"] < 0.03
+        and load_camera_profile(out).colour.u_rel < 0.03
+    )
 
 
 def test_contract_response_of_the_simulated_jpeg_camera(tmp_path: Path) -> None:
     truth = load_camera_profile("sim-dual-fisheye-jpeg")
     save_profile(tmp_path / "mine.toml", replace(truth, response=Response()))
     rng = np.random.default_rng(3)
-    luminance = np.repeat(np.repeat(10 ** rng.uniform(0.5, 3, (H // 6, H // 3)), 6, axis=0), 6, axis=1)
-    camera = SimulatedCamera(Still(luminance), truth, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0)
+    luminance = np.repeat(
+        np.repeat(10 ** rng.uniform(0.5, 3, (H // 6, H // 3)), 6, axis=0), 6, axis=1
+    )
+    camera = SimulatedCamera(
+        Still(luminance), truth, FastClock(datetime(2027, 3, 20, 12, tzinfo=UTC)), overhead_s=0.0
+    )
     folder = tmp_path / "bracket"
     folder.mkdir()
     for i, shutter in enumerate((0.625, 0.25, 0.1, 0.04, 1 / 60, 1 / 160)):
         camera.expose(Exposure(shutter, 5.6), folder / f"f{i}", heading_deg=180.0)
-    found = _call("response", folder, "--camera", tmp_path / "mine.toml", "--out", tmp_path / "new.toml",
-                  "--picture", tmp_path / "r.png")  # fmt: skip
+    found = _call(
+        "response",
+        folder,
+        "--camera",
+        tmp_path / "mine.toml",
+        "--out",
+        tmp_path / "new.toml",
+        "--picture",
+        tmp_path / "r.png",
+    )
     assert found["kind"] in ("table", "srgb") and max(found["residual_rgb"]) < 0.04
     assert load_camera_profile(tmp_path / "new.toml").response.kind == found["kind"]
 
@@ -147,14 +186,20 @@ def test_contract_bad_input_is_one_line(tmp_path: Path, mine: Path) -> None:
     table = tmp_path / "t.csv"
     table.write_text("angle_deg,value\n0,1\n10,1.1\n30,1.2\n50,1.3\n70,1.5\n80,1.7\n")
     rising = CliRunner().invoke(main, ["calibrate", "vignette", str(table), *keep])
-    assert rising.exit_code == 3 and "correction factors" in rising.stderr and rising.stderr.count("\n") == 1
+    assert (
+        rising.exit_code == 3
+        and "correction factors" in rising.stderr
+        and rising.stderr.count("\n") == 1
+    )
     table.write_text("x_px,y_px,azimuth_deg\n1,2,3\n")
     missing = CliRunner().invoke(main, ["calibrate", "lens", str(table), *keep])
     assert missing.exit_code == 3 and "no column altitude_deg" in missing.stderr
     table.write_text("x_px,y_px,azimuth_deg,altitude_deg\n1,2,3,4\n")
     few = CliRunner().invoke(main, ["calibrate", "lens", str(table), *keep])
     assert few.exit_code == 5
-    both = CliRunner().invoke(main, ["calibrate", "lens", str(table), "--circle", "--chessboard", "9x6", *keep])
+    both = CliRunner().invoke(
+        main, ["calibrate", "lens", str(table), "--circle", "--chessboard", "9x6", *keep]
+    )
     assert both.exit_code == 2
     wrong = CliRunner().invoke(main, ["calibrate", "colour", str(table), "--corners", "1,2", *keep])
     assert wrong.exit_code in (2, 3)

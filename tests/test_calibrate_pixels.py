@@ -1,4 +1,6 @@
-"""`calibrate pixels`: defects are found, small lights are not, and views that cannot tell are refused."""
+"""`calibrate pixels`: defects are found, small lights are not, and views that cannot tell are
+refused.
+"""
 
 import json
 from dataclasses import replace
@@ -11,7 +13,15 @@ from click.testing import CliRunner
 from fieldlum.calibrate import pixels
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, load_camera_profile, save_profile
+from fieldlum.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Lens,
+    Sensor,
+    load_camera_profile,
+    save_profile,
+)
 from fieldlum.raw import write_dng
 from fieldlum.records import Exposure
 
@@ -21,13 +31,17 @@ DEAD = {(90, 101), (180, 120)}
 STUCK = {(150, 77)}
 COLUMN = {(121, y) for y in range(150, 190)}
 PROFILE = CameraProfile(
-    CameraBody("small", "raw", SIDE, SIDE), (Lens((128.0, 128.0), 125.0, 180.0),), Bracket(4.0, 100.0, (0.1,)),
+    CameraBody("small", "raw", SIDE, SIDE),
+    (Lens((128.0, 128.0), 125.0, 180.0),),
+    Bracket(4.0, 100.0, (0.1,)),
     Sensor("RGGB", (256.0,) * 4, (15000.0,) * 4, 16383.0, 2.0, 5.0, 100.0),
-)  # fmt: skip
+)
 
 
 def view(seed: int) -> np.ndarray:
-    """Mean counts above black of a room: surfaces, thin bars, and some lights of one or two pixels."""
+    """Mean counts above black of a room: surfaces, thin bars, and some lights of one or two
+    pixels.
+    """
     rng = np.random.default_rng(seed)
     light = np.full((SIDE, SIDE), 400.0)
     for _ in range(60):
@@ -39,7 +53,9 @@ def view(seed: int) -> np.ndarray:
     return light
 
 
-def frame(path: Path, light: np.ndarray, exposed: float = 1.0, seed: int = 0, defects: bool = True) -> Path:
+def frame(
+    path: Path, light: np.ndarray, exposed: float = 1.0, seed: int = 0, defects: bool = True
+) -> Path:
     rng = np.random.default_rng(seed)
     mean = light * exposed
     if defects:
@@ -83,7 +99,10 @@ def test_one_view_again_and_again_is_refused(tmp_path: Path) -> None:
         pixels.find(brackets(tmp_path, (1, 1, 1, 1)), PROFILE)
     with pytest.raises(NotEnoughDataError, match="2 different views"):
         pixels.find(brackets(tmp_path / "two", (1, 2, 1, 2)), PROFILE)
-    blank = [frame(tmp_path / "blank" / f"{i}.dng", np.full((SIDE, SIDE), 300.0), seed=i) for i in range(4)]
+    blank = [
+        frame(tmp_path / "blank" / f"{i}.dng", np.full((SIDE, SIDE), 300.0), seed=i)
+        for i in range(4)
+    ]
     with pytest.raises(NotEnoughDataError, match="4 frames without detail"):
         pixels.find(blank, PROFILE)
 
@@ -116,8 +135,12 @@ def test_contract_the_command(tmp_path: Path) -> None:
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout)["found"] == 4 and (tmp_path / "p.png").stat().st_size > 1000
     new = load_camera_profile(out)
-    assert set(new.sensor.bad_px) == HOT | STUCK | {(1, 2)} and "dark frames" in new.provenance.log[-1]
-    jpeg = CliRunner().invoke(main, [*words[:2], *dark, "--camera", "sim-dual-fisheye-jpeg", "--out", str(out)])
+    assert (
+        set(new.sensor.bad_px) == HOT | STUCK | {(1, 2)} and "dark frames" in new.provenance.log[-1]
+    )
+    jpeg = CliRunner().invoke(
+        main, [*words[:2], *dark, "--camera", "sim-dual-fisheye-jpeg", "--out", str(out)]
+    )
     assert jpeg.exit_code == 3 and "JPEG camera" in jpeg.stderr and jpeg.stderr.count("\n") == 1
     few = CliRunner().invoke(main, [*words[:2], dark[0], *words[4:]])
     assert few.exit_code == 5 and few.stderr.count("\n") == 1

@@ -118,10 +118,17 @@ class Field:
 
     def run(self, options: Options = FAST, trusted: bool = False, **more: Any) -> list[str]:
         run(
-            self.session, "tiny:", "tiny:", clock=self.clock, options=options, watch=self.shown.append,
-            trusted=lambda: trusted, open_cam=more.pop("open_cam", self.open_camera),
-            open_pyr=lambda: TinyPyranometer(self.clock, self.pyranometer_fault), **more,
-        )  # fmt: skip
+            self.session,
+            "tiny:",
+            "tiny:",
+            clock=self.clock,
+            options=options,
+            watch=self.shown.append,
+            trusted=lambda: trusted,
+            open_cam=more.pop("open_cam", self.open_camera),
+            open_pyr=lambda: TinyPyranometer(self.clock, self.pyranometer_fault),
+            **more,
+        )
         return [event["event"] for event in read_journal(self.session)]
 
     def outcomes(self) -> list[str]:
@@ -151,7 +158,9 @@ def test_undisturbed_run_takes_everything_once(site: Field) -> None:
         end = slot.t_utc + timedelta(seconds=6)
         assert any(end <= s.t_utc <= end + timedelta(seconds=6) for s in samples)
     assert site.shown[-1].state == "finished" and site.shown[-1].left == 0
-    assert site.run()[-1] == "close" and site.cameras[0].count == 9, "nothing is owed: nothing is taken"
+    assert site.run()[-1] == "close" and site.cameras[0].count == 9, (
+        "nothing is owed: nothing is taken"
+    )
 
 
 def test_a_camera_that_brackets_by_itself_is_asked_once_a_slot(site: Field) -> None:
@@ -176,7 +185,9 @@ def test_a_camera_that_brackets_by_itself_is_asked_once_a_slot(site: Field) -> N
 
 
 def test_turned_head_takes_every_heading(tmp_path: Path) -> None:
-    field_ = Field(make_session(tmp_path / "s", 1, CameraSetup(headings=(0.0, 180.0))), FastClock(T0))
+    field_ = Field(
+        make_session(tmp_path / "s", 1, CameraSetup(headings=(0.0, 180.0))), FastClock(T0)
+    )
     field_.run()
     table = json.loads((field_.session.raw / "20270320T153000Z" / "capture.json").read_text())
     assert [f["heading_deg"] for f in table["frames"]] == [0.0] * 3 + [180.0] * 3
@@ -186,7 +197,9 @@ def test_turned_head_takes_every_heading(tmp_path: Path) -> None:
 def test_slots_that_a_replan_adds_to_a_running_capture_are_taken(site: Field) -> None:
     """One before the slot that is waited for, one after the last."""
     plan, end = site.session.slots(), T0 + timedelta(hours=2)
-    between, after = (replace(plan[0], t_utc=t) for t in (end - timedelta(minutes=30), end + timedelta(days=20)))
+    between, after = (
+        replace(plan[0], t_utc=t) for t in (end - timedelta(minutes=30), end + timedelta(days=20))
+    )
 
     def watch(live: Live) -> None:
         if live.done == 2 and len(site.session.slots()) == 3:
@@ -194,9 +207,14 @@ def test_slots_that_a_replan_adds_to_a_running_capture_are_taken(site: Field) ->
             write_plan(site.session.plan, slots, "America/Los_Angeles")
 
     run(
-        site.session, "tiny:", clock=site.clock, options=FAST, watch=watch, trusted=lambda: False,
+        site.session,
+        "tiny:",
+        clock=site.clock,
+        options=FAST,
+        watch=watch,
+        trusted=lambda: False,
         open_cam=site.open_camera,
-    )  # fmt: skip
+    )
     done = [event["slot"] for event in read_journal(site.session) if event["event"] == "done"]
     assert done == [plan[0].id, plan[1].id, between.id, plan[2].id, after.id]
 
@@ -207,9 +225,14 @@ def test_a_broken_plan_does_not_stop_a_running_capture(site: Field) -> None:
             site.session.plan.write_text("spoilt by a spreadsheet")
 
     run(
-        site.session, "tiny:", clock=site.clock, options=FAST, watch=watch, trusted=lambda: False,
+        site.session,
+        "tiny:",
+        clock=site.clock,
+        options=FAST,
+        watch=watch,
+        trusted=lambda: False,
         open_cam=site.open_camera,
-    )  # fmt: skip
+    )
     assert [event["event"] for event in read_journal(site.session)].count("done") == 3
 
 
@@ -229,7 +252,9 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(site: Field)
             if exposure.shutter_s < 0.4:
                 raise DeviceError("camera shutter: 0.25 s is not offered, the nearest is 1/2")
 
-    with pytest.raises(DeviceError, match=r"the plan asks for what the camera does not offer: .*0.25 s"):
+    with pytest.raises(
+        DeviceError, match=r"the plan asks for what the camera does not offer: .*0.25 s"
+    ):
         site.run(open_cam=lambda: Choosy(site.clock))
     assert {event["event"] for event in read_journal(site.session)} == {"close"}
     slots = site.session.slots()
@@ -239,24 +264,37 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(site: Field)
 
 def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(site: Field) -> None:
     site.clock = FastClock(T0 + timedelta(days=30))
-    with pytest.raises(NotEnoughDataError, match=r"none of 3 slots is ahead: the last was 2027-03-20 17:30 UTC"):
+    with pytest.raises(
+        NotEnoughDataError, match=r"none of 3 slots is ahead: the last was 2027-03-20 17:30 UTC"
+    ):
         site.run()
     assert read_journal(site.session) == []
 
 
-def test_an_instrument_that_died_does_not_keep_a_restarted_capture_from_its_brackets(site: Field) -> None:
+def test_an_instrument_that_died_does_not_keep_a_restarted_capture_from_its_brackets(
+    site: Field,
+) -> None:
     def dead() -> TinyPyranometer:
         raise DeviceError("no such port")
 
     def run_with(uri: str) -> None:
         run(
-            site.session, "tiny:", uri, clock=site.clock, options=FAST, trusted=lambda: False,
-            open_cam=site.open_camera, open_pyr=dead,
-        )  # fmt: skip
+            site.session,
+            "tiny:",
+            uri,
+            clock=site.clock,
+            options=FAST,
+            trusted=lambda: False,
+            open_cam=site.open_camera,
+            open_pyr=dead,
+        )
 
     with pytest.raises(DeviceError, match="no such port"):  # never seen before: somebody is there
         run_with("tiny:")
-    update_session(site.session, {"devices": {"pyranometer": {"kind": "tiny"}, "uris": {"pyranometer": "tiny:"}}})
+    update_session(
+        site.session,
+        {"devices": {"pyranometer": {"kind": "tiny"}, "uris": {"pyranometer": "tiny:"}}},
+    )
     with pytest.raises(DeviceError, match="no such port"):  # mistyped
         run_with("tinny:")
     run_with("tiny:")
@@ -274,7 +312,10 @@ def test_a_lost_camera_comes_back_within_the_bracket(site: Field) -> None:
     site.camera_fault = fault
     events = site.run()
     assert site.outcomes() == ["done"] * 3 and len(site.cameras) == 2
-    assert events.count("device-lost") == events.count("device-back") == 1 and events.count("frame") == 9
+    assert (
+        events.count("device-lost") == events.count("device-back") == 1
+        and events.count("frame") == 9
+    )
 
 
 def test_a_camera_that_stays_away_costs_slots_not_the_session(site: Field) -> None:
@@ -352,11 +393,20 @@ def test_refused_lines_are_journalled_as_they_came_and_never_fill_the_disk(site:
             return [f"line {3 * self.count + i}" for i in range(3)]
 
     run(
-        site.session, "tiny:", "tiny:", clock=site.clock, options=FAST, trusted=lambda: False,
-        open_cam=site.open_camera, open_pyr=lambda: Rig(site.clock),
-    )  # fmt: skip
+        site.session,
+        "tiny:",
+        "tiny:",
+        clock=site.clock,
+        options=FAST,
+        trusted=lambda: False,
+        open_cam=site.open_camera,
+        open_pyr=lambda: Rig(site.clock),
+    )
     told = [e["why"] for e in read_journal(site.session) if e["event"] == "bad-reading"]
-    lines, counts = [w for w in told if w.startswith("line")], [w for w in told if w.startswith("and ")]
+    lines, counts = (
+        [w for w in told if w.startswith("line")],
+        [w for w in told if w.startswith("and ")],
+    )
     assert lines[:4] == ["line 3", "line 4", "line 5", "line 6"] and len(lines) <= 20 * 4
     assert counts and all(text.endswith("more lines in that hour") for text in counts)
     assert site.outcomes() == ["done"] * 3
@@ -366,11 +416,15 @@ EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
 
 
 class SlippingCamera:
-    """The simulated camera, whose dial slips to twice the time at the frames in `slips` (counted from 1)."""
+    """The simulated camera, whose dial slips to twice the time at the frames in `slips` (counted
+    from 1).
+    """
 
     def __init__(self, clock: FastClock, slips: set[int]) -> None:
         world = SimpleNamespace(scene=lambda t_utc: EVEN_LIGHT)
-        self._camera = SimulatedCamera(world, load_camera_profile("sim-fisheye"), clock, overhead_s=1.0)  # type: ignore[arg-type]
+        self._camera = SimulatedCamera(
+            world, load_camera_profile("sim-fisheye"), clock, overhead_s=1.0
+        )  # type: ignore[arg-type]
         self._slips, self.count, self.info = slips, 0, self._camera.info
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
@@ -389,14 +443,26 @@ def test_a_frame_unlike_what_was_asked_is_taken_again_once(site: Field) -> None:
     assert site.outcomes() == ["done"] and camera.count == 4 and events.count("frame") == 3
     journal = read_journal(site.session)
     told = next(e for e in journal if e["event"] == "retake")
-    assert told["why"] == "shutter 1 instead of 0.5" and told["frame"]["instead_of"] == "01_0.5s.dng"
-    assert next(e for e in journal if e["event"] == "done")["why"] == "01_0.5s_again.dng taken again"
+    assert (
+        told["why"] == "shutter 1 instead of 0.5" and told["frame"]["instead_of"] == "01_0.5s.dng"
+    )
+    assert (
+        next(e for e in journal if e["event"] == "done")["why"] == "01_0.5s_again.dng taken again"
+    )
     folder = site.session.raw / site.session.slots()[0].id
     frames = json.loads((folder / "capture.json").read_text())["frames"]
     assert [f["file"] for f in frames] == ["00_1s.dng", "01_0.5s_again.dng", "02_0.25s.dng"]
-    assert not any("doubt" in f for f in frames) and all(sha256(folder / f["file"]) == f["sha256"] for f in frames)
-    assert doubts(folder / "01_0.5s.dng", LADDER[1]) == "shutter 1 instead of 0.5", "the first file is kept"
-    assert sorted(f.instead_of for f in fold(journal).slots[folder.name].frames) == ["", "", "01_0.5s.dng"]
+    assert not any("doubt" in f for f in frames) and all(
+        sha256(folder / f["file"]) == f["sha256"] for f in frames
+    )
+    assert doubts(folder / "01_0.5s.dng", LADDER[1]) == "shutter 1 instead of 0.5", (
+        "the first file is kept"
+    )
+    assert sorted(f.instead_of for f in fold(journal).slots[folder.name].frames) == [
+        "",
+        "",
+        "01_0.5s.dng",
+    ]
 
 
 def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(site: Field) -> None:
@@ -406,8 +472,12 @@ def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(site: Field) ->
     assert camera.count == 4, "one retake, in vain: the rest of the bracket is not taken twice"
     why = next(e for e in read_journal(site.session) if e["event"] == "done")["why"]
     assert why.count("instead of") == 3 and "taken again" not in why
-    frames = json.loads((site.session.raw / site.session.slots()[0].id / "capture.json").read_text())["frames"]
-    assert [f["exposure"]["shutter_s"] for f in frames] == [2.0, 1.0, 0.5], "merge reads the exposure that they have"
+    frames = json.loads(
+        (site.session.raw / site.session.slots()[0].id / "capture.json").read_text()
+    )["frames"]
+    assert [f["exposure"]["shutter_s"] for f in frames] == [2.0, 1.0, 0.5], (
+        "merge reads the exposure that they have"
+    )
 
 
 def test_half_a_frame_is_seen_at_once_and_taken_again(site: Field) -> None:
@@ -416,7 +486,11 @@ def test_half_a_frame_is_seen_at_once_and_taken_again(site: Field) -> None:
 
     def opens(path: Path) -> str:
         seen.append(path.name)
-        return "its pixels end later" if seen.count("01_0.5s.dng") == 1 and path.name == "01_0.5s.dng" else ""
+        return (
+            "its pixels end later"
+            if seen.count("01_0.5s.dng") == 1 and path.name == "01_0.5s.dng"
+            else ""
+        )
 
     events = site.run(check_opens=opens)
     assert site.outcomes() == ["done"] * 3 and events.count("retake") == 1
@@ -427,10 +501,14 @@ def test_half_a_frame_is_seen_at_once_and_taken_again(site: Field) -> None:
 
 
 def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(site: Field) -> None:
-    """A camera newer than LibRaw: one second try, in vain, and every file stays, with what is wrong with it."""
+    """A camera newer than LibRaw: one second try, in vain, and every file stays, with what is
+    wrong with it.
+    """
     site.session = make_session(site.session.root.parent / "one", slots=1)
     events = site.run(check_opens=lambda path: "an unknown format")
-    assert site.outcomes() == ["done"] and events.count("retake") == 1 and site.cameras[0].count == 4
+    assert (
+        site.outcomes() == ["done"] and events.count("retake") == 1 and site.cameras[0].count == 4
+    )
     told = next(e for e in read_journal(site.session) if e["event"] == "done")["why"]
     assert told.count("an unknown format") == 3 and "taken again" not in told
 
@@ -470,8 +548,12 @@ def test_full_disk_is_recorded_and_survived(site: Field) -> None:
     assert not (site.session.root / ".reserve").exists()
 
 
-def test_a_disk_that_was_away_costs_its_frames_at_most(site: Field, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A share or a stick that is gone for some minutes: rows and events wait in memory, and nothing ends."""
+def test_a_disk_that_was_away_costs_its_frames_at_most(
+    site: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A share or a stick that is gone for some minutes: rows and events wait in memory, and
+    nothing ends.
+    """
     away = [T0 + timedelta(hours=1, minutes=-2), T0 + timedelta(hours=1, minutes=20)]
     really = lines.append_durably
 
@@ -504,7 +586,9 @@ def test_a_moved_folder_and_a_spoilt_day_file_do_not_end_the_log(site: Field) ->
     assert [path.stem for path in day_files(site.session)] == ["2027-03-21"] and moved.is_dir()
     days = DayFiles(site.session, flush=False)
     spoilt = site.session.irradiance / "2027-03-21.csv"
-    before = spoilt.read_bytes().replace(b",", b";").removesuffix(b"\n")  # as a spreadsheet saves it
+    before = (
+        spoilt.read_bytes().replace(b",", b";").removesuffix(b"\n")
+    )  # as a spreadsheet saves it
     spoilt.write_bytes(before)
     days.append(IrradianceSample(datetime(2027, 3, 21, 23, tzinfo=UTC), 7.0))
     days.close()
@@ -515,8 +599,11 @@ def test_a_moved_folder_and_a_spoilt_day_file_do_not_end_the_log(site: Field) ->
 
 @pytest.mark.parametrize("trusted", [False, True])
 def test_clock_step_keeps_slots_at_the_sun(site: Field, trusted: bool) -> None:
-    # Wall clock set back an hour by hand, twenty minutes after the first slot; or by a time server (then it is right).
-    site.clock = FastClock(T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=20), "step", -3600.0)])
+    # Wall clock set back an hour by hand, twenty minutes after the first slot; or by a time server
+    # (then it is right).
+    site.clock = FastClock(
+        T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=20), "step", -3600.0)]
+    )
     events = site.run(replace(FAST, log_around_s=None, log_every_s=30.0), trusted=trusted)
     steps = [e for e in read_journal(site.session) if e["event"] == "clock-step"]
     assert [(e["seconds"], e["followed"]) for e in steps] == [(-3600.0, trusted)]
@@ -527,9 +614,13 @@ def test_clock_step_keeps_slots_at_the_sun(site: Field, trusted: bool) -> None:
 
 
 def test_suspend_is_told_and_what_it_covered_is_missed(site: Field) -> None:
-    site.clock = FastClock(T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=30), "suspend", 3600.0)])
+    site.clock = FastClock(
+        T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=30), "suspend", 3600.0)]
+    )
     site.run(replace(FAST, log_around_s=None, log_every_s=30.0))
-    assert [e["seconds"] for e in read_journal(site.session) if e["event"] == "suspend"] == [pytest.approx(3600, abs=1)]
+    assert [e["seconds"] for e in read_journal(site.session) if e["event"] == "suspend"] == [
+        pytest.approx(3600, abs=1)
+    ]
     assert site.outcomes() == ["done", "missed", "done"]
 
 
@@ -569,7 +660,11 @@ def test_status_counts_from_files_alone(site: Field) -> None:
     assert before["capture"]["owed"] == 3 and before["capture"]["next"] == "20270320T153000Z"
     site.run()
     after = status(site.session)
-    assert (after["capture"]["done"], after["capture"]["frames"], after["merge"]["owed"]) == (3, 9, 3)
+    assert (after["capture"]["done"], after["capture"]["frames"], after["merge"]["owed"]) == (
+        3,
+        9,
+        3,
+    )
     assert after["irradiance"]["rows"] == sum(len(read_day(p)[0]) for p in day_files(site.session))
 
 
@@ -583,9 +678,15 @@ def test_threaded_log_runs_beside(tmp_path: Path) -> None:
     options = Options(log_every_s=0.05, reserve_bytes=4096)
     cameras = [TinyCamera(fast)]
     run(
-        session, "tiny:", "tiny:", clock=RealClock(), options=options, trusted=lambda: False,
-        open_cam=lambda: cameras[0], open_pyr=lambda: TinyPyranometer(fast),
-    )  # fmt: skip
+        session,
+        "tiny:",
+        "tiny:",
+        clock=RealClock(),
+        options=options,
+        trusted=lambda: False,
+        open_cam=lambda: cameras[0],
+        open_pyr=lambda: TinyPyranometer(fast),
+    )
     samples = [s for path in day_files(session) for s in read_day(path)[0]]
     assert len(samples) >= 3 and fold(read_journal(session)).slots[slots[0].id].outcome == "done"
 
@@ -618,7 +719,8 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(site: Field) -> None:
         return "97 % of the shortest frame is clipped"
 
     site.run(
-        check_shortest=clipped, check=lambda path, exposure: "ISO 200 instead of 100" if exposure.shutter_s == 1 else ""
+        check_shortest=clipped,
+        check=lambda path, exposure: "ISO 200 instead of 100" if exposure.shutter_s == 1 else "",
     )
     done = [e for e in read_journal(site.session) if e["event"] == "done"]
     assert looked == ["02_0.25s.dng"] * 3
@@ -640,7 +742,9 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     assert bracket_doubts(tmp_path / "b.jpg").startswith("100 % of the shortest frame")
     counts = np.full((48, 48), 16383, np.uint16)
     write_dng(tmp_path / "c.dng", counts, asked, black_dn=(64.0,) * 4, white_dn=16383.0)
-    assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(tmp_path / "c.dng")
+    assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(
+        tmp_path / "c.dng"
+    )
     (tmp_path / "d.dng").write_bytes((tmp_path / "c.dng").read_bytes()[:300])
     assert doubts(tmp_path / "d.dng", asked) or bracket_doubts(tmp_path / "d.dng")
     for name in ("a.jpg", "c.dng"):
@@ -651,14 +755,18 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     assert unreadable(tmp_path / "gone.dng") == "No such file or directory"
 
 
-def test_a_defect_within_the_log_is_told_once_and_ends_nothing(site: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
+    site: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from fieldlum.capture.keeper import Keeper
     from fieldlum.capture.logger import Logger
     from fieldlum.capture.recorder import Recorder
 
     steady = SteadyClock(site.clock, lambda: False)
     recorder = Recorder(site.session, steady.now, 4096, flush=False)
-    keeper: Keeper[Any] = Keeper("pyranometer", lambda: TinyPyranometer(site.clock), steady, recorder.tell, 5.0)
+    keeper: Keeper[Any] = Keeper(
+        "pyranometer", lambda: TinyPyranometer(site.clock), steady, recorder.tell, 5.0
+    )
     logger, polls, over = Logger(keeper, recorder, steady, 5.0), [], threading.Event()
 
     def broken() -> None:
@@ -679,7 +787,9 @@ def test_log_alone_writes_rows(site: Field) -> None:
     from fieldlum.capture.logger import log
 
     said: list[str] = []
-    rows = log(site.session, "sim:office?seed=1", clock=site.clock, every_s=5.0, rows=10, say=said.append)
+    rows = log(
+        site.session, "sim:office?seed=1", clock=site.clock, every_s=5.0, rows=10, say=said.append
+    )
     samples = [s for path in day_files(site.session) for s in read_day(path)[0]]
     assert rows == len(samples) == 10 and said[0].startswith("logging Delta-T SPN1 A1")
     assert site.session.table()["devices"]["pyranometer"]["serial"].startswith("A1")
@@ -700,14 +810,23 @@ def test_commands_exit_as_documented(site: Field, tmp_path: Path) -> None:
     assert code("capture", folder) == 2, "no camera named, and none remembered"
     assert code("capture", folder, "--camera", "sim:nowhere", "--clock", "fast") == 4
     assert code("capture", str(tmp_path), "--camera", "sim:office") == 3
-    assert code("capture", folder, "--camera", "gphoto:", "--clock", "fast") == 2, "made-up times for real pictures"
-    assert code("capture", folder, "--camera", "sim:office", "--meter", "cl200a:COM3", "--clock", "fast") == 2
+    assert code("capture", folder, "--camera", "gphoto:", "--clock", "fast") == 2, (
+        "made-up times for real pictures"
+    )
+    assert (
+        code(
+            "capture", folder, "--camera", "sim:office", "--meter", "cl200a:COM3", "--clock", "fast"
+        )
+        == 2
+    )
     assert code("log", folder, "--pyranometer", "serial:/dev/no-such-port?kind=spn1") == 4
     assert code("status", str(tmp_path)) == 3
     assert code("pair", folder) == 5, "nothing was logged"
     told = CliRunner().invoke(main, ["status", folder, "--json"])
     assert told.exit_code == 0 and json.loads(told.stdout)["capture"]["owed"] == 3
-    assert "0 done, 0 missed, 0 aborted, 3 owed" in CliRunner().invoke(main, ["status", folder]).stdout
+    assert (
+        "0 done, 0 missed, 0 aborted, 3 owed" in CliRunner().invoke(main, ["status", folder]).stdout
+    )
 
 
 def test_live_display_and_status_file(site: Field, tmp_path: Path) -> None:
@@ -717,9 +836,15 @@ def test_live_display_and_status_file(site: Field, tmp_path: Path) -> None:
 
     with shown(site.session.site_file().site, tmp_path / "now.json") as watch:
         run(
-            site.session, "tiny:", clock=site.clock, options=FAST, watch=watch, trusted=lambda: False,
-            open_cam=site.open_camera, open_pyr=lambda: TinyPyranometer(site.clock),
-        )  # fmt: skip
+            site.session,
+            "tiny:",
+            clock=site.clock,
+            options=FAST,
+            watch=watch,
+            trusted=lambda: False,
+            open_cam=site.open_camera,
+            open_pyr=lambda: TinyPyranometer(site.clock),
+        )
     table = json.loads((tmp_path / "now.json").read_text())
     assert (table["state"], table["done"], table["left"]) == ("finished", 3, 0)
     site.session = make_session(tmp_path / "again")
@@ -729,7 +854,12 @@ def test_live_display_and_status_file(site: Field, tmp_path: Path) -> None:
     console.print(panel(site.shown[0], site.session.site_file().site))
     text = console.export_text()
     assert "1 done" in text and "2 left" in text and "W/m²" in text and "PDT" in text
-    assert (countdown(59.6), countdown(3725), countdown(None), countdown(-3)) == ("01:00", "1:02:05", "-", "00:00")
+    assert (countdown(59.6), countdown(3725), countdown(None), countdown(-3)) == (
+        "01:00",
+        "1:02:05",
+        "-",
+        "00:00",
+    )
 
 
 def test_a_defect_in_a_bracket_costs_its_slot_alone(site: Field) -> None:
@@ -744,7 +874,9 @@ def test_a_defect_in_a_bracket_costs_its_slot_alone(site: Field) -> None:
     assert aborted["why"] == "ZeroDivisionError: a defect" and aborted["frames"] == 3
 
 
-def test_disk_full_at_the_very_end_of_a_bracket(site: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disk_full_at_the_very_end_of_a_bracket(
+    site: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from fieldlum.capture import bracket
 
     real, calls = bracket.write_capture, []

@@ -1,4 +1,6 @@
-"""Cards as people bring them: two cameras on one, a clock that was set, frames that are missing, other formats."""
+"""Cards as people bring them: two cameras on one, a clock that was set, frames that are missing,
+other formats.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +28,17 @@ from fieldlum.session import Session, create_session, read_journal
 NOON = datetime(2027, 3, 14, 20, 30, tzinfo=UTC)  # of Seattle, on the day of its clock change
 LADDER = tuple(Exposure(t, 5.6) for t in (1 / 8, 1 / 60, 1 / 250))
 MONTH = [
-    Slot(NOON + timedelta(days=day, hours=hour), 20.0, 180.0, LADDER) for day in range(-9, 22) for hour in range(-5, 7)
+    Slot(NOON + timedelta(days=day, hours=hour), 20.0, 180.0, LADDER)
+    for day in range(-9, 22)
+    for hour in range(-5, 7)
 ]
 PST_S, PDT_S = -8 * 3600.0, -7 * 3600.0
 
 
 def make_session(folder: Path, slots: list[Slot], profile: str = "") -> Session:
-    setup = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(profile=profile))
+    setup = SiteFile(
+        Site("office", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(profile=profile)
+    )
     return create_session(folder, setup, slots, {"set": "test"})
 
 
@@ -41,7 +47,9 @@ def write(path: Path, exposure: Exposure, t: datetime, model: str = "D850") -> N
     naive = t.replace(tzinfo=None)
     if path.suffix == ".dng":
         counts = np.full((8, 8), 900, np.uint16)
-        write_dng(path, counts, exposure, black_dn=(0.0,) * 4, white_dn=1e4, t_camera=naive, model=model)
+        write_dng(
+            path, counts, exposure, black_dn=(0.0,) * 4, white_dn=1e4, t_camera=naive, model=model
+        )
     else:
         write_jpeg(path, np.full((8, 8, 3), 90, np.uint8), exposure, t_camera=naive, model=model)
 
@@ -50,24 +58,35 @@ def bracket(slot: Slot, clock_s: float) -> Group:
     start = slot.t_utc + timedelta(seconds=clock_s)
     times = (start + timedelta(seconds=2 * i) for i in range(len(slot.exposures)))
     frames = zip(slot.exposures, times, strict=True)
-    return Group(tuple(CardFrame(Path(f"{slot.id}_{i}.dng"), e, t) for i, (e, t) in enumerate(frames)))
+    return Group(
+        tuple(CardFrame(Path(f"{slot.id}_{i}.dng"), e, t) for i, (e, t) in enumerate(frames))
+    )
 
 
-@given(change=st.integers(4, 27), hours=st.sampled_from((-2, -1, 1, 2)), missing=st.sets(st.integers(0, 371)))
+@given(
+    change=st.integers(4, 27),
+    hours=st.sampled_from((-2, -1, 1, 2)),
+    missing=st.sets(st.integers(0, 371)),
+)
 @settings(deadline=None, max_examples=12)
-def test_property_a_clock_set_between_two_days_is_found(change: int, hours: int, missing: set[int]) -> None:
+def test_property_a_clock_set_between_two_days_is_found(
+    change: int, hours: int, missing: set[int]
+) -> None:
     def clock_s(i: int) -> float:
         return PST_S + (3600.0 * hours if i >= 12 * change else 0.0)
 
-    # Only the ends of days tell one clock from the other: more than three must on either side, and one in the days
-    # next to the change.
+    # Only the ends of days tell one clock from the other: more than three must on either side, and
+    # one in the days next to the change.
     taken = [i for i in range(len(MONTH)) if i not in missing]
     after = [i // 12 for i in taken if i >= 12 * change and not 0 <= i % 12 + hours < 12]
     before = [i // 12 for i in taken if i < 12 * change and not 0 <= i % 12 - hours < 12]
     assume(len(after) > 3 and len(before) > 3 and change in after and change - 1 in before)
     groups = [bracket(MONTH[i], clock_s(i)) for i in taken]
     parts = clock_parts(groups, MONTH)
-    assert [part[0] for part in parts] == [groups[0], next(g for i, g in _numbered(groups) if i >= 12 * change)]
+    assert [part[0] for part in parts] == [
+        groups[0],
+        next(g for i, g in _numbered(groups) if i >= 12 * change),
+    ]
 
 
 def _numbered(groups: list[Group]) -> list[tuple[int, Group]]:
@@ -84,35 +103,65 @@ def test_a_clock_that_was_not_set_is_left_alone() -> None:
 
 
 def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -> None:
-    """Contract: every bracket lies in its own slot, where one clock for all would put 9 days an hour beside."""
-    plan = [replace(slot, exposures=LADDER[:1]) for slot in MONTH[60:180]]  # four days before, five after
+    """Contract: every bracket lies in its own slot, where one clock for all would put 9 days an
+    hour beside.
+    """
+    plan = [
+        replace(slot, exposures=LADDER[:1]) for slot in MONTH[60:180]
+    ]  # four days before, five after
     session = make_session(tmp_path / "s", plan)
     for i, slot in enumerate(plan):
         clock_s = PST_S if i < 48 else PDT_S
-        write(tmp_path / "card" / f"DSC_{i:04d}.jpg", LADDER[0], slot.t_utc + timedelta(seconds=clock_s))
+        write(
+            tmp_path / "card" / f"DSC_{i:04d}.jpg",
+            LADDER[0],
+            slot.t_utc + timedelta(seconds=clock_s),
+        )
     told = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
     assert "the clock was set between" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
     report = adopt.run(session, tmp_path / "card")
     assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
-    assert len(report.notes) == 1 and "DSC_0048.jpg: the camera's clock was set by +1 h between" in report.notes[0]
-    assert report.slots == tuple(slot.id for slot in plan[:48]) and report.known == 72 and set(report.late_s) == {0.0}
+    assert (
+        len(report.notes) == 1
+        and "DSC_0048.jpg: the camera's clock was set by +1 h between" in report.notes[0]
+    )
+    assert (
+        report.slots == tuple(slot.id for slot in plan[:48])
+        and report.known == 72
+        and set(report.late_s) == {0.0}
+    )
 
 
 def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     groups = [bracket(slot, PDT_S) for slot in MONTH[:60]]
     assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset")) == ""
     said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"))
-    assert said.startswith("--utc-offset: 55 of 60 brackets lie near slots, with an offset +1 h from this 60 would")
+    assert said.startswith(
+        "--utc-offset: 55 of 60 brackets lie near slots, with an offset +1 h from this 60 would"
+    )
 
 
 def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path) -> None:
     plan = [replace(slot, exposures=LADDER[:1]) for slot in MONTH[:72]]
-    day_off, lost = PST_S + 86400.0, (datetime(2015, 1, 1, tzinfo=UTC) - plan[36].t_utc).total_seconds()
-    for name, clock_s in (("day", lambda i: day_off), ("lost", lambda i: PST_S if i < 36 else lost)):
+    day_off, lost = (
+        PST_S + 86400.0,
+        (datetime(2015, 1, 1, tzinfo=UTC) - plan[36].t_utc).total_seconds(),
+    )
+    for name, clock_s in (
+        ("day", lambda i: day_off),
+        ("lost", lambda i: PST_S if i < 36 else lost),
+    ):
         for i, slot in enumerate(plan):
-            write(tmp_path / name / f"DSC_{i:04d}.jpg", LADDER[0], slot.t_utc + timedelta(seconds=clock_s(i)))
+            write(
+                tmp_path / name / f"DSC_{i:04d}.jpg",
+                LADDER[0],
+                slot.t_utc + timedelta(seconds=clock_s(i)),
+            )
     report = adopt.run(make_session(tmp_path / "a", plan), tmp_path / "day")
-    assert "60 of 72 brackets lie near slots, with an offset +24 h from this 72 would" in report.notes[0]
+    assert (
+        "60 of 72 brackets lie near slots, with an offset +24 h from this 72 would"
+        in report.notes[0]
+    )
     report = adopt.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
     assert report.brackets == 36 and report.slots == tuple(slot.id for slot in plan[:36])
     assert "DSC_0036.jpg and 35 brackets after it: brackets of 2015-01-01" in report.left_out[0]
@@ -140,21 +189,35 @@ def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
             t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
             write(tmp_path / "card" / f"DSC_{3 * i + k:04d}.jpg", exposure, t)
             if i:
-                write(tmp_path / "card" / f"IMG_{3 * i + k:04d}.jpg", exposure, t + timedelta(seconds=1), "EOS 5D")
+                write(
+                    tmp_path / "card" / f"IMG_{3 * i + k:04d}.jpg",
+                    exposure,
+                    t + timedelta(seconds=1),
+                    "EOS 5D",
+                )
     report = adopt.run(session, tmp_path / "card")
     assert (report.brackets, report.frames) == (12, 36)
     assert report.left_out == ("33 frames of EOS 5D: the session's camera is D850",)
-    names = {frame.file[:3] for state in fold(read_journal(session)).slots.values() for frame in state.frames}
+    names = {
+        frame.file[:3]
+        for state in fold(read_journal(session)).slots.values()
+        for frame in state.frames
+    }
     assert names == {"DSC"}
 
 
 def test_two_bodies_of_one_model_are_two_cameras() -> None:
     def frames(serial: str, number: int) -> list[CardFrame]:
-        return [CardFrame(Path(f"{serial}{i}.NEF"), LADDER[0], NOON, False, "D850", serial) for i in range(number)]
+        return [
+            CardFrame(Path(f"{serial}{i}.NEF"), LADDER[0], NOON, False, "D850", serial)
+            for i in range(number)
+        ]
 
     setup = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
     mine, said = of_the_session([*frames("3001", 5), *frames("3002", 9)], setup)
-    assert {f.serial for f in mine} == {"3002"} and said == ["5 frames of D850 3001: the session's camera is D850 3002"]
+    assert {f.serial for f in mine} == {"3002"} and said == [
+        "5 frames of D850 3001: the session's camera is D850 3002"
+    ]
     silent = [*frames("3001", 5), *frames("", 9)]
     assert of_the_session(silent, setup) == (silent, [])
 
@@ -164,23 +227,40 @@ def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
     for kind, name in ours.items():
         shipped = load_camera_profile(name)
         profile = tmp_path / f"{kind}.toml"
-        save_profile(profile, replace(shipped, camera=replace(shipped.camera, model="Canon EOS 5D")))
+        save_profile(
+            profile, replace(shipped, camera=replace(shipped.camera, model="Canon EOS 5D"))
+        )
         session = make_session(tmp_path / kind, MONTH[:4], str(profile))
         for i, slot in enumerate(MONTH[:4]):
             for k, exposure in enumerate(LADDER):
                 t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
-                for file, model in ((f"DSC_{3 * i + k:04d}", "D850"), (f"IMG_{3 * i + k:04d}", "EOS 5D")):
+                for file, model in (
+                    (f"DSC_{3 * i + k:04d}", "D850"),
+                    (f"IMG_{3 * i + k:04d}", "EOS 5D"),
+                ):
                     write(tmp_path / "card" / f"{file}.jpg", exposure, t, model)
                     write(tmp_path / "card" / f"{file}.dng", exposure, t, model)
         assert adopt.run(session, tmp_path / "card", utc_offset_s=PST_S).frames == 12
-        files = {frame.file for state in fold(read_journal(session)).slots.values() for frame in state.frames}
-        assert {(name[:3], name[-4:]) for name in files} == {("IMG", ".dng" if kind == "raw" else ".jpg")}
-    assert same_model("Canon EOS 5D", "eos 5d") and not same_model("", "D850") and not same_model("D850", "D750")
+        files = {
+            frame.file
+            for state in fold(read_journal(session)).slots.values()
+            for frame in state.frames
+        }
+        assert {(name[:3], name[-4:]) for name in files} == {
+            ("IMG", ".dng" if kind == "raw" else ".jpg")
+        }
+    assert (
+        same_model("Canon EOS 5D", "eos 5d")
+        and not same_model("", "D850")
+        and not same_model("D850", "D750")
+    )
     assert not same_model("NIKON D800", "Nikon D80"), "words, not letters"
 
 
 def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> None:
-    plan = [Slot(s.t_utc, 20.0, 180.0, (*LADDER, Exposure(1 / 250, 5.6, nd="nd5"))) for s in MONTH[:12]]
+    plan = [
+        Slot(s.t_utc, 20.0, 180.0, (*LADDER, Exposure(1 / 250, 5.6, nd="nd5"))) for s in MONTH[:12]
+    ]
     session = make_session(tmp_path / "s", plan)
     for i, slot in enumerate(plan):
         for k, exposure in enumerate(slot.exposures):
@@ -209,12 +289,19 @@ def test_pictures_that_cannot_be_merged_are_named(tmp_path: Path) -> None:
     folder.mkdir()
     for name in ("a.HEIC", "b.HEIC", "c.MPO", "d.xmp", "._DSC_0001.JPG", "e.MP4"):
         (folder / name).write_bytes(b"x")
-    with pytest.raises(InputError, match=r"no raw or JPEG frames in it, but 2 .heic files, but 1 .mpo files.*raw"):
+    with pytest.raises(
+        InputError, match=r"no raw or JPEG frames in it, but 2 .heic files, but 1 .mpo files.*raw"
+    ):
         adopt.run(session, folder)
     for i, slot in enumerate(MONTH[:12]):
         for k, exposure in enumerate(LADDER):
-            write(folder / f"DSC_{3 * i + k:04d}.jpg", exposure, slot.t_utc + timedelta(seconds=PST_S + 2 * k))
+            write(
+                folder / f"DSC_{3 * i + k:04d}.jpg",
+                exposure,
+                slot.t_utc + timedelta(seconds=PST_S + 2 * k),
+            )
     said = adopt.run(session, folder).left_out
     assert [text.partition(": ")[2] for text in said] == [
-        "2 .heic files, which cannot be merged", "1 .mpo files, which cannot be merged"
-    ]  # fmt: skip
+        "2 .heic files, which cannot be merged",
+        "1 .mpo files, which cannot be merged",
+    ]

@@ -1,6 +1,8 @@
-"""Capture on a file system that really gets full: what is acknowledged stays, and a slot is taken within its window.
+"""Capture on a file system that really gets full: what is acknowledged stays, and a slot is taken
+within its window.
 
-The scenario runs in a process of its own, on a memory file system that it may mount as root of a namespace of its own.
+The scenario runs in a process of its own, on a memory file system that it may mount as root of a
+namespace of its own.
 """
 
 from __future__ import annotations
@@ -50,7 +52,9 @@ class BigCamera(TinyCamera):
 
 
 def scenario(folder: Path, frame: int, seconds: float) -> dict[str, Any]:
-    """Three slots; before frame number `frame` the disk is filled, and `seconds` later there is room again."""
+    """Three slots; before frame number `frame` the disk is filled, and `seconds` later there is
+    room again.
+    """
     field, ballast = (
         Field(make_session(folder / "s"), FastClock(T0 - timedelta(minutes=5))),
         Ballast(folder / "ballast"),
@@ -76,7 +80,9 @@ def scenario(folder: Path, frame: int, seconds: float) -> dict[str, Any]:
 
     events = field.run(replace(FAST, reserve_bytes=RESERVE_BYTES), open_cam=open_camera)
     ledger = fold(read_journal(field.session))
-    acknowledged = [e["frame"]["sha256"] for e in read_journal(field.session) if e["event"] == "frame"]
+    acknowledged = [
+        e["frame"]["sha256"] for e in read_journal(field.session) if e["event"] == "frame"
+    ]
     on_disk = sorted(sha256(path) for path in field.session.raw.rglob("*.dng"))
     return {
         "outcomes": field.outcomes(),
@@ -97,7 +103,18 @@ def on_a_small_disk(tmp_path: Path, frame: int, seconds: float) -> dict[str, Any
     place = tmp_path / "disk"
     place.mkdir()
     words = f'mount -t tmpfs -o size=4m tmpfs "{place}" && exec "$0" "$@"'
-    command = ["unshare", "-rm", "sh", "-c", words, sys.executable, __file__, str(place), str(frame), str(seconds)]
+    command = [
+        "unshare",
+        "-rm",
+        "sh",
+        "-c",
+        words,
+        sys.executable,
+        __file__,
+        str(place),
+        str(frame),
+        str(seconds),
+    ]
     try:
         ran = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError:
@@ -109,12 +126,18 @@ def on_a_small_disk(tmp_path: Path, frame: int, seconds: float) -> dict[str, Any
 
 
 def kept(told: dict[str, Any]) -> bool:
-    """Nothing acknowledged is lost, nothing half is left, the failure is told once, and no device is blamed."""
-    sound = not (told["lost"] or told["strays"] or told["half"] or told["rows_broken"] or told["device_lost"])
+    """Nothing acknowledged is lost, nothing half is left, the failure is told once, and no
+    device is blamed.
+    """
+    sound = not (
+        told["lost"] or told["strays"] or told["half"] or told["rows_broken"] or told["device_lost"]
+    )
     return sound and told["disk_full"] == 1 and not told["reserve"]
 
 
-def test_a_frame_that_meets_the_full_disk_first_is_taken_in_the_reserve(tmp_path: Path) -> None:  # property
+def test_a_frame_that_meets_the_full_disk_first_is_taken_in_the_reserve(
+    tmp_path: Path,
+) -> None:  # property
     told = on_a_small_disk(tmp_path, 6, 3000.0)
     assert kept(told) and told["outcomes"] == ["done", "done", "done"]
 
@@ -124,11 +147,15 @@ def test_a_slot_waits_for_room_within_its_window(tmp_path: Path) -> None:  # pro
     assert kept(told) and told["outcomes"] == ["done", "done", "done"]
 
 
-def test_without_room_the_slot_is_given_up_and_says_how_much_is_missing(tmp_path: Path) -> None:  # property
+def test_without_room_the_slot_is_given_up_and_says_how_much_is_missing(
+    tmp_path: Path,
+) -> None:  # property
     told = on_a_small_disk(tmp_path, 4, 1800.0)
     assert kept(told) and told["outcomes"] == ["done", "aborted", "done"]
     assert "MB more are needed" in told["why"][1]
-    assert max(told["missing"]) > 2 * FRAME_BYTES and told["missing"][-1] == 0, "the display says what a bracket lacks"
+    assert max(told["missing"]) > 2 * FRAME_BYTES and told["missing"][-1] == 0, (
+        "the display says what a bracket lacks"
+    )
 
 
 if __name__ == "__main__":

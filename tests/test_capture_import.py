@@ -38,21 +38,32 @@ PLAN = [Slot(DAWN + timedelta(hours=i), 10.0, 120.0, LADDER) for i in range(12)]
 PDT_S = -7 * 3600.0
 
 
-def frames_at(start: datetime, ladder: tuple[Exposure, ...] = LADDER, step: float = 1.0) -> list[CardFrame]:
+def frames_at(
+    start: datetime, ladder: tuple[Exposure, ...] = LADDER, step: float = 1.0
+) -> list[CardFrame]:
     """As a camera's EXIF has them: whole seconds of its own clock."""
     found, t = [], start
     for i, exposure in enumerate(ladder):
-        found.append(CardFrame(Path(f"{start:%d%H%M%S}_{i}.dng"), exposure, t.replace(microsecond=0)))
+        found.append(
+            CardFrame(Path(f"{start:%d%H%M%S}_{i}.dng"), exposure, t.replace(microsecond=0))
+        )
         t += timedelta(seconds=exposure.shutter_s + step)
     return found
 
 
-def card(plan: list[Slot], clock_s: float, late_s: float = 0.0, step: float = 1.0) -> list[CardFrame]:
+def card(
+    plan: list[Slot], clock_s: float, late_s: float = 0.0, step: float = 1.0
+) -> list[CardFrame]:
     shift = timedelta(seconds=clock_s + late_s)
     return [frame for slot in plan for frame in frames_at(slot.t_utc + shift, step=step)]
 
 
-@given(step=st.floats(0.2, 12.0), clock_h=st.integers(-47, 56), drift=st.integers(-90, 90), seed=st.integers(0, 99))
+@given(
+    step=st.floats(0.2, 12.0),
+    clock_h=st.integers(-47, 56),
+    drift=st.integers(-90, 90),
+    seed=st.integers(0, 99),
+)
 @settings(deadline=None, max_examples=40)
 def test_any_camera_clock_is_found_from_a_whole_day(
     step: float, clock_h: int, drift: int, seed: int
@@ -82,14 +93,20 @@ def test_part_of_a_day_is_taken_for_civil_time_and_says_so() -> None:
 
 def test_a_person_with_a_release_is_not_a_clock_error() -> None:
     rng = np.random.default_rng(1)
-    frames = [f for s in PLAN for f in frames_at(s.t_utc + timedelta(seconds=60 + float(rng.uniform(0, 200))))]
+    frames = [
+        f
+        for s in PLAN
+        for f in frames_at(s.t_utc + timedelta(seconds=60 + float(rng.uniform(0, 200))))
+    ]
     groups = group_frames(frames, LADDER)
     assert refine_offset(groups, PLAN, Offset(0.0, "told")).seconds == 0.0
 
 
 def test_brackets_back_to_back_and_snapshots_are_told_apart() -> None:
     twice = frames_at(DAWN) + frames_at(DAWN + timedelta(seconds=14))
-    snapshot = [CardFrame(Path("snap.dng"), Exposure(1 / 60, 2.8, 800), DAWN + timedelta(minutes=20))]
+    snapshot = [
+        CardFrame(Path("snap.dng"), Exposure(1 / 60, 2.8, 800), DAWN + timedelta(minutes=20))
+    ]
     stray = frames_at(DAWN + timedelta(hours=20))
     groups = group_frames(twice + snapshot + stray, LADDER)
     assert [len(g.frames) for g in groups] == [5, 5, 1, 5]
@@ -100,7 +117,11 @@ def test_brackets_back_to_back_and_snapshots_are_told_apart() -> None:
 
 
 def test_an_interrupted_bracket_does_not_swallow_the_next() -> None:
-    frames = frames_at(DAWN, LADDER[:2]) + frames_at(DAWN + timedelta(hours=1), LADDER[2:]) + card(PLAN[2:], 0.0)
+    frames = (
+        frames_at(DAWN, LADDER[:2])
+        + frames_at(DAWN + timedelta(hours=1), LADDER[2:])
+        + card(PLAN[2:], 0.0)
+    )
     assert [len(g.frames) for g in group_frames(frames, LADDER)] == [2, 3] + [5] * 10
 
 
@@ -112,8 +133,11 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     assert [len(g.frames) for g in groups] == [12]
     slot = Slot(DAWN, 10.0, 120.0, plan)
     assert [adopt.meant(groups[0], i, slot, setup) for i in (0, 5, 6, 11)] == [
-        (plan[0], 0.0), (plan[5], 0.0), (plan[0], 180.0), (plan[5], 180.0)
-    ]  # fmt: skip
+        (plan[0], 0.0),
+        (plan[5], 0.0),
+        (plan[0], 180.0),
+        (plan[5], 180.0),
+    ]
 
 
 def test_campaigns_have_clocks_of_their_own() -> None:
@@ -122,7 +146,8 @@ def test_campaigns_have_clocks_of_their_own() -> None:
     assert [len(p) for p in parts] == [12, 12]
 
 
-# ---------------------------------------------------------------------------------------------- files
+# ----------------------------------------------------------------------------------------------
+# files
 
 
 def write_card(folder: Path, frames: list[CardFrame]) -> None:
@@ -130,12 +155,16 @@ def write_card(folder: Path, frames: list[CardFrame]) -> None:
     for frame in frames:
         codes = np.full((8, 8, 3), int(frame.exposure.shutter_s * 1000) % 250, np.uint8)
         naive = frame.t_camera.replace(tzinfo=None)
-        write_jpeg(folder / frame.path.with_suffix(".jpg").name, codes, frame.exposure, t_camera=naive)
+        write_jpeg(
+            folder / frame.path.with_suffix(".jpg").name, codes, frame.exposure, t_camera=naive
+        )
 
 
 @pytest.fixture
 def session(tmp_path: Path) -> Session:
-    return create_session(tmp_path / "s", SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), PLAN, {})
+    return create_session(
+        tmp_path / "s", SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), PLAN, {}
+    )
 
 
 def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
@@ -158,7 +187,9 @@ def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
 
 
 def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_path: Path) -> None:
-    """Contract: an hour off, each bracket lies in its neighbour's slot; told anew, none does, and nothing is lost."""
+    """Contract: an hour off, each bracket lies in its neighbour's slot; told anew, none does,
+    and nothing is lost.
+    """
     write_card(tmp_path / "card", card(PLAN[2:8], PDT_S))
     wrong = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S - 3600.0)
     assert wrong.slots == tuple(slot.id for slot in PLAN[3:9])
@@ -184,7 +215,9 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
     write_card(tmp_path / "other", frames_at(DAWN + timedelta(days=200)))
     with pytest.raises(NotEnoughDataError, match="matches the plan"):
         adopt.run(session, tmp_path / "other", utc_offset_s=0.0)
-    with pytest.raises(InputError, match=r"brackets of 2027-10-06 14:30 .* the plan's slots, the nearest at 2027"):
+    with pytest.raises(
+        InputError, match=r"brackets of 2027-10-06 14:30 .* the plan's slots, the nearest at 2027"
+    ):
         adopt.run(session, tmp_path / "other")
     write_card(tmp_path / "few", card(PLAN[3:6], 2.5 * 3600.0))  # neither UTC nor the place's
     with pytest.raises(InputError, match=r"several UTC offsets .* --utc-offset"):
@@ -211,7 +244,9 @@ def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -
     refused = CliRunner().invoke(main, words)
     assert refused.exit_code == 3 and "--utc-offset" in refused.output
     done = CliRunner().invoke(main, [*words, "--utc-offset", "-08:00"])
-    assert done.exit_code == 0 and "20 rows of irradiance" in done.output and "left out" in done.output
+    assert (
+        done.exit_code == 0 and "20 rows of irradiance" in done.output and "left out" in done.output
+    )
     samples = read_day(day_files(session)[0])[0]
     assert samples[0].t_utc == DAWN and samples[0].ghi_wm2 == 300.5
     assert CliRunner().invoke(main, ["import", str(session.root)]).exit_code == 2
@@ -220,7 +255,9 @@ def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -
 
 
 MINUTES = [(h, m) for h in (9, 10) for m in range(60)]
-TABLE = "time,Sky_W,Shade_W\n" + "".join(f"2027-03-20 {h:02d}:{m:02d}:00,{300 + h}.{m:02d},0\n" for h, m in MINUTES)
+TABLE = "time,Sky_W,Shade_W\n" + "".join(
+    f"2027-03-20 {h:02d}:{m:02d}:00,{300 + h}.{m:02d},0\n" for h, m in MINUTES
+)
 
 
 def rows_of(session: Session) -> list[IrradianceSample]:
@@ -260,12 +297,23 @@ def test_night_rows_of_another_file_stay(session: Session, tmp_path: Path) -> No
     assert (other.rows, other.withdrawn) == (8, 0)  # two hours are there already
 
 
-def test_contract_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Path) -> None:
+def test_contract_unusual_columns_are_named_by_the_command(
+    session: Session, tmp_path: Path
+) -> None:
     (tmp_path / "sky.csv").write_text(TABLE)
-    asked = ["import", str(session.root), "--irradiance", str(tmp_path / "sky.csv"), "--utc-offset", "-08:00"]
+    asked = [
+        "import",
+        str(session.root),
+        "--irradiance",
+        str(tmp_path / "sky.csv"),
+        "--utc-offset",
+        "-08:00",
+    ]
     without = CliRunner().invoke(main, asked)
     assert without.exit_code == 3 and "or by --column ghi_wm2=NAME" in without.stderr
     assert CliRunner().invoke(main, [*asked, "--column", "sky=Sky_W"]).exit_code == 2
-    named = CliRunner().invoke(main, [*asked, "--column", "ghi_wm2=Sky_W", "--column", "dhi_wm2=Shade_W"])
+    named = CliRunner().invoke(
+        main, [*asked, "--column", "ghi_wm2=Sky_W", "--column", "dhi_wm2=Shade_W"]
+    )
     assert named.exit_code == 0 and "120 rows" in named.output
     assert {s.dhi_wm2 for s in rows_of(session)} == {0.0}

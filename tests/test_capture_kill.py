@@ -1,7 +1,8 @@
-"""Kill -9 at random moments, twenty times: no frame and no row lost or doubled, the outputs of an undisturbed run.
+"""Kill -9 at random moments, twenty times: no frame and no row lost or doubled, the outputs of an
+undisturbed run.
 
-The killed processes are real ones (forked from the test, so that they start at once); one test goes through the
-command line.
+The killed processes are real ones (forked from the test, so that they start at once); one test goes
+through the command line.
 """
 
 from __future__ import annotations
@@ -46,12 +47,12 @@ KILLS = 20
 def tiny_profile() -> CameraProfile:
     return CameraProfile(
         camera=CameraBody("tiny", "raw", 48, 48),
-        lens=(
-            Lens((24.0, 24.0), 23.0, 180.0, vignetting=(Vignetting(5.6, (1.0, 0.0, -0.1)),)),
-        ),
+        lens=(Lens((24.0, 24.0), 23.0, 180.0, vignetting=(Vignetting(5.6, (1.0, 0.0, -0.1)),)),),
         bracket=Bracket(5.6, 100.0, (1.0, 0.25, 0.015625, 0.001)),
-        sensor=Sensor(black_dn=(64.0,) * 4, saturation_dn=(16000.0,) * 4, white_dn=16383.0, gain_e_per_dn=4.0),
-    )  # fmt: skip
+        sensor=Sensor(
+            black_dn=(64.0,) * 4, saturation_dn=(16000.0,) * 4, white_dn=16383.0, gain_e_per_dn=4.0
+        ),
+    )
 
 
 def make_session(folder: Path, slots: int = 4) -> Session:
@@ -59,7 +60,10 @@ def make_session(folder: Path, slots: int = 4) -> Session:
     folder.parent.mkdir(parents=True, exist_ok=True)
     path = folder.parent / "tiny.toml"
     save_profile(path, profile)
-    plan = [Slot(T0 + timedelta(hours=i), 30.0, 150.0, bracket_exposures(profile.bracket)) for i in range(slots)]
+    plan = [
+        Slot(T0 + timedelta(hours=i), 30.0, 150.0, bracket_exposures(profile.bracket))
+        for i in range(slots)
+    ]
     site = Site("office", 47.6, -122.3, "America/Los_Angeles")
     setup = SiteFile(site, CameraSetup(str(path)), None, PyranometerSetup())
     return create_session(folder, setup, plan, {"set": "test"})
@@ -101,9 +105,12 @@ def ended(child: int, within_s: float) -> bool:
 
 
 def kill_until_done(
-    fresh: Callable[[int], Session], work: Callable[[Session], None], whole_s: float, seed: int,
+    fresh: Callable[[int], Session],
+    work: Callable[[Session], None],
+    whole_s: float,
+    seed: int,
     look: Callable[[Session], None] = lambda session: None,
-) -> list[Session]:  # fmt: skip
+) -> list[Session]:
     """Sessions that were finished in spite of KILLS kills altogether, at random moments."""
     rng = random.Random(seed)
     sessions = [fresh(0)]
@@ -145,7 +152,11 @@ def notes_of(session: Session) -> dict[str, Any]:
         table = json.loads(path.read_text())
         for frame in table["frames"]:
             frame["t_utc"] = frame["t_utc"][:19]
-        notes[path.parent.name] = {**table, "t_open_utc": table["t_open_utc"][:19], "t_close_utc": ""}
+        notes[path.parent.name] = {
+            **table,
+            "t_open_utc": table["t_open_utc"][:19],
+            "t_close_utc": "",
+        }
     return notes
 
 
@@ -161,7 +172,11 @@ def test_capture_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -
         acknowledged.append((session, hashes, rows))
 
     killed = kill_until_done(
-        lambda k: make_session(tmp_path / f"killed{k}" / "s"), capture_all, whole_s, seed=1, look=look
+        lambda k: make_session(tmp_path / f"killed{k}" / "s"),
+        capture_all,
+        whole_s,
+        seed=1,
+        look=look,
     )
     for session in killed:
         assert frames_of(session) == frames_of(calm), "none lost, none doubled, none different"
@@ -197,7 +212,11 @@ def test_merge_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -> 
             for a, b in ((there.luminance_cdm2, here.luminance_cdm2), (there.u_cdm2, here.u_cdm2)):
                 np.testing.assert_array_equal(a, b)
             np.testing.assert_array_equal(there.flags, here.flags)
-            assert (there.t_utc, there.sun, there.heading_deg) == (here.t_utc, here.sun, here.heading_deg)
+            assert (there.t_utc, there.sun, there.heading_deg) == (
+                here.t_utc,
+                here.sun,
+                here.heading_deg,
+            )
             side = path.with_suffix(".json").name
             assert json.loads((first.panoramas / side).read_text()) == json.loads(
                 (session.panoramas / side).read_text()
@@ -206,14 +225,31 @@ def test_merge_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -> 
 
 def test_the_command_itself_goes_on_after_a_kill(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", slots=2)
-    words = [sys.executable, "-c", "from fieldlum.cli import main; main()", "capture", str(session.root)]
-    words += ["--camera", "sim:office?seed=1", "--pyranometer", "sim:office?seed=1", "--clock", "fast"]
+    words = [
+        sys.executable,
+        "-c",
+        "from fieldlum.cli import main; main()",
+        "capture",
+        str(session.root),
+    ]
+    words += [
+        "--camera",
+        "sim:office?seed=1",
+        "--pyranometer",
+        "sim:office?seed=1",
+        "--clock",
+        "fast",
+    ]
     child = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     until = time.monotonic() + 300.0
-    while not any(e["event"] == "frame" for e in read_journal(session)) and time.monotonic() < until:
+    while (
+        not any(e["event"] == "frame" for e in read_journal(session)) and time.monotonic() < until
+    ):
         time.sleep(0.005)
     child.kill()
     child.wait()
-    done = subprocess.run([*words[:5], "--clock", "fast"], capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [*words[:5], "--clock", "fast"], capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0 and "2 brackets, 0 missed, 0 aborted" in done.stdout, done.stderr
     assert len(frames_of(session)) == 8

@@ -1,4 +1,6 @@
-"""Nobody beside it: closed terminals, broken pipes and signals end no capture that they need not end."""
+"""Nobody beside it: closed terminals, broken pipes and signals end no capture that they need not
+end.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,15 @@ DEVICES = ["--camera", "sim:office?seed=1", "--clock", "fast"]
 def make_session(folder: Path, first: datetime, slots: int = 2) -> Session:
     ladder = tuple(Exposure(2.0**-i, 5.6) for i in range(2))
     plan = [Slot(first + timedelta(hours=i), 30.0, 180.0, ladder) for i in range(slots)]
-    return create_session(folder, SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), plan, {"set": "test"})
+    return create_session(
+        folder, SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), plan, {"set": "test"}
+    )
 
 
 def outcomes(session: Session) -> list[str]:
-    return [e["event"] for e in read_journal(session) if e["event"] in ("done", "missed", "aborted")]
+    return [
+        e["event"] for e in read_journal(session) if e["event"] in ("done", "missed", "aborted")
+    ]
 
 
 def test_a_display_that_fails_costs_nothing(tmp_path: Path) -> None:
@@ -41,7 +47,13 @@ def test_a_display_that_fails_costs_nothing(tmp_path: Path) -> None:
         raise BrokenPipeError(32, "Broken pipe")
 
     clock = FastClock(datetime(2027, 3, 20, 18, 29, tzinfo=UTC))
-    run(session, "sim:office?seed=1", clock=clock, options=Options(threaded=False, flush=False), watch=watch)
+    run(
+        session,
+        "sim:office?seed=1",
+        clock=clock,
+        options=Options(threaded=False, flush=False),
+        watch=watch,
+    )
     assert outcomes(session) == ["done", "done"]
     assert [e["why"] for e in read_journal(session) if e["event"] == "display-lost"] == [
         "BrokenPipeError: [Errno 32] Broken pipe"
@@ -54,11 +66,29 @@ def test_the_panel_fits_narrow_terminals_and_takes_any_text(columns: int) -> Non
 
     now = datetime(2027, 3, 20, 14, tzinfo=UTC)
     live = Live(
-        "waiting", now, 369, 100, 3, 1, 265, "20270320T143000Z", 1800.0, "09.dng [/no tag] [Errno 5]", 512.3, 4.0,
-        "lost", "ok", 72_000_000_000, 0, 70.4, "disk-full: [red]",
-    )  # fmt: skip
+        "waiting",
+        now,
+        369,
+        100,
+        3,
+        1,
+        265,
+        "20270320T143000Z",
+        1800.0,
+        "09.dng [/no tag] [Errno 5]",
+        512.3,
+        4.0,
+        "lost",
+        "ok",
+        72_000_000_000,
+        0,
+        70.4,
+        "disk-full: [red]",
+    )
     console = Console(width=columns, record=True, file=io.StringIO())
-    console.print(panel(live, Site("a room [/x] with a name that is longer than its panel", 47.6, -122.3)))
+    console.print(
+        panel(live, Site("a room [/x] with a name that is longer than its panel", 47.6, -122.3))
+    )
     lines = console.export_text().splitlines()
     assert max(map(len, lines)) <= columns
     names = [line.split()[1] for line in lines[2:-1]]
@@ -79,7 +109,14 @@ def test_closed_standard_files_never_become_the_journal(tmp_path: Path) -> None:
 def test_a_closed_terminal_ends_nothing_and_sigterm_ends_properly(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", datetime.now(UTC) + timedelta(hours=1), slots=1)
     status = tmp_path / "status.json"
-    line = [*COMMAND, str(session.root), "--camera", "sim:office?seed=1", "--status-json", str(status)]
+    line = [
+        *COMMAND,
+        str(session.root),
+        "--camera",
+        "sim:office?seed=1",
+        "--status-json",
+        str(status),
+    ]
     process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60.0
     while not status.exists() and time.monotonic() < deadline:
@@ -91,4 +128,6 @@ def test_a_closed_terminal_ends_nothing_and_sigterm_ends_properly(tmp_path: Path
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130 and "start it again to go on" in said
-    assert read_journal(session)[-1]["event"] == "close" and not (session.root / ".reserve").exists()
+    assert (
+        read_journal(session)[-1]["event"] == "close" and not (session.root / ".reserve").exists()
+    )

@@ -38,7 +38,17 @@ def test_the_docs_list_every_command(name: str) -> None:
 
 
 def test_help_is_light() -> None:
-    heavy = ("torch", "pvlib", "cv2", "skimage", "pandas", "matplotlib", "scipy", "rawpy", "OpenEXR")
+    heavy = (
+        "torch",
+        "pvlib",
+        "cv2",
+        "skimage",
+        "pandas",
+        "matplotlib",
+        "scipy",
+        "rawpy",
+        "OpenEXR",
+    )
     code = (
         "import sys, click; from fieldlum.cli import main\n"
         "c = click.Context(main); [main.get_command(c, n) for n in main.list_commands(c)]\n"
@@ -54,8 +64,12 @@ def test_an_unknown_command_is_a_usage_error_that_names_its_neighbour() -> None:
     assert "Did you mean 'info'?" in result.output
 
 
-@pytest.mark.parametrize(("code", "expected"), [(errno.EACCES, 3), (errno.ENOSPC, 3), (errno.ENOENT, 1)])
-def test_what_a_disk_does_is_one_line_with_a_remedy(monkeypatch: pytest.MonkeyPatch, code: int, expected: int) -> None:
+@pytest.mark.parametrize(
+    ("code", "expected"), [(errno.EACCES, 3), (errno.ENOSPC, 3), (errno.ENOENT, 1)]
+)
+def test_what_a_disk_does_is_one_line_with_a_remedy(
+    monkeypatch: pytest.MonkeyPatch, code: int, expected: int
+) -> None:
     """A folder without rights or a full disk is no defect of the tool; a file that it lost is."""
 
     def trouble(*_: object) -> None:
@@ -64,7 +78,9 @@ def test_what_a_disk_does_is_one_line_with_a_remedy(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("fieldlum.session.open_session", trouble)
     result = CliRunner().invoke(main, ["report", "session"])
     assert result.exit_code == expected
-    assert expected != 3 or f"fieldlum report: session/report: {os.strerror(code)}, " in result.output
+    assert (
+        expected != 3 or f"fieldlum report: session/report: {os.strerror(code)}, " in result.output
+    )
 
 
 def test_ctrl_c_ends_with_130_and_says_how_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:

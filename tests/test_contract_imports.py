@@ -1,4 +1,6 @@
-"""Contract: a module imports from ranks above it, or acyclically within its own; stages never import each other."""
+"""Contract: a module imports from ranks above it, or acyclically within its own; stages never
+import each other.
+"""
 
 import ast
 from pathlib import Path
@@ -14,7 +16,7 @@ RANKS = (
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench"},
     {"report", "demo", "cli"},
-)  # fmt: skip
+)
 RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}
 STAGES = 4
 
@@ -44,13 +46,17 @@ def test_imports_point_one_way(path: Path) -> None:
     for name in _imported(path) - {me}:
         assert RANK[name] <= RANK[me], f"{me} imports {name}, which stands below it"
         if RANK[me] == STAGES:
-            assert RANK[name] < STAGES, f"stage {me} imports stage {name}: let them meet in records or on disk"
+            assert RANK[name] < STAGES, (
+                f"stage {me} imports stage {name}: let them meet in records or on disk"
+            )
 
 
 def test_no_cycle_within_a_rank() -> None:
     edges = {m: set[str]() for m in RANK}
     for path in FILES:
-        edges[_module(path)] |= {n for n in _imported(path) if RANK[n] == RANK[_module(path)]} - {_module(path)}
+        edges[_module(path)] |= {n for n in _imported(path) if RANK[n] == RANK[_module(path)]} - {
+            _module(path)
+        }
 
     def visit(module: str, trail: tuple[str, ...]) -> None:
         assert module not in trail, " -> ".join((*trail, module))

@@ -57,13 +57,23 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
     ("column", "change", "said"),
     [
         ("panorama", lambda _: "m0.exr", "lines 2 and 3: the same panorama"),
-        ("t_utc", lambda text: text.replace("Z", "+01:00"), "line 3: sun at altitude"),  # a clock in summer time
+        (
+            "t_utc",
+            lambda text: text.replace("Z", "+01:00"),
+            "line 3: sun at altitude",
+        ),  # a clock in summer time
         ("sun_azimuth_deg", lambda text: str(float(text) + 15.0), "line 3: sun at altitude"),
-        ("dhi_wm2", lambda _: "1200", "more diffuse light than any sky gives, expected W/m2, is it the global"),
+        (
+            "dhi_wm2",
+            lambda _: "1200",
+            "more diffuse light than any sky gives, expected W/m2, is it the global",
+        ),
         ("dni_wm2", lambda _: "1500", "more direct light than there is above the air"),
     ],
 )
-def test_rows_that_contradict_each_other_are_named(pairs: Path, column: str, change, said: str) -> None:
+def test_rows_that_contradict_each_other_are_named(
+    pairs: Path, column: str, change, said: str
+) -> None:
     """Contract: what an edited or a joined table gets wrong would be learned without a word."""
     lines = pairs.read_text().splitlines()
     cells = lines[2].split(",")
@@ -76,8 +86,12 @@ def test_rows_that_contradict_each_other_are_named(pairs: Path, column: str, cha
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize(("name", "said"), [("m3.exr", "merge all brackets at one size"), ("p3.exr", "pair again")])
-def test_a_picture_of_another_size_says_what_to_do(pairs: Path, name: str, said: str) -> None:  # contract
+@pytest.mark.parametrize(
+    ("name", "said"), [("m3.exr", "merge all brackets at one size"), ("p3.exr", "pair again")]
+)
+def test_a_picture_of_another_size_says_what_to_do(
+    pairs: Path, name: str, said: str
+) -> None:  # contract
     write_panorama(pairs.parent / name, Panorama(np.ones((24, 48), np.float32), 180.0))
     with pytest.raises(InputError, match=said):
         load_pairs(pairs)
@@ -89,7 +103,9 @@ def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
     with pytest.raises(InputError, match=f"lines 2 and {len(DATA) + 2}: the same t_utc"):
         load_pairs(pairs)
     rows = [line.split(",") for line in text.splitlines()]
-    kilowatts = [[*row[:2], *(str(float(cell) / 1e3) for cell in row[2:4]), *row[4:]] for row in rows[1:]]
+    kilowatts = [
+        [*row[:2], *(str(float(cell) / 1e3) for cell in row[2:4]), *row[4:]] for row in rows[1:]
+    ]
     pairs.write_text("\n".join(",".join(row) for row in (rows[0], *kilowatts)))
     with pytest.raises(InputError, match="is it in kW/m2"):
         load_pairs(pairs)
@@ -141,7 +157,9 @@ def test_a_missing_column_a_missing_site_and_another_size_are_errors(pairs: Path
     with pytest.raises(InputError, match="no site known"):
         load_pairs(pairs)
     pairs.write_text("t_utc,dni_wm2\n")
-    (pairs.parent / "site.toml").write_text('[site]\nname = "x"\nlatitude_deg = 1\nlongitude_deg = 1\n')
+    (pairs.parent / "site.toml").write_text(
+        '[site]\nname = "x"\nlatitude_deg = 1\nlongitude_deg = 1\n'
+    )
     with pytest.raises(InputError, match="no column panorama, dhi_wm2"):
         load_pairs(pairs)
 
@@ -150,15 +168,24 @@ def test_pixels_that_no_lens_saw_are_not_learned_from(pairs: Path) -> None:
     for k in range(len(DATA)):
         flags = np.zeros(DATA.shape, np.uint16)
         flags[-2:] = Flag.OUTSIDE_LENS
-        write_panorama(pairs.parent / f"m{k}.exr", Panorama(DATA.luminance_cdm2[k], 180.0, flags=flags))
+        write_panorama(
+            pairs.parent / f"m{k}.exr", Panorama(DATA.luminance_cdm2[k], 180.0, flags=flags)
+        )
     data = load_pairs(pairs)
     assert not data.seen[-2:].any() and data.seen[:-2].all()
     assert data.weights[-2:].max() == 0.0 and data.weights[data.seen].mean() == pytest.approx(1.0)
 
 
 @settings(deadline=None, max_examples=50)
-@given(altitude=st.floats(0, 80), azimuth=st.floats(0, 359.9), dni=st.floats(5, 1000), wall=st.floats(1, 8000))
-def test_splitting_a_disc_keeps_its_energy(altitude: float, azimuth: float, dni: float, wall: float) -> None:
+@given(
+    altitude=st.floats(0, 80),
+    azimuth=st.floats(0, 359.9),
+    dni=st.floats(5, 1000),
+    wall=st.floats(1, 8000),
+)
+def test_splitting_a_disc_keeps_its_energy(
+    altitude: float, azimuth: float, dni: float, wall: float
+) -> None:
     """property: what was deposited by energy comes out again, and the map is what it was."""
     height, width, heading = 58, 116, 180.0
     clean = np.full((height, width), wall, np.float32)
@@ -167,7 +194,9 @@ def test_splitting_a_disc_keeps_its_energy(altitude: float, azimuth: float, dni:
     lux = 93.0 * dni
     whole = clean.copy()
     whole[i, j] += lux / equirect_solid_angles(height, width)[i, j]
-    if lux / equirect_solid_angles(height, width)[i, j] < 3.0 * wall:  # a disc that does not stand out is left alone
+    if (
+        lux / equirect_solid_angles(height, width)[i, j] < 3.0 * wall
+    ):  # a disc that does not stand out is left alone
         return
     found, energy = split_disc(whole, altitude, azimuth, dni, heading)
     assert energy == pytest.approx(lux, rel=1e-4)
@@ -185,7 +214,9 @@ def test_add_disc_puts_all_energy_on_the_suns_pixel() -> None:
     maps = np.zeros_like(DATA.luminance_cdm2)
     lux = np.full(len(DATA), 5e4)
     whole = add_disc(maps, DATA.light, lux, 180.0)
-    np.testing.assert_allclose((whole * equirect_solid_angles(*DATA.shape)).sum(axis=(1, 2)), lux, rtol=1e-5)
+    np.testing.assert_allclose(
+        (whole * equirect_solid_angles(*DATA.shape)).sum(axis=(1, 2)), lux, rtol=1e-5
+    )
 
 
 def test_thin_maps_keep_pixels_where_they_were() -> None:
@@ -193,5 +224,7 @@ def test_thin_maps_keep_pixels_where_they_were() -> None:
     data = dataset(("2027-03-20",), height=12)
     small = data.thin(4)
     assert small.shape == (4, 8) and data.thin(12).shape == data.shape
-    np.testing.assert_allclose(equirect_rays(12, 24, 180.0)[1::3, 1::3], equirect_rays(4, 8, 180.0), atol=1e-12)
+    np.testing.assert_allclose(
+        equirect_rays(12, 24, 180.0)[1::3, 1::3], equirect_rays(4, 8, 180.0), atol=1e-12
+    )
     np.testing.assert_array_equal(small.luminance_cdm2, data.luminance_cdm2[:, 1::3, 1::3])

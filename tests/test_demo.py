@@ -1,4 +1,6 @@
-"""The whole job in small: a few hours of the paper's office through every stage, and taken up again."""
+"""The whole job in small: a few hours of the paper's office through every stage, and taken up
+again.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def _unseen(name: str) -> Iterator[Progress]:
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcome]:
-    """Every third hour of three March days, tiny maps, a draft rendering; a week of weather instead of a year."""
+    """Every third hour of three March days, tiny maps, a draft rendering; a week of weather
+    instead of a year.
+    """
     root = tmp_path_factory.mktemp("d")
     setup = load_site(shipped("capture_plans") / "seattle-office.toml")
     request = plan.Request("9-day", today=date(demo.YEAR, 1, 1), year=demo.YEAR)
@@ -32,7 +36,11 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcom
     create_session(root / "s", setup, slots, {"set": "test"})
     year = (shipped("capture_plans") / demo.WEATHER).read_text("utf-8").splitlines()
     head = next(k for k, line in enumerate(year) if line.startswith("month")) + 1
-    week = [line for line in year[head:] if line.split(",")[:2] in (["3", "19"], ["3", "20"], ["3", "21"], ["3", "22"])]
+    week = [
+        line
+        for line in year[head:]
+        if line.split(",")[:2] in (["3", "19"], ["3", "20"], ["3", "21"], ["3", "22"])
+    ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(demo.PRESETS, "quick", demo.Preset(23, "draft", 0.02))
         weather = root / "week.csv"
@@ -44,14 +52,22 @@ def test_every_stage_ran_and_the_report_stands(outcome: tuple[Path, demo.Outcome
     folder, found = outcome
     assert found.report == folder / "report" / "index.html" and found.report.is_file()
     assert list(found.seconds) == [
-        "plan", "render the room", "capture", "merge", "pair", "train", "predict a year", "report",
-    ]  # fmt: skip
+        "plan",
+        "render the room",
+        "capture",
+        "merge",
+        "pair",
+        "train",
+        "predict a year",
+        "report",
+    ]
     assert (folder / "demo.json").is_file()
 
 
 def test_what_was_merged_and_paired_is_the_truth(outcome: tuple[Path, demo.Outcome]) -> None:
-    """Issue's own bounds: median under 1 %; irradiance within the simulated instrument's noise (1 W/m2 a reading, and
-    what a low sun makes of it in DNI)."""
+    """Issue's own bounds: median under 1 %; irradiance within the simulated instrument's noise
+    (1 W/m2 a reading, and what a low sun makes of it in DNI).
+    """
     session = open_session(outcome[0])
     median, _, maps = demo.merged_against_truth(session)
     assert maps == 12 and median < 0.01
@@ -76,7 +92,9 @@ def test_taken_up_again_it_trains_only_on_other_captures_or_options(
     note = session.models / demo.MODEL / "demo.json"
     kept = note.read_text()
     assert demo.trained(session, how, 2, quiet) == {"chosen": "new"}
-    assert demo.trained(session, demo.Preset(23, "draft", 0.5), 2, quiet) == {"chosen": "new"} and asked == [2, 2]
+    assert demo.trained(session, demo.Preset(23, "draft", 0.5), 2, quiet) == {
+        "chosen": "new"
+    } and asked == [2, 2]
     note.write_text(kept)
     pairs = session.pairs.read_text()
     session.pairs.write_text(pairs.rpartition("\n")[0].rpartition("\n")[0] + "\n")

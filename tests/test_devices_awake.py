@@ -1,4 +1,6 @@
-"""A computer that falls asleep: held awake where the system grants it, and let go however the holder ends."""
+"""A computer that falls asleep: held awake where the system grants it, and let go however the
+holder ends.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="sy
 
 @pytest.fixture
 def tool(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A stand-in for systemd-inhibit that grants what its first lines say, and notes its process."""
+    """A stand-in for systemd-inhibit that grants what its first lines say, and notes its
+    process.
+    """
     path = tmp_path / "systemd-inhibit"
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     return path
@@ -26,7 +30,9 @@ def tool(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def write(tool: Path, granted: str) -> Path:
     note = tool.with_name("pid")
-    tool.write_text(f'#!/bin/sh\ncase "$1" in {granted}) echo $$ > {note}; exec cat;; *) exit 1;; esac\n')
+    tool.write_text(
+        f'#!/bin/sh\ncase "$1" in {granted}) echo $$ > {note}; exec cat;; *) exit 1;; esac\n'
+    )
     tool.chmod(0o755)
     return note
 
@@ -48,9 +54,15 @@ def gone(pid: int) -> bool:
 
 @pytest.mark.parametrize(
     ("granted", "what"),
-    [("--what=*", "sleep:idle:handle-lid-switch"), ("--what=sleep:idle", "sleep:idle"), ("nothing", "")],
+    [
+        ("--what=*", "sleep:idle:handle-lid-switch"),
+        ("--what=sleep:idle", "sleep:idle"),
+        ("nothing", ""),
+    ],
 )
-def test_the_widest_lock_that_is_granted_is_held_and_let_go(tool: Path, granted: str, what: str) -> None:
+def test_the_widest_lock_that_is_granted_is_held_and_let_go(
+    tool: Path, granted: str, what: str
+) -> None:
     note = write(tool, granted)
     with kept_awake() as held:
         assert held == what
@@ -70,7 +82,9 @@ def test_a_lock_goes_with_a_process_that_is_killed(tool: Path) -> None:
         "import time\nfrom fieldlum.devices.awake import kept_awake\n"
         "with kept_awake() as what: print(what, flush=True); time.sleep(60)"
     )
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=dict(os.environ))
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, env=dict(os.environ)
+    )
     assert process.stdout is not None and process.stdout.readline().startswith(b"sleep")
     os.kill(process.pid, signal.SIGKILL)
     process.wait()

@@ -57,19 +57,29 @@ def test_analytic_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -
     relative = optics.angle_of_radius(geometry, np.minimum(r, 1.0)) / geometry.half_angle_rad
     green = np.zeros((484, 484), bool)
     green[0::2, 1::2] = True  # G1 of RGGB, black 514
-    z = z_per_cdm2(1 / 64, 5.6, 100.0, profile.scale.k) * 300.0 * camera_from_scene(profile).sum(axis=1)[1]
+    z = (
+        z_per_cdm2(1 / 64, 5.6, 100.0, profile.scale.k)
+        * 300.0
+        * camera_from_scene(profile).sum(axis=1)[1]
+    )
     expected = z * (16383 - 514) * vignetting_at(lens.vignetting[1].coefficients, relative)
     got = mosaic.counts[green & (r < 0.98)] - 514.0
     ratio = got / expected[green & (r < 0.98)]
     assert ratio.mean() == pytest.approx(1.0, abs=5e-4)  # standard error of the mean: 1e-4
     # Shot noise of some 1000 DN at 4 e/DN, and 6 e read noise.
-    assert ratio.std() == pytest.approx(np.sqrt(expected.max() * 4 + 36) / (expected.max() * 4), rel=0.15)
+    assert ratio.std() == pytest.approx(
+        np.sqrt(expected.max() * 4 + 36) / (expected.max() * 4), rel=0.15
+    )
 
 
 def test_analytic_exif_says_the_dial_and_the_shutter_does_otherwise(tmp_path: Path) -> None:
-    mosaic = read_mosaic(camera(uniform(10.0), load_camera_profile("sim-fisheye")).expose(DIAL, tmp_path / "f"))
+    mosaic = read_mosaic(
+        camera(uniform(10.0), load_camera_profile("sim-fisheye")).expose(DIAL, tmp_path / "f")
+    )
     assert mosaic.exposure == DIAL
-    assert true_shutter_s(1 / 60) == 1 / 64 and true_shutter_s(13.0) == pytest.approx(12.7, abs=0.01)
+    assert true_shutter_s(1 / 60) == 1 / 64 and true_shutter_s(13.0) == pytest.approx(
+        12.7, abs=0.01
+    )
 
 
 def test_analytic_saturates_below_the_tag(tmp_path: Path) -> None:
@@ -90,7 +100,9 @@ def test_analytic_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> 
         ray = projection.equirect_rays(180, 360, 180.0)[int(i), int(j)]
         lens = profile.lens[0] if np.cos(np.radians(azimuth - 180)) > 0 else profile.lens[1]
         x, y, _ = projection.lens_pixels(optics.geometry_of(lens, 180.0), ray)
-        assert np.hypot(column + 0.5 - x, row + 0.5 - y) < 4.0  # a panorama pixel is 3 sensor pixels wide
+        assert (
+            np.hypot(column + 0.5 - x, row + 0.5 - y) < 4.0
+        )  # a panorama pixel is 3 sensor pixels wide
 
 
 def test_analytic_the_sun_keeps_its_energy() -> None:
@@ -98,7 +110,9 @@ def test_analytic_the_sun_keeps_its_energy() -> None:
     for altitude, azimuth in ((30.0, 190.3), (5.0, 120.0), (70.1, 250.0)):
         panorama = replace(uniform(0.0), sun=SunSource(altitude, azimuth, 80_000.0))
         geometry = optics.geometry_of(profile.lens[0], 0.0)
-        image = optics.on_sensor(panorama, [optics.look(geometry, (484, 484), (46, 92))], (484, 484))[..., 0]
+        image = optics.on_sensor(
+            panorama, [optics.look(geometry, (484, 484), (46, 92))], (484, 484)
+        )[..., 0]
         rows, columns = np.mgrid[0.5:484, 0.5:484]
         omega = optics.pixel_solid_angle_sr(geometry, columns, rows)
         assert (image * omega).sum() == pytest.approx(80_000.0, rel=1e-5)
@@ -131,7 +145,9 @@ def test_analytic_colours_come_back_through_the_profile(tmp_path: Path) -> None:
     vignette = vignetting_at(profile.lens[0].vignetting[1].coefficients, 0.05)
     found = np.reshape(profile.colour.rgb_to_radiance, (3, 3)) @ np.array(seen) / vignette / 179
     assert found == pytest.approx([1.2, 0.9, 0.5], rel=0.01)
-    assert np.dot(profile.colour.y_from_rgb, seen) / vignette == pytest.approx(panorama.luminance_cdm2[0, 0], rel=0.01)
+    assert np.dot(profile.colour.y_from_rgb, seen) / vignette == pytest.approx(
+        panorama.luminance_cdm2[0, 0], rel=0.01
+    )
 
 
 def test_analytic_jpeg_follows_its_response(tmp_path: Path) -> None:
@@ -141,7 +157,9 @@ def test_analytic_jpeg_follows_its_response(tmp_path: Path) -> None:
     frame = read_jpeg(camera(uniform(900.0), profile).expose(DIAL, tmp_path / "f"))
     code = frame.codes[222:262, 222:262, 1].mean()
     z = np.interp(code, np.arange(256), response_table("polynomial", profile.response.green))
-    assert z == pytest.approx(900.0 * z_per_cdm2(1 / 64, 5.6, 100.0, profile.scale.k), rel=0.02)  # code steps: 1 %
+    assert z == pytest.approx(
+        900.0 * z_per_cdm2(1 / 64, 5.6, 100.0, profile.scale.k), rel=0.02
+    )  # code steps: 1 %
 
 
 def test_property_same_seed_same_moment_same_frame(tmp_path: Path) -> None:

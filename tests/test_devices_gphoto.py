@@ -1,4 +1,6 @@
-"""devices: a tethered camera, on the virtual Nikon that the gphoto2 wheel ships; hangs and crashes on stand-ins."""
+"""devices: a tethered camera, on the virtual Nikon that the gphoto2 wheel ships; hangs and
+crashes on stand-ins.
+"""
 
 import errno
 import io
@@ -28,25 +30,34 @@ SIZE = 12_000
 
 
 def photo(exposure: Exposure) -> bytes:
-    """A JPEG with EXIF, padded: the virtual camera fixes the size of its picture when it is opened."""
+    """A JPEG with EXIF, padded: the virtual camera fixes the size of its picture when it is
+    opened.
+    """
     from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 
     exif = Image.Exif()
     fields = exif.get_ifd(0x8769)
     fields[33434] = IFDRational(round(exposure.shutter_s * 10_000), 10_000)
-    fields[33437], fields[34855] = IFDRational(round(exposure.f_number * 10), 10), round(exposure.iso)
+    fields[33437], fields[34855] = (
+        IFDRational(round(exposure.f_number * 10), 10),
+        round(exposure.iso),
+    )
     buffer = io.BytesIO()
     Image.new("RGB", (64, 64), (90, 90, 90)).save(buffer, "JPEG", exif=exif)
     return buffer.getvalue().ljust(SIZE, b"\0")
 
 
 @pytest.fixture
-def picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Exposure], None]]:
+def picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[[Exposure], None]]:
     """Plays the sensor: what the virtual camera's next picture will be."""
     source = tmp_path / "vcamera" / "DCIM" / "100NIKON" / "DSC_0001.JPG"
     source.parent.mkdir(parents=True)
-    monkeypatch.setenv("VCAMERADIR", str(tmp_path / "vcamera"))  # read when the child imports gphoto2
+    monkeypatch.setenv(
+        "VCAMERADIR", str(tmp_path / "vcamera")
+    )  # read when the child imports gphoto2
 
     def play(exposure: Exposure) -> None:
         source.write_bytes(photo(exposure))
@@ -67,7 +78,9 @@ def test_bracket_on_the_virtual_camera(picture: Callable[[Exposure], None], tmp_
     camera.close()
 
 
-def test_contract_what_is_not_offered_is_known_without_a_picture(picture: Callable[[Exposure], None]) -> None:
+def test_contract_what_is_not_offered_is_known_without_a_picture(
+    picture: Callable[[Exposure], None],
+) -> None:
     camera = open_camera("gphoto:", clock=CLOCK)
     offered, between, wide = Exposure(0.01, 5.6), Exposure(1 / 250, 5.6), Exposure(0.01, 2.0)
     assert not_offered(camera, [offered]) == []
@@ -76,11 +89,15 @@ def test_contract_what_is_not_offered_is_known_without_a_picture(picture: Callab
     camera.close()
 
 
-def test_contract_settings_are_checked_before_and_after(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
+def test_contract_settings_are_checked_before_and_after(
+    picture: Callable[[Exposure], None], tmp_path: Path
+) -> None:
     camera = open_camera("gphoto:Nikon", clock=CLOCK)
     with pytest.raises(DeviceError, match=r"shutter: 0.004 s is not offered, the nearest is 1/200"):
         camera.expose(Exposure(1 / 250, 5.6), tmp_path / "f")
-    with pytest.raises(DeviceError, match=r"aperture: 2 is not offered"):  # the value that kills libgphoto2
+    with pytest.raises(
+        DeviceError, match=r"aperture: 2 is not offered"
+    ):  # the value that kills libgphoto2
         camera.expose(Exposure(0.01, 2.0), tmp_path / "f")
     with pytest.raises(DeviceError, match="no head that turns"):
         camera.expose(Exposure(0.01, 5.6), tmp_path / "f", heading_deg=90.0)
@@ -88,7 +105,9 @@ def test_contract_settings_are_checked_before_and_after(picture: Callable[[Expos
     camera.close()
 
 
-def test_contract_what_the_camera_made_is_kept(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
+def test_contract_what_the_camera_made_is_kept(
+    picture: Callable[[Exposure], None], tmp_path: Path
+) -> None:
     camera = open_camera("gphoto:Nikon?delete=1", clock=CLOCK)
     asked, made = Exposure(0.01, 5.6), Exposure(0.02, 5.6)
     picture(made)
@@ -98,7 +117,9 @@ def test_contract_what_the_camera_made_is_kept(picture: Callable[[Exposure], Non
     camera.close()
 
 
-def test_contract_a_full_disk_is_no_fault_of_the_camera(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
+def test_contract_a_full_disk_is_no_fault_of_the_camera(
+    picture: Callable[[Exposure], None], tmp_path: Path
+) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("no /dev/full here")
     camera = open_camera("gphoto:", clock=CLOCK)
@@ -118,7 +139,9 @@ def test_contract_a_full_card_is_told(picture: Callable[[Exposure], None], tmp_p
     camera.close()
 
 
-def test_contract_no_camera_and_unknown_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contract_no_camera_and_unknown_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "empty" / "DCIM").mkdir(parents=True)
     monkeypatch.setenv("VCAMERADIR", str(tmp_path / "empty"))
     with pytest.raises(DeviceError, match="no camera named Hasselblad"):
@@ -130,10 +153,22 @@ def test_contract_no_camera_and_unknown_names(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("1/250", 0.004), ("0.0040s", 0.004), ("1.3", 1.3), ("30", 30.0), ("13/10", 1.3), ("f/5.6", 5.6), ("5.6", 5.6),
-        ("ISO 100", 100.0), ("100", 100.0), ("Bulb", None), ("Auto", None), ("", None), ("1/0", None), ("x200", None),
+        ("1/250", 0.004),
+        ("0.0040s", 0.004),
+        ("1.3", 1.3),
+        ("30", 30.0),
+        ("13/10", 1.3),
+        ("f/5.6", 5.6),
+        ("5.6", 5.6),
+        ("ISO 100", 100.0),
+        ("100", 100.0),
+        ("Bulb", None),
+        ("Auto", None),
+        ("", None),
+        ("1/0", None),
+        ("x200", None),
     ],
-)  # fmt: skip
+)
 def test_texts_of_cameras(text: str, value: float | None) -> None:
     assert setting_value(text) == value
 
@@ -144,7 +179,8 @@ def test_choose_gives_the_camera_its_own_text() -> None:
         choose("iso", 100.0, ["Auto"])
 
 
-# ------------------------------------------------------------------------------------------ hangs and crashes
+# ------------------------------------------------------------------------------------------ hangs
+# and crashes
 
 
 def moody(pipe: Connection) -> None:

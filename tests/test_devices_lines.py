@@ -1,4 +1,6 @@
-"""devices: ASCII lines, TOA5 tables and the CL-200A: transcripts, damage, and the drivers on ptys."""
+"""devices: ASCII lines, TOA5 tables and the CL-200A: transcripts, damage, and the drivers on
+ptys.
+"""
 
 import json
 import os
@@ -13,8 +15,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldlum.devices import FORM_ALONE, Streaming, open_meter, open_pyranometer
-from fieldlum.devices.ascii_lines import AsciiField, AsciiProfile, crc16, load_ascii_profile, parse_line
-from fieldlum.devices.cl200a import EXT_ON, HOLD, MEASURE, PC_MODE, READ_EVXY, Cl200a, bcc, frame, parse_answer, unframe
+from fieldlum.devices.ascii_lines import (
+    AsciiField,
+    AsciiProfile,
+    crc16,
+    load_ascii_profile,
+    parse_line,
+)
+from fieldlum.devices.cl200a import (
+    EXT_ON,
+    HOLD,
+    MEASURE,
+    PC_MODE,
+    READ_EVXY,
+    Cl200a,
+    bcc,
+    frame,
+    parse_answer,
+    unframe,
+)
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.line_form import LineForm
 from fieldlum.devices.serial_lines import LineInstrument
@@ -33,25 +52,45 @@ def nmea(body: str) -> bytes:
     return f"{body}*{total:02X}\r\n".encode()
 
 
-# ------------------------------------------------------------------------------------------ what a line means
+# ------------------------------------------------------------------------------------------ what a
+# line means
 
 
 def test_shipped_profiles_read_their_own_example() -> None:
     keys = load_ascii_profile("arduino-keys")
     found = parse_line(keys, nmea("$G=812.4 D=104.9 T=24.1"))
     assert found == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1}
-    assert parse_line(load_ascii_profile("arduino-json"), b'{"G": 812.4, "T": 24}\n')["temperature_c"] == 24.0
-    assert parse_line(load_ascii_profile("millivolts"), b"G_mV=9.876\n")["ghi_wm2"] == pytest.approx(790.08)
+    assert (
+        parse_line(load_ascii_profile("arduino-json"), b'{"G": 812.4, "T": 24}\n')["temperature_c"]
+        == 24.0
+    )
+    assert parse_line(load_ascii_profile("millivolts"), b"G_mV=9.876\n")[
+        "ghi_wm2"
+    ] == pytest.approx(790.08)
 
 
 @pytest.mark.parametrize(
     "line",
     [
-        b"G_mV=9.876", b"G_mV=9.87\n", b"G_mV=9,876\n", b"G_mV=\n", b"G_mV=nan\n", b"G_mV=inf\n", b"=9.876\n", b"\n",
-        b"G_mV=9.876 G_mV=1.000\n", b"mV=9.876\n", b"G_mV=9.876\x00\n", b"\xffG_mV=9.876\n", b"G_mV=9.876 x\n",
-        b"G_mV=99999.876\n", b"G_mV=1_0.876\n", b"G_mV=0x1.876\n", b"x" * 2000 + b"\n",
+        b"G_mV=9.876",
+        b"G_mV=9.87\n",
+        b"G_mV=9,876\n",
+        b"G_mV=\n",
+        b"G_mV=nan\n",
+        b"G_mV=inf\n",
+        b"=9.876\n",
+        b"\n",
+        b"G_mV=9.876 G_mV=1.000\n",
+        b"mV=9.876\n",
+        b"G_mV=9.876\x00\n",
+        b"\xffG_mV=9.876\n",
+        b"G_mV=9.876 x\n",
+        b"G_mV=99999.876\n",
+        b"G_mV=1_0.876\n",
+        b"G_mV=0x1.876\n",
+        b"x" * 2000 + b"\n",
     ],
-)  # fmt: skip
+)
 def test_contract_broken_key_lines(line: bytes) -> None:
     with pytest.raises(DeviceError, match="line"):
         parse_line(load_ascii_profile("millivolts"), line)
@@ -60,11 +99,20 @@ def test_contract_broken_key_lines(line: bytes) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b'{"G": 812.4}\n', b'{"G": 812.4, "T": 24', b'{"G": "x", "T": 2}\n', b'{"G": NaN, "T": 2}\n', b"[1, 2]\n",
-        b'{"G": true, "T": 2}\n', b'{"G": 1, "G": 2, "T": 2}\n', b'{"G": {"G": 1}, "T": 2}\n', b'{"G": 1e9, "T": 2}\n',
-        b"[" * 900 + b"\n", b'{"G": Infinity, "T": 2}\n', b'{"G": 1, "T": 2} {"G": 1, "T": 2}\n',
+        b'{"G": 812.4}\n',
+        b'{"G": 812.4, "T": 24',
+        b'{"G": "x", "T": 2}\n',
+        b'{"G": NaN, "T": 2}\n',
+        b"[1, 2]\n",
+        b'{"G": true, "T": 2}\n',
+        b'{"G": 1, "G": 2, "T": 2}\n',
+        b'{"G": {"G": 1}, "T": 2}\n',
+        b'{"G": 1e9, "T": 2}\n',
+        b"[" * 900 + b"\n",
+        b'{"G": Infinity, "T": 2}\n',
+        b'{"G": 1, "T": 2} {"G": 1, "T": 2}\n',
     ],
-)  # fmt: skip
+)
 def test_contract_broken_json_lines(line: bytes) -> None:
     with pytest.raises(DeviceError, match="line"):
         parse_line(load_ascii_profile("arduino-json"), line)
@@ -76,10 +124,15 @@ KEYS = load_ascii_profile("arduino-keys")
 
 @settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(GOOD) - 1), st.binary(max_size=2), st.integers(0, 2))
-def test_property_one_damage_under_a_checksum_gives_no_other_number(at: int, put: bytes, cut: int) -> None:
+def test_property_one_damage_under_a_checksum_gives_no_other_number(
+    at: int, put: bytes, cut: int
+) -> None:
     with suppress(DeviceError):
         values = parse_line(KEYS, GOOD[:at] + put + GOOD[at + cut :])
-        assert values == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1} or len(put) == cut == 2
+        assert (
+            values == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1}
+            or len(put) == cut == 2
+        )
 
 
 @settings(deadline=None, max_examples=200)
@@ -118,16 +171,23 @@ def test_what_is_known_of_a_line_is_held_against_it() -> None:
 
 
 def test_analytic_crc_of_a_line() -> None:
-    assert crc16(b"123456789") == 0x4B37  # the check value that Greg Cook's catalogue gives for CRC-16/MODBUS
+    assert (
+        crc16(b"123456789") == 0x4B37
+    )  # the check value that Greg Cook's catalogue gives for CRC-16/MODBUS
     profile = load_ascii_profile("arduino-crc")
     line = f"$G=812.4 D=104.9 T=24.1*{crc16(b'G=812.4 D=104.9 T=24.1'):04x}\r\n".encode()
     assert parse_line(profile, line) == {"ghi_wm2": 812.4, "dhi_wm2": 104.9, "temperature_c": 24.1}
-    for harmed in (line.replace(b"812", b"821"), line.replace(b"*", b""), line.replace(b"104.9", b"04.9")):
+    for harmed in (
+        line.replace(b"812", b"821"),
+        line.replace(b"*", b""),
+        line.replace(b"104.9", b"04.9"),
+    ):
         with pytest.raises(DeviceError, match="its checksum is not"):
             parse_line(profile, harmed)
 
 
-# ------------------------------------------------------------------------------------------ the form of a stream
+# ------------------------------------------------------------------------------------------ the
+# form of a stream
 
 
 def learned(*lines: str) -> LineForm:
@@ -153,18 +213,38 @@ def test_a_line_unlike_all_before_it_is_noticed(lines: list[str], odd: str, said
 
 
 def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
-    assert not learned("G=812.4 T=24.1", "G=812 T=24.1").unlike("G=813 T=24.1"), "noughts that are not printed"
-    assert not learned("G=812.4", "G=9.4", "G=1012.4").unlike("G=88.1"), "numbers that are not filled to a width"
+    assert not learned("G=812.4 T=24.1", "G=812 T=24.1").unlike("G=813 T=24.1"), (
+        "noughts that are not printed"
+    )
+    assert not learned("G=812.4", "G=9.4", "G=1012.4").unlike("G=88.1"), (
+        "numbers that are not filled to a width"
+    )
     form = learned("G=812.4 sky=clear")
-    assert [bool(form.unlike("G=812.4 sky=cloudy")) for _ in range(5)] == [True, True, False, False, False]
+    assert [bool(form.unlike("G=812.4 sky=cloudy")) for _ in range(5)] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
     few = LineForm()
-    assert {few.unlike(text) for text in ("G=1.0", "G=1", "H=1", "G=1.00")} == {""}, "too few to know"
+    assert {few.unlike(text) for text in ("G=1.0", "G=1", "H=1", "G=1.00")} == {""}, (
+        "too few to know"
+    )
 
 
 @settings(deadline=None, max_examples=50)
-@given(st.lists(st.tuples(st.integers(-20, 14000), st.integers(-300, 600)), min_size=60, max_size=100), st.sampled_from(
-    ["G={0:.1f} T={1:.1f}", "G={0:6.1f},{1:5.1f}", "G={0:06.1f} T={1:05.1f}", '{{"G": {0}, "T": {1}}}']
-))  # fmt: skip
+@given(
+    st.lists(st.tuples(st.integers(-20, 14000), st.integers(-300, 600)), min_size=60, max_size=100),
+    st.sampled_from(
+        [
+            "G={0:.1f} T={1:.1f}",
+            "G={0:6.1f},{1:5.1f}",
+            "G={0:06.1f} T={1:05.1f}",
+            '{{"G": {0}, "T": {1}}}',
+        ]
+    ),
+)
 def test_property_no_whole_line_is_refused(values: list[tuple[int, int]], how: str) -> None:
     form = LineForm()
     assert not [said for g, t in values if (said := form.unlike(how.format(g / 10, t / 10)))]
@@ -176,7 +256,10 @@ def test_contract_profiles_are_checked(tmp_path: Path) -> None:
     own = tmp_path / "own.toml"
     for text, said in (
         ('name="a"\nform="regex"\npattern="("\nentry=[{quantity="ghi_wm2",key="g"}]', "pattern:"),
-        ('name="a"\nform="regex"\npattern="(?P<x>1)"\nentry=[{quantity="ghi_wm2",key="g"}]', "no group named g"),
+        (
+            'name="a"\nform="regex"\npattern="(?P<x>1)"\nentry=[{quantity="ghi_wm2",key="g"}]',
+            "no group named g",
+        ),
         ('name="a"\nform="json"\nentry=[{quantity="temperature_c",key="g"}]', "an irradiance"),
         ('name="a"\nform="json"\nentry=[{quantity="ghi",key="g"}]', "'ghi'"),
     ):
@@ -185,7 +268,8 @@ def test_contract_profiles_are_checked(tmp_path: Path) -> None:
             load_ascii_profile(str(own))
 
 
-# ------------------------------------------------------------------------------------------ a talking instrument
+# ------------------------------------------------------------------------------------------ a
+# talking instrument
 
 
 @pytest.fixture
@@ -201,7 +285,9 @@ def talker() -> Iterator[tuple[int, str]]:
 
 def test_newest_whole_line_counts_and_the_rest_waits(talker: tuple[int, str]) -> None:
     ours, port = talker
-    device = open_pyranometer(f"serial:{port}?kind=ascii&profile=arduino-json&silence=0.3", clock=CLOCK)
+    device = open_pyranometer(
+        f"serial:{port}?kind=ascii&profile=arduino-json&silence=0.3", clock=CLOCK
+    )
     assert isinstance(device, LineInstrument) and device.info.gives == ("ghi",)
     os.write(ours, b'4}\n{"G": 1, "T": 2}\nboot\n{"G": 3, "T": 2}\n{"G": 5')
     assert device.read().ghi_wm2 == 3.0 and device.ignored == 1
@@ -214,7 +300,9 @@ def test_newest_whole_line_counts_and_the_rest_waits(talker: tuple[int, str]) ->
 def test_of_three_quick_lines_the_median_counts(talker: tuple[int, str]) -> None:
     ours, port = talker
     device = LineInstrument(port, load_ascii_profile("arduino-json"), CLOCK, silence_s=0.3)
-    os.write(ours, b'\n{"G": 1, "T": 2}\n{"G": 811, "T": 22}\n{"G": 81, "T": 21}\n{"G": 812, "T": 23}\n')
+    os.write(
+        ours, b'\n{"G": 1, "T": 2}\n{"G": 811, "T": 22}\n{"G": 81, "T": 21}\n{"G": 812, "T": 23}\n'
+    )
     sample = device.read()
     assert (sample.ghi_wm2, sample.temperature_c) == (811.0, 22.0)
     assert sample.raw == '{"G": 811, "T": 22} | {"G": 81, "T": 21} | {"G": 812, "T": 23}'
@@ -255,7 +343,8 @@ def test_contract_silence_and_noise(talker: tuple[int, str]) -> None:
 
 TOA5 = (
     '"TOA5","Roof","CR1000X","12345","CR1000X.Std.05","CPU:sun.CR1X","9","Table1"\n'
-    '"TIMESTAMP","RECORD","GHI_Avg","DHI_Avg","PTemp_C"\n"TS","RN","W/m^2","W/m^2","Deg C"\n"","","Avg","Avg","Smp"\n'
+    '"TIMESTAMP","RECORD","GHI_Avg","DHI_Avg","PTemp_C"\n"TS","RN","W/m^2","W/m^2","Deg '
+    'C"\n"","","Avg","Avg","Smp"\n'
     '"2027-03-20 08:00:00",100,512.3,88.1,21.5\n"2027-03-20 08:01:00",101,"NAN",88.2,21.5\n'
     '"2027-03-20 08:02:00",104,515.0,88.4,21.6\n'
 )
@@ -272,7 +361,10 @@ def test_authority_toa5_table() -> None:
 
 
 def test_contract_toa5_damage() -> None:
-    broken = TOA5 + '"2027-03-20 08:03:00",105,5#5.0,88.4,21.6\n"2027-03-20 08:0",1,1,1,1\n"2027-03-20 08:04:00",106,51'
+    broken = (
+        TOA5 + '"2027-03-20 08:03:00",105,5#5.0,88.4,21.6\n"2027-03-20 08:0",1,1,1,1\n"2027-03-20 '
+        '08:04:00",106,51'
+    )
     table = parse_toa5(broken, timedelta())
     assert len(table.samples) == 3 and len(table.broken) == 3
     assert "line 8: ghi_wm2 is '5#5.0'" in table.broken[0] and "no end" in table.broken[2]
@@ -294,7 +386,11 @@ def test_a_toa5_row_out_of_step_is_left_out() -> None:
     rows = [f'"2027-03-20 08:{m:02d}:00",{100 + m},{500 + m}.0,88.1,21.5\n' for m in range(30)]
     head = "".join(TOA5.splitlines(keepends=True)[:4])
     assert len(parse_toa5(head + "".join(rows), timedelta()).samples) == 30
-    for damage in (("08:07", "18:07"), ("2027-03-20 08:07", "2023-03-20 08:07"), (",107,", ",1107,")):
+    for damage in (
+        ("08:07", "18:07"),
+        ("2027-03-20 08:07", "2023-03-20 08:07"),
+        (",107,", ",1107,"),
+    ):
         table = parse_toa5(head + "".join(rows).replace(*damage), timedelta())
         assert len(table.samples) == 29 and "line 12" in table.broken[0]
     # Rows that are missing, and a clock that was set by an hour, are no damage.
@@ -303,7 +399,10 @@ def test_a_toa5_row_out_of_step_is_left_out() -> None:
 
 
 def toa5_of(values: list[str]) -> str:
-    rows = [f'"2027-03-20 08:{m:02d}:00",{100 + m},{value},88.1,21.5\n' for m, value in enumerate(values)]
+    rows = [
+        f'"2027-03-20 08:{m:02d}:00",{100 + m},{value},88.1,21.5\n'
+        for m, value in enumerate(values)
+    ]
     return "".join(TOA5.splitlines(keepends=True)[:4]) + "".join(rows)
 
 
@@ -312,9 +411,13 @@ def test_a_toa5_number_with_other_decimals_than_its_column_is_left_out() -> None
     assert not parse_toa5(toa5_of(values), timedelta()).broken
     for damage in ("512", "1125", "51.25"):
         table = parse_toa5(toa5_of([*values[:40], damage, *values[41:]]), timedelta())
-        assert len(table.samples) == 49 and table.broken[0].startswith("line 45: ghi_wm2 has"), damage
+        assert len(table.samples) == 49 and table.broken[0].startswith("line 45: ghi_wm2 has"), (
+            damage
+        )
     # Campbell's FP2 writes four digits, whatever the size; other loggers drop noughts.
-    assert not parse_toa5(toa5_of([f"{990 + m}.5" if m < 10 else f"{990 + m}" for m in range(40)]), timedelta()).broken
+    assert not parse_toa5(
+        toa5_of([f"{990 + m}.5" if m < 10 else f"{990 + m}" for m in range(40)]), timedelta()
+    ).broken
     assert not parse_toa5(toa5_of([f"{500 + m / 10:g}" for m in range(40)]), timedelta()).broken
 
 
@@ -342,7 +445,11 @@ def answer(status: bytes = b"    ", values: bytes = b"+12343+ 3130+ 3290") -> by
 def test_analytic_values() -> None:
     found = parse_answer(answer())
     assert found.illuminance_lx == pytest.approx(123.4)
-    assert (found.x, found.y, found.low_battery) == (pytest.approx(0.0313), pytest.approx(0.0329), False)
+    assert (found.x, found.y, found.low_battery) == (
+        pytest.approx(0.0313),
+        pytest.approx(0.0329),
+        False,
+    )
     assert parse_answer(answer(b"   1")).low_battery
 
 
@@ -383,7 +490,9 @@ def test_the_driver_on_a_pty() -> None:
         for one in data.splitlines(keepends=True):
             asked.append(body := unframe(one).encode())
             mute = body in (HOLD, MEASURE)
-            out += b"" if mute else replies.pop(0) if body == READ_EVXY else frame(body[:4] + b"    ")
+            out += (
+                b"" if mute else replies.pop(0) if body == READ_EVXY else frame(body[:4] + b"    ")
+            )
         return out
 
     instrument = PtyInstrument(meter)
@@ -397,5 +506,7 @@ def test_the_driver_on_a_pty() -> None:
 
 
 def test_regex_profile_by_hand() -> None:
-    profile = AsciiProfile("x", "regex", (AsciiField("ghi_wm2", "g", 2.0, 1.0),), pattern=r"I(?P<g>\d+)")
+    profile = AsciiProfile(
+        "x", "regex", (AsciiField("ghi_wm2", "g", 2.0, 1.0),), pattern=r"I(?P<g>\d+)"
+    )
     assert parse_line(profile, b"I12\r\n") == {"ghi_wm2": 25.0}

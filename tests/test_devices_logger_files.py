@@ -16,7 +16,10 @@ TOA5 = (
     '"TOA5","Roof","CR1000X","12345","OS","prog","9","T"\n"TIMESTAMP","RECORD","GHI_Avg"\n"TS","RN","W/m^2"\n'
     '"","","Avg"\n"2027-03-20 08:00:00",100,512.3\n"2027-03-20 08:01:00",102,513.1\n'
 )
-CSV = "t_utc,ghi_wm2,dhi_wm2,note\n2027-03-20T16:01:00Z,510,88.5,a\n2027-03-20T08:00:00-08:00,509.5,,b\nx,1,2,c\n"
+CSV = (
+    "t_utc,ghi_wm2,dhi_wm2,note\n2027-03-20T16:01:00Z,510,88.5,a\n"
+    "2027-03-20T08:00:00-08:00,509.5,,b\nx,1,2,c\n"
+)
 
 
 def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
@@ -26,7 +29,9 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
     plain = read_logger_file(tmp_path / "b.csv")
     assert toa5.samples[0].t_utc == plain.samples[0].t_utc == datetime(2027, 3, 20, 16, tzinfo=UTC)
     assert (plain.samples[0].ghi_wm2, plain.samples[0].dhi_wm2) == (509.5, None)
-    assert toa5.about == "TOA5 of Roof, CR1000X 12345" and toa5.left_out == ("1 record numbers are missing",)
+    assert toa5.about == "TOA5 of Roof, CR1000X 12345" and toa5.left_out == (
+        "1 record numbers are missing",
+    )
     assert len(plain.left_out) == 1 and plain.left_out[0].startswith("line 4")
 
 
@@ -36,11 +41,20 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
         (TOA5, "times without a time zone"),
         (CSV.replace("Z", ""), "times without a time zone"),
         ("t_utc,volts\n1,2\n", "columns t_utc, volts"),
-        ("t_utc,ghi_wm2\n2027-03-20T16:00:00Z,many\n", "nothing could be read: line 2: ghi_wm2 is 'many'"),
+        (
+            "t_utc,ghi_wm2\n2027-03-20T16:00:00Z,many\n",
+            "nothing could be read: line 2: ghi_wm2 is 'many'",
+        ),
         ("", "no header"),
         ("t_utc;ghi_wm2\n2027-03-20T16:00:00Z;5,1\n", "columns parted by ';', expected by ','"),
-        ('t_utc,ghi_wm2\n2027-03-20T16:00:00Z,"5,1"\n', "ghi_wm2 is '5,1', expected a number with a decimal point"),
-        ("time,ghi_wm2\n20.3.2027 16:00,5.1\n", r"time '20.3.2027 16:00', expected one like 2027-03-20T16:00:00Z"),
+        (
+            't_utc,ghi_wm2\n2027-03-20T16:00:00Z,"5,1"\n',
+            "ghi_wm2 is '5,1', expected a number with a decimal point",
+        ),
+        (
+            "time,ghi_wm2\n20.3.2027 16:00,5.1\n",
+            r"time '20.3.2027 16:00', expected one like 2027-03-20T16:00:00Z",
+        ),
         ("\0\0\0", "columns"),
     ],
 )
@@ -59,7 +73,14 @@ def test_import_puts_them_into_day_files_once(tmp_path: Path) -> None:
     slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
     create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {"set": "test"})
     (tmp_path / "a.dat").write_text(TOA5)
-    asked = ["import", str(tmp_path / "s"), "--irradiance", str(tmp_path / "a.dat"), "--utc-offset", "-08:00"]
+    asked = [
+        "import",
+        str(tmp_path / "s"),
+        "--irradiance",
+        str(tmp_path / "a.dat"),
+        "--utc-offset",
+        "-08:00",
+    ]
     for _ in range(2):
         done = CliRunner().invoke(main, asked)
         assert done.exit_code == 0, done.output

@@ -1,4 +1,6 @@
-"""devices: Modbus RTU pyranometers on ptys, their registers as data, and every fault of the line."""
+"""devices: Modbus RTU pyranometers on ptys, their registers as data, and every fault of the
+line.
+"""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -39,11 +41,15 @@ def crc16(data: bytes) -> bytes:
 
 
 def floats(register: int, value: float) -> dict[int, int]:
-    return dict(zip((register, register + 1), struct.unpack(">HH", struct.pack(">f", value)), strict=True))
+    return dict(
+        zip((register, register + 1), struct.unpack(">HH", struct.pack(">f", value)), strict=True)
+    )
 
 
 class Bus:
-    """Instruments on an RTU line: answers reads of `units`, refuses all else, keeps what was sent."""
+    """Instruments on an RTU line: answers reads of `units`, refuses all else, keeps what was
+    sent.
+    """
 
     def __init__(self, units: dict[int, dict[int, int]], largest: int = 125) -> None:
         self.units, self.largest = units, largest
@@ -65,15 +71,23 @@ class Bus:
             return b""
         registers = self.units[unit]
         wanted = range(start, start + count)
-        if function not in (3, 4) or count > self.largest or any(r not in registers for r in wanted):
+        if (
+            function not in (3, 4)
+            or count > self.largest
+            or any(r not in registers for r in wanted)
+        ):
             body = struct.pack(">BBB", unit, function | 0x80, 2)
         else:
-            body = struct.pack(f">BBB{count}H", unit, function, 2 * count, *(registers[r] for r in wanted))
+            body = struct.pack(
+                f">BBB{count}H", unit, function, 2 * count, *(registers[r] for r in wanted)
+            )
         return body + crc16(body)
 
 
 @contextmanager
-def bus(units: dict[int, dict[int, int]], options: str, largest: int = 125) -> Iterator[tuple[Bus, object]]:
+def bus(
+    units: dict[int, dict[int, int]], options: str, largest: int = 125
+) -> Iterator[tuple[Bus, object]]:
     line = Bus(units, largest)
     instrument = PtyInstrument(line)
     try:
@@ -88,13 +102,19 @@ def bus(units: dict[int, dict[int, int]], options: str, largest: int = 125) -> I
 
 def test_authority_checksum() -> None:
     # Request printed in the Apogee SP-422 manual.
-    assert bytes.fromhex("010300000002") + crc16(bytes.fromhex("010300000002")) == bytes.fromhex("010300000002C40B")
+    assert bytes.fromhex("010300000002") + crc16(bytes.fromhex("010300000002")) == bytes.fromhex(
+        "010300000002C40B"
+    )
 
 
 def test_kipp_and_zonen_smp() -> None:
     with bus({1: dict(SMP)}, "kind=smp") as (line, device):
         sample = device.read()  # type: ignore[attr-defined]
-        assert (sample.ghi_wm2, sample.temperature_c, sample.status) == (997.0, pytest.approx(24.8), "")
+        assert (sample.ghi_wm2, sample.temperature_c, sample.status) == (
+            997.0,
+            pytest.approx(24.8),
+            "",
+        )
         assert sample.raw == "0001 0000 0000 03e5 03e5 0000 00f8 00ea"
         line.units[1] |= {4: 1, 5: 8123, 3: 8}
         sample = device.read()  # type: ignore[attr-defined]
@@ -110,11 +130,20 @@ def test_kipp_and_zonen_smp() -> None:
 def test_hukseflux_sr_five_registers_at_a_time() -> None:
     text = struct.unpack(">8H", b"SR20-D2".ljust(16, b"\0"))
     # Maker's example: registers 1, 31823 are 973.59 W/m2.
-    registers = dict.fromkeys(range(100), 0) | {2: 1, 3: 31823, 6: 2451, 40: 4711, 46: 309, 47: 9491}
+    registers = dict.fromkeys(range(100), 0) | {
+        2: 1,
+        3: 31823,
+        6: 2451,
+        40: 4711,
+        46: 309,
+        47: 9491,
+    }
     registers |= dict(zip(range(32, 40), text, strict=True)) | floats(41, 14.8)
     with bus({1: registers}, "kind=sr", largest=5) as (line, device):
         sample = device.read()  # type: ignore[attr-defined]
-        assert sample.ghi_wm2 == pytest.approx(973.59) and sample.temperature_c == pytest.approx(24.51)
+        assert sample.ghi_wm2 == pytest.approx(973.59) and sample.temperature_c == pytest.approx(
+            24.51
+        )
         info = device.info  # type: ignore[attr-defined]
         assert (info.model, info.serial, info.sensitivity[:4]) == ("SR20-D2", "4711", "14.8")
         assert info.calibration_date == "2026-01-15"
@@ -199,7 +228,10 @@ def test_contract_profiles_are_checked(tmp_path: Path) -> None:
     own.write_text(head + "poll = [{ start = 0, count = 200 }]\nentry = []\n")
     with pytest.raises(InputError, match="200 registers at 0"):
         load_register_profile(str(own))
-    own.write_text(head + 'poll = [{ start = 0, count = 2 }]\nentry = [{ name = "irradiance_wm2", register = 7 }]\n')
+    own.write_text(
+        head
+        + 'poll = [{ start = 0, count = 2 }]\nentry = [{ name = "irradiance_wm2", register = 7 }]\n'
+    )
     with pytest.raises(InputError, match="lies outside the blocks"):
         load_register_profile(str(own))
     own.write_text(head + "poll = [{ start = 0, count = 2 }]\nentry = []\n")
@@ -219,7 +251,9 @@ PROFILES = [load_register_profile(kind) for kind in ("smp", "sr", "apogee", "ms6
 
 @settings(deadline=None, max_examples=200)
 @given(st.sampled_from(PROFILES), st.binary(min_size=400, max_size=400))
-def test_property_any_registers_give_a_plausible_value_or_a_device_error(profile: RegisterProfile, data: bytes) -> None:
+def test_property_any_registers_give_a_plausible_value_or_a_device_error(
+    profile: RegisterProfile, data: bytes
+) -> None:
     try:
         found = decode(profile, dict(enumerate(struct.unpack(">200H", data))))
     except DeviceError:
@@ -227,12 +261,16 @@ def test_property_any_registers_give_a_plausible_value_or_a_device_error(profile
     assert isinstance(found, Decoded) and -200 <= found.values["irradiance_wm2"] <= 4000
 
 
-@pytest.mark.parametrize(("name", "said"), [("smp", "Kipp & Zonen SMP3"), ("ascii/arduino-keys", "ghi_wm2, dhi_wm2")])
+@pytest.mark.parametrize(
+    ("name", "said"), [("smp", "Kipp & Zonen SMP3"), ("ascii/arduino-keys", "ghi_wm2, dhi_wm2")]
+)
 def test_info_tells_instrument_profiles(name: str, said: str) -> None:
     from click.testing import CliRunner
 
     from fieldlum.cli import main
     from fieldlum.profiles import shipped
 
-    done = CliRunner().invoke(main, ["info", str(shipped("calibration") / "instruments" / f"{name}.toml")])
+    done = CliRunner().invoke(
+        main, ["info", str(shipped("calibration") / "instruments" / f"{name}.toml")]
+    )
     assert done.exit_code == 0 and said in done.output

@@ -18,13 +18,23 @@ LONG, SHORT = Exposure(1 / 60, 5.6), Exposure(1 / 250, 5.6)
 
 
 def card(folder: Path) -> None:
-    """Two brackets, written in another order than they were taken, and things that are no frames."""
+    """Two brackets, written in another order than they were taken, and things that are no
+    frames.
+    """
     (folder / "100CANON").mkdir(parents=True)
     for number, (exposure, minute) in enumerate([(SHORT, 61), (LONG, 60), (SHORT, 1), (LONG, 0)]):
         t_camera = START.replace(tzinfo=None) + timedelta(minutes=minute)
         path = folder / "100CANON" / f"IMG_{number}.DNG"
         counts = np.full((4, 4), 600 + number, np.uint16)
-        write_dng(path, counts, exposure, black_dn=(512,) * 4, white_dn=16383, t_camera=t_camera, model="M")
+        write_dng(
+            path,
+            counts,
+            exposure,
+            black_dn=(512,) * 4,
+            white_dn=16383,
+            t_camera=t_camera,
+            model="M",
+        )
     (folder / "100CANON" / "notes.txt").write_text("x")
     (folder / "broken.jpg").write_bytes(b"\xff\xd8\xff")
     write_jpeg(folder / "other.jpg", np.zeros((8, 8, 3), np.uint8), Exposure(2.0, 5.6))
@@ -38,7 +48,9 @@ def test_frames_come_in_the_order_of_the_cameras_clock(tmp_path: Path) -> None:
     originals = [tmp_path / "card" / "100CANON" / f"IMG_{n}.DNG" for n in (3, 2, 0, 1)]
     assert [p.read_bytes() for p in given] == [p.read_bytes() for p in originals]
     assert given[0].name == "f0.dng" and camera.info.frames_left == 1
-    with pytest.raises(DeviceError, match=r"no frame of 0.004 s f/5.6 ISO 100 is left, 1 others are"):
+    with pytest.raises(
+        DeviceError, match=r"no frame of 0.004 s f/5.6 ISO 100 is left, 1 others are"
+    ):
         camera.expose(SHORT, tmp_path / "g")
     camera.close()
 

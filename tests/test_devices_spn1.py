@@ -36,12 +36,24 @@ def test_authority_transcript_of_the_manual() -> None:
 @pytest.mark.parametrize(
     "reply",
     [
-        b"", b"\r", b"S", b"S 812.4, 104.9,1", b" 812.4, 104", b"S 8#2.4,,1\r", b"S 812.4, 104.9,2\r",
-        b"S 812, 104.9,1\r", b"S 12.4, 104.9,1\r",
-        b"\xfe\x80S 812.4, 104.9,1\r", b"S 812.4, 104.9,1\r\n", b"S 9999.9, 104.9,1\r", b"S nan,104.9,1\r", b"? \xaf",
-        b"S 812.4, 104.9,1\rS 812.4, 104.9,1\r", b"S-812.4, 104.9,1\r",
+        b"",
+        b"\r",
+        b"S",
+        b"S 812.4, 104.9,1",
+        b" 812.4, 104",
+        b"S 8#2.4,,1\r",
+        b"S 812.4, 104.9,2\r",
+        b"S 812, 104.9,1\r",
+        b"S 12.4, 104.9,1\r",
+        b"\xfe\x80S 812.4, 104.9,1\r",
+        b"S 812.4, 104.9,1\r\n",
+        b"S 9999.9, 104.9,1\r",
+        b"S nan,104.9,1\r",
+        b"? \xaf",
+        b"S 812.4, 104.9,1\rS 812.4, 104.9,1\r",
+        b"S-812.4, 104.9,1\r",
     ],
-)  # fmt: skip
+)
 def test_contract_a_broken_line_gives_no_number(reply: bytes) -> None:
     with pytest.raises(DeviceError, match="SPN1 said"):
         parse_reading(reply)
@@ -60,7 +72,9 @@ def test_property_a_lost_or_added_byte_is_noticed(at: int, put: bytes, cut: int)
         reading = parse_reading(line)
     except DeviceError:
         return
-    assert len(line.removeprefix(b"S")) == len(READING) - 1, "only a byte turned into another digit can go unseen"
+    assert len(line.removeprefix(b"S")) == len(READING) - 1, (
+        "only a byte turned into another digit can go unseen"
+    )
     shown = f"{reading.total_wm2:6.1f},{reading.diffuse_wm2:6.1f},{reading.sunshine:d}\r".encode()
     assert shown.replace(b" ", b"0") == line.removeprefix(b"S").replace(b" ", b"0")
 
@@ -72,7 +86,9 @@ class Wire:
         self.light, self.sent = light or Light(812.4, 104.9, 900.0), b""
         self.fault: Callable[[bytes], bytes] = lambda reply: reply
         self.time = 0.0
-        self._voice = Spn1Voice(lambda: (self.time, self.light), np.random.default_rng(1), noise_wm2, 106)
+        self._voice = Spn1Voice(
+            lambda: (self.time, self.light), np.random.default_rng(1), noise_wm2, 106
+        )
 
     def __call__(self, data: bytes) -> bytes:
         self.sent += data
@@ -94,7 +110,12 @@ def test_the_real_driver_reads_the_simulated_bytes() -> None:
     wire = Wire()
     with spn1(wire) as device:
         sample = device.read()
-        assert (sample.ghi_wm2, sample.dhi_wm2, sample.t_utc, sample.status) == (812.4, 104.9, START, "")
+        assert (sample.ghi_wm2, sample.dhi_wm2, sample.t_utc, sample.status) == (
+            812.4,
+            104.9,
+            START,
+            "",
+        )
         assert sample.raw == "S 812.4, 104.9,1"
         assert device.info.serial == "A106" and device.info.gives == ("ghi", "dhi")
     assert set(wire.sent) <= set(b"RSI"), "only questions may ever be sent"
@@ -152,9 +173,13 @@ def test_one_damaged_answer_is_outvoted(first: tuple[bytes, ...]) -> None:
         wire.sent, wire.fault = b"", _changed(*first)
         sample = device.read()
         assert sample.ghi_wm2 == 812.4 and sample.dhi_wm2 == 104.9 and wire.sent == b"RSRSRS"
-        assert sample.raw.split(" | ")[0] == first[0].decode().strip(), "every answer that differs is kept"
+        assert sample.raw.split(" | ")[0] == first[0].decode().strip(), (
+            "every answer that differs is kept"
+        )
         wire.sent = b""
-        assert device.read().ghi_wm2 == 812.4 and wire.sent == b"RSRS", "two questions where all is well"
+        assert device.read().ghi_wm2 == 812.4 and wire.sent == b"RSRS", (
+            "two questions where all is well"
+        )
 
 
 @pytest.mark.parametrize(
@@ -230,7 +255,9 @@ def test_a_silent_port_is_no_spn1() -> None:
     ours, theirs = os.openpty()
     tty.setraw(ours)
     with pytest.raises(DeviceError, match="is silent when woken"):
-        open_pyranometer(f"serial:{os.ttyname(theirs)}?kind=spn1&timeout=0.1", clock=FastClock(START))
+        open_pyranometer(
+            f"serial:{os.ttyname(theirs)}?kind=spn1&timeout=0.1", clock=FastClock(START)
+        )
     os.close(ours)
     os.close(theirs)
 
@@ -261,14 +288,18 @@ def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) 
         return [ListPortInfo("/dev/ttyS0"), port]
 
     for device in ("/dev/ttyUSB0", "/dev/ttyUSB1"):
-        monkeypatch.setattr("serial.tools.list_ports.comports", lambda device=device: plugged(device))
+        monkeypatch.setattr(
+            "serial.tools.list_ports.comports", lambda device=device: plugged(device)
+        )
         assert resolve("usb=0403:6001") == resolve("usb=0403:6001:ft9z") == device
     with pytest.raises(DeviceError, match=r"not plugged in; USB ports there are: 0403:6001:ft9z"):
         resolve("usb=0403:6015")
     assert resolve("COM3") == "COM3"
 
 
-def test_contract_a_port_that_does_not_open_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contract_a_port_that_does_not_open_says_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from serial.tools.list_ports_common import ListPortInfo
 
     from fieldlum.devices.serial_port import SerialPort
@@ -283,11 +314,16 @@ def test_contract_a_port_that_does_not_open_says_what_to_do(tmp_path: Path, monk
 @pytest.mark.parametrize(
     ("windows", "said"),
     [
-        (FileNotFoundError(2, "The system cannot find the file specified.", None, 2), "COM9: no such port"),
+        (
+            FileNotFoundError(2, "The system cannot find the file specified.", None, 2),
+            "COM9: no such port",
+        ),
         (PermissionError(13, "Access is denied.", None, 5), "COM9: another program holds it"),
     ],
 )
-def test_contract_windows_ports_too(monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str) -> None:
+def test_contract_windows_ports_too(
+    monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str
+) -> None:
     import serial
 
     from fieldlum.devices.serial_port import SerialPort

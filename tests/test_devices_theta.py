@@ -1,4 +1,6 @@
-"""devices: a Theta, played by a local server that speaks the documented protocol (RICOH THETA Web API v2.1)."""
+"""devices: a Theta, played by a local server that speaks the documented protocol (RICOH THETA
+Web API v2.1).
+"""
 
 import io
 import json
@@ -43,7 +45,12 @@ class Theta(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         if self.path == "/osc/info":
-            about = {"manufacturer": "RICOH", "model": "RICOH THETA Z1", "serialNumber": "YN14", "firmwareVersion": "3"}
+            about = {
+                "manufacturer": "RICOH",
+                "model": "RICOH THETA Z1",
+                "serialNumber": "YN14",
+                "firmwareVersion": "3",
+            }
             return self._answer(about)
         body = self.camera["files"][self.path]
         self.send_response(200)
@@ -58,7 +65,9 @@ class Theta(BaseHTTPRequestHandler):
         if self.path == "/osc/commands/status":
             self.camera["polls"] -= 1
             if self.camera["polls"] > 0:
-                return self._answer({"state": "inProgress", "id": sent["id"], "progress": {"completion": 0.5}})
+                return self._answer(
+                    {"state": "inProgress", "id": sent["id"], "progress": {"completion": 0.5}}
+                )
             return self._answer({"state": "done", "results": self.camera["results"]})
         command = sent["name"].removeprefix("camera.")
         if command in self.camera["errors"]:
@@ -84,7 +93,9 @@ class Theta(BaseHTTPRequestHandler):
     def _store(self, exposure: Exposure, suffix: str) -> str:
         path = self.camera["folder"] / f"R{len(self.camera['files']):04d}{suffix}"
         if suffix == ".DNG":
-            write_dng(path, np.full((8, 8), 600, np.uint16), exposure, black_dn=(512,) * 4, white_dn=16383)
+            write_dng(
+                path, np.full((8, 8), 600, np.uint16), exposure, black_dn=(512,) * 4, white_dn=16383
+            )
         else:
             write_jpeg(path, np.full((8, 8, 3), 99, np.uint8), exposure)
         self.camera["files"][f"/files/{path.name}"] = path.read_bytes()
@@ -122,10 +133,19 @@ def theta(tmp_path: Path) -> Iterator[dict[str, Any]]:
         "dateTimeZone": "2027:03:20 16:00:03+01:00",
     }
     server.camera = {  # type: ignore[attr-defined]
-        "options": options, "files": {}, "errors": {}, "raw": True, "lie": 1.0, "deleted": [], "polls": 0,
-        "folder": tmp_path / "camera", "address": f"http://127.0.0.1:{server.server_port}",
-    }  # fmt: skip
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+        "options": options,
+        "files": {},
+        "errors": {},
+        "raw": True,
+        "lie": 1.0,
+        "deleted": [],
+        "polls": 0,
+        "folder": tmp_path / "camera",
+        "address": f"http://127.0.0.1:{server.server_port}",
+    }
+    thread = threading.Thread(
+        target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True
+    )
     thread.start()
     yield server.camera  # type: ignore[attr-defined]
     server.shutdown()
@@ -142,7 +162,12 @@ def opened(theta: dict[str, Any], options: str = "") -> ThetaCamera:
 def test_info_and_one_raw_picture(theta: dict[str, Any], tmp_path: Path) -> None:
     camera = opened(theta, "?delete=1")
     info = camera.info
-    assert (info.model, info.serial, info.battery, info.frames_left) == ("RICOH THETA Z1", "YN14", "67 %", 412)
+    assert (info.model, info.serial, info.battery, info.frames_left) == (
+        "RICOH THETA Z1",
+        "YN14",
+        "67 %",
+        412,
+    )
     assert info.clock_offset_s == 3.0
     path = camera.expose(Exposure(1 / 250, 5.6, 100.0), tmp_path / "f00.x")
     assert path.name == "f00.x.dng" and path.read_bytes() == theta["files"]["/files/R0001.DNG"]
@@ -193,11 +218,18 @@ def test_contract_its_errors_become_ours(theta: dict[str, Any], tmp_path: Path) 
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
 
 
-def test_contract_one_that_never_ends(theta: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contract_one_that_never_ends(
+    theta: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     camera = opened(theta)
     monkeypatch.setattr("fieldlum.devices.theta.POLL_S", 30.0)  # of a clock that does not wait
-    monkeypatch.setattr(Theta, "_takePicture", lambda self, p: (theta.update(polls=99), self._answer(
-        {"state": "inProgress", "id": "7"}))[1])  # fmt: skip
+    monkeypatch.setattr(
+        Theta,
+        "_takePicture",
+        lambda self, p: (theta.update(polls=99), self._answer({"state": "inProgress", "id": "7"}))[
+            1
+        ],
+    )
     with pytest.raises(DeviceError, match="was not done after"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
 
@@ -212,6 +244,10 @@ def test_contract_nobody_there() -> None:
 
 def test_contract_what_is_no_theta(theta: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     for body in (b"<html>router</html>", b"[1]", b"\xff"):
-        monkeypatch.setattr(ThetaCamera, "_http", lambda self, request, timeout_s, body=body: io.BytesIO(body).read())
+        monkeypatch.setattr(
+            ThetaCamera,
+            "_http",
+            lambda self, request, timeout_s, body=body: io.BytesIO(body).read(),
+        )
         with pytest.raises(DeviceError, match="no JSON"):
             opened(theta)

@@ -32,15 +32,23 @@ NOON = datetime(2027, 3, 10, 20, tzinfo=UTC)
 def _profile(folder: Path, **changed: object) -> str:
     path = folder / "camera.toml"
     body = CameraBody("cam", "raw", 9, 9, date="2027-01-01")
-    base = {"camera": body, "lens": (Lens((4.0, 4.0), 4.0, 180.0),), "bracket": Bracket(5.6, 100.0, (0.5, 0.01))}
+    base = {
+        "camera": body,
+        "lens": (Lens((4.0, 4.0), 4.0, 180.0),),
+        "bracket": Bracket(5.6, 100.0, (0.5, 0.01)),
+    }
     save_profile(path, CameraProfile(**(base | changed)))  # type: ignore[arg-type]
     return str(path)
 
 
-def _session(folder: Path, tags: tuple[str, ...] = (), megabytes: float = 50.0, **changed: object) -> Session:
+def _session(
+    folder: Path, tags: tuple[str, ...] = (), megabytes: float = 50.0, **changed: object
+) -> Session:
     setup = SiteFile(SEATTLE, CameraSetup(profile=_profile(folder, **changed)))
     exposures = (Exposure(0.5, 5.6), Exposure(0.01, 5.6))
-    slots = [Slot(NOW + timedelta(hours=7.5, days=d), 30.0, 180.0, exposures, tags) for d in range(10)]
+    slots = [
+        Slot(NOW + timedelta(hours=7.5, days=d), 30.0, 180.0, exposures, tags) for d in range(10)
+    ]
     return create_session(folder / "s", setup, slots, {"megabytes_per_slot": megabytes})
 
 
@@ -51,7 +59,9 @@ def _verdicts(findings: list[doctor.Finding]) -> dict[str, str]:
 def test_a_sound_session_passes(tmp_path: Path) -> None:
     found = doctor.run(_session(tmp_path), "", "", NOW)
     assert doctor.exit_code(found) == 0
-    assert _verdicts(found)["plan"] == _verdicts(found)["disk"] == _verdicts(found)["writing"] == "ok"
+    assert (
+        _verdicts(found)["plan"] == _verdicts(found)["disk"] == _verdicts(found)["writing"] == "ok"
+    )
     assert any("forward 1 h on 2027-03-14" in finding.text for finding in found)
     assert not list((tmp_path / "s").glob(".doctor*"))
 
@@ -83,7 +93,9 @@ def test_done_slots_are_not_owed(tmp_path: Path) -> None:
     ],
 )
 def test_profiles(tmp_path: Path, changed: dict, verdict: str, said: str) -> None:
-    found = [f for f in doctor.run(_session(tmp_path, **changed), "", "", NOW) if f.what == "profile"]
+    found = [
+        f for f in doctor.run(_session(tmp_path, **changed), "", "", NOW) if f.what == "profile"
+    ]
     assert any(f.verdict == verdict and said in f.text for f in found)
 
 
@@ -96,8 +108,14 @@ def test_disk_counts_what_is_owed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("info", "verdicts"),
     [
-        (CameraInfo("x", clock_offset_s=1.0, frames_left=500), {"camera clock": "ok", "camera card": "ok"}),
-        (CameraInfo("x", clock_offset_s=-30.0, frames_left=5), {"camera clock": "warn", "camera card": "warn"}),
+        (
+            CameraInfo("x", clock_offset_s=1.0, frames_left=500),
+            {"camera clock": "ok", "camera card": "ok"},
+        ),
+        (
+            CameraInfo("x", clock_offset_s=-30.0, frames_left=5),
+            {"camera clock": "warn", "camera card": "warn"},
+        ),
         (CameraInfo("x", clock_offset_s=3600.0), {"camera clock": "fail"}),
         (CameraInfo("x"), {"camera clock": "warn"}),
     ],
@@ -108,14 +126,20 @@ def test_camera(info: CameraInfo, verdicts: dict[str, str]) -> None:
 
 def test_what_the_camera_does_not_offer_is_told_before_anybody_leaves() -> None:
     found = doctor.judge_exposures([f"camera shutter: {i} s is not offered" for i in range(5)], 10)
-    assert [f.verdict for f in found] == ["fail"] and found[0].text.startswith("of 10 planned exposures not all")
-    assert "camera shutter: 2 s is not offered; 2 more" in found[0].text and not doctor.judge_exposures([], 10)
+    assert [f.verdict for f in found] == ["fail"] and found[0].text.startswith(
+        "of 10 planned exposures not all"
+    )
+    assert "camera shutter: 2 s is not offered; 2 more" in found[
+        0
+    ].text and not doctor.judge_exposures([], 10)
 
 
 def test_another_camera_than_the_profiles_is_told() -> None:
     profile = load_camera_profile("sim-dual-fisheye")
     told = doctor.judge_model(CameraInfo("gphoto", model="D750"), profile)
-    assert [f.verdict for f in told] == ["warn"] and "D750 is not the camera of profile" in told[0].text
+    assert [f.verdict for f in told] == ["warn"] and "D750 is not the camera of profile" in told[
+        0
+    ].text
     for info in (
         CameraInfo("sim", model="D750"),
         CameraInfo("gphoto"),
@@ -127,7 +151,10 @@ def test_another_camera_than_the_profiles_is_told() -> None:
 def test_a_clock_off_by_whole_hours_is_called_so() -> None:
     clock = doctor.judge_camera(CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
     assert clock.verdict == "fail" and "-3599.0 s" in clock.text and "daylight saving" in clock.text
-    assert "daylight" not in doctor.judge_camera(CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
+    assert (
+        "daylight"
+        not in doctor.judge_camera(CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
+    )
 
 
 def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
@@ -145,24 +172,32 @@ def test_pyranometer_readings() -> None:
     spn1 = InstrumentInfo("spn1", "SPN1", "A1", calibration_date="2026-06-01", gives=("ghi", "dhi"))
     good = doctor.judge_pyranometer(spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
     assert [f.verdict for f in good] == ["ok"]
-    night = doctor.judge_pyranometer(spn1, IrradianceSample(NOON + timedelta(hours=12), 500.0), SEATTLE)
+    night = doctor.judge_pyranometer(
+        spn1, IrradianceSample(NOON + timedelta(hours=12), 500.0), SEATTLE
+    )
     assert "fail" in [f.verdict for f in night]
     old = InstrumentInfo("smp", calibration_date="2022-01-01")
-    said = " ".join(f.text for f in doctor.judge_pyranometer(old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE))
+    said = " ".join(
+        f.text
+        for f in doctor.judge_pyranometer(old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE)
+    )
     assert "status" in said and "global only" in said and "years ago" in said
     rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), guard=FORM_ALONE)
     told = doctor.judge_pyranometer(rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
-    assert [f.verdict for f in told] == ["ok", "warn"] and "let the sketch print a CRC-16" in told[1].text
+    assert [f.verdict for f in told] == ["ok", "warn"] and "let the sketch print a CRC-16" in told[
+        1
+    ].text
 
 
-# What systemd 252 printed for three real locks (systemd-logind on a bus of its own), and the form of before 240.
+# What systemd 252 printed for three real locks (systemd-logind on a bus of its own), and the form
+# of before 240.
 TABLE = """WHO          UID USER PID   COMM            WHAT              WHY                           MODE
 NM           0   root 13720 systemd-inhibit sleep             turn off networks             delay
 field laptop 0   root 13715 systemd-inhibit sleep:idle        a month of captures, no sleep block
 lid          0   root 13719 systemd-inhibit handle-lid-switch Unknown reason                block
 
 3 inhibitors listed.
-"""
+"""  # noqa: E501
 BLOCKS = """     Who: NetworkManager (UID 0/root, PID 640/NetworkManager)
     What: sleep
      Why: NetworkManager needs to turn off networks
@@ -177,11 +212,15 @@ BLOCKS = """     Who: NetworkManager (UID 0/root, PID 640/NetworkManager)
 """
 
 
-@pytest.mark.parametrize("text", [TABLE, "\n".join(TABLE.splitlines()[1:4]), BLOCKS], ids=["table", "no-legend", "old"])
+@pytest.mark.parametrize(
+    "text", [TABLE, "\n".join(TABLE.splitlines()[1:4]), BLOCKS], ids=["table", "no-legend", "old"]
+)
 def test_locks_are_read_in_every_form(text: str) -> None:
     locks = awake.parse_locks(text)
     assert awake.Lock("field laptop", frozenset({"sleep", "idle"}), "block") in locks
-    assert [lock.mode for lock in locks[:2]] == ["delay", "block"] and doctor.check_sleep(locks).verdict == "ok"
+    assert [lock.mode for lock in locks[:2]] == ["delay", "block"] and doctor.check_sleep(
+        locks
+    ).verdict == "ok"
 
 
 def test_what_does_not_keep_a_computer_awake() -> None:
@@ -193,9 +232,9 @@ def test_what_does_not_keep_a_computer_awake() -> None:
     shut = doctor.check_sleep(locks[:2], lid=True)
     assert shut.verdict == "warn" and "closing the lid" in shut.text
     assert doctor.check_sleep([], lid=True, own="sleep:idle:handle-lid-switch").verdict == "ok"
-    assert "capture itself, but closing" in doctor.check_sleep(None, lid=True, own="sleep:idle").text.replace(
-        " while it runs", ""
-    )
+    assert "capture itself, but closing" in doctor.check_sleep(
+        None, lid=True, own="sleep:idle"
+    ).text.replace(" while it runs", "")
     assert doctor.check_sleep(None).verdict == "warn"
 
 
@@ -231,7 +270,11 @@ def test_without_systemd_nothing_is_told(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_this_computer_answers_or_is_not_asked() -> None:
     assert awake.inhibitors() is None or isinstance(awake.inhibitors(), list)
-    assert [doctor.check_clock(state).verdict for state in (True, False, None)] == ["ok", "warn", "warn"]
+    assert [doctor.check_clock(state).verdict for state in (True, False, None)] == [
+        "ok",
+        "warn",
+        "warn",
+    ]
     assert doctor.kernel_clock() in (True, False, None)
 
 
@@ -249,9 +292,11 @@ def test_sun_in_view_without_a_filter(tmp_path: Path) -> None:
 
 def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
     profile = CameraProfile(
-        CameraBody("cam", "raw", 9, 9), (Lens((4.0, 4.0), 4.0, 180.0),), Bracket(5.6, 100.0, (0.5,)),
+        CameraBody("cam", "raw", 9, 9),
+        (Lens((4.0, 4.0), 4.0, 180.0),),
+        Bracket(5.6, 100.0, (0.5,)),
         nd=(NeutralDensity("nd3", (1000.0, 1000.0, 1000.0)),),
-    )  # fmt: skip
+    )
     slot = Slot(NOW, 30.0, 180.0, (Exposure(0.5, 5.6, nd="nd4"), Exposure(0.5, 5.6, nd="nd3")))
     assert ["nd4" in f.text for f in doctor._fit(profile, [slot])] == [True]
     assert doctor._age(profile, date(2027, 1, 1)).verdict == "ok"
@@ -269,8 +314,9 @@ def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(doctor, "open_meter", lambda uri, clock: Meter())
     found = doctor.check_meter("cl200a:/dev/ttyUSB1")
     assert [(f.verdict, f.text) for f in found] == [
-        ("ok", "CL-200A 10001 answers: 1234 lx"), ("warn", "its battery is low")
-    ]  # fmt: skip
+        ("ok", "CL-200A 10001 answers: 1234 lx"),
+        ("warn", "its battery is low"),
+    ]
     assert doctor.check_meter("") == []
 
 

@@ -29,14 +29,17 @@ def _uniform(value: float) -> np.ndarray:
     return np.full((1, H, W), value, np.float32)
 
 
-# ---------------------------------------------------------------------------------------------- analytic
+# ----------------------------------------------------------------------------------------------
+# analytic
 
 
 @pytest.mark.parametrize("heading", [180.0, 33.3])
 def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
     got = glare_directions(_uniform(1000.0), heading, view_azimuths_deg(heading, 12))
     assert got["ev_lx"] == pytest.approx(np.pi * 1000.0, rel=2e-4)
-    assert got["dgp"] == pytest.approx(5.87e-5 * np.pi * 1000.0 + 0.159, abs=1e-4)  # nothing is a source
+    assert got["dgp"] == pytest.approx(
+        5.87e-5 * np.pi * 1000.0 + 0.159, abs=1e-4
+    )  # nothing is a source
     assert np.isnan(got["ugr"]).all()
 
 
@@ -47,7 +50,9 @@ def test_a_uniform_bright_sphere_is_one_source() -> None:
     assert got["dgp"][0, 0] == pytest.approx(float(expected), abs=2e-3)
 
 
-@pytest.mark.parametrize(("altitude", "turn"), [(0.0, 0.0), (30.0, 20.0), (-20.0, 45.0), (60.0, -10.0), (5.0, 80.0)])
+@pytest.mark.parametrize(
+    ("altitude", "turn"), [(0.0, 0.0), (30.0, 20.0), (-20.0, 45.0), (60.0, -10.0), (5.0, 80.0)]
+)
 def test_the_sun_alone_follows_the_formula(altitude: float, turn: float) -> None:
     lux, view = 2000.0, 200.0
     sun = direction(altitude, view + turn)
@@ -66,7 +71,9 @@ def test_the_sun_alone_follows_the_formula(altitude: float, turn: float) -> None
 
 
 def test_a_sun_behind_the_head_adds_nothing() -> None:
-    lit = glare_directions(_uniform(50.0), 180.0, [0.0], direction(20.0, 180.0)[None], np.array([9e4]))
+    lit = glare_directions(
+        _uniform(50.0), 180.0, [0.0], direction(20.0, 180.0)[None], np.array([9e4])
+    )
     dark = glare_directions(_uniform(50.0), 180.0, [0.0])
     assert lit["ev_lx"] == pytest.approx(dark["ev_lx"])
     assert lit["dgp"] == pytest.approx(dark["dgp"])
@@ -92,24 +99,29 @@ def test_turning_head_and_picture_together_changes_nothing() -> None:
         assert a[name] == pytest.approx(b[name], rel=1e-4, nan_ok=True)
 
 
-# ---------------------------------------------------------------------------------------------- authority
+# ----------------------------------------------------------------------------------------------
+# authority
 
 
 @pytest.mark.parametrize(
     ("right_deg", "up_deg", "expected"),
     [
-        # Luckiesh and Guth 1949 as fitted in the IES Lighting Handbook, 8th edition, figure 9-24: P = 1 on the line of
-        # sight; about 2 at 20 degrees straight up; the values below are that fit's, worked by hand.
+        # Luckiesh and Guth 1949 as fitted in the IES Lighting Handbook, 8th edition, figure 9-24: P
+        # = 1 on the line of sight; about 2 at 20 degrees straight up; the values below are that
+        # fit's, worked by hand.
         (0.0, 0.0, 1.0),
         (0.0, 20.0, float(np.exp((35.2 - 1.22) / 1000 * 20 + 21 / 1e5 * 400))),
-        # 90 degrees aside (tau = 90): exp((35.2 - 28.7001) / 1000 * 40 + (21 + 24.0003 - 24.0003) / 1e5 * 1600)
+        # 90 degrees aside (tau = 90): exp((35.2 - 28.7001) / 1000 * 40 + (21 + 24.0003 - 24.0003) /
+        # 1e5 * 1600)
         (40.0, 1e-9, float(np.exp(6.4999 / 1000 * 40 + 21 / 1e5 * 1600))),
         # Iwata and Osterhaus 2010 straight below: beta = atan(tan(30) sqrt(1.3225)) = 33.58 degrees
         (0.0, -30.0, float(np.exp(6.49e-3 * 33.583 + 21e-5 * 33.583**2))),
     ],
 )
 def test_published_position_index(right_deg: float, up_deg: float, expected: float) -> None:
-    assert position_index(np.radians(right_deg), np.radians(up_deg)) == pytest.approx(expected, rel=2e-3)
+    assert position_index(np.radians(right_deg), np.radians(up_deg)) == pytest.approx(
+        expected, rel=2e-3
+    )
 
 
 def test_position_index_grows_and_is_capped() -> None:
@@ -121,13 +133,16 @@ def test_position_index_grows_and_is_capped() -> None:
 
 
 def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
-    # authority: evalglare of pyradiance, 800 px. Tolerances: half a per cent of Ev, 0.005 of DGP (issue 6).
+    # authority: evalglare of pyradiance, 800 px. Tolerances: half a per cent of Ev, 0.005 of DGP
+    # (issue 6).
     maps = np.full((115, 230), 120.0, np.float32)
     maps[40:58, 95:112] = 4000.0
     maps[40:58, 114:130] = 9000.0
     maps[80:90, 60:70] = 2500.0
     sun = SunSource(28.0, 215.0, 3000.0)
-    got = glare_directions(maps[None], 180.0, [180.0], direction(28.0, 215.0)[None], np.array([3000.0]))
+    got = glare_directions(
+        maps[None], 180.0, [180.0], direction(28.0, 215.0)[None], np.array([3000.0])
+    )
     ref = reference_glare(panorama_to_fisheye(maps, 180.0, 180.0, sun=sun))
     assert reference_version().startswith("evalglare 3.")
     assert got["ev_lx"][0, 0] == pytest.approx(ref.ev_lx, rel=0.005)
@@ -136,7 +151,8 @@ def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
     assert got["dgi"][0, 0] == pytest.approx(ref.dgi, abs=0.4)
 
 
-# ---------------------------------------------------------------------------------------------- grouping
+# ----------------------------------------------------------------------------------------------
+# grouping
 
 
 def test_panes_nearer_than_the_reach_are_one_source_and_peaks_are_their_own() -> None:
@@ -157,7 +173,8 @@ def test_a_source_across_the_seam_is_one() -> None:
 @settings(deadline=None, max_examples=25)
 @given(row=st.integers(2, H - 3), column=st.integers(0, W - 1), radius_deg=st.floats(3.0, 12.0))
 def test_widen_is_a_small_circle_on_the_sphere(row: int, column: int, radius_deg: float) -> None:
-    # property: within half a pixel, a widened pixel is the set of pixels nearer than the radius, also across the seam.
+    # property: within half a pixel, a widened pixel is the set of pixels nearer than the radius,
+    # also across the seam.
     mask = np.zeros((H, W), bool)
     mask[row, column] = True
     rays = equirect_rays(H, W, 180.0)
@@ -167,12 +184,15 @@ def test_widen_is_a_small_circle_on_the_sphere(row: int, column: int, radius_deg
     assert not got[angle > radius_deg + 2.1].any()
 
 
-# ---------------------------------------------------------------------------------------------- fisheyes
+# ----------------------------------------------------------------------------------------------
+# fisheyes
 
 
 def test_fisheye_keeps_flux_and_the_suns_energy() -> None:
     size = 200
-    picture = panorama_to_fisheye(_uniform(700.0)[0], 180.0, 180.0, size=size, sun=SunSource(20.0, 190.0, 5e4))
+    picture = panorama_to_fisheye(
+        _uniform(700.0)[0], 180.0, 180.0, size=size, sun=SunSource(20.0, 190.0, 5e4)
+    )
     omega = fisheye_solid_angles(size)
     assert omega.sum() == pytest.approx(2 * np.pi, rel=1e-3)
     assert (picture * omega).sum() == pytest.approx(700.0 * 2 * np.pi + 5e4, rel=2e-3)

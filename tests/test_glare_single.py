@@ -12,7 +12,14 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.errors import InputError
 from fieldlum.glare import FISHEYE_VIEW, panorama_to_fisheye
-from fieldlum.glare.contrast import ViewRegions, contrast_levels, lightness, local_contrast, rammg, rammg_lightness
+from fieldlum.glare.contrast import (
+    ViewRegions,
+    contrast_levels,
+    lightness,
+    local_contrast,
+    rammg,
+    rammg_lightness,
+)
 from fieldlum.glare.pictures import parse_view, read_picture
 from fieldlum.glare.single import picture_glare
 from fieldlum.images import write_panorama, write_radiance_hdr
@@ -41,7 +48,8 @@ def _fisheye(path: Path, maps: np.ndarray, view: str = SOUTH, size: int = 300) -
     return path
 
 
-# ---------------------------------------------------------------------------------------------- pictures
+# ----------------------------------------------------------------------------------------------
+# pictures
 
 
 def test_a_fisheye_and_its_panorama_agree(tmp_path: Path, maps: np.ndarray) -> None:
@@ -100,7 +108,9 @@ def test_a_disc_left_in_a_rendering_becomes_the_sun(tmp_path: Path, maps: np.nda
         ("-vta -vd 0 -1 1 -vh 180 -vv 180", "off the horizon"),
     ],
 )
-def test_a_missing_or_contradictory_view_is_refused(tmp_path: Path, maps: np.ndarray, view: str, said: str) -> None:
+def test_a_missing_or_contradictory_view_is_refused(
+    tmp_path: Path, maps: np.ndarray, view: str, said: str
+) -> None:
     path = _fisheye(tmp_path / "f.hdr", maps, view)
     with pytest.raises(InputError, match=said):
         picture_glare(path)
@@ -148,11 +158,13 @@ def test_directions_that_no_lens_saw_are_said(tmp_path: Path, maps: np.ndarray) 
         picture_glare(path)
 
 
-# ---------------------------------------------------------------------------------------------- contrast
+# ----------------------------------------------------------------------------------------------
+# contrast
 
 
 def test_rammg_of_one_step() -> None:
-    # analytic: an edge in the middle of the full-size level; the neighbours across it weigh 1 + 2 / sqrt(2).
+    # analytic: an edge in the middle of the full-size level; the neighbours across it weigh 1 + 2 /
+    # sqrt(2).
     image = np.zeros((20, 40))
     image[:, 20:] = 10.0
     share = (1 + np.sqrt(2)) / (4 + 2 * np.sqrt(2))
@@ -165,20 +177,27 @@ def test_rammg_of_one_step() -> None:
 def test_rammg_scales_with_luminance_and_lightness_does_not(maps: np.ndarray) -> None:
     assert rammg(7 * maps) == pytest.approx(7 * rammg(maps))
     assert rammg_lightness(7 * maps) == pytest.approx(rammg_lightness(maps))
-    assert lightness(np.array([0.184186, 1.0])) == pytest.approx([50.0, 100.0], abs=1e-3)  # CIE: L* 50 at Y 18.42
+    assert lightness(np.array([0.184186, 1.0])) == pytest.approx(
+        [50.0, 100.0], abs=1e-3
+    )  # CIE: L* 50 at Y 18.42
 
 
 def test_regions() -> None:
-    flat = ViewRegions(90, 180, 180.0, np.array([180.0, 0.0])).ratios(np.full((1, 90, 180), 50.0, np.float32))
+    flat = ViewRegions(90, 180, 180.0, np.array([180.0, 0.0])).ratios(
+        np.full((1, 90, 180), 50.0, np.float32)
+    )
     assert flat["uniformity"] == pytest.approx(1.0, rel=1e-4)
     assert flat["task_cdm2"] == pytest.approx(50.0, rel=1e-4)
     assert np.isnan(flat["window_to_task"]).all()
 
 
-# ---------------------------------------------------------------------------------------------- the command
+# ---------------------------------------------------------------------------------------------- the
+# command
 
 
-def test_the_command_speaks_json_lines_and_a_table(panorama: Path, tmp_path: Path, maps: np.ndarray) -> None:
+def test_the_command_speaks_json_lines_and_a_table(
+    panorama: Path, tmp_path: Path, maps: np.ndarray
+) -> None:
     fisheye = _fisheye(tmp_path / "f.hdr", maps)
     done = CliRunner().invoke(main, ["glare", str(panorama), str(fisheye), "--json"])
     assert done.exit_code == 0, done.output
@@ -197,12 +216,21 @@ def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> N
     assert done.stderr.count("\n") == 1
     assert "write VIEW= -vta" in done.stderr
     assert CliRunner().invoke(main, ["glare", str(tmp_path / "none.hdr")]).exit_code == 3
-    assert CliRunner().invoke(main, ["glare", str(_fisheye(path, maps)), "--view-azimuth", "90"]).exit_code == 3
+    assert (
+        CliRunner()
+        .invoke(main, ["glare", str(_fisheye(path, maps)), "--view-azimuth", "90"])
+        .exit_code
+        == 3
+    )
     assert CliRunner().invoke(main, ["glare", str(path), "--view-azimuth", "nan"]).exit_code == 2
 
 
-def test_a_view_without_a_direction_says_that_north_is_a_guess(tmp_path: Path, maps: np.ndarray) -> None:
-    """Contract: a fisheye of a hand-written VIEW is right in its glare, and must not seem to know where it looks."""
+def test_a_view_without_a_direction_says_that_north_is_a_guess(
+    tmp_path: Path, maps: np.ndarray
+) -> None:
+    """Contract: a fisheye of a hand-written VIEW is right in its glare, and must not seem to
+    know where it looks.
+    """
     told = picture_glare(_fisheye(tmp_path / "a.hdr", maps))
     bare = picture_glare(_fisheye(tmp_path / "b.hdr", maps, "-vta -vh 180 -vv 180"))
     assert not any("-vd" in text for text in told["warnings"])

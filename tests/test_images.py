@@ -11,20 +11,33 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fieldlum.errors import InputError
-from fieldlum.images import encode_rgbe, read_panorama, read_radiance_hdr, write_panorama, write_radiance_hdr
+from fieldlum.images import (
+    encode_rgbe,
+    read_panorama,
+    read_radiance_hdr,
+    write_panorama,
+    write_radiance_hdr,
+)
 from fieldlum.records import Panorama, SunSource
 
 SHAPE = (8, 16)
-IN_A_FOLDER = settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+IN_A_FOLDER = settings(
+    deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 def _panorama(seed: int = 0) -> Panorama:
     rng = np.random.default_rng(seed)
     luminance = rng.lognormal(4, 3, SHAPE).astype(np.float32)
     return Panorama(
-        luminance, 187.5, 0.03 * luminance, rng.integers(0, 127, SHAPE), datetime(2027, 3, 20, 15, 30, tzinfo=UTC),
-        SunSource(31.25, 140.5, 61_234.0, 0.75, "dni"), attributes={"bracket": "20270320T153000Z"},
-    )  # fmt: skip
+        luminance,
+        187.5,
+        0.03 * luminance,
+        rng.integers(0, 127, SHAPE),
+        datetime(2027, 3, 20, 15, 30, tzinfo=UTC),
+        SunSource(31.25, 140.5, 61_234.0, 0.75, "dni"),
+        attributes={"bracket": "20270320T153000Z"},
+    )
 
 
 def test_exr_round_trip_keeps_every_bit(tmp_path: Path) -> None:
@@ -34,7 +47,11 @@ def test_exr_round_trip_keeps_every_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.luminance_cdm2, made.luminance_cdm2)
     np.testing.assert_array_equal(found.u_cdm2, made.u_cdm2)
     np.testing.assert_array_equal(found.flags, made.flags)
-    assert (found.heading_deg, found.t_utc, found.attributes) == (made.heading_deg, made.t_utc, made.attributes)
+    assert (found.heading_deg, found.t_utc, found.attributes) == (
+        made.heading_deg,
+        made.t_utc,
+        made.attributes,
+    )
     assert found.sun == made.sun
 
 
@@ -45,7 +62,9 @@ def test_exr_holds_the_sun_where_half_floats_overflow(tmp_path: Path) -> None:
 
 @IN_A_FOLDER
 @given(arrays(np.float32, SHAPE, elements=st.floats(2.0**-6, 2.0**30, width=32)))
-def test_property_hdr_round_trip_is_within_half_a_step(tmp_path: Path, luminance: np.ndarray) -> None:
+def test_property_hdr_round_trip_is_within_half_a_step(
+    tmp_path: Path, luminance: np.ndarray
+) -> None:
     """RGBE has 8 bits of mantissa in [128, 256): at most 0.5 / 128 off."""
     write_radiance_hdr(tmp_path / "a.hdr", luminance, heading_deg=90.0)
     found = read_panorama(tmp_path / "a.hdr")
@@ -62,14 +81,22 @@ def test_authority_radiance_reads_what_we_write(tmp_path: Path) -> None:
     command = [str(Path(BINPATH) / "pvalue"), "-h", "-H", "-d", "-b", str(tmp_path / "a.hdr")]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     # -b prints brightness in W/sr/m2, to about four digits: 0.5 / 128 of RGBE and those digits
-    np.testing.assert_allclose(179.0 * np.array(shown.split(), float).reshape(SHAPE), luminance, rtol=0.006)
+    np.testing.assert_allclose(
+        179.0 * np.array(shown.split(), float).reshape(SHAPE), luminance, rtol=0.006
+    )
 
 
 def test_exposure_lines_multiply_and_are_undone(tmp_path: Path) -> None:
-    write_radiance_hdr(tmp_path / "a.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=2", "EXPOSURE=.5"))
-    np.testing.assert_allclose(read_radiance_hdr(tmp_path / "a.hdr").luminance_cdm2, 100.0, rtol=0.004)
+    write_radiance_hdr(
+        tmp_path / "a.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=2", "EXPOSURE=.5")
+    )
+    np.testing.assert_allclose(
+        read_radiance_hdr(tmp_path / "a.hdr").luminance_cdm2, 100.0, rtol=0.004
+    )
     write_radiance_hdr(tmp_path / "b.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=4",))
-    np.testing.assert_allclose(read_radiance_hdr(tmp_path / "b.hdr").luminance_cdm2, 25.0, rtol=0.004)
+    np.testing.assert_allclose(
+        read_radiance_hdr(tmp_path / "b.hdr").luminance_cdm2, 25.0, rtol=0.004
+    )
 
 
 def test_run_length_pictures_are_read(tmp_path: Path) -> None:
@@ -85,7 +112,9 @@ def test_run_length_pictures_are_read(tmp_path: Path) -> None:
 @given(st.integers(0, 2000), st.integers(0, 255), st.booleans())
 @example(124, 249, False)  # an exponent that overflows single precision
 @example(392, 1, False)  # the type of the attribute sun is no "string" any more
-def test_property_a_damaged_picture_gives_a_picture_or_one_line(tmp_path: Path, at: int, value: int, cut: bool) -> None:
+def test_property_a_damaged_picture_gives_a_picture_or_one_line(
+    tmp_path: Path, at: int, value: int, cut: bool
+) -> None:
     write_radiance_hdr(tmp_path / "a.hdr", _panorama().luminance_cdm2, heading_deg=180.0)
     write_panorama(tmp_path / "a.exr", _panorama())
     for name in ("a.hdr", "a.exr"):

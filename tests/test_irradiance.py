@@ -1,4 +1,6 @@
-"""Irradiance: limits, closure, dead readings, the decomposition of a lone global pyranometer, and the stage."""
+"""Irradiance: limits, closure, dead readings, the decomposition of a lone global pyranometer,
+and the stage.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def checked(samples: list[IrradianceSample]) -> irradiance.Series:
     return check(series, *sky_geometry(series.t_unix_s, SEATTLE))
 
 
-def at(seconds: float, ghi: float | None, dhi: float | None = None, dni: float | None = None) -> IrradianceSample:
+def at(
+    seconds: float, ghi: float | None, dhi: float | None = None, dni: float | None = None
+) -> IrradianceSample:
     return IrradianceSample(NOON + timedelta(seconds=seconds), ghi, dhi, dni)
 
 
@@ -70,7 +74,9 @@ def test_a_reading_that_never_changes_is_dead() -> None:
 
 
 def test_analytic_a_clear_noon_in_whole_watts_is_not_dead() -> None:
-    """It stood still for 19 minutes, which were blanked; an hour of one figure, or of none, is dead all the same."""
+    """It stood still for 19 minutes, which were blanked; an hour of one figure, or of none, is
+    dead all the same.
+    """
     t = NOON.timestamp() + 60.0 * np.arange(-400, 400)
     altitude, top = sky_geometry(t, SEATTLE)
     sine = np.sin(np.radians(np.maximum(altitude, 1.0)))
@@ -86,18 +92,24 @@ def test_analytic_a_clear_noon_in_whole_watts_is_not_dead() -> None:
     assert not stuck(ghi).any()
     for dead in (float(ghi[370]), 0.0):
         spoilt = np.where((t >= t[370]) & (t < t[430]), dead, ghi)
-        assert stuck(spoilt)[372:428].all() and not stuck(spoilt)[[*range(365), *range(435, 800)]].any()
+        assert (
+            stuck(spoilt)[372:428].all()
+            and not stuck(spoilt)[[*range(365), *range(435, 800)]].any()
+        )
 
 
 def test_gaps_and_disorder_are_marked() -> None:
-    series = checked([at(0, 500.0, 100.0), at(10, 500.1, 100.0), at(5, 500.2, 100.0), at(300, 501.0, 100.0)])
+    series = checked(
+        [at(0, 500.0, 100.0), at(10, 500.1, 100.0), at(5, 500.2, 100.0), at(300, 501.0, 100.0)]
+    )
     assert list(np.diff(series.t_unix_s)) == [5.0, 5.0, 290.0]
     assert [bool(m & Mark.DISORDER) for m in series.marks] == [False, True, False, False]
     assert [bool(m & Mark.GAP) for m in series.marks] == [False, False, False, True]
 
 
 @given(
-    st.lists(st.floats(-50, 3000), min_size=1, max_size=60), st.lists(st.integers(0, 86400), min_size=1, max_size=60)
+    st.lists(st.floats(-50, 3000), min_size=1, max_size=60),
+    st.lists(st.integers(0, 86400), min_size=1, max_size=60),
 )
 @settings(deadline=None, max_examples=40)
 def test_checks_take_any_figures(values: list[float], seconds: list[int]) -> None:  # property
@@ -136,7 +148,9 @@ def test_what_is_no_spike() -> None:
 @given(st.lists(st.one_of(st.floats(-50, 3000), st.just(np.nan)), min_size=243, max_size=260))
 @settings(deadline=None, max_examples=20)
 def test_spikes_take_any_figures(values: list[float]) -> None:  # property
-    found = irradiance.spikes(np.linspace(0.0, 5.0 * len(values), len(values)), np.array(values, float))
+    found = irradiance.spikes(
+        np.linspace(0.0, 5.0 * len(values), len(values)), np.array(values, float)
+    )
     assert len(found) == len(values) and not found[np.isnan(np.array(values, float))].any()
 
 
@@ -147,7 +161,9 @@ def test_a_spike_is_flagged_and_kept() -> None:
     assert list(np.flatnonzero(series.marks & Mark.SPIKE)) == [30] and series.dhi_wm2[30] == 15.0
 
 
-def test_clean_csv_is_written_in_blocks_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clean_csv_is_written_in_blocks_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     series = checked([at(5.0 * i, 800.0 + i % 5, 150.0) for i in range(300)])
     irradiance.write_clean(tmp_path / "whole.csv", series)
     monkeypatch.setattr(irradiance, "_BLOCK_ROWS", 130)
@@ -164,10 +180,15 @@ def test_minute_means_keep_neighbours_apart() -> None:  # analytic
 
 
 def test_lone_global_is_decomposed_and_says_so() -> None:
-    # Authority: pvlib's own clear sky. DIRINT's stated 1-min error is 92 W/m2 RMSE (research: BSRN Payerne).
-    times = [datetime(2027, 6, 21, 15, 0, 30, tzinfo=UTC) + timedelta(minutes=i) for i in range(480)]
+    # Authority: pvlib's own clear sky. DIRINT's stated 1-min error is 92 W/m2 RMSE (research: BSRN
+    # Payerne).
+    times = [
+        datetime(2027, 6, 21, 15, 0, 30, tzinfo=UTC) + timedelta(minutes=i) for i in range(480)
+    ]
     sky = sun.clearsky(times, SEATTLE)
-    series = series_of([IrradianceSample(t, float(g)) for t, g in zip(times, sky.ghi_wm2, strict=True)])
+    series = series_of(
+        [IrradianceSample(t, float(g)) for t, g in zip(times, sky.ghi_wm2, strict=True)]
+    )
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     found = derive(check(series, altitude, top), altitude, SEATTLE)
     assert (found.marks & Mark.DERIVED).all()
@@ -178,7 +199,12 @@ def test_lone_global_is_decomposed_and_says_so() -> None:
 
 def test_night_offset_is_told_and_not_subtracted() -> None:
     night = datetime(2027, 6, 21, 8, tzinfo=UTC)
-    series = series_of([IrradianceSample(night + timedelta(seconds=5 * i), -2.5 - 0.1 * (i % 3)) for i in range(50)])
+    series = series_of(
+        [
+            IrradianceSample(night + timedelta(seconds=5 * i), -2.5 - 0.1 * (i % 3))
+            for i in range(50)
+        ]
+    )
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     found = check(series, altitude, top)
     told = health(series, found, altitude, top, 0, SEATTLE)
@@ -190,18 +216,24 @@ SYDNEY = Site("Sydney", -33.9, 151.2, "Australia/Sydney")
 
 
 def logged(site: Site, first: datetime, days: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Rows every five minutes under clouds that let 5 to 100 % through, other ones each half day. [unix s], [W/m2]"""
+    """Rows every five minutes under clouds that let 5 to 100 % through, other ones each half
+    day. [unix s], [W/m2]
+    """
     times = [first + timedelta(minutes=5 * i) for i in range(288 * days)]
     t = np.array([moment.timestamp() for moment in times])
     half = (t // 43200).astype(int)
-    through = np.random.default_rng(seed).uniform(0.05, 1.0, half.max() - half.min() + 1)[half - half.min()]
+    through = np.random.default_rng(seed).uniform(0.05, 1.0, half.max() - half.min() + 1)[
+        half - half.min()
+    ]
     return t, through * sun.clearsky(times, site).ghi_wm2 - 1.5
 
 
 @pytest.mark.parametrize("site", [SEATTLE, SYDNEY], ids=lambda site: site.name)
 @pytest.mark.parametrize("month", [3, 6, 12])
 @pytest.mark.parametrize("off_h", [0.0, 1.0, -8.0, 11.0])
-def test_the_light_tells_how_far_a_clock_is_off(site: Site, month: int, off_h: float) -> None:  # analytic
+def test_the_light_tells_how_far_a_clock_is_off(
+    site: Site, month: int, off_h: float
+) -> None:  # analytic
     t, ghi = logged(site, datetime(2027, month, 18, tzinfo=UTC), 3, seed=month)
     off = light_clock.clock_off_s(t + 3600.0 * off_h, ghi, site)
     assert off == pytest.approx(3600.0 * off_h, abs=0.6 * light_clock.CLOCK_WARN_S)
@@ -213,7 +245,9 @@ def test_a_clock_is_judged_by_whole_days_alone() -> None:
     assert light_clock.clock_off_s(t[around_slots], ghi[around_slots], SEATTLE) is None
     assert light_clock.clock_off_s(t[:100], ghi[:100], SEATTLE) is None
     assert light_clock.clock_off_s(t, np.full_like(ghi, np.nan), SEATTLE) is None
-    assert light_clock.clock_off_s(t, ghi, Site("Tromso", 69.65, 18.96)) is None  # midnight sun: clouds make the dark
+    assert (
+        light_clock.clock_off_s(t, ghi, Site("Tromso", 69.65, 18.96)) is None
+    )  # midnight sun: clouds make the dark
 
 
 def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
@@ -223,7 +257,9 @@ def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
         log.append(IrradianceSample(datetime.fromtimestamp(when + 3600.0, UTC), float(value)))
     log.close()
     told = irradiance.run(made)
-    assert [said for said in told.warnings if "min from solar noon: check the logger's clock" in said]
+    assert [
+        said for said in told.warnings if "min from solar noon: check the logger's clock" in said
+    ]
     assert irradiance.run(made) == told
 
 
@@ -233,14 +269,20 @@ def test_a_clock_set_within_the_log_is_told_with_its_day(after: int, seed: int) 
     t, ghi = logged(SEATTLE, datetime(2027, 12, 1, 8, tzinfo=UTC), 14, seed=seed)
     day = datetime(2027, 12, 15 - after, 8, tzinfo=UTC)
     found = light_clock.clock_set_s(np.where(t >= day.timestamp(), t + 3600.0, t), ghi, SEATTLE)
-    assert found is not None and found[0].date() == day.date() and found[1] == pytest.approx(3600.0, abs=600.0)
+    assert (
+        found is not None
+        and found[0].date() == day.date()
+        and found[1] == pytest.approx(3600.0, abs=600.0)
+    )
     march, through_clouds = logged(SEATTLE, datetime(2027, 3, 1, 8, tzinfo=UTC), 14, seed=seed)
     assert light_clock.clock_set_s(march, through_clouds, SEATTLE) is None
     assert light_clock.clock_set_s(t[:1000], ghi[:1000], SEATTLE) is None  # three days
 
 
 def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> None:
-    """DIRINT gave no direct at all there: 700 W/m2 of a high sun, all of them diffuse, and nothing said so."""
+    """DIRINT gave no direct at all there: 700 W/m2 of a high sun, all of them diffuse, and
+    nothing said so.
+    """
     lone = series_of([IrradianceSample(NOON + timedelta(hours=i), 700.0 + i) for i in range(3)])
     altitude, top = sky_geometry(lone.t_unix_s, SEATTLE)
     found = derive(check(lone, altitude, top), altitude, SEATTLE)
@@ -260,7 +302,13 @@ def test_a_slower_logger_on_other_days_is_no_gap() -> None:
 
 
 def test_rows_of_one_moment_that_differ_are_marked() -> None:
-    twice = [at(0, 800.0, 150.0), at(5, 801.0, 150.0), at(5, 801.0, 150.0), at(10, 802.0, None), at(10, 830.0, None)]
+    twice = [
+        at(0, 800.0, 150.0),
+        at(5, 801.0, 150.0),
+        at(5, 801.0, 150.0),
+        at(10, 802.0, None),
+        at(10, 830.0, None),
+    ]
     found = series_of(twice)
     assert found.ghi_wm2.tolist() == [800.0, 801.0, 802.0]
     assert [bool(mark & Mark.DOUBLE) for mark in found.marks] == [False, False, True]
@@ -268,7 +316,11 @@ def test_rows_of_one_moment_that_differ_are_marked() -> None:
 
 @pytest.mark.parametrize(
     ("ghi", "dhi", "said"),
-    [(0.8, 0.15, "is it kW/m2?"), (150.0, 800.0, "more diffuse than global"), (1600.0, 150.0, "extremely rare")],
+    [
+        (0.8, 0.15, "is it kW/m2?"),
+        (150.0, 800.0, "more diffuse than global"),
+        (1600.0, 150.0, "extremely rare"),
+    ],
 )
 def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, said: str) -> None:
     series = series_of([at(5.0 * i, ghi * (1 + 1e-4 * (i % 7)), dhi) for i in range(50)])
@@ -279,7 +331,9 @@ def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, sa
 
 def test_a_night_offset_that_blanks_the_nights_is_told() -> None:
     night = datetime(2027, 6, 21, 8, tzinfo=UTC)
-    series = series_of([IrradianceSample(night + timedelta(seconds=5 * i), -5.0) for i in range(50)])
+    series = series_of(
+        [IrradianceSample(night + timedelta(seconds=5 * i), -5.0) for i in range(50)]
+    )
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     told = health(series, check(series, altitude, top), altitude, top, 0, SEATTLE)
     assert told.warnings == ("night offset -5.0 W/m2: level, clean and ventilate the instrument",)
@@ -301,7 +355,11 @@ def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     rows = list(csv.DictReader(clean.read_text().splitlines()))
     assert told.rows == told.usable == len(rows) == 100 and told.every_s == 5.0
     assert tuple(rows[0]) == irradiance.CLEAN_COLUMNS
-    assert rows[0]["t_utc"] == "2027-06-21T20:10:00.000Z" and rows[0]["source"] == "measured" and not rows[0]["flags"]
+    assert (
+        rows[0]["t_utc"] == "2027-06-21T20:10:00.000Z"
+        and rows[0]["source"] == "measured"
+        and not rows[0]["flags"]
+    )
     before = clean.stat().st_mtime_ns
     assert irradiance.run(session) == told and clean.stat().st_mtime_ns == before
     log = DayFiles(session, flush=False)

@@ -26,7 +26,10 @@ SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 def some_light(count: int = 40, seed: int = 1) -> Light:
     rng = np.random.default_rng(seed)
     start = datetime(2027, 3, 1, 15, 30, tzinfo=UTC)
-    times = [start + timedelta(days=int(d), hours=int(h)) for d, h in zip(rng.integers(0, 300, count), rng.integers(0, 9, count), strict=True)]  # fmt: skip  # noqa: E501
+    times = [
+        start + timedelta(days=int(d), hours=int(h))
+        for d, h in zip(rng.integers(0, 300, count), rng.integers(0, 9, count), strict=True)
+    ]
     return light_at(times, SEATTLE, rng.uniform(0, 800, count), rng.uniform(20, 300, count))
 
 
@@ -36,8 +39,8 @@ KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown(), around=0.5)]
 
 def test_analytic_light_divides_into_sky_and_sun() -> None:
     assert LIGHT.sky_cdm2.shape == (40, 2305)
-    # The patch sum is the Perez diffuse illuminance but for the quadrature of 145 against 2305 points, and the blend
-    # of the lowest band into the ground.
+    # The patch sum is the Perez diffuse illuminance but for the quadrature of 145 against 2305
+    # points, and the blend of the lowest band into the ground.
     assert np.allclose(LIGHT.diffuse_lx, LIGHT.sky.diffuse_lx, rtol=0.05)
     assert np.allclose(LIGHT.total_lx, LIGHT.diffuse_lx + LIGHT.direct_lx)
 
@@ -65,7 +68,11 @@ def test_property_kernel_with_patch_is_a_covariance() -> None:
     from dataclasses import replace
 
     rng = np.random.default_rng(3)
-    f = replace(light_features(LIGHT), flux=rng.uniform(0, 1, 40), cells=rng.uniform(0, 1, (40, 9)).astype(np.float32))
+    f = replace(
+        light_features(LIGHT),
+        flux=rng.uniform(0, 1, 40),
+        cells=rng.uniform(0, 1, (40, 9)).astype(np.float32),
+    )
     kernel = KERNELS[0]
     k = kernel(f, f)
     assert np.linalg.eigvalsh(k).min() > -1e-4
@@ -74,7 +81,9 @@ def test_property_kernel_with_patch_is_a_covariance() -> None:
 
 
 def test_analytic_facades_follow_the_room() -> None:
-    room = Room(wall_azimuth_deg=200, window=(Window("south", 1, 3, 1, 2), Window("west", 1, 3, 1, 1)))
+    room = Room(
+        wall_azimuth_deg=200, window=(Window("south", 1, 3, 1, 2), Window("west", 1, 3, 1, 1))
+    )
     facades = facades_of(room)
     assert facades.azimuths_deg.tolist() == [200.0, 290.0]
     assert np.allclose(facades.weights, [1.0, np.sqrt(0.5)])
@@ -84,7 +93,12 @@ def test_analytic_facades_follow_the_room() -> None:
 
 def test_analytic_sun_behind_the_facade_teaches_little() -> None:
     f = light_features(
-        light_at([datetime(2027, 6, 21, 13, 0, tzinfo=UTC)], SEATTLE, np.array([500.0]), np.array([100.0]))
+        light_at(
+            [datetime(2027, 6, 21, 13, 0, tzinfo=UTC)],
+            SEATTLE,
+            np.array([500.0]),
+            np.array([100.0]),
+        )
     )
     sun_only = {"constant": 0.0, "sky": 0.0}
     behind = Kernel(one_facade(f_azimuth(f) + 180), **sun_only).diagonal(f)
@@ -106,7 +120,10 @@ def test_property_greedy_equals_brute_force() -> None:
     def left(index: list[int]) -> float:
         known = kernel(f[index], f[index]) + noise * np.eye(len(index))
         cross = kernel(f, f[index])
-        return float((prior - np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)).sum() / prior.sum())
+        return float(
+            (prior - np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)).sum()
+            / prior.sum()
+        )
 
     taken: list[int] = []
     for k in range(4):

@@ -28,17 +28,39 @@ PROFILE = CameraProfile(
 
 
 @pytest.mark.parametrize(
-    ("gain", "read_e"), [(4.0, 0.5), (4.0, 1.0), (4.0, 2.0), (2.0, 2.0), (1.0, 1.0), (1.0, 0.8), (2.0, 2.5), (1.0, 4.0)]
+    ("gain", "read_e"),
+    [
+        (4.0, 0.5),
+        (4.0, 1.0),
+        (4.0, 2.0),
+        (2.0, 2.0),
+        (1.0, 1.0),
+        (1.0, 0.8),
+        (2.0, 2.5),
+        (1.0, 4.0),
+    ],
 )
-def test_analytic_noise_of_about_one_count_is_no_more_than_said(tmp_path: Path, gain: float, read_e: float) -> None:
-    """Medians of whole numbers jump: a true profile with 1 DN of read noise was told 1.7 times as noisy before."""
+def test_analytic_noise_of_about_one_count_is_no_more_than_said(
+    tmp_path: Path, gain: float, read_e: float
+) -> None:
+    """Medians of whole numbers jump: a true profile with 1 DN of read noise was told 1.7 times
+    as noisy before.
+    """
     rng, paths = np.random.default_rng(4), []
     light = np.broadcast_to(np.geomspace(5.0, 5000.0, SIZE), (SIZE, SIZE))
     for i, e in enumerate(EXPOSURES):
         per = z_per_cdm2(snap_shutter_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
         electrons = rng.poisson(light * per * gain) + rng.normal(0, read_e, light.shape)
         counts = np.minimum(np.rint(electrons / gain + BLACK), 15800).astype(np.uint16)
-        write_dng(tmp_path / f"{i}.dng", counts, e, black_dn=(BLACK,) * 4, white_dn=WHITE, cfa="GBRG", model="calm")
+        write_dng(
+            tmp_path / f"{i}.dng",
+            counts,
+            e,
+            black_dn=(BLACK,) * 4,
+            white_dn=WHITE,
+            cfa="GBRG",
+            model="calm",
+        )
         paths.append(tmp_path / f"{i}.dng")
     profile = replace(PROFILE, sensor=replace(SENSOR, gain_e_per_dn=gain, read_noise_e=read_e))
     assert merge_sensor(sorted_shots(shots_of_files(paths), profile), profile).noise == SeenNoise()

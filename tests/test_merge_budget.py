@@ -1,4 +1,6 @@
-"""The uncertainty budget: exposures that hang together, one curve a lens, and whole simulated cameras."""
+"""The uncertainty budget: exposures that hang together, one curve a lens, and whole simulated
+cameras.
+"""
 
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
@@ -37,14 +39,20 @@ def test_noise_is_covered(bench: ModuleType, kind: str, parts: tuple[str, ...]) 
 def test_the_whole_budget_is_covered(bench: ModuleType) -> None:
     parts = tuple(p for p in bench.PARTS if p != "response")
     everything, _ = bench.run(bench.Set("raw", parts), 25, 5)
-    assert 90 < bench.coverage(everything.pull) <= 100  # 25 cameras: 2 % either way; and not by being too wide:
+    assert (
+        90 < bench.coverage(everything.pull) <= 100
+    )  # 25 cameras: 2 % either way; and not by being too wide:
     assert np.sqrt(np.mean(everything.pull**2)) > 0.75
 
 
 def frame(per_cdm2: float) -> Sample:
     constants = (np.asarray(v, np.float32) for v in (512.0, 13488.0, per_cdm2))
     counts = np.full((1, 2, 4), 600, np.uint16)
-    return Sample(RawSignal(counts, *constants, 4.0, 2.33), counts.astype(np.float32), np.zeros(counts.shape, bool))
+    return Sample(
+        RawSignal(counts, *constants, 4.0, 2.33),
+        counts.astype(np.float32),
+        np.zeros(counts.shape, bool),
+    )
 
 
 def test_a_value_has_the_uncertainty_of_the_frames_that_read_it() -> None:  # analytic
@@ -56,31 +64,52 @@ def test_a_value_has_the_uncertainty_of_the_frames_that_read_it() -> None:  # an
 
 def test_frames_of_one_shutter_time_or_filter_err_together() -> None:  # analytic
     profile = CameraProfile(
-        CameraBody("", "raw", 2, 2), (), Bracket(4.0, 100.0, ()), shutter=(ShutterTime(0.1, 0.1, 0.004),),
+        CameraBody("", "raw", 2, 2),
+        (),
+        Bracket(4.0, 100.0, ()),
+        shutter=(ShutterTime(0.1, 0.1, 0.004),),
         nd=(NeutralDensity("nd3", (1e3, 1e3, 1e3), 0.02),),
-    )  # fmt: skip
+    )
     shots = [Exposure(0.1, 4.0), Exposure(0.1, 4.0, 100.0, "nd3"), Exposure(1.0, 4.0, 100.0, "nd3")]
     c = exposure_covariance(shots, profile)
-    assert np.diag(c) - U_REPEAT**2 == pytest.approx([0.004**2, 0.004**2 + 0.02**2, 0.003**2 + 0.02**2])
+    assert np.diag(c) - U_REPEAT**2 == pytest.approx(
+        [0.004**2, 0.004**2 + 0.02**2, 0.003**2 + 0.02**2]
+    )
     assert (c[0, 1], c[1, 2], c[0, 2]) == pytest.approx((0.004**2, 0.02**2, 0.0))
-    tied = fit_ratios([PairRatio(0, 1, 0.02, 1e-5, 999)], c[:2, :2])  # a filter 2 % off, found by its overlap
+    tied = fit_ratios(
+        [PairRatio(0, 1, 0.02, 1e-5, 999)], c[:2, :2]
+    )  # a filter 2 % off, found by its overlap
     assert tied.correction[1] / tied.correction[0] == pytest.approx(np.exp(0.02), rel=1e-4)
     assert tied.u_log == pytest.approx([0.004, 0.004], rel=0.02)
 
 
-def test_disagreement_counts_once() -> None:  # analytic: 2 % apart, by a response that is 1.5 % uncertain: explained
+def test_disagreement_counts_once() -> (
+    None
+):  # analytic: 2 % apart, by a response that is 1.5 % uncertain: explained
     left = [Neighbours(0, 1, 2.0, 0.1, 999), Neighbours(1, 2, -2.0, 0.1, 999)]
     assert unexplained(left, 0.03) == 0.0
     assert unexplained(left, 0.0) == pytest.approx(1.4826 * 0.02 / np.sqrt(2), rel=0.01)
     assert unexplained([], 0.0) == 0.0
 
 
-def test_a_turned_lens_keeps_its_one_curve() -> None:  # analytic: two headings of one lens do not average its error
+def test_a_turned_lens_keeps_its_one_curve() -> (
+    None
+):  # analytic: two headings of one lens do not average its error
     front, back = Lens((1.0, 1.0), 1.0, 180.0, name="a"), Lens((1.0, 1.0), 1.0, 180.0, name="b")
 
     def view(lens: Lens) -> View:
         one = np.ones(1)
-        return View(10 * one, one, one, one, 0.02 * one, 0.01 * one, np.zeros(1, np.uint8), np.ones((1, 3)), lens)
+        return View(
+            10 * one,
+            one,
+            one,
+            one,
+            0.02 * one,
+            0.01 * one,
+            np.zeros(1, np.uint8),
+            np.ones((1, 3)),
+            lens,
+        )
 
     assert blend([view(front), view(front)]).u_vignetting == pytest.approx(0.02)
     assert blend([view(front), view(back)]).u_vignetting == pytest.approx(0.02 / np.sqrt(2))

@@ -14,14 +14,18 @@ from fieldlum.records import Exposure, Flag
 
 SIDE = 96
 PROFILE = CameraProfile(
-    CameraBody("small", "raw", SIDE, SIDE), (Lens((48.0, 48.0), 46.0, 180.0),), Bracket(4.0, 100.0, (0.1,)),
+    CameraBody("small", "raw", SIDE, SIDE),
+    (Lens((48.0, 48.0), 46.0, 180.0),),
+    Bracket(4.0, 100.0, (0.1,)),
     Sensor("RGGB", (256.0,) * 4, (15000.0,) * 4, 16383.0, 2.0, 5.0, 100.0, bad_px=((3, 7),)),
-)  # fmt: skip
+)
 
 
 def test_lonely_pixels_are_odd_and_moving_things_are_not() -> None:
     flags = np.zeros((SIDE, SIDE), np.uint8)
-    flags[20, 31] = flags[60, 60] = flags[61, 60] = Flag.MOTION | Flag.ND  # of two colours: each alone in its own
+    flags[20, 31] = flags[60, 60] = flags[61, 60] = (
+        Flag.MOTION | Flag.ND
+    )  # of two colours: each alone in its own
     flags[40:44, 10:14] = Flag.MOTION
     flags[5, 5] = Flag.BLOOM
     assert {tuple(at) for at in odd_pixels(flags)} == {(20, 31), (60, 60), (61, 60)}

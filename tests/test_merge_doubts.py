@@ -1,4 +1,6 @@
-"""What a bracket is not told of its camera: each colour's own plateau, ISO, light that changes, noise, black."""
+"""What a bracket is not told of its camera: each colour's own plateau, ISO, light that changes,
+noise, black.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -50,7 +52,9 @@ def take(
     black: float = BLACK,
     full: np.ndarray | float = 15800.0,
 ) -> list[Shot]:
-    """A bracket of `scene` by a camera that need not be what PROFILE says; light: a factor for each frame."""
+    """A bracket of `scene` by a camera that need not be what PROFILE says; light: a factor for
+    each frame.
+    """
     rng = np.random.default_rng(4)
     shots = []
     for i, e in enumerate(exposures):
@@ -70,12 +74,20 @@ def merged(shots: Sequence[Shot], profile: CameraProfile = PROFILE) -> SensorMer
 
 def off(sensor: SensorMerge) -> np.ndarray:
     """Relative error of the unflagged pixels' columns. [columns]"""
-    value = np.where(sensor.merged.flags == 0, sensor.merged.value_cdm2, np.nan).reshape(-1, sensor.crop.width)
-    return np.nanmean(value, axis=0) / scene()[0, sensor.crop.left : sensor.crop.left + sensor.crop.width] - 1
+    value = np.where(sensor.merged.flags == 0, sensor.merged.value_cdm2, np.nan).reshape(
+        -1, sensor.crop.width
+    )
+    return (
+        np.nanmean(value, axis=0)
+        / scene()[0, sensor.crop.left : sensor.crop.left + sensor.crop.width]
+        - 1
+    )
 
 
 def test_analytic_each_colour_is_full_where_it_is(tmp_path: Path) -> None:
-    """The file's tag and the profile say 16383, red stops at 14000: it read -0.5 % and 14 % "motion" before."""
+    """The file's tag and the profile say 16383, red stops at 14000: it read -0.5 % and 14 %
+    "motion" before.
+    """
     full = np.full((SIZE, SIZE), 15800.0)
     full[1::2, ::2] = 14000.0  # red of GBRG
     trusting = replace(PROFILE, sensor=replace(PROFILE.sensor, saturation_dn=(WHITE,) * 4))
@@ -98,36 +110,49 @@ def test_analytic_an_iso_that_is_not_what_it_says(tmp_path: Path) -> None:
 
 
 def test_analytic_light_that_changes_is_told_and_counted(tmp_path: Path) -> None:
-    """Ten percent over the bracket: the ratio fit takes it up, so neighbours agree; "good" before."""
+    """Ten percent over the bracket: the ratio fit takes it up, so neighbours agree; "good"
+    before.
+    """
     light = np.linspace(1.0, 1.1, len(TIMES))
     files = [shot.path for shot in take(tmp_path, light=light)]
     result = merge_frames(files, PROFILE, height=24)
     assert result.quality["residual_percent"] < 0.5
     assert result.quality["exposure_span_percent"] == pytest.approx(100 * np.log(1.1), abs=0.7)
-    assert result.verdict.startswith("exposures lie -") and "the light changed meanwhile" in result.verdict
+    assert (
+        result.verdict.startswith("exposures lie -")
+        and "the light changed meanwhile" in result.verdict
+    )
     steady = merge_frames([s.path for s in take(tmp_path)], PROFILE, height=24)
     assert steady.verdict.startswith("good") and steady.quality["exposure_span_percent"] < 0.5
     assert result.quality["u_ratio_percent"] > 3 * steady.quality["u_ratio_percent"]
 
 
 def test_analytic_priors_that_are_contradicted_widen() -> None:
-    """Birge's ratio: corrections of -5 and +5 % where 0.3 % was expected leave the level unsure by percents."""
+    """Birge's ratio: corrections of -5 and +5 % where 0.3 % was expected leave the level unsure
+    by percents.
+    """
     pairs = [PairRatio(0, 1, 0.1, 5e-4, 999)]
     prior = np.eye(2) * 0.003**2
     wild, calm = fit_ratios(pairs, prior), fit_ratios([replace(pairs[0], log_ratio=0.003)], prior)
     assert np.log(wild.correction) == pytest.approx([-0.05, 0.05], abs=0.002)
     assert calm.u_log == pytest.approx(0.003 / np.sqrt(2), rel=0.05)
-    assert wild.u_log == pytest.approx(0.05, rel=0.05)  # chi2 2 (0.05 / 0.003)^2 of one freedom, halved by the pair
+    assert wild.u_log == pytest.approx(
+        0.05, rel=0.05
+    )  # chi2 2 (0.05 / 0.003)^2 of one freedom, halved by the pair
 
 
 def test_analytic_the_noise_of_pairs_is_no_disagreement() -> None:
-    """Pairs that scatter by just their u say nothing of exposures: in the mean over draws nothing is left."""
+    """Pairs that scatter by just their u say nothing of exposures: in the mean over draws
+    nothing is left.
+    """
     rng, left = np.random.default_rng(4), []
     for _ in range(200):
         pairs = [PairRatio(i, i + 1, float(0.01 * rng.normal()), 0.01, 999) for i in range(7)]
         left.append(beyond(free_fit(pairs, 8), 0.0) ** 2)
     alone = np.mean([np.var(np.cumsum(0.01 * rng.normal(size=8))) for _ in range(200)])
-    assert np.mean(left) < 0.5 * alone  # what is left is the half of the draws that scatter more than usual
+    assert (
+        np.mean(left) < 0.5 * alone
+    )  # what is left is the half of the draws that scatter more than usual
 
 
 def test_analytic_small_steps_add_up() -> None:
@@ -138,11 +163,16 @@ def test_analytic_small_steps_add_up() -> None:
     assert found == pytest.approx(0.02 * (np.arange(8) - 3.5), abs=0.003)
     assert beyond(free, 0.01) == pytest.approx(np.sqrt(found.std() ** 2 - 0.01**2), rel=0.01)
     assert beyond(free_fit([], 8), 0.01) == 0.0
-    assert Offsets(found, np.full(8, 0.01)).beyond_prior and not Offsets(found, np.full(8, 0.03)).beyond_prior
+    assert (
+        Offsets(found, np.full(8, 0.01)).beyond_prior
+        and not Offsets(found, np.full(8, 0.03)).beyond_prior
+    )
 
 
 def test_analytic_noise_beyond_the_profile_is_no_motion(tmp_path: Path) -> None:
-    """Gain 1 e-/DN and 12 e- where the profile says 4 and 6: 93 % of the view was "motion" before."""
+    """Gain 1 e-/DN and 12 e- where the profile says 4 and 6: 93 % of the view was "motion"
+    before.
+    """
     found = merged(take(tmp_path, gain=1.0, read_e=12.0))
     assert found.noise.shot == pytest.approx(4.0, rel=0.15)
     assert found.noise.read == pytest.approx(12**2 / (1.5**2 + 1 / 12), rel=0.3)
@@ -184,14 +214,28 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
         exif[0x0112] = tag
         image.save(path, exif=exif)
         shots.append(Shot(path, EXPOSURES[i]))
-    assert held_otherwise(shots[:2], profile) == "by its EXIF the camera was held 90 deg off the profile's roll of 0"
+    assert (
+        held_otherwise(shots[:2], profile)
+        == "by its EXIF the camera was held 90 deg off the profile's roll of 0"
+    )
     lens = replace(profile.lens[0], roll_deg=88.0)
-    assert held_otherwise(shots[:2], replace(profile, lens=(lens,))) == held_otherwise(shots[2:], profile) == ""
+    assert (
+        held_otherwise(shots[:2], replace(profile, lens=(lens,)))
+        == held_otherwise(shots[2:], profile)
+        == ""
+    )
     up = replace(profile.lens[0], tilt_deg=90.0)
-    for lenses in ((up,), (*profile.lens, replace(profile.lens[0], azimuth_deg=180.0))):  # a guess; as its maker liked
+    for lenses in (
+        (up,),
+        (*profile.lens, replace(profile.lens[0], azimuth_deg=180.0)),
+    ):  # a guess; as its maker liked
         assert held_otherwise(shots, replace(profile, lens=lenses)) == ""
-    assert held_otherwise(shots, profile).endswith("turned within the bracket, by its EXIF: roll 0 and 90 deg")
-    assert "held 90 deg off" in merge_frames([s.path for s in shots[:2]], profile, height=24).verdict
+    assert held_otherwise(shots, profile).endswith(
+        "turned within the bracket, by its EXIF: roll 0 and 90 deg"
+    )
+    assert (
+        "held 90 deg off" in merge_frames([s.path for s in shots[:2]], profile, height=24).verdict
+    )
 
 
 @pytest.mark.parametrize("target", [Equirect(24), Fisheye(48, 180.0, PROFILE.lens[0].geometry)])
@@ -199,18 +243,25 @@ def test_analytic_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> No
     height, width = target.shape
     seen = np.ones((height, width), bool)
     slope = np.broadcast_to(np.linspace(1.0, 500.0, width), (height, width))
-    assert u_of_edges(slope, seen, target, PROFILE)[8:16, 4 : width - 4].max() == pytest.approx(0.0, abs=1e-9)
+    assert u_of_edges(slope, seen, target, PROFILE)[8:16, 4 : width - 4].max() == pytest.approx(
+        0.0, abs=1e-9
+    )
     window = np.full((height, width), 100.0)
     window[:, width // 2 :] = 8000.0
     share = min(0.35 / footprint_px(PROFILE.lens[0].geometry, target), 0.5) / np.sqrt(3)
     u = u_of_edges(window, seen, target, PROFILE)[12, width // 2 - 3 : width // 2 + 3]
     assert u == pytest.approx([0.0, 0.0, 7900 * share, 7900 * share, 0.0, 0.0], rel=0.01)
     seen[:, width // 2 :] = False  # beyond the lens there is no light known to leak
-    assert u_of_edges(np.where(seen, window, 0.0), seen, target, PROFILE)[12, 4 : width - 4].max() == 0.0
+    assert (
+        u_of_edges(np.where(seen, window, 0.0), seen, target, PROFILE)[12, 4 : width - 4].max()
+        == 0.0
+    )
 
 
 def test_analytic_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
-    """A wall of 100 right beside a window of 5000 cd/m2 catches a part of it; its u was below 1 % before."""
+    """A wall of 100 right beside a window of 5000 cd/m2 catches a part of it; its u was below 1
+    % before.
+    """
     light = np.full((SIZE, SIZE), 100.0)
     light[:, SIZE // 2 :] = 5000.0
     rng, shots = np.random.default_rng(5), []
@@ -218,7 +269,15 @@ def test_analytic_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
         per = z_per_cdm2(snap_shutter_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
         electrons = rng.poisson(light * per * 4.0) + rng.normal(0, 6.0, light.shape)
         counts = np.minimum(np.rint(electrons / 4.0 + BLACK), 15800).astype(np.uint16)
-        write_dng(tmp_path / f"{i}.dng", counts, e, black_dn=(BLACK,) * 4, white_dn=WHITE, cfa="GBRG", model="doubt")
+        write_dng(
+            tmp_path / f"{i}.dng",
+            counts,
+            e,
+            black_dn=(BLACK,) * 4,
+            white_dn=WHITE,
+            cfa="GBRG",
+            model="doubt",
+        )
         shots.append(tmp_path / f"{i}.dng")
     panorama = merge_frames(shots, PROFILE, height=32).panorama
     wall = np.s_[8:24, 24:32]  # right up to the border

@@ -22,7 +22,9 @@ HEIGHT = 180
 
 
 def furnished() -> np.ndarray:
-    """Patches of some 15 degrees with sharp edges, 10 to 400 cd/m2 and a window, [HEIGHT, 2 HEIGHT]."""
+    """Patches of some 15 degrees with sharp edges, 10 to 400 cd/m2 and a window, [HEIGHT, 2
+    HEIGHT].
+    """
     patches = np.exp(np.random.default_rng(3).normal(4.0, 0.6, (12, 24)))
     light = np.repeat(np.repeat(patches, HEIGHT // 12, axis=0), HEIGHT // 12, axis=1)
     light[60:100, 170:200] = 4000.0
@@ -32,7 +34,9 @@ def furnished() -> np.ndarray:
 class StillWorld:
     def __init__(self) -> None:
         light = furnished()
-        self.panorama = Panorama(light, 180.0, rgb=np.repeat(light[..., None] / 179.0, 3, axis=2).astype(np.float32))
+        self.panorama = Panorama(
+            light, 180.0, rgb=np.repeat(light[..., None] / 179.0, 3, axis=2).astype(np.float32)
+        )
 
     def scene(self, t_utc: datetime) -> Panorama:
         return self.panorama
@@ -46,7 +50,8 @@ def small_camera(name: str) -> CameraProfile:
     profile = load_camera_profile(name)
     body = profile.camera
     lenses = [
-        replace(x, centre_px=(x.centre_px[0] / 2, x.centre_px[1] / 2), radius_px=x.radius_px / 2) for x in profile.lens
+        replace(x, centre_px=(x.centre_px[0] / 2, x.centre_px[1] / 2), radius_px=x.radius_px / 2)
+        for x in profile.lens
     ]
     half = replace(body, width_px=body.width_px // 2, height_px=body.height_px // 2)
     return replace(profile, camera=half, lens=tuple(lenses))
@@ -54,21 +59,28 @@ def small_camera(name: str) -> CameraProfile:
 
 def pixels_per_degree(profile: CameraProfile) -> float:
     lens = profile.lens[0]
-    a = LensGeometry(lens.centre_px, lens.radius_px, lens.full_angle_deg, lens.mapping, lens.coefficients)
-    x = lens_pixels(a, np.array([[0.0, 1.0, 0.0], [np.sin(np.radians(1)), np.cos(np.radians(1)), 0.0]]))[0]
+    a = LensGeometry(
+        lens.centre_px, lens.radius_px, lens.full_angle_deg, lens.mapping, lens.coefficients
+    )
+    x = lens_pixels(
+        a, np.array([[0.0, 1.0, 0.0], [np.sin(np.radians(1)), np.cos(np.radians(1)), 0.0]])
+    )[0]
     return float(abs(x[1] - x[0]))
 
 
 def photograph(folder: Path, profile: CameraProfile, turn_px: float, of_frame: int) -> list[Shot]:
     """A bracket whose camera turns before one of its frames, the longest first."""
     turn = turn_px / pixels_per_degree(profile)
-    turned = replace(profile, lens=tuple(replace(x, azimuth_deg=x.azimuth_deg + turn) for x in profile.lens))
+    turned = replace(
+        profile, lens=tuple(replace(x, azimuth_deg=x.azimuth_deg + turn) for x in profile.lens)
+    )
     clock, world = FastClock(datetime(2027, 3, 20, 20, tzinfo=UTC)), StillWorld()
     before, after = (SimulatedCamera(world, p, clock, heading_deg=180.0) for p in (profile, turned))
     unfiltered = [e for e in bracket_exposures(profile.bracket) if not e.nd]
     exposures = sorted(unfiltered, key=lambda e: -z_per_cdm2(e.shutter_s, e.f_number, e.iso))
     return [
-        Shot((before if i < of_frame else after).expose(e, folder / f"{i:02d}"), e) for i, e in enumerate(exposures)
+        Shot((before if i < of_frame else after).expose(e, folder / f"{i:02d}"), e)
+        for i, e in enumerate(exposures)
     ]
 
 
@@ -95,8 +107,12 @@ def test_a_camera_that_stood_still_is_not(tmp_path: Path, name: str) -> None:  #
 LENS = LensGeometry((150.0, 150.0), 145.0, 180.0, "equidistant")
 
 
-def _turned(vector_deg: tuple[float, float, float], gain: float, rng: np.random.Generator) -> np.ndarray:
-    """A picture of random patches by a camera turned about x, y, z (y is its axis), [300, 300]; 0 outside the lens."""
+def _turned(
+    vector_deg: tuple[float, float, float], gain: float, rng: np.random.Generator
+) -> np.ndarray:
+    """A picture of random patches by a camera turned about x, y, z (y is its axis), [300, 300];
+    0 outside the lens.
+    """
     y, x = np.mgrid[:300, :300] + 0.5
     rays = lens_rays(LENS, x, y)
     vector = np.radians(vector_deg)
@@ -113,10 +129,17 @@ def _turned(vector_deg: tuple[float, float, float], gain: float, rng: np.random.
     return (gain * light * (1 + rng.normal(0, 0.01, light.shape))).astype(np.float32)
 
 
-@pytest.mark.parametrize("vector_deg", [(0.0, 0.0, 1.5), (-0.8, 0.0, 0.0), (0.0, 2.0, 0.0), (6.0, -2.0, 5.0)])
-def test_any_turn_is_found_through_the_lens(vector_deg: tuple[float, float, float]) -> None:  # analytic
+@pytest.mark.parametrize(
+    "vector_deg", [(0.0, 0.0, 1.5), (-0.8, 0.0, 0.0), (0.0, 2.0, 0.0), (6.0, -2.0, 5.0)]
+)
+def test_any_turn_is_found_through_the_lens(
+    vector_deg: tuple[float, float, float],
+) -> None:  # analytic
     rng = np.random.default_rng(0)
-    pictures = [_turned((0.0, 0.0, 0.0), 1.0, rng), _turned(vector_deg, 1.3, rng)]  # an exposure that is off
+    pictures = [
+        _turned((0.0, 0.0, 0.0), 1.0, rng),
+        _turned(vector_deg, 1.3, rng),
+    ]  # an exposure that is off
     seen = [(p > 0.3) & (p < limit) for p, limit in zip(pictures, (3.0, 5.0), strict=True)]
     seen[0][100:140, 60:200] = False  # clipped in the longer frame only
     (moved,) = shifts([reduced(p, s, 0.0) for p, s in zip(pictures, seen, strict=True)], [LENS])

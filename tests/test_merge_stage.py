@@ -17,9 +17,27 @@ from fieldlum.images import read_panorama, read_radiance_hdr
 from fieldlum.merge import stage
 from fieldlum.merge.survey import drift_percent, shutter_table
 from fieldlum.photometry import z_per_cdm2
-from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, load_camera_profile, save_profile
+from fieldlum.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Lens,
+    Sensor,
+    load_camera_profile,
+    save_profile,
+)
 from fieldlum.raw import write_dng
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot, SunSource, slot_id, utc_text
+from fieldlum.records import (
+    CameraSetup,
+    Exposure,
+    IrradianceSample,
+    Site,
+    SiteFile,
+    Slot,
+    SunSource,
+    slot_id,
+    utc_text,
+)
 from fieldlum.session import DayFiles, Session, create_session, exposure_text
 
 TIMES_S = (0.5, 1 / 15, 1 / 125)
@@ -28,9 +46,11 @@ START = datetime(2027, 3, 20, 6, 30, tzinfo=UTC)  # night in Greenwich: no sun t
 
 def profile() -> CameraProfile:
     return CameraProfile(
-        CameraBody("small", "raw", 128, 64), (Lens((64.0, 32.0), 31.0, 180.0),), Bracket(4.0, 100.0, TIMES_S),
+        CameraBody("small", "raw", 128, 64),
+        (Lens((64.0, 32.0), 31.0, 180.0),),
+        Bracket(4.0, 100.0, TIMES_S),
         Sensor("RGGB", (256.0,) * 4, (4000.0,) * 4, 4095.0, 2.0, 5.0, 100.0),
-    )  # fmt: skip
+    )
 
 
 def take(session: Session, number: int, *, light: float = 200.0, complete: bool = True) -> str:
@@ -45,7 +65,13 @@ def take(session: Session, number: int, *, light: float = 200.0, complete: bool 
         noise = np.sqrt(mean / 2 + (5 / 2) ** 2)
         counts = np.clip(np.round(256 + mean + noise * rng.standard_normal((64, 128))), 0, 4000)
         exposure = Exposure(t, 4.0)
-        write_dng(folder / f"{i}.dng", counts.astype(np.uint16), exposure, black_dn=(256,) * 4, white_dn=4095)
+        write_dng(
+            folder / f"{i}.dng",
+            counts.astype(np.uint16),
+            exposure,
+            black_dn=(256,) * 4,
+            white_dn=4095,
+        )
         frames.append(
             {
                 "file": f"{i}.dng",
@@ -54,8 +80,14 @@ def take(session: Session, number: int, *, light: float = 200.0, complete: bool 
                 "t_utc": utc_text(t_utc + timedelta(seconds=10 * i)),
             }
         )
-    note = {"t_open_utc": utc_text(t_utc), "t_close_utc": utc_text(t_utc + timedelta(seconds=30)), "frames": frames}
-    (folder / "capture.json").write_text(json.dumps({**note, "complete": complete}), encoding="utf-8")
+    note = {
+        "t_open_utc": utc_text(t_utc),
+        "t_close_utc": utc_text(t_utc + timedelta(seconds=30)),
+        "frames": frames,
+    }
+    (folder / "capture.json").write_text(
+        json.dumps({**note, "complete": complete}), encoding="utf-8"
+    )
     return folder.name
 
 
@@ -63,7 +95,9 @@ def take(session: Session, number: int, *, light: float = 200.0, complete: bool 
 def session(tmp_path: Path) -> Session:
     save_profile(tmp_path / "small.toml", profile())
     setup = SiteFile(Site("here", 51.5, 0.0), CameraSetup(str(tmp_path / "small.toml"), 180.0))
-    return create_session(tmp_path / "s", setup, [Slot(START, 10.0, 180.0, (Exposure(0.1, 4.0),))], {})
+    return create_session(
+        tmp_path / "s", setup, [Slot(START, 10.0, 180.0, (Exposure(0.1, 4.0),))], {}
+    )
 
 
 def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
@@ -87,13 +121,17 @@ def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     assert [v.state for v in merge.run(session, height=20)] == ["merged", "merged"]
 
 
-def test_a_sun_on_few_pixels_says_how_well_it_is_known(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sun_on_few_pixels_says_how_well_it_is_known(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for origin, note in (
         ("nd-frames", "the sun is 0.2 px wide on the sensor: its illuminance is good to 50 % only"),
         ("clipped", ""),
     ):  # a lower bound says so already
         sun = SunSource(25.0, 190.0, 60_000.0, 1.0, origin)
-        monkeypatch.setattr(stage, "take_out_sun", lambda panorama, _, sun=sun: replace(panorama, sun=sun))
+        monkeypatch.setattr(
+            stage, "take_out_sun", lambda panorama, _, sun=sun: replace(panorama, sun=sun)
+        )
         slot = take(session, 0 if note else 1)
         verdict = next(v for v in merge.run(session, height=16) if v.slot == slot)
         assert verdict.text.endswith(note) and ("px wide" in verdict.text) == bool(note)
@@ -120,7 +158,9 @@ def test_a_frame_that_cannot_be_read_costs_no_bracket(session: Session) -> None:
     for _ in range(2):
         verdict = merge.run(session, height=16)[0]
         assert verdict.state == "merged"
-        assert verdict.text.startswith("without 1.dng, whose pixels cannot be read: copy from the card again; ")
+        assert verdict.text.startswith(
+            "without 1.dng, whose pixels cannot be read: copy from the card again; "
+        )
     note = json.loads((session.panoramas / f"{slot}.json").read_text())
     assert note["quality"]["lost"] == ["1.dng"] and note["verdict"] == verdict.text
     panorama = read_panorama(session.panoramas / f"{slot}.exr")
@@ -152,8 +192,12 @@ def test_the_survey_lists_every_bracket(session: Session) -> None:
     with (session.panoramas / "quality.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [r["slot"] for r in rows] == slots and rows[0]["frames"] == "3"
-    assert float(rows[0]["ghi_change_percent"]) == pytest.approx(100 * 20 / 310, rel=0.01)  # 1 W/m2 a second
-    assert rows[1]["ghi_change_percent"] == "" and rows[0]["drift_percent"] == ""  # two brackets: cannot tell
+    assert float(rows[0]["ghi_change_percent"]) == pytest.approx(
+        100 * 20 / 310, rel=0.01
+    )  # 1 W/m2 a second
+    assert (
+        rows[1]["ghi_change_percent"] == "" and rows[0]["drift_percent"] == ""
+    )  # two brackets: cannot tell
     assert (session.panoramas / "contact-1.png").read_bytes().startswith(b"\x89PNG")
     assert "1/125" in (session.panoramas / "shutter.csv").read_text()
 
@@ -167,7 +211,9 @@ def test_shutter_and_drift_part_over_many_brackets() -> None:
         frames = [
             {
                 "exposure": exposure_text(e),
-                "correction": (1.02 if e.shutter_s == 0.02 else 1.0) * (1 + rise * i / 3) * (1 + 1e-4 * rng.normal()),
+                "correction": (1.02 if e.shutter_s == 0.02 else 1.0)
+                * (1 + rise * i / 3)
+                * (1 + 1e-4 * rng.normal()),
                 "u_percent": 0.05,
                 "t_utc": utc_text(START + timedelta(seconds=10 * i)),
             }
@@ -182,7 +228,8 @@ def test_shutter_and_drift_part_over_many_brackets() -> None:
     assert drift_percent(quality(0.0), table[:2]) is None
 
 
-# ---------------------------------------------------------------------------------------------- contract: the command
+# ----------------------------------------------------------------------------------------------
+# contract: the command
 
 
 def test_the_command_on_a_session(session: Session) -> None:
@@ -195,16 +242,29 @@ def test_the_command_on_a_session(session: Session) -> None:
 
 @pytest.mark.parametrize("projection", ["equirect", "fisheye"])
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
-def test_the_command_on_files(session: Session, tmp_path: Path, projection: str, suffix: str) -> None:
+def test_the_command_on_files(
+    session: Session, tmp_path: Path, projection: str, suffix: str
+) -> None:
     slot = take(session, 0)
     frames = sorted(str(p) for p in (session.raw / slot).glob("*.dng"))
     out = tmp_path / f"picture{suffix}"
     size = "32x16" if projection == "equirect" else "24x24"
-    options = ["--camera", str(tmp_path / "small.toml"), "--out", str(out), "--projection", projection, "--size", size]
+    options = [
+        "--camera",
+        str(tmp_path / "small.toml"),
+        "--out",
+        str(out),
+        "--projection",
+        projection,
+        "--size",
+        size,
+    ]
     result = CliRunner().invoke(main, ["merge", "--frames", *frames, *options, "--json"])
     assert result.exit_code == 0, result.output
     ev = json.loads(result.stdout)["vertical_illuminance_lx"]
-    assert ev == pytest.approx(200 * np.pi, rel=0.05)  # the outermost ring of a lens of 62 pixels is not used
+    assert ev == pytest.approx(
+        200 * np.pi, rel=0.05
+    )  # the outermost ring of a lens of 62 pixels is not used
     if suffix == ".hdr":
         picture = read_radiance_hdr(out)
         assert picture.view == ("-vta -vv 180 -vh 180" if projection == "fisheye" else "")
@@ -227,7 +287,11 @@ def test_exit_codes(session: Session, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("radius_px = 31.0", "radius_px = 0.0"), ("gain_e_per_dn = 2.0", "gain_e_per_dn = inf"), ("k = 1.0", "k = -1.0")],
+    [
+        ("radius_px = 31.0", "radius_px = 0.0"),
+        ("gain_e_per_dn = 2.0", "gain_e_per_dn = inf"),
+        ("k = 1.0", "k = -1.0"),
+    ],
 )
 def test_figures_that_no_camera_has_are_refused(tmp_path: Path, old: str, new: str) -> None:
     path = tmp_path / "small.toml"

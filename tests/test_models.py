@@ -27,7 +27,9 @@ FEW = Plan("short", steps=100, batch_pixels=256)
 
 @pytest.mark.parametrize(("sky_map", "count"), [(False, 1_688_601), (True, 1_689_201)])
 def test_the_network_has_the_papers_parameters(sky_map: bool, count: int) -> None:
-    """authority: 1 688 601 is the "Base Model" of the thesis behind the paper (DESIGN section 6)."""
+    """authority: 1 688 601 is the "Base Model" of the thesis behind the paper (DESIGN section
+    6).
+    """
     assert parameter_count(Net(Shape(sky_map=sky_map))) == count
 
 
@@ -53,7 +55,11 @@ def test_inputs_are_scaled_as_the_paper_says() -> None:
     np.testing.assert_allclose(at.sun[:, 0], light.sun_altitude_deg / 90, rtol=1e-5)
     west = light.sun_azimuth_deg > 180
     assert (at.sun[:, 1].numpy()[west] > 0.5).all() and (at.sun[:, 1].numpy()[~west] < 0.5).all()
-    assert at.sky is not None and at.sky.shape == (len(DATA), 2306) and float(at.sky[:, -1].max()) == 0.0
+    assert (
+        at.sky is not None
+        and at.sky.shape == (len(DATA), 2306)
+        and float(at.sky[:, -1].max()) == 0.0
+    )
 
 
 def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
@@ -61,7 +67,9 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
     torch.manual_seed(3)
     shape = Shape(**SMALL)
     net = Net(shape)
-    base = dense.canvas(np.log10(np.maximum(DATA.luminance_cdm2, 1)).mean(axis=0, dtype=float), 180.0)
+    base = dense.canvas(
+        np.log10(np.maximum(DATA.luminance_cdm2, 1)).mean(axis=0, dtype=float), 180.0
+    )
     pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:500]
     still = torch.optim.SGD(net.parameters(), lr=0.0)
@@ -95,7 +103,9 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
         for mine in members:
             monkeypatch.setattr(ranks, "rank", lambda mine=mine: mine)
             total += dense_training._loss_parts(net, pixels, numbers, 50, half=False, learn=True)
-        return total, torch.cat([p.grad.reshape(-1).clone() for p in net.parameters() if p.grad is not None])
+        return total, torch.cat(
+            [p.grad.reshape(-1).clone() for p in net.parameters() if p.grad is not None]
+        )
 
     one, two = parts_and_gradient((0,)), parts_and_gradient((0, 1))
     torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
@@ -123,7 +133,9 @@ def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> No
 
 
 def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
-    """contract: pictures merged anew under the same slots must not go on from weights taught by the old ones."""
+    """contract: pictures merged anew under the same slots must not go on from weights taught by
+    the old ones.
+    """
     kept = tmp_path / "checkpoint.pt"
     models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=1, plan=FEW, **SMALL)
     brighter = replace(DATA, luminance_cdm2=DATA.luminance_cdm2 * np.float32(1.02))
@@ -134,7 +146,9 @@ def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
-    a, b, c = (models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state()[1] for seed in (1, 1, 2))
+    a, b, c = (
+        models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state()[1] for seed in (1, 1, 2)
+    )
     assert all((a[name] == b[name]).all() for name in a)
     assert any((a[name] != c[name]).any() for name in a)
 
@@ -183,7 +197,9 @@ def test_a_kept_model_predicts_as_before(tmp_path: Path, name: str) -> None:
 
 
 def test_nearest_doubles_with_the_light() -> None:
-    """property: twice the irradiance, twice the map (its features move a little: the same hours are asked for)."""
+    """property: twice the irradiance, twice the map (its features move a little: the same hours
+    are asked for).
+    """
     fitted = models.fit("nearest", DATA, patch="none")
     one = fitted.predict(DATA.light).luminance_cdm2
     np.testing.assert_allclose(one, DATA.luminance_cdm2, rtol=1e-5)
@@ -242,7 +258,10 @@ def test_scores_of_a_constant_factor() -> None:
     """analytic: everything 10^0.1 too bright is 0.01 in both modes."""
     bright = DATA.take(np.arange(4))
     prediction = models.Prediction(
-        np.maximum(bright.luminance_cdm2, 1.0) * np.float32(10**0.1), None, np.full(4, np.nan), np.ones(4, bool)
+        np.maximum(bright.luminance_cdm2, 1.0) * np.float32(10**0.1),
+        None,
+        np.full(4, np.nan),
+        np.ones(4, bool),
     )
     found = summary(compare(prediction, bright, bright.weights))
     assert found["paper_log10_mse"] == pytest.approx(0.01, rel=1e-3)
@@ -256,7 +275,9 @@ def test_a_perfect_prediction_scores_nothing_and_nan_is_never_unseen() -> None:
         maps = TEST.luminance_cdm2.copy()
 
         def predict(self, light: object, patch: object = None) -> models.Prediction:
-            return models.Prediction(self.maps, None, np.zeros(len(self.maps)), np.ones(len(self.maps), bool))
+            return models.Prediction(
+                self.maps, None, np.zeros(len(self.maps)), np.ones(len(self.maps), bool)
+            )
 
     oracle = Oracle()
     found = summary(evaluate(oracle, truth(TEST)))  # type: ignore[arg-type]

@@ -1,4 +1,6 @@
-"""Contract: the wheel holds what the tool needs at run time, and the project names no machine and no package index."""
+"""Contract: the wheel holds what the tool needs at run time, and the project names no machine
+and no package index.
+"""
 
 import subprocess
 import sys
@@ -22,7 +24,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 @pytest.mark.parametrize("kind", ["calibration", "capture_plans"])
 def test_the_wheel_ships_every_profile_and_plan(wheel: list[str], kind: str) -> None:
     files = {p.relative_to(ROOT / kind).as_posix() for p in (ROOT / kind).rglob("*") if p.is_file()}
-    assert files == {name.split(f"_shipped/{kind}/")[1] for name in wheel if f"_shipped/{kind}/" in name}
+    assert files == {
+        name.split(f"_shipped/{kind}/")[1] for name in wheel if f"_shipped/{kind}/" in name
+    }
 
 
 def test_the_wheel_holds_every_module_and_the_report_page(wheel: list[str]) -> None:

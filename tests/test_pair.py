@@ -1,4 +1,6 @@
-"""Pair: statistics over a bracket's own interval, refusal of stale data, the sun's strength, pairs.csv."""
+"""Pair: statistics over a bracket's own interval, refusal of stale data, the sun's strength,
+pairs.csv.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ ROOM = Room(window=(Window("south", 0.5, 5.0, 1.0, 2.5),))
 def log(seconds: np.ndarray, ghi: np.ndarray, every: float = 5.0) -> Log:
     t = NOON.timestamp() + seconds * every
     n = len(t)
-    return Log(t, ghi, 0.2 * ghi, 0.9 * ghi, np.array(["measured"] * n, object), np.array([""] * n, object))
+    return Log(
+        t, ghi, 0.2 * ghi, 0.9 * ghi, np.array(["measured"] * n, object), np.array([""] * n, object)
+    )
 
 
 def test_statistics_come_from_the_interval_alone() -> None:  # analytic
@@ -53,7 +57,9 @@ def test_statistics_come_from_the_interval_alone() -> None:  # analytic
 
 def test_a_short_bracket_takes_a_row_on_either_side() -> None:
     light = outside(
-        log(np.arange(-9.0, 9.0), np.full(18, 400.0)), NOON + timedelta(seconds=1), NOON + timedelta(seconds=3)
+        log(np.arange(-9.0, 9.0), np.full(18, 400.0)),
+        NOON + timedelta(seconds=1),
+        NOON + timedelta(seconds=3),
     )
     assert light.rows == 2 and light.why == ""
 
@@ -69,20 +75,29 @@ def test_stale_data_are_refused(missing: tuple[int, int]) -> None:
 def test_blank_figures_are_no_data_and_say_why() -> None:
     known = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
     blank = replace(
-        known, ghi_wm2=np.full(40, np.nan), dni_wm2=np.full(40, np.nan), flags=np.array(["status"] * 40, object)
+        known,
+        ghi_wm2=np.full(40, np.nan),
+        dni_wm2=np.full(40, np.nan),
+        flags=np.array(["status"] * 40, object),
     )
     assert outside(blank, NOON, NOON + timedelta(seconds=30)).why == "irradiance unusable: status"
 
 
 def test_coarse_rows_are_refused() -> None:
-    light = outside(log(np.arange(-5.0, 5.0), np.full(10, 400.0), every=3600.0), NOON, NOON + timedelta(seconds=30))
+    light = outside(
+        log(np.arange(-5.0, 5.0), np.full(10, 400.0), every=3600.0),
+        NOON,
+        NOON + timedelta(seconds=30),
+    )
     assert light.why == "irradiance only every 3600 s"
 
 
 def test_unsteady_light_is_cautioned_then_refused() -> None:
     k = np.arange(-9.0, 9.0)
     for rise, ok in ((0.2, True), (0.9, False)):
-        light = outside(log(k, np.where(k < 3, 400.0, 400.0 * (1 + rise))), NOON, NOON + timedelta(seconds=30))
+        light = outside(
+            log(k, np.where(k < 3, 400.0, 400.0 * (1 + rise))), NOON, NOON + timedelta(seconds=30)
+        )
         assert (light.why == "") is ok and "light changed" in light.caution + light.why
 
 
@@ -107,14 +122,18 @@ def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     top = 1400.0
     assert sun.too_weak([0.4, 3.0, 20.0], 20.0, top).tolist() == [True, False, False]
     assert not sun.too_weak([0.0, 0.0], [5.0, -20.0], top).any()
-    light = outside(log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30))
+    light = outside(
+        log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30)
+    )
     taken = pair.Taken("x", Path("x.exr"), NOON, NOON)
     assert "kW/m2" in pair.judge(taken, light, 19.0, 178.0).why
 
 
 @pytest.mark.parametrize("shift_h", [-1, 0, 1])
 def test_a_loggers_clock_in_daylight_saving_shows_as_light_at_night(shift_h: int) -> None:
-    """Contract: cloudless days, one reading a minute around the clock; an hour off, dusk or dawn is lit by no sun."""
+    """Contract: cloudless days, one reading a minute around the clock; an hour off, dusk or dawn
+    is lit by no sun.
+    """
     t = np.arange(NOON.timestamp(), NOON.timestamp() + 2 * 86400.0, 60.0)
     clear = sun.clearsky([datetime.fromtimestamp(s, UTC) for s in t], SITE)
     texts = np.array([""] * len(t), object)
@@ -142,16 +161,32 @@ def test_a_measured_sun_is_kept_and_a_hidden_one_never_added() -> None:
 def test_a_clipped_sun_comes_from_dni_and_the_room() -> None:  # analytic
     source, caution = complete_sun(picture(SOUTH), 90_000.0, Seen(0.5, 0.8, True), None)
     assert source is not None and caution == ""
-    assert (source.origin, source.normal_illuminance_lx, source.visible_fraction) == ("dni", pytest.approx(36_000), 0.5)
+    assert (source.origin, source.normal_illuminance_lx, source.visible_fraction) == (
+        "dni",
+        pytest.approx(36_000),
+        0.5,
+    )
     source, caution = complete_sun(picture(SOUTH), 90_000.0, Seen(), None)
-    assert source is not None and source.normal_illuminance_lx == pytest.approx(90_000) and "no [room]" in caution
-    assert complete_sun(picture(SOUTH), 2_000.0, Seen(1.0, 0.8, True), None)[0] == SOUTH, "a lower bound is kept"
-    assert "the room does not" in complete_sun(picture(SOUTH), 90_000.0, Seen(0.0, 0.0, True), None)[1]
+    assert (
+        source is not None
+        and source.normal_illuminance_lx == pytest.approx(90_000)
+        and "no [room]" in caution
+    )
+    assert complete_sun(picture(SOUTH), 2_000.0, Seen(1.0, 0.8, True), None)[0] == SOUTH, (
+        "a lower bound is kept"
+    )
+    assert (
+        "the room does not" in complete_sun(picture(SOUTH), 90_000.0, Seen(0.0, 0.0, True), None)[1]
+    )
 
 
-def test_a_meter_beside_the_lens_comes_first() -> None:  # analytic: uniform 100 cd/m2 gives pi 100 lx
+def test_a_meter_beside_the_lens_comes_first() -> (
+    None
+):  # analytic: uniform 100 cd/m2 gives pi 100 lx
     cosine = np.cos(np.radians(18.9)) * np.cos(np.radians(2.0))
-    source, _ = complete_sun(picture(SOUTH), 90_000.0, Seen(1.0, 0.8, True), 100 * np.pi + 60_000.0 * cosine)
+    source, _ = complete_sun(
+        picture(SOUTH), 90_000.0, Seen(1.0, 0.8, True), 100 * np.pi + 60_000.0 * cosine
+    )
     assert source is not None and source.origin == "meter"
     assert source.normal_illuminance_lx == pytest.approx(60_000.0, rel=2e-3)
 
@@ -162,7 +197,9 @@ def make_session(folder: Path, room: Room | None, hours: int = 2) -> Session:
     days = DayFiles(session, flush=False)
     for slot in slots:
         for i in range(-12, 24):
-            days.append(IrradianceSample(slot.t_utc + timedelta(seconds=5 * i), 280.0 + i % 3, 60.0))
+            days.append(
+                IrradianceSample(slot.t_utc + timedelta(seconds=5 * i), 280.0 + i % 3, 60.0)
+            )
         _bracket(session, slot.t_utc)
     days.close()
     irradiance.run(session)
@@ -173,11 +210,19 @@ def _bracket(session: Session, t_utc: datetime) -> None:
     name = slot_id(t_utc)
     folder = session.raw / name
     folder.mkdir(parents=True)
-    note = {"t_open_utc": utc_text(t_utc), "t_close_utc": utc_text(t_utc + timedelta(seconds=20)), "complete": True}
+    note = {
+        "t_open_utc": utc_text(t_utc),
+        "t_close_utc": utc_text(t_utc + timedelta(seconds=20)),
+        "complete": True,
+    }
     (folder / "capture.json").write_text(json.dumps(note))
     session.panoramas.mkdir(exist_ok=True)
     write_panorama(session.panoramas / f"{name}.exr", picture(SOUTH, 50.0))
-    side = {"slot": name, "verdict": "good", "size_bytes": (session.panoramas / f"{name}.exr").stat().st_size}
+    side = {
+        "slot": name,
+        "verdict": "good",
+        "size_bytes": (session.panoramas / f"{name}.exr").stat().st_size,
+    }
     (session.panoramas / f"{name}.json").write_text(json.dumps(side))
 
 
@@ -191,32 +236,49 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
     session = make_session(tmp_path / "s", room)
     pairs = pair.run(session)
     rows = rows_of(session)
-    assert tuple(rows[0]) == pair.COLUMNS and [r["ok"] for r in rows] == ["1", "1"] and all(p.ok for p in pairs)
-    assert float(rows[0]["ghi_wm2"]) == pytest.approx(281.0, abs=0.5) and rows[0]["source"] == "measured"
+    assert (
+        tuple(rows[0]) == pair.COLUMNS
+        and [r["ok"] for r in rows] == ["1", "1"]
+        and all(p.ok for p in pairs)
+    )
+    assert (
+        float(rows[0]["ghi_wm2"]) == pytest.approx(281.0, abs=0.5)
+        and rows[0]["source"] == "measured"
+    )
     beam = float(rows[0]["dni_wm2"]) * np.sin(np.radians(float(rows[0]["sun_altitude_deg"])))
     assert beam + float(rows[0]["dhi_wm2"]) == pytest.approx(float(rows[0]["ghi_wm2"]), rel=2e-3)
     found = read_panorama(session.root / rows[0]["panorama"])
     assert found.sun is not None and found.sun.origin in ("dni", "clipped")
     side = json.loads((session.panoramas / f"{slot_id(NOON)}.json").read_text())
-    assert side["size_bytes"] == (session.root / rows[0]["panorama"]).stat().st_size, "merge must still know it"
+    assert side["size_bytes"] == (session.root / rows[0]["panorama"]).stat().st_size, (
+        "merge must still know it"
+    )
     assert bool(rows[0]["sunpatch"]) is (room is not None)
     if room is not None:
         patch = read_panorama(session.root / rows[0]["sunpatch"])
         assert patch.luminance_cdm2.shape == found.luminance_cdm2.shape
         stamp = (session.root / rows[0]["sunpatch"]).stat().st_mtime_ns
         pair.run(session)
-        assert (session.root / rows[0]["sunpatch"]).stat().st_mtime_ns == stamp, "made once from the same inputs"
+        assert (session.root / rows[0]["sunpatch"]).stat().st_mtime_ns == stamp, (
+            "made once from the same inputs"
+        )
 
 
 def test_a_refused_row_stays_in_the_table(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     _bracket(session, NOON + timedelta(hours=5))
-    (session.panoramas / f"{slot_id(NOON)}.json").write_text(json.dumps({"verdict": "reject: drift"}))
+    (session.panoramas / f"{slot_id(NOON)}.json").write_text(
+        json.dumps({"verdict": "reject: drift"})
+    )
     pair.run(session)
     rows = rows_of(session)
     assert [(r["ok"], r["why"]) for r in rows[:1]] == [("0", "merge: reject: drift")]
     assert rows[1]["ok"] == "1"
-    assert rows[2]["ok"] == "0" and rows[2]["why"].startswith("no irradiance") and rows[2]["dni_wm2"] == ""
+    assert (
+        rows[2]["ok"] == "0"
+        and rows[2]["why"].startswith("no irradiance")
+        and rows[2]["dni_wm2"] == ""
+    )
 
 
 def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:  # contract
@@ -224,7 +286,10 @@ def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:  # contract
     note = session.panoramas / f"{slot_id(NOON)}.json"
     note.write_text(json.dumps({**json.loads(note.read_text()), "sun": {"u_mosaic_percent": 20.0}}))
     pair.run(session)
-    assert "sun measured on few pixels, to 20 %" in rows_of(session)[0]["why"] and rows_of(session)[0]["ok"] == "1"
+    assert (
+        "sun measured on few pixels, to 20 %" in rows_of(session)[0]["why"]
+        and rows_of(session)[0]["ok"] == "1"
+    )
 
 
 def test_a_map_that_did_without_a_frame_is_incomplete(tmp_path: Path) -> None:  # contract
@@ -244,7 +309,11 @@ def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
         note.write_text(json.dumps(table))
     pair.run(session)
     first, second, third = rows_of(session)
-    assert first["why"] == f"the same frames as {slot_id(NOON + timedelta(hours=2))}: imported with two clock offsets"
+    assert (
+        first["why"]
+        == f"the same frames as {slot_id(NOON + timedelta(hours=2))}: imported with two clock "
+        f"offsets"
+    )
     assert third["ok"] == "0" and slot_id(NOON) in third["why"] and second["ok"] == "1"
 
 
@@ -280,7 +349,9 @@ def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_p
         instrument.close()
         days.close()
     irradiance.run(session)
-    light = outside(read_clean(session.irradiance / "clean.csv"), NOON, NOON + timedelta(seconds=40))
+    light = outside(
+        read_clean(session.irradiance / "clean.csv"), NOON, NOON + timedelta(seconds=40)
+    )
     truth = open_world(session, 3).irradiance(NOON + timedelta(seconds=20))
     noise = 1.0 / np.sqrt(light.rows)
     sine = np.sin(np.radians(position([NOON + timedelta(seconds=20)], SITE).altitude_deg[0]))

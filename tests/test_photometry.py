@@ -26,13 +26,22 @@ from fieldlum.photometry import (
 )
 from fieldlum.records import SunSource
 
-# ---------------------------------------------------------------------------------------------- exposure
+# ----------------------------------------------------------------------------------------------
+# exposure
 
 
 # authority: shutters run in powers of two (README of wjakob/hdrmerge; linearhdr's 2^(n/3))
 @pytest.mark.parametrize(
     ("nominal", "power"),
-    [(1 / 60, -6), (1 / 125, -7), (1 / 8000, -13), (13, 11 / 3), (0.3, -5 / 3), (1 / 45, -5.5), (1 / 1250, -31 / 3)],
+    [
+        (1 / 60, -6),
+        (1 / 125, -7),
+        (1 / 8000, -13),
+        (13, 11 / 3),
+        (0.3, -5 / 3),
+        (1 / 45, -5.5),
+        (1 / 1250, -31 / 3),
+    ],
 )
 def test_nominal_shutter_times_are_powers_of_two(nominal: float, power: float) -> None:
     assert snap_shutter_s(nominal) == pytest.approx(2.0**power, rel=1e-12)
@@ -58,7 +67,8 @@ def test_the_plateau_is_found_below_the_tag_and_only_where_there_is_one() -> Non
     assert saturation_plateau((counts // 4).astype(np.uint16), 16383) is None
 
 
-# ---------------------------------------------------------------------------------------------- response
+# ----------------------------------------------------------------------------------------------
+# response
 
 
 def test_response_tables() -> None:
@@ -84,17 +94,23 @@ def test_a_response_is_recovered_from_a_bracket() -> None:  # analytic
     light = np.exp(rng.uniform(-7, 1, 1500))
     log_exposure = np.log(2.0) * np.arange(-2, 5)
     z = np.minimum(light[:, None] * np.exp(log_exposure), 1.0)
-    codes = np.clip(np.round(255 * z ** (1 / 2.2) + rng.normal(0, 0.5, z.shape)), 0, 255).astype(np.uint8)
+    codes = np.clip(np.round(255 * z ** (1 / 2.2) + rng.normal(0, 0.5, z.shape)), 0, 255).astype(
+        np.uint8
+    )
     found, rms = fit_response(codes, log_exposure)
     middle = np.arange(30, 229)
     expected = (middle / 255) ** 2.2
     ratio = found[middle] / expected
-    assert np.ptp(ratio / np.median(ratio)) < 0.06 and rms < 0.04  # half a code at code 27 is 4 % of z
+    assert (
+        np.ptp(ratio / np.median(ratio)) < 0.06 and rms < 0.04
+    )  # half a code at code 27 is 4 % of z
     assert np.all(np.diff(found) >= 0)
 
 
 def _film_codes(black: float) -> tuple[np.ndarray, np.ndarray]:
-    """Codes [places, frames] of a gamma 2.2 camera whose black lies at a code of its own, 1 EV steps, 16 frames."""
+    """Codes [places, frames] of a gamma 2.2 camera whose black lies at a code of its own, 1 EV
+    steps, 16 frames.
+    """
     rng = np.random.default_rng(1)
     light, log_exposure = np.exp(rng.uniform(-2, 7, 1500)), np.log(2.0) * np.arange(-15, 1)
     z = np.minimum(light[:, None] * np.exp(log_exposure), 1.0)
@@ -102,7 +118,9 @@ def _film_codes(black: float) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(np.round(codes), 0, 255).astype(np.uint8), log_exposure
 
 
-def test_a_black_level_is_no_light() -> None:  # analytic; Memorial Church's scans have their black at codes 12 to 17
+def test_a_black_level_is_no_light() -> (
+    None
+):  # analytic; Memorial Church's scans have their black at codes 12 to 17
     codes, log_exposure = _film_codes(30.0)
     assert 30 < dark_floor(codes, log_exposure) <= 39
     middle = np.arange(45, 229)
@@ -116,7 +134,9 @@ def test_a_black_level_is_no_light() -> None:  # analytic; Memorial Church's sca
 
 def test_without_a_black_level_nearly_every_code_counts() -> None:  # property
     assert dark_floor(*_film_codes(0.0)) <= 6
-    assert dark_floor(np.full((30, 3), 40, np.uint8), np.array([0.0, 0.1, 0.2])) == 3  # steps too small to tell
+    assert (
+        dark_floor(np.full((30, 3), 40, np.uint8), np.array([0.0, 0.1, 0.2])) == 3
+    )  # steps too small to tell
 
 
 def test_too_few_places_give_no_response() -> None:
@@ -124,7 +144,8 @@ def test_too_few_places_give_no_response() -> None:
         fit_response(np.zeros((3, 5), np.uint8), np.arange(5.0))
 
 
-# ---------------------------------------------------------------------------------------------- exposure ratios
+# ----------------------------------------------------------------------------------------------
+# exposure ratios
 
 
 def _pair(true_ratio: float, assumed: float, rng: np.random.Generator, moved: float = 0.0):
@@ -132,7 +153,9 @@ def _pair(true_ratio: float, assumed: float, rng: np.random.Generator, moved: fl
     short = long * true_ratio
     short[: int(moved * short.size)] *= 3.0
     y_long, y_short = (rng.normal(y, np.sqrt(y / 4)) for y in (long, short))
-    return pair_ratio(y_long, y_short, np.ones(long.size, bool), y_long / 4, y_long * assumed / 4, assumed, 0, 1)
+    return pair_ratio(
+        y_long, y_short, np.ones(long.size, bool), y_long / 4, y_long * assumed / 4, assumed, 0, 1
+    )
 
 
 @pytest.mark.parametrize("moved", [0.0, 0.1])
@@ -169,7 +192,8 @@ def test_without_pairs_the_priors_stand() -> None:
     assert fit.correction == pytest.approx([1.0, 1.0]) and fit.u_log == pytest.approx([0.003, 0.03])
 
 
-# ---------------------------------------------------------------------------------------------- vignetting, illuminance
+# ----------------------------------------------------------------------------------------------
+# vignetting, illuminance
 
 
 def test_vignetting_signs() -> None:
@@ -186,7 +210,9 @@ def test_vignetting_signs() -> None:
 def test_a_uniform_field_gives_pi_l_at_any_size(height: int, azimuth: float) -> None:  # analytic
     field = np.full((height, 2 * height), 100.0)
     tolerance = 5e-4  # the issue's 0.05 %
-    assert vertical_illuminance_lx(field, 10.0, azimuth) == pytest.approx(100 * np.pi, rel=tolerance)
+    assert vertical_illuminance_lx(field, 10.0, azimuth) == pytest.approx(
+        100 * np.pi, rel=tolerance
+    )
     assert illuminance_lx(field, 10.0, 90.0, 0.0) == pytest.approx(100 * np.pi, rel=tolerance)
 
 

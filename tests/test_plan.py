@@ -20,7 +20,9 @@ TODAY = date(2026, 11, 21)
 @pytest.fixture(scope="module")
 def profile(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("profile") / "camera.toml"
-    bracket = Bracket(5.6, 100.0, (1.0, 0.1, 0.01), nd=("nd3",), nd_shutter_s=(0.001,), megabytes_per_frame=10.0)
+    bracket = Bracket(
+        5.6, 100.0, (1.0, 0.1, 0.01), nd=("nd3",), nd_shutter_s=(0.001,), megabytes_per_frame=10.0
+    )
     body = CameraBody("test", "raw", 100, 100)
     save_profile(path, CameraProfile(body, (Lens((50.0, 50.0), 45.0, 180.0),), bracket))
     return str(path)
@@ -33,7 +35,9 @@ def _plan(site: Site, profile: str, name: str, **asked: object) -> plan.Plan:
 
 @pytest.mark.parametrize(("name", "count"), [("9-day", 108), ("12-day", 144), ("4-day", 48)])
 @pytest.mark.parametrize("asked", [{"year": 2027}, {}, {"start": date(2025, 1, 1)}])
-def test_authority_the_papers_seattle_sets(profile: str, name: str, count: int, asked: dict) -> None:
+def test_authority_the_papers_seattle_sets(
+    profile: str, name: str, count: int, asked: dict
+) -> None:
     """Liu, Colburn, Inanici 2020: 9 days give 108 hours in Seattle, 12 days 144, 4 days 48."""
     assert len(_plan(SEATTLE, profile, name, **asked).slots) == count
 
@@ -42,8 +46,16 @@ def test_authority_nine_days_are_the_papers_dates(profile: str) -> None:
     """19-21 March, 20-22 June, 20-22 December (the paper's section on training data)."""
     days = _plan(SEATTLE, profile, "9-day", year=2026).days
     assert [d.strftime("%m-%d") for d in days] == [
-        "03-19", "03-20", "03-21", "06-20", "06-21", "06-22", "12-20", "12-21", "12-22",
-    ]  # fmt: skip
+        "03-19",
+        "03-20",
+        "03-21",
+        "06-20",
+        "06-21",
+        "06-22",
+        "12-20",
+        "12-21",
+        "12-22",
+    ]
 
 
 def test_slots_stand_at_half_past_standard_time_through_a_clock_change(profile: str) -> None:
@@ -84,17 +96,28 @@ def test_dark_days_apart_are_named_apart(profile: str) -> None:
 def test_fewer_hours_than_asked_for_are_said(profile: str) -> None:
     """contract: three June days in Seattle hold 48 half-past hours of daylight."""
     made = _plan(SEATTLE, profile, "even", start=date(2027, 6, 1), days=3, count=500)
-    assert len(made.slots) == 48 and "500 hours were asked for, the window has 48 that can be had" in made.warnings
+    assert (
+        len(made.slots) == 48
+        and "500 hours were asked for, the window has 48 that can be had" in made.warnings
+    )
 
 
 def test_nothing_but_polar_night_is_not_enough_data(profile: str) -> None:
     with pytest.raises(NotEnoughDataError, match="polar night"):
-        _plan(Site("Longyearbyen", 78.2, 15.6, "Arctic/Longyearbyen"), profile, "month", start=date(2026, 12, 1))
+        _plan(
+            Site("Longyearbyen", 78.2, 15.6, "Arctic/Longyearbyen"),
+            profile,
+            "month",
+            start=date(2026, 12, 1),
+        )
 
 
 def test_southern_hemisphere_has_its_long_day_in_december(profile: str) -> None:
     made = _plan(Site("Sydney", -33.9, 151.2, "Australia/Sydney"), profile, "9-day", year=2027)
-    count = {tag: sum(tag in s.tags for s in made.slots) for tag in ("june-solstice", "december-solstice")}
+    count = {
+        tag: sum(tag in s.tags for s in made.slots)
+        for tag in ("june-solstice", "december-solstice")
+    }
     assert count["june-solstice"] < count["december-solstice"]
 
 
@@ -119,7 +142,10 @@ def _site_file(folder: Path, text: str) -> Path:
     return path
 
 
-GOOD = '[site]\nname = "S"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\ntimezone = "America/Los_Angeles"\n'
+GOOD = (
+    '[site]\nname = "S"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\ntimezone = '
+    '"America/Los_Angeles"\n'
+)
 
 
 def test_contract_command_makes_a_session(tmp_path: Path, profile: str) -> None:
@@ -145,7 +171,9 @@ def test_contract_command_makes_a_session(tmp_path: Path, profile: str) -> None:
 )
 def test_contract_bad_site_files_get_one_line(tmp_path: Path, text: str, said: str) -> None:
     site = _site_file(tmp_path, text)
-    found = CliRunner().invoke(main, ["plan", str(site), "--set", "4-day", "--out", str(tmp_path / "o")])
+    found = CliRunner().invoke(
+        main, ["plan", str(site), "--set", "4-day", "--out", str(tmp_path / "o")]
+    )
     assert found.exit_code == 3 and said in found.stderr and found.stderr.count("\n") == 1
     assert not (tmp_path / "o").exists()
 
@@ -153,7 +181,9 @@ def test_contract_bad_site_files_get_one_line(tmp_path: Path, text: str, said: s
 def test_contract_usage_errors_exit_two(tmp_path: Path) -> None:
     site = _site_file(tmp_path, GOOD)
     assert CliRunner().invoke(main, ["plan", str(site)]).exit_code == 2
-    assert CliRunner().invoke(main, ["plan", str(site), "--set", "5-day", "--out", "x"]).exit_code == 2
+    assert (
+        CliRunner().invoke(main, ["plan", str(site), "--set", "5-day", "--out", "x"]).exit_code == 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -164,8 +194,12 @@ def test_contract_usage_errors_exit_two(tmp_path: Path) -> None:
         ["--set", "month", "--start", "2027-03-01", "--year", "2028"],
     ],
 )
-def test_contract_what_would_be_passed_over_is_a_usage_error(tmp_path: Path, asked: list[str]) -> None:
-    found = CliRunner().invoke(main, ["plan", str(_site_file(tmp_path, GOOD)), *asked, "--out", str(tmp_path / "o")])
+def test_contract_what_would_be_passed_over_is_a_usage_error(
+    tmp_path: Path, asked: list[str]
+) -> None:
+    found = CliRunner().invoke(
+        main, ["plan", str(_site_file(tmp_path, GOOD)), *asked, "--out", str(tmp_path / "o")]
+    )
     assert found.exit_code == 2 and asked[2] in found.stderr
     assert not (tmp_path / "o").exists()
 
@@ -183,4 +217,6 @@ def test_a_place_without_time_zone_is_told(profile: str) -> None:
 
 def test_today_is_the_sites_own() -> None:
     assert plan.today_at(SEATTLE, datetime(2027, 3, 20, 3, tzinfo=UTC)) == date(2027, 3, 19)
-    assert sun.standard_date(datetime(2027, 7, 1, 7, 30, tzinfo=UTC), SEATTLE.timezone) == date(2027, 6, 30)
+    assert sun.standard_date(datetime(2027, 7, 1, 7, 30, tzinfo=UTC), SEATTLE.timezone) == date(
+        2027, 6, 30
+    )

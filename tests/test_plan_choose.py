@@ -41,12 +41,15 @@ def _set(name: str) -> Hours:
     return daylight_hours(set_days(name, SEATTLE, date(2027, 1, 1), None, 2027, None), SEATTLE)
 
 
-# ---------------------------------------------------------------------------------------------- choosing
+# ----------------------------------------------------------------------------------------------
+# choosing
 
 
 @settings(deadline=None, max_examples=25)
 @given(st.integers(2, 60), st.integers(1, 70), st.integers(0, 9))
-def test_property_choices_are_distinct_and_as_many_as_asked(points: int, count: int, seed: int) -> None:
+def test_property_choices_are_distinct_and_as_many_as_asked(
+    points: int, count: int, seed: int
+) -> None:
     cloud = np.random.default_rng(seed).normal(size=(points, 3))
     for choice in (choose.medoids, choose.space_filling):
         found = choice(cloud, count, np.random.default_rng(seed))
@@ -82,16 +85,21 @@ def test_march_teaches_more_than_december(weather: Weather) -> None:
     assert months.by_month[11] > 2 * min(months.by_month) and min(months.by_month) == 1.0
 
 
-# ---------------------------------------------------------------------------------------------- coverage
+# ----------------------------------------------------------------------------------------------
+# coverage
 
 
 def test_analytic_band_is_the_solstice_band() -> None:
     up = band_directions(SEATTLE)[:, 2]
-    assert np.degrees(np.arcsin(up.max())) == pytest.approx(90 - 47.6 + 23.44, abs=0.8)  # 41 steps of declination
+    assert np.degrees(np.arcsin(up.max())) == pytest.approx(
+        90 - 47.6 + 23.44, abs=0.8
+    )  # 41 steps of declination
 
 
 def test_coverage_grows_with_the_set(weather: Weather) -> None:
-    four, nine, twelve = (coverage(_set(name), SEATTLE, weather) for name in ("4-day", "9-day", "12-day"))
+    four, nine, twelve = (
+        coverage(_set(name), SEATTLE, weather) for name in ("4-day", "9-day", "12-day")
+    )
     assert four.sun_band_percent < nine.sun_band_percent + 1 < twelve.sun_band_percent + 2
     assert four.both_percent < nine.both_percent < twelve.both_percent  # type: ignore[operator]
     assert coverage(_set("9-day"), SEATTLE).irradiance_percent is None
@@ -105,7 +113,8 @@ def test_figures_draw_anywhere(latitude: float, weather: Weather) -> None:
     assert irradiance_figure(_set("4-day"), SEATTLE, weather).axes
 
 
-# ---------------------------------------------------------------------------------------------- calendar and sheets
+# ----------------------------------------------------------------------------------------------
+# calendar and sheets
 
 
 def _setup(profile: str = "") -> SiteFile:
@@ -147,11 +156,15 @@ def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
     setup = SiteFile(Site("東京 Tromso", 69.65, 18.96, "Europe/Oslo"))
     slots = plan.make_slots(daylight_hours([date(2027, 6, 20)], setup.site), setup, EXPOSURES)
     page = html(slots, setup, Cost(30.0, 50.0))
-    assert page.count("00:30 <small>CEST Mon 21</small>") == 1 and page.count("<small>CEST</small>") == 23
+    assert (
+        page.count("00:30 <small>CEST Mon 21</small>") == 1
+        and page.count("<small>CEST</small>") == 23
+    )
     assert "The sun does not rise or set today." in page
 
 
-# ---------------------------------------------------------------------------------------------- make-ups, coming hours
+# ----------------------------------------------------------------------------------------------
+# make-ups, coming hours
 
 
 def _session(folder: Path, hours: Hours, done: int) -> Path:
@@ -181,7 +194,9 @@ def test_make_ups_have_the_same_sun_and_nothing_is_taken_out(tmp_path: Path) -> 
         assert abs(declinations[1] - declinations[0]) < 0.4 and pair.sun_off_deg < 8
     assert answer.sun_band_percent["without"] < answer.sun_band_percent["with"]
     again = makeup.run(session, now)
-    assert again.already == again.missed and not again.made_up and len(session.slots()) == len(after)
+    assert (
+        again.already == again.missed and not again.made_up and len(session.slots()) == len(after)
+    )
 
 
 def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
@@ -199,11 +214,14 @@ def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     third = makeup.run(session, datetime(2029, 5, 1, tzinfo=UTC))
     assert (third.missed, third.recovered, len(third.made_up)) == (9, 4, 9)
     assert (
-        makeup.sentences(third)[0] == "9 slots missed, 0 of them with a make-up slot already; 4 more were made up since"
+        makeup.sentences(third)[0]
+        == "9 slots missed, 0 of them with a make-up slot already; 4 more were made up since"
     )
 
 
-def test_a_replan_killed_before_its_last_write_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_replan_killed_before_its_last_write_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
     now = datetime(2027, 4, 12, tzinfo=UTC)
 
@@ -224,7 +242,9 @@ def test_a_replan_killed_before_its_last_write_is_ended(tmp_path: Path, monkeypa
 def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
     answer = makeup.run(session, datetime(2027, 4, 1, tzinfo=UTC))
-    assert answer.missed == 0 and makeup.sentences(answer) == ["nothing was missed: the plan stands"]
+    assert answer.missed == 0 and makeup.sentences(answer) == [
+        "nothing was missed: the plan stands"
+    ]
 
 
 def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather) -> None:
@@ -252,7 +272,10 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
     found = coming.trained_kernel(session)
     assert found is not None and found[1] == "north" and found[0].beam_width == 0.3
     assert coming.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC)).model == "north"
-    elsewhere = {"model": "transport", "setup": {"site": {"latitude_deg": -33.9, "longitude_deg": 151.2}}}
+    elsewhere = {
+        "model": "transport",
+        "setup": {"site": {"latitude_deg": -33.9, "longitude_deg": 151.2}},
+    }
     (folder / "config.json").write_text(json.dumps(elsewhere))
     assert coming.trained_kernel(session) is None
     (folder / "config.json").write_text(json.dumps({"model": "transport"}))
@@ -265,7 +288,12 @@ def test_analytic_single_gain_is_the_drop_of_the_variance(weather: Weather, year
     _, features = choose.features_at(year[np.arange(0, len(year), 200)], task)
     captured, one = features[:8], features[8:9]
     gain = coming._single_gains(task, captured, one)[0]
-    both = Features(*(np.concatenate([getattr(captured, n), getattr(one, n)]) for n in ("sky", "beam", "direction")))
+    both = Features(
+        *(
+            np.concatenate([getattr(captured, n), getattr(one, n)])
+            for n in ("sky", "beam", "direction")
+        )
+    )
     drop = choose.variance_left(task, captured) - choose.variance_left(task, both)
     assert gain == pytest.approx(drop, rel=1e-3)
 
@@ -278,12 +306,19 @@ def test_contract_command_best_next_and_replan(tmp_path: Path, weather: Weather)
     profile = tmp_path / "camera.toml"
     save_profile(
         profile,
-        CameraProfile(CameraBody("c", "raw", 9, 9), (Lens((4.0, 4.0), 4.0, 180.0),), Bracket(5.6, 100.0, (0.5, 0.01))),
+        CameraProfile(
+            CameraBody("c", "raw", 9, 9),
+            (Lens((4.0, 4.0), 4.0, 180.0),),
+            Bracket(5.6, 100.0, (0.5, 0.01)),
+        ),
     )
     site, file, out = tmp_path / "site.toml", tmp_path / "weather.csv", tmp_path / "s"
     site.write_text(tomli_w.dumps(site_table(_setup(str(profile)))))
     rows = zip(weather.t_utc, weather.dni_wm2, weather.dhi_wm2, strict=True)
-    file.write_text("t_utc,dni_wm2,dhi_wm2\n" + "".join(f"{t.isoformat()},{a:.1f},{b:.1f}\n" for t, a, b in rows))
+    file.write_text(
+        "t_utc,dni_wm2,dhi_wm2\n"
+        + "".join(f"{t.isoformat()},{a:.1f},{b:.1f}\n" for t, a, b in rows)
+    )
     start = (datetime.now(UTC) - timedelta(days=200)).strftime("%Y-%m-%d")
 
     def call(*words: object) -> dict:
@@ -299,5 +334,7 @@ def test_contract_command_best_next_and_replan(tmp_path: Path, weather: Weather)
     past = call(site, "--set", "month", "--start", start, "--days", "3", "--out", tmp_path / "p")
     assert call(tmp_path / "p", "--replan")["missed"] == past["slots"]
     assert len(call(tmp_path / "p", "--next", "--weather", file)["hours"]) == 12
-    wrong = CliRunner().invoke(main, ["plan", str(site), "--set", "best", "--out", str(tmp_path / "x")])
+    wrong = CliRunner().invoke(
+        main, ["plan", str(site), "--set", "best", "--out", str(tmp_path / "x")]
+    )
     assert wrong.exit_code == 2 and "--weather" in wrong.stderr

@@ -1,4 +1,6 @@
-"""Sun at the window: analytic cases of a facade, a reveal, a neighbour, and the camera's own view."""
+"""Sun at the window: analytic cases of a facade, a reveal, a neighbour, and the camera's own
+view.
+"""
 
 import numpy as np
 from hypothesis import given, settings
@@ -17,7 +19,13 @@ def _at(room: Room, *suns: tuple[float, float]) -> list[bool]:
 
 def test_analytic_facade() -> None:
     room = Room(window=(SOUTH,))
-    assert _at(room, (30, 180), (30, 95), (30, 85), (30, 0), (-5, 180)) == [True, True, False, False, False]
+    assert _at(room, (30, 180), (30, 95), (30, 85), (30, 0), (-5, 180)) == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_analytic_turned_facade() -> None:
@@ -32,7 +40,9 @@ def test_analytic_walls_by_name() -> None:
 
 
 def test_analytic_reveal_stops_a_high_sun() -> None:
-    """Thickness .25 m, height .3 m: the sun is stopped from a profile angle of about atan(.3/.25) = 50 deg up."""
+    """Thickness .25 m, height .3 m: the sun is stopped from a profile angle of about
+    atan(.3/.25) = 50 deg up.
+    """
     room = Room(window=(Window("south", 1.0, 4.0, 1.0, 0.3),))
     assert _at(room, (40, 180), (55, 180)) == [True, False]
 
@@ -44,15 +54,23 @@ def test_analytic_neighbour_shades_a_low_sun() -> None:
 
 
 def test_analytic_left_is_seen_from_inside() -> None:
-    """A window at the left end of the south wall lies in the east: a western box outside does not shade it."""
-    room = Room(window=(Window("south", 0.0, 1.0, 1.0, 2.0),), obstruction=(Obstruction(0, -2, 0, 3, 1, 4),))
+    """A window at the left end of the south wall lies in the east: a western box outside does
+    not shade it.
+    """
+    room = Room(
+        window=(Window("south", 0.0, 1.0, 1.0, 2.0),), obstruction=(Obstruction(0, -2, 0, 3, 1, 4),)
+    )
     assert _at(room, (5, 180)) == [True]
-    room = Room(window=(Window("south", 5.0, 1.0, 1.0, 2.0),), obstruction=(Obstruction(0, -2, 0, 3, 1, 4),))
+    room = Room(
+        window=(Window("south", 5.0, 1.0, 1.0, 2.0),), obstruction=(Obstruction(0, -2, 0, 3, 1, 4),)
+    )
     assert _at(room, (5, 180)) == [False]
 
 
 def test_analytic_camera_sees_the_sun_in_line_with_the_window() -> None:
-    room = Room(window=(SOUTH,))  # camera 3 m in, 1.6 m high, in the middle; the window's head is 3 m high
+    room = Room(
+        window=(SOUTH,)
+    )  # camera 3 m in, 1.6 m high, in the middle; the window's head is 3 m high
     altitude, azimuth = np.array([20.0, 40.0, 20.0]), np.array([180.0, 180.0, 100.0])
     assert sun_in_view(room, altitude, azimuth).tolist() == [True, False, False]
 

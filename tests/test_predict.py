@@ -1,4 +1,6 @@
-"""A year through a model: hourly figures, standards with confidence, occupancy, maps, and bad input."""
+"""A year through a model: hourly figures, standards with confidence, occupancy, maps, and bad
+input.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,8 @@ def year(model: Path, weather: Path, tmp_path_factory: pytest.TempPathFactory) -
     return run(model, weather, out=out, maps=True)[0]
 
 
-# ---------------------------------------------------------------------------------------------- the year
+# ---------------------------------------------------------------------------------------------- the
+# year
 
 
 def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Path) -> None:
@@ -88,7 +91,9 @@ def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Pat
     assert store.luminance_cdm2.dims == ("time", "y", "x")
     assert store.luminance_cdm2.attrs["units"] == "cd m-2"
     assert len(store.time) == len(year)
-    np.testing.assert_allclose(store.luminance_cdm2[3], found[0].prediction.luminance_cdm2[0], rtol=3e-4)
+    np.testing.assert_allclose(
+        store.luminance_cdm2[3], found[0].prediction.luminance_cdm2[0], rtol=3e-4
+    )
     assert np.datetime64(year.t_utc[3].replace(tzinfo=None)) == store.time[3].values
 
 
@@ -98,12 +103,16 @@ def test_pictures_are_of_telling_hours(year: Annual) -> None:
     azimuth = float(pictures.kinds[worst].split()[-1])
     column = int(np.argmin(np.abs(year.azimuths_deg - azimuth)))
     used = np.flatnonzero(year.occupied)
-    assert year.views["dgp"][pictures.rows[worst], column] == pytest.approx(year.views["dgp"][used, column].max())
+    assert year.views["dgp"][pictures.rows[worst], column] == pytest.approx(
+        year.views["dgp"][used, column].max()
+    )
     assert pictures.luminance_cdm2.shape[1:] == DATA.shape
     assert "clear day" in pictures.kinds
 
 
-def test_the_same_inputs_are_not_predicted_twice(model: Path, weather: Path, tmp_path: Path) -> None:
+def test_the_same_inputs_are_not_predicted_twice(
+    model: Path, weather: Path, tmp_path: Path
+) -> None:
     first, new = run(model, weather, out=tmp_path, views=4)
     assert new and first.views["dgp"].shape[1] == 4
     stamp = (tmp_path / "hourly.csv").stat().st_mtime_ns
@@ -114,7 +123,9 @@ def test_the_same_inputs_are_not_predicted_twice(model: Path, weather: Path, tmp
     assert run(model, weather, out=tmp_path, views=5, force=True)[1]
 
 
-def test_a_year_cut_off_by_a_kill_is_no_year(model: Path, weather: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_year_cut_off_by_a_kill_is_no_year(
+    model: Path, weather: Path, tmp_path: Path, monkeypatch
+) -> None:
     """Contract: figures of a new weather never stand beside classes and maps of an older one."""
     run(model, weather, out=tmp_path, maps=True)
     assert not run(model, weather, out=tmp_path)[1], "maps that were asked for before do no harm"
@@ -154,7 +165,9 @@ def test_the_disc_is_guessed_from_sky_in_its_pixel() -> None:
     maps = np.full((3, 16, 32), 1.0, np.float32)
     assert guessed_disc(maps, light, room) == pytest.approx(0.0)
     sky = np.array([light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(3)])
-    seen = guessed_disc(np.ones_like(maps) * (0.6 * sky)[:, None, None].astype(np.float32), light, room)
+    seen = guessed_disc(
+        np.ones_like(maps) * (0.6 * sky)[:, None, None].astype(np.float32), light, room
+    )
     np.testing.assert_allclose(seen, 0.6 * light.direct_lx, rtol=1e-3)
 
 
@@ -164,12 +177,20 @@ def test_rounding_keeps_a_hundredth_of_a_percent(value: float) -> None:
     assert rounded(np.array([value], np.float32))[0] == pytest.approx(value, rel=2.5e-4)
 
 
-# ---------------------------------------------------------------------------------------------- EN 17037
+# ---------------------------------------------------------------------------------------------- EN
+# 17037
 
 
 def test_classes_at_their_limits() -> None:
-    """authority: EN 17037:2018 table A.7, DGP not above 0.35 / 0.40 / 0.45 in more than 5 % of the time."""
-    for over, hours, expected in ((0.36, 5, "high"), (0.36, 6, "medium"), (0.44, 6, "minimum"), (0.46, 6, "none")):
+    """authority: EN 17037:2018 table A.7, DGP not above 0.35 / 0.40 / 0.45 in more than 5 % of
+    the time.
+    """
+    for over, hours, expected in (
+        (0.36, 5, "high"),
+        (0.36, 6, "medium"),
+        (0.44, 6, "minimum"),
+        (0.46, 6, "none"),
+    ):
         dgp = np.full((100, 1), 0.2)
         dgp[:hours] = over
         found = standards.protection(dgp, None, 100, np.array([180.0]), np.random.default_rng(0))
@@ -190,18 +211,24 @@ def test_an_interval_across_a_limit_cannot_tell_yet() -> None:
     assert found.low is not None and found.high is not None
     assert not found.certain[0] and found.certain[1]
     assert "cannot tell yet" in found.sentence(0) and "class high" in found.sentence(1)
-    worth = standards.hours_to_capture(dgp, np.full(dgp.shape, 0.01), ~found.certain, standards.nearest_limits(found))
+    worth = standards.hours_to_capture(
+        dgp, np.full(dgp.shape, 0.01), ~found.certain, standards.nearest_limits(found)
+    )
     assert abs(dgp[worth.argmax(), 0] - 0.35) < 0.01
 
 
 def test_intervals_cover_the_truth() -> None:
-    """property by simulation: with errors as assumed, 95 % intervals hold the true value in at least 90 % of rooms."""
+    """property by simulation: with errors as assumed, 95 % intervals hold the true value in at
+    least 90 % of rooms.
+    """
     inside = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
         predicted = rng.normal(0.3, 0.05, (300, 1))
         u = np.full(predicted.shape, 0.02)
-        truth = predicted + u * np.sqrt(0.5) * (rng.standard_normal() + rng.standard_normal(predicted.shape))
+        truth = predicted + u * np.sqrt(0.5) * (
+            rng.standard_normal() + rng.standard_normal(predicted.shape)
+        )
         found = standards.protection(predicted, u, 300, np.array([0.0]), rng)
         assert found.low is not None and found.high is not None
         inside += found.low[0] <= standards.exceeded_in_share(truth, 300)[0] <= found.high[0]
@@ -221,7 +248,9 @@ def test_uncertainty_of_dgp_is_its_slope() -> None:
     ]
     assert found[0, 0] == pytest.approx(sum(parts), rel=0.02)
     only = standards.dgp_uncertainty(ev, contrast, np.zeros((1, 1)), np.full((1, 1), 0.01))
-    assert only[0, 0] == pytest.approx((dgp(ev, contrast * 1.01**2) - dgp(ev, contrast)).item(), rel=0.02)
+    assert only[0, 0] == pytest.approx(
+        (dgp(ev, contrast * 1.01**2) - dgp(ev, contrast)).item(), rel=0.02
+    )
 
 
 def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
@@ -233,7 +262,12 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
 
     light = DATA.light[[3]]
     maps = np.full((1, *DATA.shape), 50.0, np.float32)
-    block = Block(slice(0, 1), light, Prediction(maps, np.zeros_like(maps), np.zeros(1), np.ones(1, bool)), np.ones(1))
+    block = Block(
+        slice(0, 1),
+        light,
+        Prediction(maps, np.zeros_like(maps), np.zeros(1), np.ones(1, bool)),
+        np.ones(1),
+    )
     views = panorama_views(*DATA.shape, 180.0, [180.0])
     one = np.ones((1, 1))
     found = {"ev_lx": 4 * one, "sun_ev_lx": one, "contrast": 10 * one, "sun_contrast": 10 * one}
@@ -241,7 +275,8 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     assert (ev.item(), source.item()) == pytest.approx((U_DISC / 4, U_DISC))
 
 
-# ---------------------------------------------------------------------------------------------- occupancy
+# ----------------------------------------------------------------------------------------------
+# occupancy
 
 
 def test_default_occupancy_is_3650_hours() -> None:
@@ -250,7 +285,9 @@ def test_default_occupancy_is_3650_hours() -> None:
 
 
 def test_daylight_hours_without_weather_are_not_hours_without_glare() -> None:
-    """Contract: a file that lacks noon must not make the room look darker than it is; the night may be left out."""
+    """Contract: a file that lacks noon must not make the room look darker than it is; the night
+    may be left out.
+    """
     noon = [t for t in YEAR if (t - timedelta(hours=8)).hour != 12]
     assert occupied_hours(default_occupancy(), noon, SITE) == (3650 - 365, 365)
     night = [t for t in YEAR if 3 <= (t - timedelta(hours=8)).hour < 21]
@@ -260,9 +297,13 @@ def test_daylight_hours_without_weather_are_not_hours_without_glare() -> None:
 def test_occupancy_files(tmp_path: Path) -> None:
     weekly = tmp_path / "o.csv"
     weekly.write_text("days,start,end\nmon-fri,08:00,12:00\nsat,10:00,12:00\n")
-    assert occupied_hours(read_occupancy(weekly), UTC_YEAR, GREENWICH)[0] == 261 * 4 + 52 * 2  # 2027 has 261 weekdays
+    assert (
+        occupied_hours(read_occupancy(weekly), UTC_YEAR, GREENWICH)[0] == 261 * 4 + 52 * 2
+    )  # 2027 has 261 weekdays
     hourly = tmp_path / "h.csv"
-    hourly.write_text("occupied\n" + "\n".join("1" if h % 24 == 9 else "0" for h in range(8760)) + "\n")
+    hourly.write_text(
+        "occupied\n" + "\n".join("1" if h % 24 == 9 else "0" for h in range(8760)) + "\n"
+    )
     occupancy = read_occupancy(hourly)
     assert occupied_hours(occupancy, UTC_YEAR, GREENWICH)[0] == 365
     assert occupancy.at([datetime(2028, 2, 29, 9, 30, tzinfo=UTC)], "UTC")[0]
@@ -288,7 +329,8 @@ def test_bad_occupancy_is_refused(tmp_path: Path, text: str, said: str) -> None:
         read_occupancy(path)
 
 
-# ---------------------------------------------------------------------------------------------- bad input
+# ---------------------------------------------------------------------------------------------- bad
+# input
 
 
 def _changed(model: Path, tmp_path: Path, **more: object) -> Path:
@@ -303,16 +345,26 @@ def _changed(model: Path, tmp_path: Path, **more: object) -> Path:
 
 def test_weather_of_another_place_is_refused(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "far.csv"
-    path.write_text("# place: Nice, 43.7, 7.3, UTC+1\nmonth,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,800,100\n")
+    path.write_text(
+        "# place: Nice, 43.7, 7.3, UTC+1\nmonth,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,800,100\n"
+    )
     with pytest.raises(InputError, match="km from the site"):
         run(model, path, out=tmp_path / "y")
 
 
 def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "w.csv"
-    rows = ["2,29,12.5,100,100", "6,21,10.5,500,100", "6,21,11.5,-4,90", "6,21,12.5,,", "6,21,13.5,400,120"]
+    rows = [
+        "2,29,12.5,100,100",
+        "6,21,10.5,500,100",
+        "6,21,11.5,-4,90",
+        "6,21,12.5,,",
+        "6,21,13.5,400,120",
+    ]
     path.write_text("month,day,hour,dni_wm2,dhi_wm2\n" + "\n".join(rows) + "\n")
-    done = CliRunner().invoke(main, ["predict", str(model), "--weather", str(path), "--out", str(tmp_path / "y")])
+    done = CliRunner().invoke(
+        main, ["predict", str(model), "--weather", str(path), "--out", str(tmp_path / "y")]
+    )
     assert done.exit_code == 0, done.output
     assert "not a year" in done.stderr
     for said in ("29 February", "negative irradiance", "interpolated"):
@@ -348,7 +400,9 @@ def test_weather_without_daylight_is_too_little(model: Path, tmp_path: Path) -> 
         run(model, path, out=tmp_path / "y")
 
 
-def test_a_model_of_another_picture_size_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:
+def test_a_model_of_another_picture_size_is_refused(
+    model: Path, weather: Path, tmp_path: Path
+) -> None:
     with pytest.raises(InputError, match="maps of 32 x 16"):
         run(_changed(model, tmp_path, height=20, width=40), weather, out=tmp_path / "y")
 
@@ -363,7 +417,9 @@ def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path:
         run(_changed(model, tmp_path, with_patch=True, setup=bare), weather, out=tmp_path / "y")
 
 
-def test_a_model_of_another_site_or_camera_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:
+def test_a_model_of_another_site_or_camera_is_refused(
+    model: Path, weather: Path, tmp_path: Path
+) -> None:
     import shutil
     from dataclasses import replace
 
@@ -371,7 +427,9 @@ def test_a_model_of_another_site_or_camera_is_refused(model: Path, weather: Path
     from fieldlum.records import Panorama
     from fieldlum.session import create_session
 
-    setup = replace(DATA.setup, site=replace(DATA.setup.site, latitude_deg=DATA.setup.site.latitude_deg + 1.0))
+    setup = replace(
+        DATA.setup, site=replace(DATA.setup.site, latitude_deg=DATA.setup.site.latitude_deg + 1.0)
+    )
     other = create_session(tmp_path / "other", setup, [], {})
     shutil.copytree(model, other.models / "nearest")
     with pytest.raises(InputError, match="a model of"):
@@ -384,13 +442,24 @@ def test_a_model_of_another_site_or_camera_is_refused(model: Path, weather: Path
     same = create_session(tmp_path / "same", DATA.setup, [], {})
     shutil.copytree(model, same.models / "nearest")
     same.panoramas.mkdir()
-    write_panorama(same.panoramas / "20270320T203000Z.exr", Panorama(np.ones((24, 48), np.float32), 180.0))
+    write_panorama(
+        same.panoramas / "20270320T203000Z.exr", Panorama(np.ones((24, 48), np.float32), 180.0)
+    )
     with pytest.raises(InputError, match="48 x 24 as in this session"):
         run(same.models / "nearest", weather)
 
 
 def test_the_command(model: Path, weather: Path, tmp_path: Path) -> None:
-    words = ["predict", str(model), "--weather", str(weather), "--out", str(tmp_path), "--views", "2"]
+    words = [
+        "predict",
+        str(model),
+        "--weather",
+        str(weather),
+        "--out",
+        str(tmp_path),
+        "--views",
+        "2",
+    ]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.output
     assert "daylight hours" in done.stdout
@@ -401,4 +470,7 @@ def test_the_command(model: Path, weather: Path, tmp_path: Path) -> None:
     failed = CliRunner().invoke(main, ["predict", str(model), "--weather", str(broken)])
     assert failed.exit_code == 3
     assert failed.stderr.count("\n") == 1
-    assert CliRunner().invoke(main, ["predict", str(tmp_path), "--weather", str(weather)]).exit_code == 3
+    assert (
+        CliRunner().invoke(main, ["predict", str(tmp_path), "--weather", str(weather)]).exit_code
+        == 3
+    )

@@ -1,4 +1,6 @@
-"""Strict TOML: what is misspelt, impossible or missing is said; what is right comes back the same."""
+"""Strict TOML: what is misspelt, impossible or missing is said; what is right comes back the
+same.
+"""
 
 import re
 from importlib.resources import files
@@ -18,7 +20,12 @@ from fieldlum.profiles import (
     site_table,
 )
 
-PLACE = {"name": "here", "latitude_deg": 47.6, "longitude_deg": -122.3, "timezone": "America/Los_Angeles"}
+PLACE = {
+    "name": "here",
+    "latitude_deg": 47.6,
+    "longitude_deg": -122.3,
+    "timezone": "America/Los_Angeles",
+}
 
 
 def _site(tmp_path: Path, text: str) -> Path:
@@ -37,8 +44,14 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"latitude_deg": "north"}, "'north', expected a number"),
         ({"latitude_deg": True}, "expected a number"),
         ({"altitude_m": 52000.0}, "altitude_m = 52000, expected -500 to 9000"),
-        ({"longitude_deg": 122.3}, r"longitude_deg = 122.3 with timezone America/Los_Angeles, 7.8 h off the sun"),
-        ({"timezone": "Europe/Berlin"}, "9.2 h off the sun, expected at most 4 h, east is positive, west negative"),
+        (
+            {"longitude_deg": 122.3},
+            r"longitude_deg = 122.3 with timezone America/Los_Angeles, 7.8 h off the sun",
+        ),
+        (
+            {"timezone": "Europe/Berlin"},
+            "9.2 h off the sun, expected at most 4 h, east is positive, west negative",
+        ),
     ],
 )
 def test_a_bad_site_is_refused_with_the_finding(change: dict, said: str) -> None:
@@ -59,7 +72,10 @@ def test_what_is_no_toml_names_the_line(tmp_path: Path) -> None:
 
 
 def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
-    path, text = tmp_path / "site.toml", '[site]\nname = "Büro"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
+    path, text = (
+        tmp_path / "site.toml",
+        '[site]\nname = "Büro"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n',
+    )
     path.write_bytes(text.encode("utf-8-sig"))
     assert load_site(path).site.name == "Büro"
     for encoding in ("cp1252", "utf-16"):
@@ -77,7 +93,12 @@ def test_authority_every_place_of_the_time_zone_data_fits_its_zone() -> None:
         found = re.fullmatch(r"([+-]\d{2})\d{2,4}([+-]\d{3})(\d{2})\d*", at)
         assert found, line
         longitude = float(found[2]) + float(found[2][0] + found[3]) / 60
-        place = {"name": zone, "latitude_deg": float(found[1]), "longitude_deg": longitude, "timezone": zone}
+        place = {
+            "name": zone,
+            "latitude_deg": float(found[1]),
+            "longitude_deg": longitude,
+            "timezone": zone,
+        }
         assert site_from_table({"site": place}, zone).site.timezone == zone
     assert len(lines) > 300
 
@@ -85,11 +106,15 @@ def test_authority_every_place_of_the_time_zone_data_fits_its_zone() -> None:
 @pytest.mark.parametrize(
     ("camera", "room", "height"),
     [
-        ("", "", 1.6), ("height_m = 1.2", "", 1.2), ("", "camera_z_m = 1.2", 1.2),
+        ("", "", 1.6),
+        ("height_m = 1.2", "", 1.2),
+        ("", "camera_z_m = 1.2", 1.2),
         ("height_m = 1.2", "camera_z_m = 1.2", 1.2),
     ],
-)  # fmt: skip
-def test_the_cameras_height_counts_wherever_it_stands(tmp_path: Path, camera: str, room: str, height: float) -> None:
+)
+def test_the_cameras_height_counts_wherever_it_stands(
+    tmp_path: Path, camera: str, room: str, height: float
+) -> None:
     place = '[site]\nname = "x"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
     setup = load_site(_site(tmp_path, f"{place}[camera]\n{camera}\n[room]\n{room}\n"))
     assert setup.room is not None and setup.room.camera_z_m == setup.camera.height_m == height
@@ -97,7 +122,9 @@ def test_the_cameras_height_counts_wherever_it_stands(tmp_path: Path, camera: st
 
 def test_two_heights_of_the_camera_are_refused(tmp_path: Path) -> None:
     place = '[site]\nname = "x"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
-    with pytest.raises(InputError, match=r"height_m = 1.2 and \[room\] camera_z_m = 1.6, expected one height"):
+    with pytest.raises(
+        InputError, match=r"height_m = 1.2 and \[room\] camera_z_m = 1.6, expected one height"
+    ):
         load_site(_site(tmp_path, f"{place}[camera]\nheight_m = 1.2\n[room]\ncamera_z_m = 1.6\n"))
 
 
@@ -106,16 +133,19 @@ def test_only_the_site_is_required() -> None:
     assert setup.room is None and setup.camera.heading_deg == 180.0
 
 
-@pytest.mark.parametrize("path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda p: p.stem
+)
 def test_every_shipped_site_loads_and_round_trips(path: Path) -> None:
     setup = load_site(path)
     assert site_from_table(site_table(setup), "again") == setup
 
 
 @pytest.mark.parametrize(
-    "path", sorted(p for p in shipped("calibration").glob("*.toml") if "[camera]" in p.read_text("utf-8")),
+    "path",
+    sorted(p for p in shipped("calibration").glob("*.toml") if "[camera]" in p.read_text("utf-8")),
     ids=lambda p: p.stem,
-)  # fmt: skip
+)
 def test_every_shipped_camera_loads_and_round_trips(path: Path, tmp_path: Path) -> None:
     profile = load_camera_profile(path)
     assert bracket_exposures(profile.bracket)
@@ -139,15 +169,25 @@ def test_an_unknown_profile_lists_what_there_is() -> None:
 @pytest.mark.parametrize(
     ("line", "new", "said"),
     [
-        ('mapping = "equisolid"', 'mapping = "polynomial"\ncoefficients = [2.0, -1.5]', "rises up to the edge"),
-        ('mapping = "equisolid"', 'mapping = "polynomial"\ncoefficients = [0.8]', "in all 0.8, expected coefficients"),
+        (
+            'mapping = "equisolid"',
+            'mapping = "polynomial"\ncoefficients = [2.0, -1.5]',
+            "rises up to the edge",
+        ),
+        (
+            'mapping = "equisolid"',
+            'mapping = "polynomial"\ncoefficients = [0.8]',
+            "in all 0.8, expected coefficients",
+        ),
         ('mapping = "equisolid"', 'mapping = "polynomial"', "no coefficients"),
         ("read_noise_e = ", "read_noise_e = -", "read_noise_e"),
         ("u_rel = 0.002", "u_rel = -0.002", "a share of -0.002"),
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, line: str, new: str, said: str) -> None:
-    """contract: a lens that folds back or ends before its edge would put light where none came from."""
+    """contract: a lens that folds back or ends before its edge would put light where none came
+    from.
+    """
     text = find_camera_profile("sim-fisheye").read_text(encoding="utf-8")
     assert line in text
     (tmp_path / "odd.toml").write_text(text.replace(line, new, 1), encoding="utf-8")

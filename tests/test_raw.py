@@ -26,7 +26,16 @@ def counts(height: int = 32, width: int = 50) -> np.ndarray:
 def dng(path: Path, cfa: str = "RGGB") -> np.ndarray:
     given_counts = counts()
     black = (512.0, 513.0, 514.0, 515.0)
-    write_dng(path, given_counts, EXPOSURE, black_dn=black, white_dn=16383, cfa=cfa, t_camera=WHEN, model="Cam 1")
+    write_dng(
+        path,
+        given_counts,
+        EXPOSURE,
+        black_dn=black,
+        white_dn=16383,
+        cfa=cfa,
+        t_camera=WHEN,
+        model="Cam 1",
+    )
     return given_counts
 
 
@@ -38,7 +47,9 @@ def test_analytic_dng_returns_bit_for_bit(tmp_path: Path, cfa: str) -> None:
     assert (mosaic.cfa, mosaic.black_dn, mosaic.white_dn) == (cfa, (512, 513, 514, 515), 16383)
     assert mosaic.exposure == EXPOSURE
     assert mosaic.t_camera == WHEN and mosaic.make == "fieldlum" and mosaic.model == "Cam 1"
-    assert mosaic.colour_matrix is not None and mosaic.colour_matrix[0, 0] == pytest.approx(3.2404542, abs=1e-6)
+    assert mosaic.colour_matrix is not None and mosaic.colour_matrix[0, 0] == pytest.approx(
+        3.2404542, abs=1e-6
+    )
 
 
 def test_analytic_libraw_reads_the_same_exposure(tmp_path: Path) -> None:
@@ -64,21 +75,30 @@ def test_green_one_stands_in_the_rows_of_red() -> None:
 
 
 @pytest.mark.parametrize("magic", [b"IIU\0", b"IIRO", b"IIRS"])
-def test_contract_a_cut_raw_of_a_maker_with_a_tiff_of_its_own_is_refused(tmp_path: Path, magic: bytes) -> None:
+def test_contract_a_cut_raw_of_a_maker_with_a_tiff_of_its_own_is_refused(
+    tmp_path: Path, magic: bytes
+) -> None:
     """Panasonic (whose newer files name the place of their pixels in tag 280) and Olympus."""
     dng(tmp_path / "f.dng")
     whole = bytearray((tmp_path / "f.dng").read_bytes())
     whole[:4] = magic
     if magic == b"IIU\0":
-        strips, planar = whole.index(struct.pack("<HHI", 273, 4, 1)), whole.index(struct.pack("<HHI", 284, 3, 1))
-        whole[planar : planar + 12] = struct.pack("<HHI", 280, 4, 1) + whole[strips + 8 : strips + 12]
+        strips, planar = (
+            whole.index(struct.pack("<HHI", 273, 4, 1)),
+            whole.index(struct.pack("<HHI", 284, 3, 1)),
+        )
+        whole[planar : planar + 12] = (
+            struct.pack("<HHI", 280, 4, 1) + whole[strips + 8 : strips + 12]
+        )
         whole[strips + 8 : strips + 12] = b"\xff" * 4
     for size, cut in ((len(whole), False), (len(whole) - 2, True), (2000, True)):
         (tmp_path / "f.raw").write_bytes(whole[:size])
         said = ""
         try:
             read_mosaic(tmp_path / "f.raw")
-        except InputError as error:  # of the whole one too: LibRaw may know that it is none of theirs
+        except (
+            InputError
+        ) as error:  # of the whole one too: LibRaw may know that it is none of theirs
             said = str(error)
         assert ("its pixels end later" in said) == cut
 
@@ -93,8 +113,12 @@ def test_contract_a_cut_raw_is_refused(tmp_path: Path) -> None:
         assert "cut.dng" in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("compression", "said"), [(7, "no lossless JPEG"), (8, "LibRaw"), (5, "LibRaw")])
-def test_contract_pixels_of_another_kind_are_no_picture(tmp_path: Path, compression: int, said: str) -> None:
+@pytest.mark.parametrize(
+    ("compression", "said"), [(7, "no lossless JPEG"), (8, "LibRaw"), (5, "LibRaw")]
+)
+def test_contract_pixels_of_another_kind_are_no_picture(
+    tmp_path: Path, compression: int, said: str
+) -> None:
     dng(tmp_path / "f.dng")
     body = bytearray((tmp_path / "f.dng").read_bytes())
     at = body.index(b"\x03\x01\x03\x00\x01\x00\x00\x00\x01\x00")  # compression 1: none
@@ -104,7 +128,9 @@ def test_contract_pixels_of_another_kind_are_no_picture(tmp_path: Path, compress
         read_mosaic(tmp_path / "f.dng")
 
 
-def test_contract_what_libraw_only_mutters_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contract_what_libraw_only_mutters_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import rawpy
 
     dng(tmp_path / "f.dng")
@@ -145,7 +171,9 @@ def test_contract_missing_shutter_names_the_remedy(tmp_path: Path) -> None:
 
     Image.new("RGB", (16, 16)).save(tmp_path / "f.jpg")
     for read in (read_jpeg, read_exif):
-        with pytest.raises(InputError, match=r"no exposure time in its EXIF.*exiftool -ExposureTime"):
+        with pytest.raises(
+            InputError, match=r"no exposure time in its EXIF.*exiftool -ExposureTime"
+        ):
             read(tmp_path / "f.jpg")
 
 
@@ -155,7 +183,9 @@ def test_contract_a_missing_file(tmp_path: Path) -> None:
             read(tmp_path / "none.dng")
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(st.data())
 def test_property_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject) -> None:
     suffix, read = data.draw(st.sampled_from([(".dng", read_mosaic), (".jpg", read_jpeg)]))

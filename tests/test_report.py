@@ -1,4 +1,6 @@
-"""The report: one file, no link outside, readable by a screen reader, and working in a real browser."""
+"""The report: one file, no link outside, readable by a screen reader, and working in a real
+browser.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from fieldlum.records import Exposure, Slot
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
 from fieldlum.session import Session, create_session
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+BROWSER = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
 
 
 def _weather(path: Path) -> Path:
@@ -28,7 +32,9 @@ def _weather(path: Path) -> Path:
         for day in (20, 21, 22):
             for hour in range(24):
                 up = 6 <= hour < 18
-                lines.append(f"{month},{day},{hour + 0.5},{700 * up * rng.random():.0f},{150 * up:.0f}")
+                lines.append(
+                    f"{month},{day},{hour + 0.5},{700 * up * rng.random():.0f},{150 * up:.0f}"
+                )
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
     return path
 
@@ -39,7 +45,12 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
     root = tmp_path_factory.mktemp("s") / "office"
     data = dataset(("2027-03-20", "2027-03-21", "2027-06-21", "2027-06-22"), height=16)
     slots = [
-        Slot(t, float(data.light.sun_altitude_deg[k]), float(data.light.sun_azimuth_deg[k]), (Exposure(0.01, 5.6),))
+        Slot(
+            t,
+            float(data.light.sun_altitude_deg[k]),
+            float(data.light.sun_azimuth_deg[k]),
+            (Exposure(0.01, 5.6),),
+        )
         for k, t in enumerate(data.light.t_utc)
     ]
     made = create_session(root, SETUP, slots, {"set": "test"})
@@ -61,7 +72,9 @@ def test_contract_the_page_is_one_file_without_a_link_outside(page: Path) -> Non
     text = page.read_text("utf-8")
     assert page.stat().st_size < 15e6
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", text)
-    assert "http://" not in re.sub(r"http://www\.w3\.org|http://purl\.org|http://creativecommons\.org", "", text)
+    assert "http://" not in re.sub(
+        r"http://www\.w3\.org|http://purl\.org|http://creativecommons\.org", "", text
+    )
     assert (page.parent / "report.json").is_file()
 
 
@@ -85,7 +98,9 @@ def test_names_are_escaped(session: Session, tmp_path: Path) -> None:
     assert "<script>alert(1)" not in text
 
 
-def test_command_names_the_page_and_refuses_what_is_no_session(session: Session, tmp_path: Path) -> None:
+def test_command_names_the_page_and_refuses_what_is_no_session(
+    session: Session, tmp_path: Path
+) -> None:
     shown = CliRunner().invoke(main, ["report", str(session.root), "--out", str(tmp_path / "r")])
     assert shown.exit_code == 0 and shown.stdout.strip().endswith("index.html")
     assert CliRunner().invoke(main, ["report", str(tmp_path)]).exit_code == 3
@@ -105,18 +120,36 @@ def test_the_heat_map_holds_what_it_was_given() -> None:
     import base64
     import json
 
-    cells = np.frombuffer(base64.b64decode(json.loads(found.json)["quantities"][0]["grids"][0]), "<u2")
-    assert cells[0] == 200 and cells[364 * 24 + 23] == 500 and (cells == NOTHING).sum() == 365 * 24 - 2
+    cells = np.frombuffer(
+        base64.b64decode(json.loads(found.json)["quantities"][0]["grids"][0]), "<u2"
+    )
+    assert (
+        cells[0] == 200 and cells[364 * 24 + 23] == 500 and (cells == NOTHING).sum() == 365 * 24 - 2
+    )
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 def test_contract_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
-    """From file://; the script ran (it fills the legend), and nothing was written to the console as an error."""
+    """From file://; the script ran (it fills the legend), and nothing was written to the console
+    as an error.
+    """
     assert BROWSER is not None
-    flags = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-             "--disable-background-networking", "--disable-component-update", "--disable-sync",
-             f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--dump-dom")  # fmt: skip
-    shown = subprocess.run([BROWSER, *flags, page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
+    flags = (
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--enable-logging=stderr",
+        "--dump-dom",
+    )
+    shown = subprocess.run(
+        [BROWSER, *flags, page.as_uri()], capture_output=True, text=True, timeout=120, check=True
+    )
     legend = re.search(r'id="legend"[^>]*>(.*?)</div>', shown.stdout, re.DOTALL)
     assert legend and "0.35" in legend[1]
     assert "Uncaught" not in shown.stderr

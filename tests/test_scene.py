@@ -18,14 +18,38 @@ from fieldlum.scene import geometry, radiance, view
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 BARE = Room(
-    width_m=4, depth_m=5, height_m=3, camera_x_m=2, camera_y_m=2.5, camera_z_m=1.5,
-    window=(Window("south", left_m=1, width_m=2, sill_m=1, height_m=1.5, transmittance=0.88, frame_m=0.0),),
-)  # fmt: skip
+    width_m=4,
+    depth_m=5,
+    height_m=3,
+    camera_x_m=2,
+    camera_y_m=2.5,
+    camera_z_m=1.5,
+    window=(
+        Window(
+            "south", left_m=1, width_m=2, sill_m=1, height_m=1.5, transmittance=0.88, frame_m=0.0
+        ),
+    ),
+)
 CORNER = Room(
-    width_m=5, depth_m=6, height_m=3, camera_x_m=2, camera_y_m=3, camera_z_m=1.2, wall_azimuth_deg=150,
+    width_m=5,
+    depth_m=6,
+    height_m=3,
+    camera_x_m=2,
+    camera_y_m=3,
+    camera_z_m=1.2,
+    wall_azimuth_deg=150,
     wall_thickness_m=0.3,
     window=(
-        Window("south", left_m=0.4, width_m=4, sill_m=0.8, height_m=1.9, panes=3, frame_m=0.06, transom_m=2.0),
+        Window(
+            "south",
+            left_m=0.4,
+            width_m=4,
+            sill_m=0.8,
+            height_m=1.9,
+            panes=3,
+            frame_m=0.06,
+            transom_m=2.0,
+        ),
         Window("west", left_m=1, width_m=2.5, sill_m=0.5, height_m=2.2, panes=2, transmittance=0.7),
     ),
     obstruction=(
@@ -33,14 +57,16 @@ CORNER = Room(
         Obstruction(-4, -14, -0.05, 12, 5, 9, 0.6),  # a building across the street
         Obstruction(0.4, -0.9, 2.5, 4.3, 0.6, 0.05, 0.5),  # a light shelf
     ),
-)  # fmt: skip
+)
 
 
 def _heading(room: Room) -> float:
     return room.wall_azimuth_deg
 
 
-@pytest.mark.parametrize("path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda path: path.stem
+)
 def test_shipped_rooms_can_be(path: Path) -> None:
     room = load_site(path).room
     assert room is not None and geometry.build(room).openings
@@ -49,13 +75,24 @@ def test_shipped_rooms_can_be(path: Path) -> None:
 def test_patch_on_the_floor_by_hand() -> None:
     """Analytic: sun from due south at 45 degrees; window z 1 to 2.5, x 1 to 3, wall .25 m thick.
 
-    The outer sill shades: on the floor the light runs from y = 1 (inner sill) to y = 2.5 - .25 (outer lintel).
+    The outer sill shades: on the floor the light runs from y = 1 (inner sill) to y = 2.5 - .25
+    (outer lintel).
     """
-    made = scene.sun_patches(BARE, None, sun.direction(45.0, 180.0)[None], [10000.0], height=180, heading_deg=180.0)
+    made = scene.sun_patches(
+        BARE, None, sun.direction(45.0, 180.0)[None], [10000.0], height=180, heading_deg=180.0
+    )
     through, _ = geometry.glass_optics(0.88, np.cos(np.radians(45.0)))
     expected = 10000.0 * float(through) * np.sin(np.radians(45.0)) * 0.2 / np.pi
     eye = np.array([2.0, 2.5, 1.5])
-    for x, y, lit in ((2, 1.05, True), (2, 0.95, False), (2, 2.2, True), (2, 2.3, False), (1.05, 1.5, True), (0.95, 1.5, False), (2.95, 1.5, True)):  # fmt: skip  # noqa: E501
+    for x, y, lit in (
+        (2, 1.05, True),
+        (2, 0.95, False),
+        (2, 2.2, True),
+        (2, 2.3, False),
+        (1.05, 1.5, True),
+        (0.95, 1.5, False),
+        (2.95, 1.5, True),
+    ):
         ray = np.array([x, y, 0.0]) - eye
         altitude = np.degrees(np.arcsin(ray[2] / np.linalg.norm(ray)))
         azimuth = np.degrees(np.arctan2(ray[0], ray[1]))
@@ -65,7 +102,9 @@ def test_patch_on_the_floor_by_hand() -> None:
 
 
 def test_normal_glass_passes_what_it_says() -> None:
-    """Analytic: .88 at normal incidence gives transmissivity .96, as Radiance's manual has it; grazing gives none."""
+    """Analytic: .88 at normal incidence gives transmissivity .96, as Radiance's manual has it;
+    grazing gives none.
+    """
     through, back = geometry.glass_optics(0.88, [1.0, 0.5, 1e-6])
     assert through[0] == pytest.approx(0.88, abs=1e-4)
     assert geometry.transmissivity(0.88) == pytest.approx(0.96, abs=2e-3)
@@ -75,7 +114,9 @@ def test_normal_glass_passes_what_it_says() -> None:
 
 @pytest.mark.parametrize("room", [OFFICE.room, CORNER], ids=["office", "corner"])
 def test_patches_authority_rtrace(room: Room) -> None:
-    """Radiance's rtrace -ab 0 on the same boxes, panes and rays: equal but for rays that graze an edge."""
+    """Radiance's rtrace -ab 0 on the same boxes, panes and rays: equal but for rays that graze
+    an edge.
+    """
     assert room is not None
     height, heading = 40, _heading(room)
     built = geometry.build(room)
@@ -83,7 +124,9 @@ def test_patches_authority_rtrace(room: Room) -> None:
     pixel, rays = view.pixel_rays(height, heading, 3)
     for altitude, turn in ((45.0, 0.0), (20.0, 35.0), (35.0, 90.0), (15.0, -120.0)):
         toward = sun.direction(altitude, heading + turn)
-        made = scene.sun_patches(room, None, toward[None], [179.0], height=height, heading_deg=heading)
+        made = scene.sun_patches(
+            room, None, toward[None], [179.0], height=height, heading_deg=heading
+        )
         with radiance.octree(text, radiance.sun_text(built.to_room(toward))) as octree:
             seen = radiance.trace(octree, np.array(built.camera_m), built.to_room(rays), ["-dv-"])
         truth = radiance._pixel_mean(pixel, seen, height) * RADIANCE_LM_PER_W
@@ -108,7 +151,9 @@ def test_window_fraction_authority_rtrace(room: Room) -> None:
 
 
 def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
-    """Analytic: the office sees the sun at 20 degrees, 10 beside south; due south the middle bar hides it."""
+    """Analytic: the office sees the sun at 20 degrees, 10 beside south; due south the middle bar
+    hides it.
+    """
     assert OFFICE.room is not None
     suns = sun.direction([20.0, 20.0, 60.0, 20.0, -5.0], [190.0, 180.0, 180.0, 0.0, 190.0])
     made = scene.sun_patches(OFFICE.room, OFFICE, suns, 50000.0, height=20)
@@ -119,7 +164,9 @@ def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
 
 def test_a_bar_narrower_than_the_disc_hides_part_of_it() -> None:
     thin = replace(BARE, window=(replace(BARE.window[0], panes=2, frame_m=0.01),))
-    made = scene.sun_patches(thin, None, sun.direction([15.0], [180.0]), 1.0, height=10, heading_deg=180.0)
+    made = scene.sun_patches(
+        thin, None, sun.direction([15.0], [180.0]), 1.0, height=10, heading_deg=180.0
+    )
     assert 0.1 < made.visible_fraction[0] < 0.9  # 1 cm against 2.4 cm of disc at 2.6 m
 
 
@@ -127,12 +174,21 @@ def test_a_bar_narrower_than_the_disc_hides_part_of_it() -> None:
 @given(st.floats(3, 70), st.floats(-80, 80), st.floats(0, 360))
 def test_turning_the_world_turns_nothing(altitude: float, turn: float, north: float) -> None:
     """Property: a room, its camera and the sun turned together give the same picture."""
-    base = scene.sun_patches(BARE, None, sun.direction(altitude, 180 + turn)[None], 1e4, height=16, heading_deg=180)
+    base = scene.sun_patches(
+        BARE, None, sun.direction(altitude, 180 + turn)[None], 1e4, height=16, heading_deg=180
+    )
     turned = replace(BARE, wall_azimuth_deg=(180 + north) % 360)
     other = scene.sun_patches(
-        turned, None, sun.direction(altitude, 180 + turn + north)[None], 1e4, height=16, heading_deg=180 + north
+        turned,
+        None,
+        sun.direction(altitude, 180 + turn + north)[None],
+        1e4,
+        height=16,
+        heading_deg=180 + north,
     )
-    differ = np.abs(base.luminance_cdm2 - other.luminance_cdm2) > 0.12 * max(base.luminance_cdm2.max(), 1)
+    differ = np.abs(base.luminance_cdm2 - other.luminance_cdm2) > 0.12 * max(
+        base.luminance_cdm2.max(), 1
+    )
     assert differ.mean() < 0.01
     assert base.visible_fraction == pytest.approx(other.visible_fraction, abs=0.05)
 
@@ -149,14 +205,20 @@ def test_streaming_equals_all_at_once() -> None:
     suns = sun.direction(np.linspace(5, 60, 7), np.linspace(120, 240, 7))
     lx = np.linspace(0, 6e4, 7)
     whole = scene.sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0)
-    parts = list(scene.iter_sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0, chunk=3, workers=2))
+    parts = list(
+        scene.iter_sun_patches(
+            CORNER, None, suns, lx, height=12, heading_deg=150.0, chunk=3, workers=2
+        )
+    )
     assert [len(p) for p in parts] == [3, 3, 1]
     assert np.array_equal(np.concatenate([p.luminance_cdm2 for p in parts]), whole.luminance_cdm2)
     assert whole.luminance_cdm2[0].max() == 0
 
 
 def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
-    """Authority: the same room written as .rad (kind "radiance") gives the same patches through rtrace."""
+    """Authority: the same room written as .rad (kind "radiance") gives the same patches through
+    rtrace.
+    """
     built = geometry.build(BARE)
     path = tmp_path / "room.rad"
     path.write_text(radiance.rad_text(built))
@@ -187,7 +249,9 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
 )
 def test_impossible_rooms_are_named(change: dict, expected: str) -> None:
     with pytest.raises(InputError, match=expected):
-        scene.sun_patches(replace(BARE, **change), None, [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0)
+        scene.sun_patches(
+            replace(BARE, **change), None, [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0
+        )
 
 
 def test_a_broken_radiance_file_is_named(tmp_path: Path) -> None:

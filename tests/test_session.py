@@ -34,7 +34,9 @@ SETUP = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
 
 @pytest.fixture
 def session(tmp_path: Path) -> Session:
-    slots = [Slot(NOON, 10.0, 120.0, (Exposure(1 / 250, 5.6), Exposure(2.0, 5.6, 100, "nd3")), ("sun",))]
+    slots = [
+        Slot(NOON, 10.0, 120.0, (Exposure(1 / 250, 5.6), Exposure(2.0, 5.6, 100, "nd3")), ("sun",))
+    ]
     return create_session(tmp_path / "s", SETUP, slots, {"set": "test"})
 
 
@@ -56,12 +58,17 @@ def test_plan_and_site_round_trip(session: Session) -> None:
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        ((b"; ", b", "), "8 values, expected columns slot"),  # a bracket of one frame, its second taken for a tag
+        (
+            (b"; ", b", "),
+            "8 values, expected columns slot",
+        ),  # a bracket of one frame, its second taken for a tag
         ((b",", b";"), "plan.csv: slot;t_utc;"),
         ((b"exposures", b"shutters"), "shutters, tags, expected columns"),
     ],
 )
-def test_a_plan_that_a_spreadsheet_spoilt_is_refused(session: Session, damage: tuple[bytes, bytes], said: str) -> None:
+def test_a_plan_that_a_spreadsheet_spoilt_is_refused(
+    session: Session, damage: tuple[bytes, bytes], said: str
+) -> None:
     session.plan.write_bytes(session.plan.read_bytes().replace(*damage))
     with pytest.raises(InputError, match=said):
         session.slots()
@@ -70,9 +77,16 @@ def test_a_plan_that_a_spreadsheet_spoilt_is_refused(session: Session, damage: t
         session.slots()
 
 
-@given(st.floats(1e-5, 600), st.floats(1, 32), st.sampled_from([50, 100, 6400]), st.sampled_from(["", "nd3"]))
+@given(
+    st.floats(1e-5, 600),
+    st.floats(1, 32),
+    st.sampled_from([50, 100, 6400]),
+    st.sampled_from(["", "nd3"]),
+)
 @settings(deadline=None)
-def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd: str) -> None:  # property
+def test_exposure_text_round_trips(
+    shutter: float, f_number: float, iso: int, nd: str
+) -> None:  # property
     back = parse_exposure(exposure_text(Exposure(shutter, f_number, iso, nd)))
     assert back.shutter_s == pytest.approx(shutter, rel=2e-5)
     assert back.f_number == pytest.approx(f_number, rel=1e-5)
@@ -81,7 +95,9 @@ def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd
 
 @given(st.text(), st.text(), st.one_of(st.none(), st.floats(-10, 1500)))
 @settings(deadline=None)
-def test_day_row_holds_any_text_on_one_line(status: str, raw: str, ghi: float | None) -> None:  # property
+def test_day_row_holds_any_text_on_one_line(
+    status: str, raw: str, ghi: float | None
+) -> None:  # property
     line = encode_sample(IrradianceSample(NOON, ghi, None, 3.5, None, status, raw))
     assert line.count(b"\n") == 1 and line.endswith(b"\n")
     back = decode_sample(line)
@@ -93,8 +109,16 @@ def test_day_row_holds_any_text_on_one_line(status: str, raw: str, ghi: float | 
 @settings(deadline=None)
 def test_a_changed_byte_is_never_read(at: int, byte: int) -> None:  # property
     for line, decode in (
-        (encode_sample(IrradianceSample(NOON, 812.4, 104.9, raw="S 812.4, 104.9,1")), decode_sample),
-        (encode_line({"event": "frame", "t_utc": "2027-03-20T15:30:00Z", "slot": "20270320T153000Z"}), decode_line),
+        (
+            encode_sample(IrradianceSample(NOON, 812.4, 104.9, raw="S 812.4, 104.9,1")),
+            decode_sample,
+        ),
+        (
+            encode_line(
+                {"event": "frame", "t_utc": "2027-03-20T15:30:00Z", "slot": "20270320T153000Z"}
+            ),
+            decode_line,
+        ),
     ):
         at %= len(line) - 1
         changed = line[:at] + bytes([byte]) + line[at + 1 :]
@@ -162,7 +186,9 @@ def test_day_files_split_at_utc_midnight_and_recover(session: Session) -> None:
     assert ([s.ghi_wm2 for s in samples], broken) == ([2.0, 9.0], 0)
 
 
-def test_full_disk_takes_half_a_line_back(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_takes_half_a_line_back(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import os
 
     journal = Journal(session)
@@ -183,5 +209,9 @@ def test_full_disk_takes_half_a_line_back(session: Session, monkeypatch: pytest.
 
 
 def test_only_one_capture_at_a_time(session: Session) -> None:
-    with sole_user(session, "capture"), pytest.raises(InputError, match="another"), sole_user(session, "capture"):
+    with (
+        sole_user(session, "capture"),
+        pytest.raises(InputError, match="another"),
+        sole_user(session, "capture"),
+    ):
         pass

@@ -1,4 +1,6 @@
-"""North, clock and camera from the captures: found when off, quiet when right, and the doubt that follows."""
+"""North, clock and camera from the captures: found when off, quiet when right, and the doubt
+that follows.
+"""
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -21,8 +23,14 @@ from fieldlum.scene import sun_patches
 from fieldlum.train.setting import settle, warnings_of
 
 SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
-ROOM = Room(width_m=5.0, depth_m=6.0, height_m=3.0, camera_x_m=2.5, camera_y_m=3.0,
-            window=(Window("south", 0.5, 4.0, 0.6, 2.1),))  # fmt: skip
+ROOM = Room(
+    width_m=5.0,
+    depth_m=6.0,
+    height_m=3.0,
+    camera_x_m=2.5,
+    camera_y_m=3.0,
+    window=(Window("south", 0.5, 4.0, 0.6, 2.1),),
+)
 SETUP = SiteFile(SITE, CameraSetup(heading_deg=180.0), ROOM)
 HEIGHT = 30
 
@@ -38,30 +46,44 @@ def with_patches(data: Dataset) -> Dataset:
 def captured() -> Dataset:
     """Six clear days; walls that follow the light and the patches of the room itself."""
     start = datetime(2027, 1, 1, 17, 0, tzinfo=UTC)
-    times = [start + timedelta(days=d, hours=h) for d in (20, 50, 75, 260, 290, 330) for h in range(7)]
+    times = [
+        start + timedelta(days=d, hours=h) for d in (20, 50, 75, 260, 290, 330) for h in range(7)
+    ]
     n = len(times)
     light = light_at(times, SITE, np.where(np.arange(n) % 5 == 0, 0.0, 700.0), np.full(n, 120.0))
     light = light[light.sun_altitude_deg > 3.0]
     n = len(light)
     data = Dataset(
-        light, np.empty((n, HEIGHT, 2 * HEIGHT), np.float32), None, np.zeros(n), 180.0,
+        light,
+        np.empty((n, HEIGHT, 2 * HEIGHT), np.float32),
+        None,
+        np.zeros(n),
+        180.0,
         np.array([sun.standard_date(t, SITE.timezone) for t in light.t_utc], "datetime64[D]"),
-        tuple(slot_id(t) for t in light.t_utc), SETUP, np.ones((HEIGHT, 2 * HEIGHT), bool), np.zeros(n),
-    )  # fmt: skip
+        tuple(slot_id(t) for t in light.t_utc),
+        SETUP,
+        np.ones((HEIGHT, 2 * HEIGHT), bool),
+        np.zeros(n),
+    )
     data = with_patches(data)
     assert data.patch_cdm2 is not None
-    walls = light.diffuse_lx * 0.01 + light.direct_lx * 0.003 * np.maximum(-light.sun_direction[:, 1], 0.0)
+    walls = light.diffuse_lx * 0.01 + light.direct_lx * 0.003 * np.maximum(
+        -light.sun_direction[:, 1], 0.0
+    )
     return replace(data, luminance_cdm2=(walls[:, None, None] + data.patch_cdm2).astype(np.float32))
 
 
 def stated_otherwise(turn_deg: float = 0.0, fast_min: float = 0.0) -> Dataset:
     data = captured()
     light = data.light
-    now, then = (sun.position([t + timedelta(minutes=m) for t in light.t_utc], SITE) for m in (0.0, fast_min))
+    now, then = (
+        sun.position([t + timedelta(minutes=m) for t in light.t_utc], SITE) for m in (0.0, fast_min)
+    )
     other = replace(
-        light, sun_altitude_deg=light.sun_altitude_deg + then.altitude_deg - now.altitude_deg,
+        light,
+        sun_altitude_deg=light.sun_altitude_deg + then.altitude_deg - now.altitude_deg,
         sun_azimuth_deg=light.sun_azimuth_deg + turn_deg + then.azimuth_deg - now.azimuth_deg,
-    )  # fmt: skip
+    )
     return with_patches(replace(data, light=other))
 
 
@@ -71,7 +93,8 @@ def found_in(data: Dataset) -> Setting:
     return found
 
 
-# ---------------------------------------------------------------------------------------------- the scan
+# ---------------------------------------------------------------------------------------------- the
+# scan
 
 
 def test_analytic_a_right_setting_raises_no_alarm() -> None:
@@ -110,7 +133,8 @@ def test_contract_nothing_to_scan() -> None:
     assert [f.cause for f in no_room.findings] == ["camera"]
 
 
-# ---------------------------------------------------------------------------------------------- the doubt
+# ---------------------------------------------------------------------------------------------- the
+# doubt
 
 FITTED = cast(Fitted, fit(captured()))
 
@@ -136,7 +160,9 @@ def test_analytic_slip_of_a_straight_edge() -> None:
     seen, gain = np.ones((6, 12), bool), np.ones(72, np.float32)
     dark = np.full((1, 72), 10.0)
     found = slip_variance(patch, seen, gain, dark, 0.5).reshape(6, 12)
-    per_edge = found[3, :8].sum()  # a shift by half a pixel changes half a pixel along the edge, by ln 10 squared
+    per_edge = found[
+        3, :8
+    ].sum()  # a shift by half a pixel changes half a pixel along the edge, by ln 10 squared
     assert per_edge == pytest.approx(0.5 * np.log(10.0) ** 2)
     wrapped = np.roll(patch, 5, axis=2)  # across the seam
     low, high, odds = edge_range(wrapped, 2.0)

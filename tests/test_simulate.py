@@ -1,4 +1,6 @@
-"""Ground truth: against plain Radiance, against energy balance, and as a session that can be resumed."""
+"""Ground truth: against plain Radiance, against energy balance, and as a session that can be
+resumed.
+"""
 
 import csv
 import json
@@ -25,44 +27,66 @@ SMALL = SiteFile(
     Site("test room", 47.6, -122.3, "America/Los_Angeles"),
     CameraSetup(heading_deg=180.0, height_m=1.4),
     Room(
-        width_m=4, depth_m=5, height_m=3, camera_x_m=2, camera_y_m=2, camera_z_m=1.4,
-        window=(Window("south", left_m=0.5, width_m=3, sill_m=0.8, height_m=1.9, frame_m=0.05, panes=2),),
+        width_m=4,
+        depth_m=5,
+        height_m=3,
+        camera_x_m=2,
+        camera_y_m=2,
+        camera_z_m=1.4,
+        window=(
+            Window("south", left_m=0.5, width_m=3, sill_m=0.8, height_m=1.9, frame_m=0.05, panes=2),
+        ),
     ),
-)  # fmt: skip
+)
 NOON = datetime(2027, 3, 20, 20, 10, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory) -> simulate.GroundTruth:
-    return simulate.ground_truth(SMALL, height=20, quality="draft", cache=tmp_path_factory.mktemp("cache"))
+    return simulate.ground_truth(
+        SMALL, height=20, quality="draft", cache=tmp_path_factory.mktemp("cache")
+    )
 
 
 def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray) -> np.ndarray:
-    """The same hour by rtrace -ab 5 with gendaylit's sky, without the disc: one ray in each of `pixels`. [cd/m2]"""
+    """The same hour by rtrace -ab 5 with gendaylit's sky, without the disc: one ray in each of
+    `pixels`. [cd/m2]
+    """
     import pyradiance
 
     assert setup.room is not None
     built = geometry.build(setup.room)
     sky, toward = light.sky, built.to_room(light.sun_direction[0])
     numbers = [sky.norm_cdm2[0] / 179, sky.ground_cdm2[0] / 179, *sky.shape[0], *toward]
-    text = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(f"{x:.8g}" for x in numbers)
+    text = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(
+        f"{x:.8g}" for x in numbers
+    )
     for name, side in (("sky", 1), ("ground", -1)):
-        text += f"\nskyfunc glow {name}glow\n0\n0\n4 1 1 1 0\n{name}glow source {name}\n0\n0\n4 0 0 {side} 180"
+        text += (
+            f"\nskyfunc glow {name}glow\n0\n0\n4 1 1 1 0\n{name}glow source {name}\n0\n0\n4 0 "
+            f"0 {side} 180"
+        )
     _, rays = view.pixel_rays(height, setup.camera.heading_deg, 1)
     rays = built.to_room(rays[pixels])
-    stream = np.concatenate((np.broadcast_to(np.array(built.camera_m), rays.shape), rays), axis=1).astype("<f4")
+    stream = np.concatenate(
+        (np.broadcast_to(np.array(built.camera_m), rays.shape), rays), axis=1
+    ).astype("<f4")
     options = ["-ab", "5", "-ad", "512", "-as", "128", "-aa", ".2", "-lw", "1e-3", "-dv-", "-w-"]
-    with radiance.octree(radiance.rad_text(built), text, radiance.sun_text(toward, light.direct_lx[0])) as octree:
+    with radiance.octree(
+        radiance.rad_text(built), text, radiance.sun_text(toward, light.direct_lx[0])
+    ) as octree:
         answer = pyradiance.rtrace(
             stream.tobytes(), octree, header=False, inform="f", outform="f", params=options
-        )  # fmt: skip
+        )
     return np.frombuffer(answer, "<f4").reshape(-1, 3)[:, 0] * 179
 
 
 @pytest.mark.parametrize(("dni", "dhi"), [(0.0, 200.0), (700.0, 100.0)], ids=["overcast", "clear"])
 def test_authority_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: float) -> None:
-    """Radiance rendering the hour in one piece. Draft pieces and pixels of 9 degrees with one ray each; rtrace
-    itself moves by 10 % here between -aa .2 and -aa 0, and stands on either side of us."""
+    """Radiance rendering the hour in one piece. Draft pieces and pixels of 9 degrees with one
+    ray each; rtrace itself moves by 10 % here between -aa .2 and -aa 0, and stands on either
+    side of us.
+    """
     light = light_at([NOON], SMALL.site, np.array([dni]), np.array([dhi]))
     made = truth.render(light).luminance_cdm2[0].ravel()
     pixels = np.random.default_rng(1).permutation(len(made))[:200]
@@ -72,14 +96,18 @@ def test_authority_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: fl
 
 
 def test_gathered_light_is_complete(truth: simulate.GroundTruth) -> None:
-    """Analytic: under a luminance of 1 everywhere every point receives pi (glass takes its part near the window)."""
+    """Analytic: under a luminance of 1 everywhere every point receives pi (glass takes its part
+    near the window).
+    """
     total = np.asarray(truth.from_points.sum(axis=1)).ravel()
     assert total.max() < 1.02 * np.pi
     assert np.median(total) > 0.97 * np.pi
 
 
 def test_property_the_same_room_comes_out_the_same() -> None:
-    """rcontrib's own sampling is seeded by the clock: fits of one room then differed by 2 % from run to run."""
+    """rcontrib's own sampling is seeded by the clock: fits of one room then differed by 2 % from
+    run to run.
+    """
     first, second = (simulate.ground_truth(SMALL, height=8, quality="draft") for _ in range(2))
     assert (first.from_points != second.from_points).nnz == 0
     assert (first.from_pieces != second.from_pieces).nnz == 0
@@ -94,7 +122,9 @@ def test_linear_in_light(truth: simulate.GroundTruth) -> None:
 
 
 def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.GroundTruth) -> None:
-    """The winter sun stands in the window: the map stays under any sunlit surface, its energy is in the source."""
+    """The winter sun stands in the window: the map stays under any sunlit surface, its energy is
+    in the source.
+    """
     t = datetime(2027, 12, 20, 20, 40, tzinfo=UTC)
     panorama = truth.panorama(t, 600.0, 60.0)
     assert panorama.sun is not None and panorama.sun.origin == "rendering"
@@ -163,19 +193,25 @@ def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     lost = out / rows[3]["panorama"]
     before = lost.read_bytes()
     lost.unlink()
-    again = json.loads(CliRunner().invoke(main, ["simulate", str(out), *command[4:8], "--json"]).stdout)
+    again = json.loads(
+        CliRunner().invoke(main, ["simulate", str(out), *command[4:8], "--json"]).stdout
+    )
     assert (again["rendered"], again["kept"]) == (1, 11)
     assert lost.read_bytes() == before
     # Another size: nothing of the old one stays.
     command[5] = "20x10"
-    other = json.loads(CliRunner().invoke(main, ["simulate", str(out), *command[4:8], "--json"]).stdout)
+    other = json.loads(
+        CliRunner().invoke(main, ["simulate", str(out), *command[4:8], "--json"]).stdout
+    )
     assert (other["rendered"], other["kept"]) == (12, 0)
     assert read_panorama(lost).luminance_cdm2.shape == (10, 20)
 
 
 def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:
     year = weather.shipped_seattle()
-    session = simulate.make_session(tmp_path / "s", SMALL, simulate.sample_slots(SMALL, year, 2, 1), {"set": "test"})
+    session = simulate.make_session(
+        tmp_path / "s", SMALL, simulate.sample_slots(SMALL, year, 2, 1), {"set": "test"}
+    )
     simulate.run(session, year, height=8, quality="draft")
     with (session.truth / "irradiance.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -185,7 +221,12 @@ def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "code"),
-    [(["--size", "100x60"], 2), (["--size", "big"], 2), ([], 2), (["--out", "x", "--weather", "nowhere.epw"], 3)],
+    [
+        (["--size", "100x60"], 2),
+        (["--size", "big"], 2),
+        ([], 2),
+        (["--out", "x", "--weather", "nowhere.epw"], 3),
+    ],
 )
 def test_exit_codes(tmp_path: Path, arguments: list[str], code: int) -> None:
     result = CliRunner().invoke(main, ["simulate", str(_toml(tmp_path / "site.toml")), *arguments])

@@ -19,14 +19,17 @@ def test_patches_analytic() -> None:
         assert len(patches) == count
         assert patches.solid_angles_sr.sum() == pytest.approx(2 * np.pi, rel=1e-12)
         assert np.linalg.norm(patches.directions, axis=1) == pytest.approx(1.0)
-        # A uniform sky of 1 cd/m2 gives pi lx on the horizontal; patches' middles miss by their curvature.
+        # A uniform sky of 1 cd/m2 gives pi lx on the horizontal; patches' middles miss by their
+        # curvature.
 
         seen = patches.solid_angles_sr @ patches.directions[:, 2]
         assert seen == pytest.approx(np.pi, rel=7e-3 / mf**2)
 
 
 def test_patch_order_authority(tmp_path) -> None:
-    """Bins of reinhartb.cal, by Radiance's rcalc: each patch's middle falls in its own bin (clockwise from north)."""
+    """Bins of reinhartb.cal, by Radiance's rcalc: each patch's middle falls in its own bin
+    (clockwise from north).
+    """
     import subprocess
 
     import pyradiance
@@ -47,35 +50,47 @@ def _gendaylit(when: datetime, dni: float, dhi: float) -> tuple[np.ndarray, floa
 
     text = pyradiance.gendaylit(
         dt=when, latitude=47.6, longitude=122.3, timezone=120, dirnorm=dni, diffhor=dhi
-    ).decode()  # fmt: skip
+    ).decode()
     lines = [line for line in text.splitlines() if line.strip()]
     radiance = [float(line.split()[1]) for line in lines if line.startswith("3 ")]
     return np.array(lines[-1].split()[1:], float), radiance[0] if radiance else 0.0
 
 
 def test_coefficients_authority_gendaylit() -> None:
-    """gendaylit 2.5 over hours of the year, clear to overcast: it prints four digits, hence 6e-4."""
+    """gendaylit 2.5 over hours of the year, clear to overcast: it prints four digits, hence
+    6e-4.
+    """
     rng = np.random.default_rng(1)
     checked = 0
     for _ in range(120):
-        month, day, minute = int(rng.integers(1, 13)), int(rng.integers(1, 29)), int(rng.integers(360, 1080))
+        month, day, minute = (
+            int(rng.integers(1, 13)),
+            int(rng.integers(1, 29)),
+            int(rng.integers(360, 1080)),
+        )
         when = datetime(2001, month, day, minute // 60, minute % 60, tzinfo=UTC)
         dni, dhi = (rng.random() > 0.3) * rng.uniform(1, 900), rng.uniform(2, 350)
         args, radiance = _gendaylit(when, dni, dhi)
         if args[0] == 0:  # the sun is down, or outside the model
             continue
         altitude = np.degrees(np.arcsin(args[9]))
-        made = sky.perez_coefficients(dni, dhi, altitude, date(2001, month, day).timetuple().tm_yday)
+        made = sky.perez_coefficients(
+            dni, dhi, altitude, date(2001, month, day).timetuple().tm_yday
+        )
         assert made.norm_cdm2[0] / 179 == pytest.approx(args[0], rel=6e-4)
         assert made.ground_cdm2[0] / 179 == pytest.approx(args[1], rel=1e-3)
-        assert made.shape[0] == pytest.approx(args[2:7], rel=1e-4, abs=1e-4)  # the sun has six digits
+        assert made.shape[0] == pytest.approx(
+            args[2:7], rel=1e-4, abs=1e-4
+        )  # the sun has six digits
         assert made.direct_lx[0] / 179 / SUN_SR == pytest.approx(radiance, rel=6e-4)
         checked += 1
     assert checked > 80
 
 
 def test_luminance_authority_perezlum() -> None:
-    """A sky through rtrace with perezlum.cal, in directions above and below the horizon (RGBE-free float output)."""
+    """A sky through rtrace with perezlum.cal, in directions above and below the horizon
+    (RGBE-free float output).
+    """
     import tempfile
     from pathlib import Path
 
@@ -86,7 +101,9 @@ def test_luminance_authority_perezlum() -> None:
     rays = direction([80, 40, 12, 1, -1, -40], [10, 200, 300, 120, 0, 77])
     sun = direction(altitude, azimuth)
     numbers = [made.norm_cdm2[0] / 179, made.ground_cdm2[0] / 179, *made.shape[0], *sun]
-    scene = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(f"{x:.9g}" for x in numbers)
+    scene = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(
+        f"{x:.9g}" for x in numbers
+    )
     scene += "\nskyfunc glow g\n0\n0\n4 1 1 1 0\ng source s\n0\n0\n4 0 0 1 360\n"
     with tempfile.TemporaryDirectory() as folder:
         rad = Path(folder) / "sky.rad"
@@ -95,13 +112,17 @@ def test_luminance_authority_perezlum() -> None:
         octree.write_bytes(pyradiance.oconv(str(rad)))
         origin = np.zeros_like(rays)
         stream = np.concatenate((origin, rays), axis=1).astype("<f4").tobytes()
-        answer = pyradiance.rtrace(stream, str(octree), header=False, inform="f", outform="f", params=["-ab", "0"])
+        answer = pyradiance.rtrace(
+            stream, str(octree), header=False, inform="f", outform="f", params=["-ab", "0"]
+        )
     found = 179 * np.frombuffer(answer, "<f4").reshape(-1, 3)[:, 0]
     assert sky.perez_luminance(made, sun, rays)[0] == pytest.approx(found, rel=1e-4)
 
 
 def test_efficacy_is_about_93_lm_per_w() -> None:
-    """Authority: Littlefair 1988 and Perez 1990 put beam sunlight between 90 and 110 lm/W; low suns are redder."""
+    """Authority: Littlefair 1988 and Perez 1990 put beam sunlight between 90 and 110 lm/W; low
+    suns are redder.
+    """
     high = sky.direct_normal_illuminance_lx(800.0, 100.0, 50.0, 172)[0] / 800
     low = sky.direct_normal_illuminance_lx(200.0, 40.0, 4.0, 172)[0] / 200
     assert 95 < high < 112
@@ -116,13 +137,17 @@ def test_days_from_times() -> None:
 
 
 @settings(deadline=None, max_examples=60)
-@example(6.0, 2.0, 41.0, 1.0)  # more beam than so thin a sky can have: Perez's formula turns negative there
-@given(
-    st.floats(0, 1100), st.floats(0, 700), st.floats(-5, 90), st.floats(1, 365)
-)  # fmt: skip
-def test_every_sky_is_finite_and_holds_its_light(dni: float, dhi: float, altitude: float, day: float) -> None:
-    """Property: no weather gives a negative or infinite sky, and patches add up to the diffuse illuminance within
-    the error of gendaylit's own rule of 145 points (worst with a bright circumsolar sky at the horizon)."""
+@example(
+    6.0, 2.0, 41.0, 1.0
+)  # more beam than so thin a sky can have: Perez's formula turns negative there
+@given(st.floats(0, 1100), st.floats(0, 700), st.floats(-5, 90), st.floats(1, 365))
+def test_every_sky_is_finite_and_holds_its_light(
+    dni: float, dhi: float, altitude: float, day: float
+) -> None:
+    """Property: no weather gives a negative or infinite sky, and patches add up to the diffuse
+    illuminance within the error of gendaylit's own rule of 145 points (worst with a bright
+    circumsolar sky at the horizon).
+    """
     made = sky.perez_coefficients(dni, dhi, altitude, day)
     patches = sky.reinhart_patches()
     seen = sky.perez_luminance(made, direction(altitude, 180.0), patches.directions)

@@ -14,15 +14,58 @@ SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 SITES = tuple(
     Site(f"{latitude:+g}", latitude, longitude, f"Etc/GMT{-round(longitude / 15):+d}")
     for latitude, longitude in zip(
-        (90, 85, 78.2, 69.65, 66, 64.1, 60, 55, 51.5, 47.6, 40, 30, 20, 10, 0, -10, -23.4, -33.9, -54.8, -77.8),
-        (0, 10, 15.6, 18.96, 25, -21.9, 30, 12, 0, -122.3, -75, 31, 77, -84, -78, 39, -46.6, 151.2, -68.3, 166.7),
+        (
+            90,
+            85,
+            78.2,
+            69.65,
+            66,
+            64.1,
+            60,
+            55,
+            51.5,
+            47.6,
+            40,
+            30,
+            20,
+            10,
+            0,
+            -10,
+            -23.4,
+            -33.9,
+            -54.8,
+            -77.8,
+        ),
+        (
+            0,
+            10,
+            15.6,
+            18.96,
+            25,
+            -21.9,
+            30,
+            12,
+            0,
+            -122.3,
+            -75,
+            31,
+            77,
+            -84,
+            -78,
+            39,
+            -46.6,
+            151.2,
+            -68.3,
+            166.7,
+        ),
         strict=True,
     )
 )
 
-# U.S. Naval Observatory, Universal Time to the minute: its season service's answers for 1800 to 2100 as kept in GitHub
-# cosinekitty/astronomy, generate/seasons/seasons.txt (commit b3ff85df), read there. Wikipedia's table of 2019 to 2028
-# (a copy at wiki.studentb.eu, March equinox) differs from it by a minute in eleven places of forty.
+# U.S. Naval Observatory, Universal Time to the minute: its season service's answers for 1800 to
+# 2100 as kept in GitHub cosinekitty/astronomy, generate/seasons/seasons.txt (commit b3ff85df), read
+# there. Wikipedia's table of 2019 to 2028 (a copy at wiki.studentb.eu, March equinox) differs from
+# it by a minute in eleven places of forty.
 ALMANAC = {
     2016: ("03-20T04:30", "06-20T22:34", "09-22T14:21", "12-21T10:44"),
     2019: ("03-20T21:58", "06-21T15:54", "09-23T07:50", "12-22T04:19"),
@@ -37,10 +80,12 @@ ALMANAC = {
     2028: ("03-20T02:17", "06-20T20:02", "09-22T11:45", "12-21T08:19"),
     2030: ("03-20T13:52", "06-21T07:31", "09-22T23:27", "12-21T20:09"),
 }
-# Meeus, Astronomical Algorithms, 2nd edition, table of instants for 1996 to 2005 from the complete VSOP87, Dynamical
-# Time to the second: as typed in GitHub soniakeys/meeus, solstice/solstice_test.go (commit 0798b985), the same in
-# commenthol/astronomia, test/solstice.test.js. First figure: TD - UT [s] in March, rounded, from cosinekitty/astronomy,
-# generate/delta_t/recent.txt (it grows by up to 0.5 s until December). The book itself was not at hand.
+# Meeus, Astronomical Algorithms, 2nd edition, table of instants for 1996 to 2005 from the complete
+# VSOP87, Dynamical Time to the second: as typed in GitHub soniakeys/meeus,
+# solstice/solstice_test.go (commit 0798b985), the same in commenthol/astronomia,
+# test/solstice.test.js. First figure: TD - UT [s] in March, rounded, from cosinekitty/astronomy,
+# generate/delta_t/recent.txt (it grows by up to 0.5 s until December). The book itself was not at
+# hand.
 MEEUS = {
     1996: (61.7, "03-20T08:04:07", "06-21T02:24:46", "09-22T18:01:08", "12-21T14:06:56"),
     1998: (63.1, "03-20T19:55:35", "06-21T14:03:38", "09-23T05:38:15", "12-22T01:57:31"),
@@ -48,9 +93,10 @@ MEEUS = {
     2003: (64.5, "03-21T01:00:50", "06-21T19:11:32", "09-23T10:47:53", "12-22T07:04:53"),
     2005: (64.7, "03-20T12:34:29", "06-21T06:47:12", "09-22T22:24:14", "12-21T18:36:01"),
 }
-# U.S. Naval Observatory, "Rise and Set for the Sun for 2019", Universal Time to the minute (aa.usno.navy.mil,
-# RS_OneYear), as kept in GitHub cosinekitty/astronomy, generate/riseset/sun_2019_*.html, read there.
-# (latitude, longitude, zone): day of the rise, rise, and set of that same day at the place.
+# U.S. Naval Observatory, "Rise and Set for the Sun for 2019", Universal Time to the minute
+# (aa.usno.navy.mil, RS_OneYear), as kept in GitHub cosinekitty/astronomy,
+# generate/riseset/sun_2019_*.html, read there. (latitude, longitude, zone): day of the rise, rise,
+# and set of that same day at the place.
 USNO_RISE_SET = {
     (29.0, -81.0, "Etc/GMT+5"): (
         ("01-15", "12:19", "22:48"),
@@ -89,7 +135,9 @@ def test_authority_seasons_against_meeus(year: int) -> None:
     delta_t, *rows = MEEUS[year]
     for which, text in enumerate(rows):
         published = datetime.fromisoformat(f"{year}-{text}+00:00") - timedelta(seconds=delta_t)
-        assert abs((sun.season(year, which) - published).total_seconds()) <= 25  # SPA: 0.0003 deg is 26 s of longitude
+        assert (
+            abs((sun.season(year, which) - published).total_seconds()) <= 25
+        )  # SPA: 0.0003 deg is 26 s of longitude
 
 
 @pytest.mark.parametrize("place", USNO_RISE_SET, ids=lambda place: f"{place[0]:+g}")
@@ -106,10 +154,16 @@ def test_authority_rise_and_set_to_the_minute(place: tuple[float, float, str]) -
 
 @pytest.mark.parametrize(
     "place",
-    [(1.87, -157.4, "Pacific/Kiritimati"), (-43.95, -176.5, "Pacific/Chatham"), (-18.1, 178.4, "Pacific/Fiji")],
+    [
+        (1.87, -157.4, "Pacific/Kiritimati"),
+        (-43.95, -176.5, "Pacific/Chatham"),
+        (-18.1, 178.4, "Pacific/Fiji"),
+    ],
     ids=lambda place: place[2],
 )
-def test_property_each_standard_day_has_its_own_sun_beside_the_date_line(place: tuple[float, float, str]) -> None:
+def test_property_each_standard_day_has_its_own_sun_beside_the_date_line(
+    place: tuple[float, float, str],
+) -> None:
     days = [date(2027, 1, 1) + timedelta(days=13 * k) for k in range(28)]
     for day, found in zip(days, sun.rise_transit_set(days, Site("", *place)), strict=True):
         start = sun.standard_midnight(day, place[2])
@@ -128,14 +182,21 @@ def _crossing(site: Site, low: datetime, high: datetime, altitude_deg: float) ->
 
 @pytest.mark.parametrize("site", SITES, ids=lambda s: s.name)
 def test_authority_rise_and_set_agree_with_the_position(site: Site) -> None:
-    """pvlib's rise and set (34 arc minutes of refraction, upper limb) against the position's own crossing."""
+    """pvlib's rise and set (34 arc minutes of refraction, upper limb) against the position's own
+    crossing.
+    """
     for day in (date(2027, 3, 20), date(2027, 6, 21), date(2027, 9, 23), date(2027, 12, 22)):
         found = sun.rise_transit_set([day], site)[0]
-        around = [sun.standard_midnight(day, site.timezone) + timedelta(minutes=10 * k) for k in range(-72, 217)]
+        around = [
+            sun.standard_midnight(day, site.timezone) + timedelta(minutes=10 * k)
+            for k in range(-72, 217)
+        ]
         altitude = sun.position(around, site).altitude_deg
         if found.rise is None or found.set is None or found.transit is None:
             middle = altitude[72:217]
-            assert middle.min() > -1.3 or middle.max() < 0.5  # never sets or never rises, within a day's drift
+            assert (
+                middle.min() > -1.3 or middle.max() < 0.5
+            )  # never sets or never rises, within a day's drift
             continue
         if abs(site.latitude_deg) > 80:
             continue  # the sun grazes the horizon for hours: minutes mean nothing there
@@ -143,10 +204,15 @@ def test_authority_rise_and_set_agree_with_the_position(site: Site) -> None:
         for moment in (found.rise, found.set):
             margin = timedelta(minutes=40)
             crossing = _crossing(site, moment - margin, moment + margin, sun.RISE_ALTITUDE_DEG)
-            assert abs((crossing - moment).total_seconds()) <= (2 if abs(site.latitude_deg) < 65 else 10)
+            assert abs((crossing - moment).total_seconds()) <= (
+                2 if abs(site.latitude_deg) < 65 else 10
+            )
         almanac = _pvlib_rise(day, site)
-        # pvlib takes the neighbouring day's sun far from Greenwich: up to 90 s, more where the sun grazes
-        assert abs((found.rise - almanac).total_seconds()) <= (90 if abs(site.latitude_deg) < 65 else 600)
+        # pvlib takes the neighbouring day's sun far from Greenwich: up to 90 s, more where the sun
+        # grazes
+        assert abs((found.rise - almanac).total_seconds()) <= (
+            90 if abs(site.latitude_deg) < 65 else 600
+        )
 
 
 def _pvlib_rise(day: date, site: Site) -> datetime:
@@ -173,10 +239,15 @@ def test_naive_times_are_refused() -> None:
 @pytest.mark.parametrize(
     ("zone", "hours"),
     [
-        ("America/Los_Angeles", -8), ("Europe/Dublin", 0), ("Australia/Sydney", 10), ("Asia/Kolkata", 5.5),
-        ("Australia/Lord_Howe", 10.5), ("Asia/Singapore", 8), ("America/St_Johns", -3.5),
+        ("America/Los_Angeles", -8),
+        ("Europe/Dublin", 0),
+        ("Australia/Sydney", 10),
+        ("Asia/Kolkata", 5.5),
+        ("Australia/Lord_Howe", 10.5),
+        ("Asia/Singapore", 8),
+        ("America/St_Johns", -3.5),
     ],
-)  # fmt: skip
+)
 def test_standard_offset_is_winter_time_in_both_hemispheres(zone: str, hours: float) -> None:
     assert sun.standard_offset(zone, 2027) == timedelta(hours=hours)
 
@@ -184,7 +255,9 @@ def test_standard_offset_is_winter_time_in_both_hemispheres(zone: str, hours: fl
 def test_clock_changes_in_a_window() -> None:
     found = sun.clock_changes(date(2027, 3, 1), date(2027, 3, 31), "Europe/London")
     assert found == [(datetime(2027, 3, 28, 1, tzinfo=UTC), timedelta(hours=1))]
-    assert sun.clock_changes(date(2027, 4, 1), date(2027, 4, 5), "Australia/Lord_Howe")[0][1] == timedelta(minutes=-30)
+    assert sun.clock_changes(date(2027, 4, 1), date(2027, 4, 5), "Australia/Lord_Howe")[0][
+        1
+    ] == timedelta(minutes=-30)
     assert sun.clock_changes(date(2027, 1, 1), date(2027, 12, 31), "Asia/Singapore") == []
 
 
@@ -215,16 +288,23 @@ def test_property_closure_round_trip(altitude: float, dni: float, dhi: float) ->
     ghi = dhi + dni * np.sin(np.radians(altitude))
     assert sun.dni_by_closure(ghi, dhi, altitude) == pytest.approx(dni, abs=1e-6)
     assert sun.dhi_by_closure(ghi, dni, altitude) == pytest.approx(dhi, abs=1e-6)
-    ratio = sun.closure_ratio(np.array([ghi]), np.array([dhi]), np.array([dni]), np.array([altitude]))[0]
+    ratio = sun.closure_ratio(
+        np.array([ghi]), np.array([dhi]), np.array([dni]), np.array([altitude])
+    )[0]
     assert np.isnan(ratio) if ghi <= 50 else ratio == pytest.approx(1)
 
 
 def test_authority_bsrn_limits() -> None:
-    """BSRN Global Network recommended QC tests V2.0 (Long and Dutton 2002), at the zenith and 1361 W/m2.
+    """BSRN Global Network recommended QC tests V2.0 (Long and Dutton 2002), at the zenith and 1361
+    W/m2.
 
-    Factors as read in GitHub ARM-DOE/ACT, act/qc/bsrn_tests.py (commit 121776f7), which cites that document.
+    Factors as read in GitHub ARM-DOE/ACT, act/qc/bsrn_tests.py (commit 121776f7), which cites that
+    document.
     """
-    possible, rare = sun.bsrn_limits([90.0], [1361.0]), sun.bsrn_limits([90.0], [1361.0], extreme=True)
+    possible, rare = (
+        sun.bsrn_limits([90.0], [1361.0]),
+        sun.bsrn_limits([90.0], [1361.0], extreme=True),
+    )
     assert [float(x[1][0]) for x in possible] == pytest.approx([2141.5, 1342.95, 1361.0])
     assert [float(x[1][0]) for x in rare] == pytest.approx([1683.2, 1050.75, 1302.95])
     assert sun.bsrn_limits([-5.0], [1361.0]).ghi_wm2[1][0] == 100.0

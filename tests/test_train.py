@@ -20,9 +20,19 @@ from fieldlum.train.folds import day_folds, one_day_only
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)
 KEYS = {
-    "name", "fit_s", "predict_s_per_map", "n_train", "n_test", "seed", "log10_mse_weighted", "rer_weighted",
-    "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse",
-}  # fmt: skip
+    "name",
+    "fit_s",
+    "predict_s_per_map",
+    "n_train",
+    "n_test",
+    "seed",
+    "log10_mse_weighted",
+    "rer_weighted",
+    "paper_log10_mse",
+    "paper_rer",
+    "dgp_mse",
+    "rammg_mse",
+}
 
 
 def test_no_day_is_on_both_sides_and_every_hour_is_asked_once() -> None:
@@ -51,8 +61,12 @@ def trial(name: str, errors: list[float]) -> Trial:
     n = len(errors)
     blank = np.full(n, np.nan)
     scores = Scores(
-        np.array(errors), *(blank,) * 12, trusted=np.ones(n, bool), in_band=blank, slots=DATA.slots[:n]
-    )  # fmt: skip
+        np.array(errors),
+        *(blank,) * 12,
+        trusted=np.ones(n, bool),
+        in_band=blank,
+        slots=DATA.slots[:n],
+    )
     return Trial(name, scores, 1.0, 1.0, n, 1)
 
 
@@ -70,7 +84,9 @@ def test_the_smallest_model_within_one_standard_error_is_chosen() -> None:
     assert choose([with_slots("transport", [2.5, 2.5, 2.5]), best], three).name == "transport"
     assert choose([with_slots("transport", [2.6, 2.6, 2.6]), best], three).name == "dense"
     assert (
-        choose([with_slots("mean", [2.1, 2.1, 2.1]), with_slots("transport", [2.0, 2.0, 2.0])], three).name
+        choose(
+            [with_slots("mean", [2.1, 2.1, 2.1]), with_slots("transport", [2.0, 2.0, 2.0])], three
+        ).name
         == "transport"
     )
 
@@ -83,12 +99,19 @@ def test_candidates_are_compared_on_the_hours_they_share() -> None:
 
 
 def test_a_slow_model_that_saw_few_days_does_not_decide_between_quick_ones() -> None:
-    """On the first day nearest looks best; over all days transport is. The network knows the first day only."""
+    """On the first day nearest looks best; over all days transport is. The network knows the
+    first day only.
+    """
     first = int((DATA.days == DATA.days[0]).sum())
     rest = len(DATA) - first
-    quick = [trial("nearest", [0.1] * first + [9.0] * rest), trial("transport", [0.2] * first + [0.1] * rest)]
+    quick = [
+        trial("nearest", [0.1] * first + [9.0] * rest),
+        trial("transport", [0.2] * first + [0.1] * rest),
+    ]
     assert choose([*quick, trial("dense", [0.3] * first)], DATA).name == "transport"
-    assert choose([*quick, trial("dense", [0.01] * first)], DATA).name == "transport", "one day is no proof"
+    assert choose([*quick, trial("dense", [0.01] * first)], DATA).name == "transport", (
+        "one day is no proof"
+    )
 
 
 def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
@@ -97,7 +120,10 @@ def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
     assert all(set(row) >= KEYS for row in answer["models"])
     assert json.loads((tmp_path / "scores.json").read_text())["chosen"] == "nearest"
     config = json.loads((tmp_path / "config.json").read_text())
-    assert config["training"]["slots"] == list(DATA.slots) and config["setup"]["site"]["name"] == "Test room"
+    assert (
+        config["training"]["slots"] == list(DATA.slots)
+        and config["setup"]["site"]["name"] == "Test room"
+    )
     assert models.load(tmp_path).name == "nearest"
 
 
@@ -139,7 +165,9 @@ def test_the_command(tmp_path: Path) -> None:
     answer = json.loads(result.stdout)
     assert answer["chosen"] == "nearest" and set(answer["models"][0]) >= KEYS
     assert (tmp_path / "models" / "nearest" / "config.json").is_file()
-    shown = runner.invoke(main, ["train", str(path), "--model", "mean", "--out", str(tmp_path / "m")])
+    shown = runner.invoke(
+        main, ["train", str(path), "--model", "mean", "--out", str(tmp_path / "m")]
+    )
     assert "chosen: mean" in shown.stdout
     assert runner.invoke(main, ["train", str(tmp_path / "none.csv")]).exit_code == 3
     assert runner.invoke(main, ["train", str(path), "--budget", "0"]).exit_code == 2

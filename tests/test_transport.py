@@ -35,12 +35,16 @@ HEIGHT, WIDTH = 16, 32
 
 
 def toy(days: list[int], seed: int = 0) -> Dataset:
-    """A made-up room, exactly linear in sky and sun: surfaces lit from the south, a sun patch, a window."""
+    """A made-up room, exactly linear in sky and sun: surfaces lit from the south, a sun patch, a
+    window.
+    """
     rng = np.random.default_rng(seed)
     start = datetime(2027, 1, 1, 16, 30, tzinfo=UTC)
     times = [start + timedelta(days=d, hours=h) for d in days for h in range(8)]
     n = len(times)
-    light = light_at(times, SITE, rng.uniform(0, 800, n) * (rng.random(n) < 0.7), rng.uniform(30, 300, n))
+    light = light_at(
+        times, SITE, rng.uniform(0, 800, n) * (rng.random(n) < 0.7), rng.uniform(30, 300, n)
+    )
     light = light[light.sun_altitude_deg > 0.0]
     rays = equirect_rays(HEIGHT, WIDTH, 180.0)
     patches = reinhart_patches()
@@ -48,16 +52,28 @@ def toy(days: list[int], seed: int = 0) -> Dataset:
     side = 0.5 + 0.4 * rays.reshape(-1, 3) @ patches.directions.T
     sky = light.sky_cdm2 @ (side * through).T * 0.02
     sun, direct = light.sun_direction, light.direct_lx
-    indirect = (direct * np.maximum(-sun[:, 1], 0.0))[:, None] * (0.01 + 0.005 * (rays.reshape(-1, 3) @ -sun.T).T)
-    patch = np.where(((rays.reshape(-1, 3) + sun[:, None]) ** 2).sum(-1) < 0.15, 0.1 * direct[:, None], 0.0)
+    indirect = (direct * np.maximum(-sun[:, 1], 0.0))[:, None] * (
+        0.01 + 0.005 * (rays.reshape(-1, 3) @ -sun.T).T
+    )
+    patch = np.where(
+        ((rays.reshape(-1, 3) + sun[:, None]) ** 2).sum(-1) < 0.15, 0.1 * direct[:, None], 0.0
+    )
     window = (rays[..., 1] < -0.8) & (rays[..., 2] > 0.1)
     maps = (sky + np.maximum(indirect, 0.0) + patch).reshape(-1, HEIGHT, WIDTH)
     maps[:, window] += 0.9 * light.sky_at(rays[window])
     days_of = np.array([t.date() for t in light.t_utc], "datetime64[D]")
     return Dataset(
-        light, maps.astype(np.float32), patch.reshape(maps.shape).astype(np.float32), np.zeros(len(light)), 180.0,
-        days_of, tuple(slot_id(t) for t in light.t_utc), SETUP, np.ones((HEIGHT, WIDTH), bool), np.zeros(len(light)),
-    )  # fmt: skip
+        light,
+        maps.astype(np.float32),
+        patch.reshape(maps.shape).astype(np.float32),
+        np.zeros(len(light)),
+        180.0,
+        days_of,
+        tuple(slot_id(t) for t in light.t_utc),
+        SETUP,
+        np.ones((HEIGHT, WIDTH), bool),
+        np.zeros(len(light)),
+    )
 
 
 TRAIN, TEST = toy([20, 79, 80, 120, 172, 173, 300, 355]), toy([50, 200], seed=1)
@@ -69,7 +85,8 @@ def log_mse(maps: np.ndarray, data: Dataset) -> float:
     return float((error**2 * data.weights).mean())
 
 
-# ---------------------------------------------------------------------------------------------- identities
+# ----------------------------------------------------------------------------------------------
+# identities
 
 
 def test_property_closed_form_days_equal_refits() -> None:
@@ -97,7 +114,9 @@ def test_property_closed_form_days_of_the_second_stage_equal_refits() -> None:
     for day in range(3):
         out, kept = days == day, days != day
         known = covariance[np.ix_(kept, kept)] + 0.3 * np.eye(8)
-        assert np.allclose(closed[out], covariance[np.ix_(out, kept)] @ np.linalg.solve(known, target[kept]))
+        assert np.allclose(
+            closed[out], covariance[np.ix_(out, kept)] @ np.linalg.solve(known, target[kept])
+        )
 
 
 def test_analytic_ridge_without_prior_is_least_squares() -> None:
@@ -109,7 +128,8 @@ def test_analytic_ridge_without_prior_is_least_squares() -> None:
     assert np.allclose(b, truth, atol=1e-6) and np.allclose(gains, 2.5, atol=1e-6)
 
 
-# ---------------------------------------------------------------------------------------------- the model
+# ---------------------------------------------------------------------------------------------- the
+# model
 
 
 def test_analytic_learns_an_exactly_linear_room() -> None:
@@ -127,16 +147,26 @@ def test_property_twice_the_light_is_twice_the_map() -> None:
 def test_property_chunks_do_not_matter() -> None:
     assert TEST.patch_cdm2 is not None
     whole = MODEL.predict(TEST.light, TEST.patch_cdm2)
-    parts = [MODEL.predict(TEST.light[i : i + 3], TEST.patch_cdm2[i : i + 3]) for i in range(0, len(TEST), 3)]
-    assert np.allclose(whole.luminance_cdm2, np.concatenate([p.luminance_cdm2 for p in parts]), rtol=1e-4)
-    assert np.allclose(whole.expected_mse, np.concatenate([p.expected_mse for p in parts]), rtol=1e-3)
+    parts = [
+        MODEL.predict(TEST.light[i : i + 3], TEST.patch_cdm2[i : i + 3])
+        for i in range(0, len(TEST), 3)
+    ]
+    assert np.allclose(
+        whole.luminance_cdm2, np.concatenate([p.luminance_cdm2 for p in parts]), rtol=1e-4
+    )
+    assert np.allclose(
+        whole.expected_mse, np.concatenate([p.expected_mse for p in parts]), rtol=1e-3
+    )
 
 
 def test_analytic_unknown_gain_is_found_and_costs_little() -> None:
     assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
     model = fit(replace(TRAIN, patch_cdm2=TRAIN.patch_cdm2 / 3.7), patch="gain")
     assert model.patch_scale == pytest.approx(3.7, rel=0.1)
-    assert log_mse(model.predict(TEST.light, TEST.patch_cdm2 / np.float32(3.7)).luminance_cdm2, TEST) < 1e-3
+    assert (
+        log_mse(model.predict(TEST.light, TEST.patch_cdm2 / np.float32(3.7)).luminance_cdm2, TEST)
+        < 1e-3
+    )
 
 
 def test_contract_no_patch_is_learnt_and_needs_none() -> None:
@@ -150,7 +180,10 @@ def test_contract_no_patch_is_learnt_and_needs_none() -> None:
 def test_property_doubtful_patches_do_not_teach_the_light() -> None:
     material = material_of(TRAIN, with_patch=True)
     kernel, plain = Kernel(material.facades), replace(material.features, flux=None, cells=None)
-    basis, below = basis_of(kernel(plain, plain), 20), Recipe(1e-2, rounds=4, second=0.1, below=True)
+    basis, below = (
+        basis_of(kernel(plain, plain), 20),
+        Recipe(1e-2, rounds=4, second=0.1, below=True),
+    )
     once = fit_pixels(material, basis, below)
     twice = fit_pixels(material.with_patch_scaled(2.0), basis, below)
     assert np.array_equal(once.b, twice.b) and np.array_equal(once.scale, twice.scale)
@@ -159,7 +192,9 @@ def test_property_doubtful_patches_do_not_teach_the_light() -> None:
 
 def test_contract_patches_that_needed_mending_are_doubted(tmp_path: Path) -> None:
     assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
-    shaded = np.random.default_rng(3).random((HEIGHT, WIDTH)) < 0.5  # by furniture that nobody measured
+    shaded = (
+        np.random.default_rng(3).random((HEIGHT, WIDTH)) < 0.5
+    )  # by furniture that nobody measured
     wrong = replace(TRAIN, patch_cdm2=np.where(shaded, np.float32(0.0), TRAIN.patch_cdm2))
     model = fit(wrong)
     assert {row["below"] for row in model.table} == {False, True}
@@ -167,17 +202,25 @@ def test_contract_patches_that_needed_mending_are_doubted(tmp_path: Path) -> Non
     assert model.recipe.below and model.train.flux is None
     models.save(tmp_path / "m", model, wrong)
     again = models.load(tmp_path / "m").predict(TEST.light, TEST.patch_cdm2)
-    assert np.allclose(again.luminance_cdm2, model.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, rtol=1e-4)
+    assert np.allclose(
+        again.luminance_cdm2, model.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("rows", [[0, 1, 2], [3, 3, 3, 3], list(range(5))])
 @pytest.mark.parametrize("patch", ["absolute", "gain", "none"])
-def test_property_tiny_or_doubled_sets_give_finite_maps(rows: list[int], patch: models.Patch) -> None:
+def test_property_tiny_or_doubled_sets_give_finite_maps(
+    rows: list[int], patch: models.Patch
+) -> None:
     data = TRAIN.take(rows)
     model = fit(data, patch=patch)
     found = model.predict(TEST.light, None if patch == "none" else TEST.patch_cdm2)
     assert np.isfinite(found.luminance_cdm2).all() and found.luminance_cdm2.min() > 0.0
-    assert found.log10_sd is not None and np.isfinite(found.log10_sd).all() and np.isfinite(found.expected_mse).all()
+    assert (
+        found.log10_sd is not None
+        and np.isfinite(found.log10_sd).all()
+        and np.isfinite(found.expected_mse).all()
+    )
 
 
 def test_property_days_of_one_season_choose_no_width() -> None:
@@ -186,12 +229,16 @@ def test_property_days_of_one_season_choose_no_width() -> None:
 
 
 def test_property_captures_under_changing_light_teach_less() -> None:
-    """A third of the pictures are off in level; told that their light was not steady, the fit is closer to truth."""
+    """A third of the pictures are off in level; told that their light was not steady, the fit is
+    closer to truth.
+    """
     rng = np.random.default_rng(4)
     change = np.where(rng.random(len(TRAIN)) < 0.33, 0.6, 0.0)
     factor = (1.0 + change * rng.uniform(-0.5, 0.5, len(TRAIN)))[:, None, None].astype(np.float32)
     assert TRAIN.patch_cdm2 is not None
-    off = replace(TRAIN, luminance_cdm2=TRAIN.luminance_cdm2 * factor, patch_cdm2=TRAIN.patch_cdm2 * factor)
+    off = replace(
+        TRAIN, luminance_cdm2=TRAIN.luminance_cdm2 * factor, patch_cdm2=TRAIN.patch_cdm2 * factor
+    )
     untold, told = (
         log_mse(fit(data).predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST)
         for data in (off, replace(off, steadiness=change))
@@ -201,16 +248,25 @@ def test_property_captures_under_changing_light_teach_less() -> None:
 
 def test_property_no_more_features_than_held_out_days_ask_for() -> None:
     """What the captures cannot support is not modelled, and few captures keep all they have."""
-    noise = np.random.default_rng(3).normal(1.0, 0.05, TRAIN.luminance_cdm2.shape).astype(np.float32)
+    noise = (
+        np.random.default_rng(3).normal(1.0, 0.05, TRAIN.luminance_cdm2.shape).astype(np.float32)
+    )
     model = fit(replace(TRAIN, luminance_cdm2=TRAIN.luminance_cdm2 * noise))
     assert model.pixels.b.shape[1] == model.recipe.rank == 40 < len(TRAIN)
-    tried = {row["rank"]: row["held_out_mse"] for row in model.table if row["noise"] == model.recipe.noise}
+    tried = {
+        row["rank"]: row["held_out_mse"]
+        for row in model.table
+        if row["noise"] == model.recipe.noise
+    }
     assert tried[40] <= 1.05 * tried[RANK]
     assert fit(TRAIN.take(range(0, len(TRAIN), 3))).recipe.rank == RANK
 
 
 def test_analytic_seasons_are_parted_by_gaps_in_the_declination() -> None:
-    nine = np.array([f"2027-{d}" for d in ("03-19", "03-20", "06-20", "06-21", "12-20", "12-21")], "datetime64[D]")
+    nine = np.array(
+        [f"2027-{d}" for d in ("03-19", "03-20", "06-20", "06-21", "12-20", "12-21")],
+        "datetime64[D]",
+    )
     assert seasons(nine).tolist() == [1, 1, 2, 2, 0, 0]
     assert seasons(np.arange("2027-01-01", "2028-01-01", 3, "datetime64[D]")).max() == 0
 
@@ -247,10 +303,13 @@ def test_property_room_physics_is_linear_used_and_survives_saving(tmp_path: Path
     kept = model if model.physics is not None else replace(model, physics=None)
     models.save(tmp_path / "m", kept, with_room)
     again = models.load(tmp_path / "m").predict(TEST.light, TEST.patch_cdm2)
-    assert np.allclose(again.luminance_cdm2, kept.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, rtol=1e-4)
+    assert np.allclose(
+        again.luminance_cdm2, kept.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, rtol=1e-4
+    )
 
 
-# ---------------------------------------------------------------------------------------------- files
+# ----------------------------------------------------------------------------------------------
+# files
 
 
 @pytest.mark.parametrize("patch", ["absolute", "none"])
@@ -261,7 +320,11 @@ def test_contract_saved_and_loaded_predicts_the_same(tmp_path: Path, patch: mode
     given = None if patch == "none" else TEST.patch_cdm2
     a, b = model.predict(TEST.light, given), again.predict(TEST.light, given)
     assert np.allclose(a.luminance_cdm2, b.luminance_cdm2, rtol=1e-5)
-    assert a.log10_sd is not None and b.log10_sd is not None and np.allclose(a.log10_sd, b.log10_sd, rtol=1e-4)
+    assert (
+        a.log10_sd is not None
+        and b.log10_sd is not None
+        and np.allclose(a.log10_sd, b.log10_sd, rtol=1e-4)
+    )
     assert np.array_equal(a.trusted, b.trusted) and again.parameters == model.parameters
 
 
@@ -270,7 +333,9 @@ class _Bomb:
         return Path.touch, (Path("exploded"),)
 
 
-def test_contract_a_strangers_file_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contract_a_strangers_file_runs_no_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     models.save(tmp_path / "m", MODEL, TRAIN)
     with np.load(tmp_path / "m" / "weights.npz") as stored:

@@ -16,7 +16,9 @@ SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 
 
 def test_seattle_ships_with_4379_daylight_hours() -> None:
-    """The paper counts 4 379 hours with light and the sun up, by its own sun; ours may move a few at the horizon."""
+    """The paper counts 4 379 hours with light and the sun up, by its own sun; ours may move a
+    few at the horizon.
+    """
     year = weather.shipped_seattle()
     assert len(year) == 8760 and not year.repairs
     assert abs(len(year.daylight()) - 4379) < 15
@@ -31,12 +33,18 @@ def _write_csv(path: Path, year: weather.Weather, *, dated: bool) -> None:
     rows = ["t_utc,dni_wm2,dhi_wm2" if dated else "month,day,hour,dni_wm2,dhi_wm2"]
     for t, dni, dhi in zip(year.t_utc, year.dni_wm2, year.dhi_wm2, strict=True):
         local = sun.standard_time(t, year.site.timezone)
-        stamp = f"{t:%Y-%m-%dT%H:%M:%SZ}" if dated else f"{local.month},{local.day},{local.hour + local.minute / 60}"
+        stamp = (
+            f"{t:%Y-%m-%dT%H:%M:%SZ}"
+            if dated
+            else f"{local.month},{local.day},{local.hour + local.minute / 60}"
+        )
         rows.append(f"{stamp},{dni:.2f},{dhi:.2f}")
     path.write_text("\n".join(rows))
 
 
-def _write_epw(path: Path, year: weather.Weather, zone: float = -8, longitude: float | None = None) -> None:
+def _write_epw(
+    path: Path, year: weather.Weather, zone: float = -8, longitude: float | None = None
+) -> None:
     place = year.site
     where = longitude if longitude is not None else place.longitude_deg
     head = [f"LOCATION,Test,WA,USA,none,0,{place.latitude_deg},{where},{zone},5"]
@@ -44,7 +52,15 @@ def _write_epw(path: Path, year: weather.Weather, zone: float = -8, longitude: f
     rows = []
     for t, dni, dhi, ghi in zip(year.t_utc, year.dni_wm2, year.dhi_wm2, year.ghi_wm2, strict=True):
         local = t + timedelta(hours=zone)
-        cells = [str(local.year), str(local.month), str(local.day), str(local.hour + 1), "60", "?", *["0"] * 7]
+        cells = [
+            str(local.year),
+            str(local.month),
+            str(local.day),
+            str(local.hour + 1),
+            "60",
+            "?",
+            *["0"] * 7,
+        ]
         rows.append(",".join([*cells, f"{ghi:.2f}", f"{dni:.2f}", f"{dhi:.2f}", "0"]))
     path.write_text("\n".join(head + rows))
 
@@ -61,7 +77,9 @@ def _write_tmy3(path: Path, year: weather.Weather, zone: float = -8) -> None:
 
 
 def test_the_formats_agree(tmp_path) -> None:
-    """Contract: EPW labels are starts in hour 1..24, TMY3 labels are ends, CSV stands at centres: the same year."""
+    """Contract: EPW labels are starts in hour 1..24, TMY3 labels are ends, CSV stands at
+    centres: the same year.
+    """
     year = _year()
     _write_csv(tmp_path / "a.csv", year, dated=True)
     _write_csv(tmp_path / "b.csv", year, dated=False)
@@ -76,7 +94,9 @@ def test_the_formats_agree(tmp_path) -> None:
 
 
 def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
-    """Analytic: in a cloudless EPW the beam-weighted mean time of a day is solar noon within three minutes."""
+    """Analytic: in a cloudless EPW the beam-weighted mean time of a day is solar noon within
+    three minutes.
+    """
     times = _year().t_utc
     clear = sun.clearsky(times, SEATTLE)
     year = weather.Weather("clear", SEATTLE, times, clear.dni_wm2, clear.dhi_wm2, clear.ghi_wm2)
@@ -85,7 +105,9 @@ def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
     day = slice(24 * 171, 24 * 172)
     seconds = np.array([t.timestamp() for t in found.t_utc[day]])
     middle = datetime.fromtimestamp(float(np.average(seconds, weights=found.ghi_wm2[day])), UTC)
-    noon = sun.rise_transit_set([sun.standard_date(found.t_utc[24 * 171 + 12], SEATTLE.timezone)], SEATTLE)[0].transit
+    noon = sun.rise_transit_set(
+        [sun.standard_date(found.t_utc[24 * 171 + 12], SEATTLE.timezone)], SEATTLE
+    )[0].transit
     assert noon is not None and abs((middle - noon).total_seconds()) < 180
 
 
@@ -161,7 +183,9 @@ def test_wrong_time_zone_shows_as_light_at_night(tmp_path) -> None:
         weather.read_weather(tmp_path / "w.epw", SEATTLE)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02", b"LOCATION,x\n", b"t_utc,dni_wm2,dhi_wm2\n2027-01-01,1,1\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\x00\x01\x02", b"LOCATION,x\n", b"t_utc,dni_wm2,dhi_wm2\n2027-01-01,1,1\n"]
+)
 def test_hopeless_files(tmp_path, content: bytes) -> None:
     path = tmp_path / "w.csv"
     path.write_bytes(content)
@@ -183,20 +207,29 @@ def test_synthetic_is_seeded_plausible_and_labelled() -> None:
 
 
 _DAY = [
-    f"2027-06-{20 + h // 24:02d}T{h % 24:02d}:30:00Z,{max(0, 40 * (h % 24 - 13))},{5 * (h % 24)}" for h in range(48)
+    f"2027-06-{20 + h // 24:02d}T{h % 24:02d}:30:00Z,{max(0, 40 * (h % 24 - 13))},{5 * (h % 24)}"
+    for h in range(48)
 ]
 _SMALL = "\n".join(["t_utc,dni_wm2,dhi_wm2", *_DAY]).encode()
 _HEAD = b"LOCATION,Test,WA,USA,none,0,47.6,-122.3,-8,5\n" + b"X\n" * 7
-_ROWS = b"".join(b"2027,6,%d,%d,60,?,0,0,0,0,0,0,0,10,20,30,0\n" % (20 + h // 24, h % 24 + 1) for h in range(48))
+_ROWS = b"".join(
+    b"2027,6,%d,%d,60,?,0,0,0,0,0,0,0,10,20,30,0\n" % (20 + h // 24, h % 24 + 1) for h in range(48)
+)
 
 
-@settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     st.sampled_from([_SMALL, _HEAD + _ROWS]),
-    st.lists(st.tuples(st.integers(0, 3000), st.binary(max_size=4), st.integers(0, 12)), max_size=4),
+    st.lists(
+        st.tuples(st.integers(0, 3000), st.binary(max_size=4), st.integers(0, 12)), max_size=4
+    ),
 )
 def test_mutated_files_are_read_or_refused(tmp_path, whole: bytes, changes) -> None:
-    """Property (fuzz): whatever happens to a file, it gives a finite weather or one of the tool's own errors."""
+    """Property (fuzz): whatever happens to a file, it gives a finite weather or one of the
+    tool's own errors.
+    """
     data = bytearray(whole)
     for at, insert, cut in changes:
         data[at % len(data) : at % len(data) + cut] = insert
@@ -220,24 +253,33 @@ def test_a_mistyped_year_is_named(tmp_path) -> None:
         weather.read_weather(path, SEATTLE)
 
 
-# ---------------------------------------------------------------------------------------------- what it can mean
+# ----------------------------------------------------------------------------------------------
+# what it can mean
 
 
-def _write_dated(path: Path, year: weather.Weather, *, shift_min: float = 0.0, ghi: bool = False, **columns) -> None:
+def _write_dated(
+    path: Path, year: weather.Weather, *, shift_min: float = 0.0, ghi: bool = False, **columns
+) -> None:
     """The year with its labels moved and its columns exchanged or scaled."""
     dni, dhi = (columns.get(name, getattr(year, f"{name}_wm2")) for name in ("dni", "dhi"))
     rows = ["t_utc,dni_wm2,dhi_wm2" + (",ghi_wm2" if ghi else "")]
     for k, t in enumerate(year.t_utc):
-        rows.append(f"{t + timedelta(minutes=shift_min):%Y-%m-%dT%H:%M:%SZ},{dni[k]:.3f},{dhi[k]:.3f}")
+        rows.append(
+            f"{t + timedelta(minutes=shift_min):%Y-%m-%dT%H:%M:%SZ},{dni[k]:.3f},{dhi[k]:.3f}"
+        )
         rows[-1] += f",{year.ghi_wm2[k]:.3f}" if ghi else ""
     path.write_text("\n".join(rows))
 
 
 @pytest.mark.parametrize("shift_min", [-60, -30, 30, 60])
 def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_min: int) -> None:
-    """Contract: hour-end labels, hour-start labels and daylight saving all look like weather; the sun says no."""
+    """Contract: hour-end labels, hour-start labels and daylight saving all look like weather;
+    the sun says no.
+    """
     _write_dated(tmp_path / "w.csv", weather.shipped_seattle(), shift_min=shift_min)
-    with pytest.raises(InputError, match=rf"if labels stood {-shift_min:+d} min".replace("+", r"\+")):
+    with pytest.raises(
+        InputError, match=rf"if labels stood {-shift_min:+d} min".replace("+", r"\+")
+    ):
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
@@ -259,10 +301,16 @@ def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
-@pytest.mark.parametrize(("latitude_deg", "expected"), [(47.6, "sun is down"), (20.0, "another place")])
-def test_weather_of_the_other_hemisphere_is_refused(tmp_path, latitude_deg: float, expected: str) -> None:
+@pytest.mark.parametrize(
+    ("latitude_deg", "expected"), [(47.6, "sun is down"), (20.0, "another place")]
+)
+def test_weather_of_the_other_hemisphere_is_refused(
+    tmp_path, latitude_deg: float, expected: str
+) -> None:
     """Contract: hours of local time fit any longitude; the length of the days does not."""
-    north, south = (Site("Somewhere", sign * latitude_deg, -122.3, "America/Los_Angeles") for sign in (1, -1))
+    north, south = (
+        Site("Somewhere", sign * latitude_deg, -122.3, "America/Los_Angeles") for sign in (1, -1)
+    )
     _write_csv(tmp_path / "w.csv", _year(south), dated=False)
     with pytest.raises(InputError, match=expected):
         weather.read_weather(tmp_path / "w.csv", north)
@@ -280,7 +328,9 @@ def test_rows_that_are_no_hours_are_refused(tmp_path, step_min: int) -> None:
 
 
 def test_measured_tmy3_files_pass() -> None:
-    """Authority: the two TMY3 files that pvlib ships, of 36 and 55 degrees north, are read without a word."""
+    """Authority: the two TMY3 files that pvlib ships, of 36 and 55 degrees north, are read
+    without a word.
+    """
     import pvlib
 
     data = Path(pvlib.__file__).parent / "data"

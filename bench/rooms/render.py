@@ -1,8 +1,9 @@
-"""Render the benchmark rooms: python bench/rooms/render.py OUT [ROOM ...] [--height 115] [--quality quick]
+"""Render the benchmark rooms: python bench/rooms/render.py OUT [ROOM ...] [--height 115] [--quality
+quick]
 
-Each room becomes a session OUT/NAME with the paper's sets side by side in one pairs.csv: even (200), 9-day, 12-day,
-4-day, march, and 300 random test hours that none of them holds. sets.json lists the rows of pairs.csv (data rows,
-counted from 0) of each.
+Each room becomes a session OUT/NAME with the paper's sets side by side in one pairs.csv: even
+(200), 9-day, 12-day, 4-day, march, and 300 random test hours that none of them holds. sets.json
+lists the rows of pairs.csv (data rows, counted from 0) of each.
 """
 
 from __future__ import annotations
@@ -27,7 +28,11 @@ TEST_HOURS = 300
 def _slots(setup: SiteFile, weather: Weather) -> dict[str, list[Slot]]:
     """Slots of every set, those without light in the weather left out."""
     start = date(TYPICAL_YEAR, 1, 1)
-    lit = {t for t, dni, dhi in zip(weather.t_utc, weather.dni_wm2, weather.dhi_wm2, strict=True) if dni + dhi > 0}
+    lit = {
+        t
+        for t, dni, dhi in zip(weather.t_utc, weather.dni_wm2, weather.dhi_wm2, strict=True)
+        if dni + dhi > 0
+    }
     asked = {
         "even": plan.Request("even", start, start, TYPICAL_YEAR, 365, 200),
         "9-day": plan.Request("9-day", start, None, TYPICAL_YEAR),
@@ -35,7 +40,9 @@ def _slots(setup: SiteFile, weather: Weather) -> dict[str, list[Slot]]:
         "4-day": plan.Request("4-day", start, None, TYPICAL_YEAR),
         "march": plan.Request("month", start, date(TYPICAL_YEAR, 3, 1), TYPICAL_YEAR),
     }
-    sets = {name: list(plan.make_plan(setup, request, weather).slots) for name, request in asked.items()}
+    sets = {
+        name: list(plan.make_plan(setup, request, weather).slots) for name, request in asked.items()
+    }
     sets = {name: [s for s in slots if s.t_utc in lit] for name, slots in sets.items()}
     taken = [s.t_utc for slots in sets.values() for s in slots]
     sets["test"] = simulate.sample_slots(setup, weather, TEST_HOURS, seed=7, without=taken)
@@ -52,7 +59,9 @@ def render(path: Path, out: Path, height: int, quality: str) -> None:
     folder = out / path.stem
     session = open_session(folder) if (folder / "session.toml").is_file() else None
     if session is None:
-        session = simulate.make_session(folder, setup, slots, {"set": "bench", "room_sha256": sha256(path)})
+        session = simulate.make_session(
+            folder, setup, slots, {"set": "bench", "room_sha256": sha256(path)}
+        )
     begin, cpu = time.perf_counter(), time.process_time()
 
     def say(done: int, total: int, text: str) -> None:
@@ -64,7 +73,8 @@ def render(path: Path, out: Path, height: int, quality: str) -> None:
     (folder / "sets.json").write_text(json.dumps(rows), encoding="utf-8")
     spent = time.perf_counter() - begin
     print(
-        f"\n{path.stem}: {made.rendered} hours in {spent:.0f} s ({time.process_time() - cpu:.0f} s own CPU), "
+        f"\n{path.stem}: {made.rendered} hours in {spent:.0f} s ({time.process_time() - cpu:.0f} "
+        f"s own CPU), "
         f"weather {made.weather}, sets " + ", ".join(f"{n} {len(r)}" for n, r in rows.items()),
         flush=True,
     )

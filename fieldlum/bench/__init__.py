@@ -1,4 +1,6 @@
-"""Speed against accuracy, how many captures, which days, and where it breaks: one command for any pairs.csv."""
+"""Speed against accuracy, how many captures, which days, and where it breaks: one command for
+any pairs.csv.
+"""
 
 from __future__ import annotations
 
@@ -17,29 +19,66 @@ if TYPE_CHECKING:
 
 DEFAULT_MODELS = ("mean", "nearest", "transport", "dense")
 TABLE = {
-    "name": "model", "log10_mse_weighted": "log10 MSE", "log10_mse_weighted_sd": "sd", "rer_weighted": "RER",
-    "median": "median", "p90": "p90", "worst": "worst", "paper_log10_mse": "paper log10 MSE", "paper_rer": "paper RER",
-    "dgp_mse": "DGP MSE", "dgp_r2": "DGP R2", "rammg_mse": "RAMMG MSE", "rammg_mse_cut": "RAMMG MSE < 500",
-    "n_train": "train", "n_test": "test", "seeds": "seeds", "fit_s": "fit [s]",
-    "fit_cpu_s": "fit [CPU s]", "predict_s_per_map": "map [s]",
+    "name": "model",
+    "log10_mse_weighted": "log10 MSE",
+    "log10_mse_weighted_sd": "sd",
+    "rer_weighted": "RER",
+    "median": "median",
+    "p90": "p90",
+    "worst": "worst",
+    "paper_log10_mse": "paper log10 MSE",
+    "paper_rer": "paper RER",
+    "dgp_mse": "DGP MSE",
+    "dgp_r2": "DGP R2",
+    "rammg_mse": "RAMMG MSE",
+    "rammg_mse_cut": "RAMMG MSE < 500",
+    "n_train": "train",
+    "n_test": "test",
+    "seeds": "seeds",
+    "fit_s": "fit [s]",
+    "fit_cpu_s": "fit [CPU s]",
+    "predict_s_per_map": "map [s]",
     "predict_cpu_s_per_map": "map [CPU s]",
-    "untrusted_share": "not trusted", "in_90_band": "in 90 %", "worst_decile_found": "worst tenth found",
-}  # fmt: skip
+    "untrusted_share": "not trusted",
+    "in_90_band": "in 90 %",
+    "worst_decile_found": "worst tenth found",
+}
 CURVE = {
-    "name": "model", "way": "chosen", "captures": "captures", "log10_mse_weighted": "log10 MSE", "rer_weighted": "RER",
-    "worst": "worst", "fit_cpu_s": "fit [CPU s]",
-}  # fmt: skip
+    "name": "model",
+    "way": "chosen",
+    "captures": "captures",
+    "log10_mse_weighted": "log10 MSE",
+    "rer_weighted": "RER",
+    "worst": "worst",
+    "fit_cpu_s": "fit [CPU s]",
+}
 PERIODS = {
-    "period": "period", "name": "model", "captures": "captures", "log10_mse_weighted": "log10 MSE",
-    "paper_log10_mse": "paper log10 MSE", "paper_rer": "paper RER", "dgp_mse": "DGP MSE", "dgp_r2": "DGP R2",
-    "rammg_mse": "RAMMG MSE", "worst": "worst", "untrusted_share": "not trusted",
-}  # fmt: skip
+    "period": "period",
+    "name": "model",
+    "captures": "captures",
+    "log10_mse_weighted": "log10 MSE",
+    "paper_log10_mse": "paper log10 MSE",
+    "paper_rer": "paper RER",
+    "dgp_mse": "DGP MSE",
+    "dgp_r2": "DGP R2",
+    "rammg_mse": "RAMMG MSE",
+    "worst": "worst",
+    "untrusted_share": "not trusted",
+}
 STRESS = {
-    "regime": "regime", "name": "model", "n_train": "train", "n_test": "test", "log10_mse_weighted": "log10 MSE",
-    "times_normal": "x normal", "expected_mse": "expected", "untrusted_share": "not trusted", "warned": "warned",
+    "regime": "regime",
+    "name": "model",
+    "n_train": "train",
+    "n_test": "test",
+    "log10_mse_weighted": "log10 MSE",
+    "times_normal": "x normal",
+    "expected_mse": "expected",
+    "untrusted_share": "not trusted",
+    "warned": "warned",
     "told": "told",
-    "wild": "wild maps", "wild_unflagged": "wild unflagged",
-}  # fmt: skip
+    "wild": "wild maps",
+    "wild_unflagged": "wild unflagged",
+}
 
 
 def machine() -> str:
@@ -47,7 +86,8 @@ def machine() -> str:
     return f"{os.cpu_count()} cores, {platform.machine()}"
 
 
-# ---------------------------------------------------------------------------------------------- writing
+# ----------------------------------------------------------------------------------------------
+# writing
 
 
 def shown(value: Any) -> str:
@@ -57,7 +97,11 @@ def shown(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.3g}" if value != value or 1e-3 <= abs(value) < 1e5 or value == 0 else f"{value:.2e}"
+        return (
+            f"{value:.3g}"
+            if value != value or 1e-3 <= abs(value) < 1e5 or value == 0
+            else f"{value:.2e}"
+        )
     return str(value)
 
 
@@ -100,10 +144,11 @@ def run(
     out: Path,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Score table, chart, learning curves, collection periods (where a year is at hand) and stress, into `out`.
+    """Score table, chart, learning curves, collection periods (where a year is at hand) and stress,
+    into `out`.
 
-    test: hours to ask about; without it held-out days of `data`. Hours that any model was trained on are never asked.
-    whole: all hours at hand, to draw seasons from.
+    test: hours to ask about; without it held-out days of `data`. Hours that any model was trained
+    on are never asked. whole: all hours at hand, to draw seasons from.
     """
     from fieldlum.bench import charts, stress
     from fieldlum.bench.cost import radiance_row
@@ -112,8 +157,12 @@ def run(
 
     specs = parse_specs(models)
     if test is not None:
-        test = without_training_hours(test, data, *(spec.folder for spec in specs if spec.folder is not None))
-    rows, trials = score_table(specs, data, test, seeds=seeds, budget_s=60.0 * budget_min, progress=progress)
+        test = without_training_hours(
+            test, data, *(spec.folder for spec in specs if spec.folder is not None)
+        )
+    rows, trials = score_table(
+        specs, data, test, seeds=seeds, budget_s=60.0 * budget_min, progress=progress
+    )
     asked = data if test is None else test
     chosen = choose(list(trials.values()), asked)
     table = over_seeds(rows)
@@ -132,20 +181,26 @@ def run(
         _keep(out, "stress", found, charts.stress)
         parts.append(f"## Stress\n\n{markdown(found, STRESS)}")
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
-    head += f"; test {len(test)} hours of {test.source}.\n\n" if test else "; test: held-out days.\n\n"
+    head += (
+        f"; test {len(test)} hours of {test.source}.\n\n" if test else "; test: held-out days.\n\n"
+    )
     with replacing(out / "bench.md", "w", encoding="utf-8") as file:
         file.write(head + "\n".join(parts))
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
 
 
 def _parted(data: Dataset) -> tuple[Dataset, Dataset]:
-    """Data to train on and held-out days (hours, where there is one day only) to ask about, a fifth of all."""
+    """Data to train on and held-out days (hours, where there is one day only) to ask about, a
+    fifth of all.
+    """
     from fieldlum.errors import NotEnoughDataError
     from fieldlum.train.folds import day_folds
 
     folds = day_folds(data)
     if not folds:
-        raise NotEnoughDataError(f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check")
+        raise NotEnoughDataError(
+            f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check"
+        )
     return data.take(folds[0].teach), data.take(folds[0].check)
 
 
@@ -157,7 +212,9 @@ def _apart(whole: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
     return everything.take(np.array([slot not in asked for slot in everything.slots]))
 
 
-def _curves(data: Dataset, test: Dataset | None, specs: Sequence[Any], out: Path, progress: Progress) -> list[str]:
+def _curves(
+    data: Dataset, test: Dataset | None, specs: Sequence[Any], out: Path, progress: Progress
+) -> list[str]:
     """Learning curve and collection periods of the quick models."""
     import numpy as np
 
@@ -169,15 +226,24 @@ def _curves(data: Dataset, test: Dataset | None, specs: Sequence[Any], out: Path
         return parts
     if test is None and year.is_year(data):
         order = np.random.default_rng(0).permutation(len(data))
-        held, pool = data.take(np.sort(order[: year.TEST_HOURS])), data.take(np.sort(order[year.TEST_HOURS :]))
+        held, pool = (
+            data.take(np.sort(order[: year.TEST_HOURS])),
+            data.take(np.sort(order[year.TEST_HOURS :])),
+        )
     else:
         held, pool = test, data
     if held is not None and len(pool) >= 2 * year.COUNTS[0]:
-        rows = [row for spec in quick for row in year.learning_curve(spec, pool, held, progress=progress)]
+        rows = [
+            row
+            for spec in quick
+            for row in year.learning_curve(spec, pool, held, progress=progress)
+        ]
         _keep(out, "learning_curve", rows, charts.learning_curves)
         parts.append(f"## Captures\n\n{markdown(rows, CURVE)}")
     if year.is_year(data):
-        rows = [row for spec in quick for row in year.compare_periods(spec, data, progress=progress)]
+        rows = [
+            row for spec in quick for row in year.compare_periods(spec, data, progress=progress)
+        ]
         _keep(out, "periods", rows, charts.collection_periods)
         parts.append(f"## Collection periods\n\n{markdown(rows, PERIODS)}")
     return parts

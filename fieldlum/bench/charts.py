@@ -11,7 +11,13 @@ import numpy as np
 # Liu et al. 2020, Table 1 and section 5: 30 min, 0.1 s a map, log10 MSE
 PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"
 PAPER = {"fit_cpu_s": 1800.0, "predict_cpu_s_per_map": 0.1, "error": 9.54e-3}
-COLOURS = {"mean": "#9aa0a6", "nearest": "#6b7280", "transport": "#0b6e99", "dense": "#c2410c", "Radiance": "#4d7c0f"}
+COLOURS = {
+    "mean": "#9aa0a6",
+    "nearest": "#6b7280",
+    "transport": "#0b6e99",
+    "dense": "#c2410c",
+    "Radiance": "#4d7c0f",
+}
 
 
 def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
@@ -46,7 +52,9 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> None:
-    """Two panels: seconds of training, and of one map, against the error (paper mode, as the published point is)."""
+    """Two panels: seconds of training, and of one map, against the error (paper mode, as the
+    published point is).
+    """
     figure, axes = _figure(11.0, 4.8, 2)
     for axis, key, label in zip(
         axes,
@@ -58,22 +66,50 @@ def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> 
         points = [(row[key], row["paper_log10_mse"]) for row in usable]
         front = [points[k] for k in pareto(points)]
         if front:
-            axis.step(*zip(*front, strict=True), where="post", color="#0b6e99", linewidth=1.2, alpha=0.6,
-                      label="Pareto front of the measured")  # fmt: skip
+            axis.step(
+                *zip(*front, strict=True),
+                where="post",
+                color="#0b6e99",
+                linewidth=1.2,
+                alpha=0.6,
+                label="Pareto front of the measured",
+            )
         for row, point in zip(usable, points, strict=True):
             hollow = ":none" in row["name"]
-            axis.plot(*point, "o", markersize=8, color=_colour(row["name"]),
-                      markerfacecolor="white" if hollow else _colour(row["name"]))  # fmt: skip
+            axis.plot(
+                *point,
+                "o",
+                markersize=8,
+                color=_colour(row["name"]),
+                markerfacecolor="white" if hollow else _colour(row["name"]),
+            )
             below = row["name"].startswith("dense")  # clear of the published point
             axis.annotate(
-                row["name"], point, xytext=(-8, -14) if below else (7, 5), textcoords="offset points", fontsize=8
+                row["name"],
+                point,
+                xytext=(-8, -14) if below else (7, 5),
+                textcoords="offset points",
+                fontsize=8,
             )
-        axis.plot(PAPER[key], PAPER["error"], "*", linestyle="none", markersize=14, color="#c2410c",
-                  markerfacecolor="white", label=PAPER_LABEL)  # fmt: skip
+        axis.plot(
+            PAPER[key],
+            PAPER["error"],
+            "*",
+            linestyle="none",
+            markersize=14,
+            color="#c2410c",
+            markerfacecolor="white",
+            label=PAPER_LABEL,
+        )
         for row in rows:
             if row["name"].startswith("Radiance") and key == "predict_cpu_s_per_map":
-                axis.axvline(row[key], color=COLOURS["Radiance"], linestyle="--", linewidth=1.2,
-                             label=f"Radiance, one map, measured: {row[key]:.3g} s")  # fmt: skip
+                axis.axvline(
+                    row[key],
+                    color=COLOURS["Radiance"],
+                    linestyle="--",
+                    linewidth=1.2,
+                    label=f"Radiance, one map, measured: {row[key]:.3g} s",
+                )
         axis.set(xscale="log", yscale="log", xlabel=label, ylabel="log10 MSE, paper mode")
         axis.legend(fontsize=7, frameon=False, loc="best")
     figure.suptitle(f"Speed and accuracy on {machine}", fontsize=11)
@@ -86,9 +122,17 @@ def learning_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     for name in dict.fromkeys(row["name"] for row in rows):
         for way, style in (("random", "o--"), ("greedy", "o-")):
             mine = [row for row in rows if row["name"] == name and row["way"] == way]
-            axis.plot([r["captures"] for r in mine], [r["log10_mse_weighted"] for r in mine], style,
-                      color=_colour(name), markersize=5, label=f"{name}, {way}")  # fmt: skip
-    axis.set(xscale="log", yscale="log", xlabel="captures", ylabel="log10 MSE, solid-angle weighted")
+            axis.plot(
+                [r["captures"] for r in mine],
+                [r["log10_mse_weighted"] for r in mine],
+                style,
+                color=_colour(name),
+                markersize=5,
+                label=f"{name}, {way}",
+            )
+    axis.set(
+        xscale="log", yscale="log", xlabel="captures", ylabel="log10 MSE, solid-angle weighted"
+    )
     axis.legend(fontsize=8, frameon=False)
     figure.savefig(path)
 
@@ -101,7 +145,13 @@ def collection_periods(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     for k, model in enumerate(models):
         values = {row["period"]: row["log10_mse_weighted"] for row in rows if row["name"] == model}
         place = np.arange(len(names)) + (k - (len(models) - 1) / 2) * 0.8 / len(models)
-        axis.bar(place, [values.get(n, np.nan) for n in names], 0.8 / len(models), color=_colour(model), label=model)
+        axis.bar(
+            place,
+            [values.get(n, np.nan) for n in names],
+            0.8 / len(models),
+            color=_colour(model),
+            label=model,
+        )
     axis.set_xticks(range(len(names)), names, rotation=45, ha="right")
     axis.set(yscale="log", ylabel="log10 MSE over the year")
     axis.legend(fontsize=8, frameon=False)
@@ -117,5 +167,8 @@ def stress(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         axis.plot(row["times_normal"], k, "o", color=colour, markersize=7)
     axis.axvline(1.0, color="#6b7280", linewidth=1)
     axis.set_yticks(range(len(rows)), [row["regime"] for row in reversed(rows)], fontsize=8)
-    axis.set(xscale="log", xlabel="error over the normal case (blue: the model expected it; red: it did not)")
+    axis.set(
+        xscale="log",
+        xlabel="error over the normal case (blue: the model expected it; red: it did not)",
+    )
     figure.savefig(path)

@@ -12,14 +12,26 @@ from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Progress, quiet
 
-PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1024")  # of the paper's rpict
+PAPER_OPTIONS = (
+    "-ab",
+    "4",
+    "-aa",
+    ".1",
+    "-ar",
+    "512",
+    "-ad",
+    "2048",
+    "-as",
+    "1024",
+)  # of the paper's rpict
 
 
 def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> dict[str, Any] | None:
-    """Seconds for one map of the data's size by rtrace with the paper's options, mean of a few hours on one core.
+    """Seconds for one map of the data's size by rtrace with the paper's options, mean of a few
+    hours on one core.
 
-    The room is [room]'s box; its sky is even and of the hour's illuminance, which costs what a Perez sky costs.
-    None without a box room.
+    The room is [room]'s box; its sky is even and of the hour's illuminance, which costs what a
+    Perez sky costs. None without a box room.
     """
     from fieldlum.scene.geometry import build
     from fieldlum.scene.radiance import octree, rad_text, sun_text, trace
@@ -31,7 +43,9 @@ def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> di
     height, width = data.shape
     rays = scene.to_room(equirect_rays(height, width, data.heading_deg).reshape(-1, 3))
     order = np.argsort(data.light.total_lx)
-    chosen = order[np.unique(np.linspace(len(order) // 2, len(order) - 1, hours).round().astype(int))]
+    chosen = order[
+        np.unique(np.linspace(len(order) // 2, len(order) - 1, hours).round().astype(int))
+    ]
     seconds: list[float] = []
     cpu_s: list[float] = []
     for k, hour in enumerate(chosen):
@@ -39,20 +53,39 @@ def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> di
         light = data.light[[hour]]
         level = max(float(light.diffuse_lx[0]), 1.0) / 179.0 / np.pi
         sky = (
-            f"void glow skyglow\n0\n0\n4 {level:.6g} {level:.6g} {level:.6g} 0\nskyglow source sky\n0\n0\n4 0 0 1 180\n"
+            f"void glow skyglow\n0\n0\n4 {level:.6g} {level:.6g} {level:.6g} 0\nskyglow source "
+            f"sky\n0\n0\n4 0 0 1 180\n"
         )
         sun = sun_text(scene.to_room(light.sun_direction)[0], float(light.direct_lx[0]))
         with octree(rad_text(scene), sky, sun) as tree:
             start, busy = time.monotonic(), os.times()
             trace(tree, np.array(scene.camera_m), rays, PAPER_OPTIONS)
             done = os.times()
-            cpu_s.append(done.children_user + done.children_system - busy.children_user - busy.children_system)
+            cpu_s.append(
+                done.children_user
+                + done.children_system
+                - busy.children_user
+                - busy.children_system
+            )
             seconds.append(time.monotonic() - start)
     blank = dict.fromkeys(
-        ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
+        (
+            "log10_mse_weighted",
+            "rer_weighted",
+            "paper_log10_mse",
+            "paper_rer",
+            "dgp_mse",
+            "rammg_mse",
+        )
     )
     return {
-        "name": "Radiance -ab 4", "fit_s": None, "fit_cpu_s": None, "n_train": 0,
+        "name": "Radiance -ab 4",
+        "fit_s": None,
+        "fit_cpu_s": None,
+        "n_train": 0,
         "predict_s_per_map": float(np.mean(seconds)),
-        "predict_cpu_s_per_map": float(np.mean(cpu_s)), "n_test": len(seconds), "seed": None, **blank,
-    }  # fmt: skip
+        "predict_cpu_s_per_map": float(np.mean(cpu_s)),
+        "n_test": len(seconds),
+        "seed": None,
+        **blank,
+    }

@@ -19,7 +19,14 @@ from fieldlum.train import Spent, evaluate_folds, fit_timed, patch_mode
 from fieldlum.train.choice import Trial
 from fieldlum.train.folds import day_folds
 
-SPREAD = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse")
+SPREAD = (
+    "log10_mse_weighted",
+    "rer_weighted",
+    "paper_log10_mse",
+    "paper_rer",
+    "dgp_mse",
+    "rammg_mse",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +52,12 @@ def _parse_spec(text: str) -> Spec:
     if (folder / "config.json").is_file():
         config = models.read_config(folder)
         patch = config.get("patch", "absolute")
-        return Spec(f"{config['model']}{'' if patch == 'absolute' else ':' + patch} ({folder.name})",
-                    config["model"], patch, folder)  # fmt: skip
+        return Spec(
+            f"{config['model']}{'' if patch == 'absolute' else ':' + patch} ({folder.name})",
+            config["model"],
+            patch,
+            folder,
+        )
     wanted = f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder"
     raise InputError("--models", f"'{text}'", wanted)
 
@@ -56,7 +67,9 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
 
     Raises NotEnoughDataError when none is left.
     """
-    known = set(train.slots).union(*(models.read_config(folder)["training"]["slots"] for folder in folders))
+    known = set(train.slots).union(
+        *(models.read_config(folder)["training"]["slots"] for folder in folders)
+    )
     fresh = np.array([slot not in known for slot in test.slots])
     if not fresh.any():
         raise NotEnoughDataError(f"{test.source}: every test hour is a training hour")
@@ -64,23 +77,39 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
 
 
 def score_row(
-    spec: Spec, data: Dataset, test: Truth | None, *, seed: int, budget_s: float, progress: Progress = quiet
+    spec: Spec,
+    data: Dataset,
+    test: Truth | None,
+    *,
+    seed: int,
+    budget_s: float,
+    progress: Progress = quiet,
 ) -> tuple[dict[str, Any], Trial]:
-    """One model, one seed: fitted on `data` and asked about `test`, or about held-out days when there is none."""
+    """One model, one seed: fitted on `data` and asked about `test`, or about held-out days when
+    there is none.
+    """
     patch = patch_mode(data, spec.patch)
     if test is None:
         if spec.folder is not None:
-            raise InputError("--models", f"the trained model {spec.label}", "--test TEST.csv beside it")
+            raise InputError(
+                "--models", f"the trained model {spec.label}", "--test TEST.csv beside it"
+            )
         folds = day_folds(data)
-        trial = evaluate_folds(spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s, progress=progress)
+        trial = evaluate_folds(
+            spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s, progress=progress
+        )
     else:
         fitted, spent, count = _fitted(spec, data, patch, seed, budget_s, progress)
         trial = Trial(spec.name, evaluate(fitted, test, progress=progress), *spent, count, 0)
     row = {
-        "name": spec.label, "fit_s": trial.fit_s, "fit_cpu_s": trial.fit_cpu_s, "n_train": trial.n_train,
-        "seed": seed, "patch": patch,
+        "name": spec.label,
+        "fit_s": trial.fit_s,
+        "fit_cpu_s": trial.fit_cpu_s,
+        "n_train": trial.n_train,
+        "seed": seed,
+        "patch": patch,
         **summary(trial.scores),
-    }  # fmt: skip
+    }
     return row, replace(trial, name=spec.label)
 
 
@@ -88,7 +117,9 @@ def _fitted(
     spec: Spec, data: Dataset, patch: Patch, seed: int, budget_s: float, progress: Progress
 ) -> tuple[models.Fitted, Spent, int]:
     if spec.folder is None:
-        fitted, spent = fit_timed(spec.name, data, patch=patch, seed=seed, budget_s=budget_s, progress=progress)
+        fitted, spent = fit_timed(
+            spec.name, data, patch=patch, seed=seed, budget_s=budget_s, progress=progress
+        )
         return fitted, spent, len(data)
     config = models.read_config(spec.folder)
     about = config.get("dense_training", {})
@@ -105,9 +136,11 @@ def score_table(
     budget_s: float = 300.0,
     progress: Progress = quiet,
 ) -> tuple[list[dict[str, Any]], dict[str, Trial]]:
-    """Rows of all models and seeds, and each model's first trial. Models without chance in them run once.
+    """Rows of all models and seeds, and each model's first trial. Models without chance in them run
+    once.
 
-    test: hours that no model was trained on (`without_training_hours`); None: held-out days of `data`.
+    test: hours that no model was trained on (`without_training_hours`); None: held-out days of
+    `data`.
     """
     asked = None if test is None else truth(test)
     rows: list[dict[str, Any]] = []
@@ -116,14 +149,18 @@ def score_table(
         progress(k, len(specs), spec.label)
         many = seeds if spec.name not in ("mean", "nearest") and spec.folder is None else 1
         for seed in range(many):
-            row, trial = score_row(spec, data, asked, seed=seed, budget_s=budget_s, progress=progress)
+            row, trial = score_row(
+                spec, data, asked, seed=seed, budget_s=budget_s, progress=progress
+            )
             rows.append(row)
             trials.setdefault(spec.label, trial)
     return rows, trials
 
 
 def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row a model: the first seed's, with mean and standard deviation over seeds where there are several."""
+    """One row a model: the first seed's, with mean and standard deviation over seeds where there
+    are several.
+    """
     out = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]

@@ -1,9 +1,10 @@
-"""The regimes where methods fail: each one's error beside the normal case, and whether the tool itself said so.
+"""The regimes where methods fail: each one's error beside the normal case, and whether the tool
+itself said so.
 
-A regime changes the training data, the test data, or both, from a normal case of its own kind. "Told" means that the
-training warned (`train.doubts`), or the model expected at least a third of the error that came, or did not trust most
-of the hours that went wrong. A wild map is one that is off by over a factor of 1.6 (log10 MSE over 0.04); none may be
-trusted and expected to be good.
+A regime changes the training data, the test data, or both, from a normal case of its own kind.
+"Told" means that the training warned (`train.doubts`), or the model expected at least a third of
+the error that came, or did not trust most of the hours that went wrong. A wild map is one that is
+off by over a factor of 1.6 (log10 MSE over 0.04); none may be trusted and expected to be good.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from fieldlum.train.doubts import doubts
 from fieldlum.train.setting import settle
 
 FEWEST = 8  # hours on either side that a regime needs
-HEIGHT = 20  # regimes are made at full size, then every few pixels are kept: thirty fits in a minute or two
+# regimes are made at full size, then every few pixels are kept: thirty fits in a minute or two
+HEIGHT = 20
 WILD_MSE = 0.04
 TOLD_SHARE = 1.0 / 3.0
 SUNNY_WM2 = 120.0
@@ -36,7 +38,9 @@ OVERCAST_SHARE = 0.2  # of the sun in DNI + DHI
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A regime made of data: what is trained on, what is asked; and the normal case it stands beside."""
+    """A regime made of data: what is trained on, what is asked; and the normal case it stands
+    beside.
+    """
 
     name: str
     train: Dataset
@@ -45,7 +49,8 @@ class Case:
     seed: int = 0
 
 
-# ---------------------------------------------------------------------------------------------- changing data
+# ----------------------------------------------------------------------------------------------
+# changing data
 
 
 def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
@@ -55,7 +60,9 @@ def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
 
 def turned(data: Dataset, degrees: float) -> Dataset:
     """As if north were off by so much."""
-    return _patched(with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0))
+    return _patched(
+        with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0)
+    )
 
 
 def late(data: Dataset, minutes: float) -> Dataset:
@@ -67,7 +74,8 @@ def late(data: Dataset, minutes: float) -> Dataset:
         with_light(
             data,
             sun_altitude_deg=data.light.sun_altitude_deg + then.altitude_deg - now.altitude_deg,
-            sun_azimuth_deg=(data.light.sun_azimuth_deg + then.azimuth_deg - now.azimuth_deg) % 360.0,
+            sun_azimuth_deg=(data.light.sun_azimuth_deg + then.azimuth_deg - now.azimuth_deg)
+            % 360.0,
         )
     )
 
@@ -79,9 +87,13 @@ def _patched(data: Dataset) -> Dataset:
     if data.setup.room is None or data.patch_cdm2 is None:
         return data
     made = sun_patches(
-        data.setup.room, data.setup, data.light.sun_direction, data.light.direct_lx, height=data.shape[0],
+        data.setup.room,
+        data.setup,
+        data.light.sun_direction,
+        data.light.direct_lx,
+        height=data.shape[0],
         heading_deg=data.heading_deg,
-    )  # fmt: skip
+    )
     return replace(data, patch_cdm2=made.luminance_cdm2)
 
 
@@ -92,13 +104,18 @@ def shifted(data: Dataset, pixels: int) -> Dataset:
 
 
 def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
-    factor = np.exp(share * np.random.default_rng(seed).standard_normal(data.luminance_cdm2.shape, np.float32))
+    factor = np.exp(
+        share * np.random.default_rng(seed).standard_normal(data.luminance_cdm2.shape, np.float32)
+    )
     return replace(data, luminance_cdm2=data.luminance_cdm2 * factor)
 
 
 def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
     rng, light = np.random.default_rng(seed), data.light
-    dni, dhi = (values * np.exp(share * rng.standard_normal(len(data))) for values in (light.dni_wm2, light.dhi_wm2))
+    dni, dhi = (
+        values * np.exp(share * rng.standard_normal(len(data)))
+        for values in (light.dni_wm2, light.dhi_wm2)
+    )
     return with_light(data, dni_wm2=dni, dhi_wm2=dhi)
 
 
@@ -113,7 +130,9 @@ def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def from_global(data: Dataset) -> Dataset:
-    """DNI and DHI derived from the global horizontal alone, by Erbs (lone hours: DIRINT wants a series)."""
+    """DNI and DHI derived from the global horizontal alone, by Erbs (lone hours: DIRINT wants a
+    series).
+    """
     from pvlib.irradiance import erbs
 
     light = data.light
@@ -126,7 +145,9 @@ def from_global(data: Dataset) -> Dataset:
 
 
 def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
-    """In whole days of about that share a blind was down: two fifths of the light, and no sun patch in the picture."""
+    """In whole days of about that share a blind was down: two fifths of the light, and no sun
+    patch in the picture.
+    """
     days = np.unique(data.days)
     down = np.random.default_rng(seed).permutation(days)[: max(1, round(share * len(days)))]
     rows = np.isin(data.days, down)
@@ -137,7 +158,8 @@ def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
     return replace(data, luminance_cdm2=maps)
 
 
-# ---------------------------------------------------------------------------------------------- regimes
+# ----------------------------------------------------------------------------------------------
+# regimes
 
 
 def _sun_share(light: Light) -> NDArray[np.float64]:
@@ -149,7 +171,9 @@ def _months(data: Dataset) -> NDArray[np.int64]:
 
 
 def cases(data: Dataset, test: Dataset, whole: Dataset, *, seeds: int = 5) -> Iterator[Case]:
-    """All regimes that the data can show; `whole` is everything at hand to draw seasons from, without the test."""
+    """All regimes that the data can show; `whole` is everything at hand to draw seasons from,
+    without the test.
+    """
     yield Case("normal", data, test)
     for seed in range(1, seeds):
         yield Case(f"another seed ({seed})", data, test, seed=seed)
@@ -165,7 +189,9 @@ def cases(data: Dataset, test: Dataset, whole: Dataset, *, seeds: int = 5) -> It
     yield Case("blind down in a third of the days", blind_moved(data, 1 / 3, 4), test)
     if data.patch_cdm2 is not None:
         for pixels in (1, 2):
-            yield Case(f"sun patch off by {pixels} px", shifted(data, pixels), shifted(test, pixels))
+            yield Case(
+                f"sun patch off by {pixels} px", shifted(data, pixels), shifted(test, pixels)
+            )
     if data.setup.room is not None and data.patch_cdm2 is not None:
         yield from _geometry(data, test)
 
@@ -180,7 +206,10 @@ def _seasons(whole: Dataset, test: Dataset) -> Iterator[Case]:
     days = whole.days.astype("datetime64[D]").astype(int)
     first = days[months == 3].min() if (months == 3).any() else days.min()
     pairs = {
-        "overcast captures only, clear test": (share < OVERCAST_SHARE, _sun_share(test.light) > 0.6),
+        "overcast captures only, clear test": (
+            share < OVERCAST_SHARE,
+            _sun_share(test.light) > 0.6,
+        ),
         "December captures only, June test": (months == 12, asked == 6),
         "one week of captures": ((days >= first) & (days < first + 7), np.ones(len(test), bool)),
         "two weeks of captures": ((days >= first) & (days < first + 14), np.ones(len(test), bool)),
@@ -191,20 +220,31 @@ def _seasons(whole: Dataset, test: Dataset) -> Iterator[Case]:
 
 
 def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
-    """North and clock, with patches made from [room]: beside a normal case whose patches are made so too."""
+    """North and clock, with patches made from [room]: beside a normal case whose patches are
+    made so too.
+    """
     base = "normal, patches from [room]"
     yield Case(base, _patched(data), _patched(test), base)
     for degrees in (0.2, 0.5, 1.0, 2.0):
-        yield Case(f"north off by {degrees:g} degrees", turned(data, degrees), turned(test, degrees), base)
+        yield Case(
+            f"north off by {degrees:g} degrees", turned(data, degrees), turned(test, degrees), base
+        )
     for minutes in (5, 15):
         yield Case(f"clock off by {minutes} min", late(data, minutes), late(test, minutes), base)
 
 
-# ---------------------------------------------------------------------------------------------- answers
+# ----------------------------------------------------------------------------------------------
+# answers
 
 
 def run(
-    spec: Spec, data: Dataset, test: Dataset, whole: Dataset, *, budget_s: float = 60.0, progress: Progress = quiet
+    spec: Spec,
+    data: Dataset,
+    test: Dataset,
+    whole: Dataset,
+    *,
+    budget_s: float = 60.0,
+    progress: Progress = quiet,
 ) -> list[dict[str, Any]]:
     """One row a regime, with the ratio to its normal case."""
     rows: list[dict[str, Any]] = []
@@ -238,9 +278,18 @@ def _row(case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> dict[str
         or bool((~scores.trusted).mean() > 0.5)
     )
     return {
-        "regime": case.name, "n_train": len(case.train), "n_test": len(scores), "fit_cpu_s": fit_cpu_s,
-        "log10_mse_weighted": float(error.mean()), "median": float(np.median(error)), "worst": float(error.max()),
+        "regime": case.name,
+        "n_train": len(case.train),
+        "n_test": len(scores),
+        "fit_cpu_s": fit_cpu_s,
+        "log10_mse_weighted": float(error.mean()),
+        "median": float(np.median(error)),
+        "worst": float(error.max()),
         "expected_mse": float(expected.mean()) if known else None,
-        "untrusted_share": float((~scores.trusted).mean()), "warned": warned, "told": bool(told),
-        "wild": int(wild.sum()), "wild_unflagged": int((wild & ~feared).sum()), "beside": case.normal,
-    }  # fmt: skip
+        "untrusted_share": float((~scores.trusted).mean()),
+        "warned": warned,
+        "told": bool(told),
+        "wild": int(wild.sum()),
+        "wild_unflagged": int((wild & ~feared).sum()),
+        "beside": case.normal,
+    }

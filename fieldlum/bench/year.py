@@ -1,4 +1,6 @@
-"""What a number of captures, and a choice of days, is worth: learning curves and collection periods."""
+"""What a number of captures, and a choice of days, is worth: learning curves and collection
+periods.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def is_year(data: Dataset) -> bool:
 def learning_curve(
     spec: Spec, data: Dataset, test: Dataset, *, seed: int = 0, progress: Progress = quiet
 ) -> list[dict[str, Any]]:
-    """Error on `test` of a model trained on N captures: drawn at random, and in the order of use (greedy)."""
+    """Error on `test` of a model trained on N captures: drawn at random, and in the order of use
+    (greedy).
+    """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = [n for n in COUNTS if n < len(data)] + [len(data)] * (len(data) <= COUNTS[-1])
     shuffled = np.random.default_rng(seed).permutation(len(data))
@@ -44,16 +48,31 @@ def learning_curve(
                 spec.name, data.take(np.sort(order[:count])), patch=patch, seed=seed, budget_s=None
             )
             found = summary(evaluate(fitted, asked))
-            rows.append({"name": spec.label, "way": way, "captures": count, "fit_cpu_s": spent.cpu_s} | _figures(found))
+            rows.append(
+                {"name": spec.label, "way": way, "captures": count, "fit_cpu_s": spent.cpu_s}
+                | _figures(found)
+            )
     return rows
 
 
 def _figures(found: dict[str, Any]) -> dict[str, Any]:
-    keys = ("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer", "dgp_mse", "rammg_mse", "worst")
-    return {key: found[key] for key in keys} | {"n_test": found["n_test"], "untrusted_share": found["untrusted_share"]}
+    keys = (
+        "log10_mse_weighted",
+        "rer_weighted",
+        "paper_log10_mse",
+        "paper_rer",
+        "dgp_mse",
+        "rammg_mse",
+        "worst",
+    )
+    return {key: found[key] for key in keys} | {
+        "n_test": found["n_test"],
+        "untrusted_share": found["untrusted_share"],
+    }
 
 
-# ---------------------------------------------------------------------------------------------- periods
+# ----------------------------------------------------------------------------------------------
+# periods
 
 
 def _dates(data: Dataset) -> list[date]:
@@ -69,10 +88,14 @@ def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDAr
 
 
 def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
-    """The paper's collection periods that the data hold: months, weeks in March, 9, 12 and 4 days."""
+    """The paper's collection periods that the data hold: months, weeks in March, 9, 12 and 4
+    days.
+    """
     march, june, september, december = (3, 20), (6, 21), (9, 22), (12, 21)
     months = np.array([day.month for day in _dates(data)])
-    named: dict[str, NDArray[np.bool_]] = {name: months == k for k, name in enumerate(MONTHS, start=1)}
+    named: dict[str, NDArray[np.bool_]] = {
+        name: months == k for k, name in enumerate(MONTHS, start=1)
+    }
     named["1 week"] = _around(data, [march], 3)
     named["2 weeks"] = _around(data, [march], 6)
     named["9 days"] = _around(data, [march, june, december], 1)
@@ -81,8 +104,12 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
     return {name: rows for name, rows in named.items() if rows.sum() >= FEWEST_HOURS}
 
 
-def compare_periods(spec: Spec, data: Dataset, *, seed: int = 0, progress: Progress = quiet) -> list[dict[str, Any]]:
-    """Train on each period, ask about hours drawn once from the whole year and left out of every training."""
+def compare_periods(
+    spec: Spec, data: Dataset, *, seed: int = 0, progress: Progress = quiet
+) -> list[dict[str, Any]]:
+    """Train on each period, ask about hours drawn once from the whole year and left out of every
+    training.
+    """
     order = np.random.default_rng(seed).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True

@@ -1,8 +1,10 @@
-"""A lens from pictures of a chessboard: OpenCV's omnidirectional model for a start, then our own lens on the corners.
+"""A lens from pictures of a chessboard: OpenCV's omnidirectional model for a start, then our own
+lens on the corners.
 
-OpenCV's figures (Mei and Rives 2007) are not unique, but its rays and its boards' poses are a good start. Its model is
-not our lens, though: corners are then fitted by our mapping itself, all poses with it (a bundle adjustment, Triggs et
-al. 1999), so that what is left is what corners miss by, and the centre comes with its uncertainty.
+OpenCV's figures (Mei and Rives 2007) are not unique, but its rays and its boards' poses are a good
+start. Its model is not our lens, though: corners are then fitted by our mapping itself, all poses
+with it (a bundle adjustment, Triggs et al. 1999), so that what is left is what corners miss by, and
+the centre comes with its uncertainty.
 """
 
 from __future__ import annotations
@@ -27,8 +29,10 @@ LEAST = 4
 
 @dataclass(frozen=True, slots=True)
 class Boards:
-    """Corners [boards, points, 2] on the sensor, the board's own points [points, 3], poses [boards, 6] (rotation vector
-    and place in OpenCV's camera frame), and the model's rays as targets."""
+    """Corners [boards, points, 2] on the sensor, the board's own points [points, 3], poses
+    [boards, 6] (rotation vector and place in OpenCV's camera frame), and the model's rays as
+    targets.
+    """
 
     corners: Array
     points: Array
@@ -37,27 +41,38 @@ class Boards:
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Inner corners [rows * columns, 2] in sensor coordinates; None where the board is not found."""
+    """Inner corners [rows * columns, 2] in sensor coordinates; None where the board is not
+    found.
+    """
     import cv2
 
     found, corners = cv2.findChessboardCornersSB(
         grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    return np.asarray(corners, float).reshape(-1, 2) + 0.5 if found else None  # OpenCV's zero is a pixel's middle
+    return (
+        np.asarray(corners, float).reshape(-1, 2) + 0.5 if found else None
+    )  # OpenCV's zero is a pixel's middle
 
 
 def from_boards(
-    corners: Sequence[Array], columns: int, rows: int, size_px: tuple[int, int], paths: Sequence[Path] = ()
+    corners: Sequence[Array],
+    columns: int,
+    rows: int,
+    size_px: tuple[int, int],
+    paths: Sequence[Path] = (),
 ) -> Boards:
     """Rays and poses from boards [rows * columns, 2] by OpenCV's omnidirectional model.
 
-    size_px: width, height. Raises NotEnoughDataError under four boards, InputError where the fit does not converge.
+    size_px: width, height. Raises NotEnoughDataError under four boards, InputError where the fit
+    does not converge.
     """
     import cv2
 
     if len(corners) < LEAST:
         found = f"the board was found in {len(corners)} pictures"
-        raise NotEnoughDataError(f"{found}: take at least four, sharp, up to the edge; count its inner corners")
+        raise NotEnoughDataError(
+            f"{found}: take at least four, sharp, up to the edge; count its inner corners"
+        )
     board = np.zeros((1, rows * columns, 3))
     board[0, :, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
     # (1, N, C): the one shape that OpenCV 4 and 5 both take
@@ -69,10 +84,14 @@ def from_boards(
         asked = [board] * len(corners), places, size_px, None, None, None, flags, stop
         rms, k, xi, d, turns, shifts, used = omnidir.calibrate(*asked)
     except cv2.error as error:
-        raise InputError("chessboard", str(error).splitlines()[0], "boards in many places, none edge-on") from None
+        raise InputError(
+            "chessboard", str(error).splitlines()[0], "boards in many places, none edge-on"
+        ) from None
     if not np.isfinite(rms) or rms > 3:
         raise InputError(
-            "chessboard", f"a fit that misses by {rms:.1f} px", "at most 3 px: sharper, more varied boards"
+            "chessboard",
+            f"a fit that misses by {rms:.1f} px",
+            "at most 3 px: sharper, more varied boards",
         )
     seen = np.concatenate([np.asarray(c, float) for c in corners])
     targets = _model_rays(seen, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths))
@@ -82,32 +101,44 @@ def from_boards(
 
 
 def fit(boards: Boards, lens: Lens) -> Fit:
-    """Mapping by the model's rays, then its figures by the corners themselves; rms_px is what corners miss by."""
+    """Mapping by the model's rays, then its figures by the corners themselves; rms_px is what
+    corners miss by.
+    """
     from scipy.optimize import least_squares
 
-    level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)  # boards know the lens's own axis only
+    level = replace(
+        lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0
+    )  # boards know the lens's own axis only
     start = lenses.fit(boards.targets, lens)
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
     found = start.lens
     figures = [*found.centre_px, found.radius_px, *(found.coefficients[p - 1] for p in powers[1:])]
 
     def shown(x: Array) -> LensGeometry:
-        return lenses.geometry_of_figures(level, x[: len(figures)], found.mapping, powers, pose=False)
+        return lenses.geometry_of_figures(
+            level, x[: len(figures)], found.mapping, powers, pose=False
+        )
 
     def misses(x: Array) -> Array:
         turned = [_directions(boards.points, pose) for pose in x[len(figures) :].reshape(-1, 6)]
         px, py, _ = lens_pixels(shown(x), np.stack(turned))
-        return np.concatenate([(px - boards.corners[..., 0]).ravel(), (py - boards.corners[..., 1]).ravel()])
+        return np.concatenate(
+            [(px - boards.corners[..., 0]).ravel(), (py - boards.corners[..., 1]).ravel()]
+        )
 
-    solved = least_squares(misses, [*figures, *boards.poses.ravel()], x_scale="jac", loss="soft_l1", max_nfev=60)
+    solved = least_squares(
+        misses, [*figures, *boards.poses.ravel()], x_scale="jac", loss="soft_l1", max_nfev=60
+    )
     geometry, left = shown(solved.x), misses(solved.x).reshape(2, -1)
     missed = np.hypot(*left)
     rms = float(np.sqrt(np.mean(missed**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     new = replace(
-        found, centre_px=(round(geometry.centre_px[0], 3), round(geometry.centre_px[1], 3)),
-        radius_px=round(geometry.radius_px, 3), coefficients=tuple(round(c, 7) for c in geometry.coefficients),
-    )  # fmt: skip
+        found,
+        centre_px=(round(geometry.centre_px[0], 3), round(geometry.centre_px[1], 3)),
+        radius_px=round(geometry.radius_px, 3),
+        coefficients=tuple(round(c, 7) for c in geometry.coefficients),
+    )
     said = f"corners miss by {rms:.2f} px rms, the centre is known to {u_px:.2f} px"
     choice = replace(start.choice, line=f"{start.choice.line}; {said}")
     per_px = lens.full_angle_deg / 2 / geometry.radius_px
@@ -115,7 +146,9 @@ def fit(boards: Boards, lens: Lens) -> Fit:
 
 
 def _directions(points: Array, pose: Array) -> Array:
-    """Unit vectors [points, 3] of a board's points in our camera frame (x right, y forward, z up)."""
+    """Unit vectors [points, 3] of a board's points in our camera frame (x right, y forward, z
+    up).
+    """
     from scipy.spatial.transform import Rotation
 
     at = Rotation.from_rotvec(pose[:3]).apply(points) + pose[3:]
@@ -124,13 +157,17 @@ def _directions(points: Array, pose: Array) -> Array:
 
 
 def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, ...]) -> Targets:
-    """Directions over the part of the picture where corners were: the model's projection of a fan of rays."""
+    """Directions over the part of the picture where corners were: the model's projection of a
+    fan of rays.
+    """
     import cv2
 
     angle = np.radians(np.arange(1.0, 110.0, 2.0))
     turn = np.radians(np.arange(0.0, 360.0, 15.0))
     a, t = (grid.ravel() for grid in np.meshgrid(angle, turn))
-    away = np.stack([np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1)  # OpenCV: x right, y down
+    away = np.stack(
+        [np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1
+    )  # OpenCV: x right, y down
     zero = np.zeros((3, 1))
     shown, *_ = cv2.omnidir.projectPoints(away.reshape(1, -1, 3), zero, zero, k, xi, d)
     at = np.asarray(shown).reshape(-1, 2) + 0.5
@@ -138,5 +175,7 @@ def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, .
     reach = np.percentile(np.linalg.norm(seen - centre, axis=1), 99.5)
     radius = np.linalg.norm(at - centre, axis=1)
     near = radius <= reach
-    rays = np.stack([away[:, 0], away[:, 2], -away[:, 1]], axis=1)  # ours: x right (east), y forward (north), z up
+    rays = np.stack(
+        [away[:, 0], away[:, 2], -away[:, 1]], axis=1
+    )  # ours: x right (east), y forward (north), z up
     return Targets(at[near, 0], at[near, 1], rays[near], paths, pose_known=True)

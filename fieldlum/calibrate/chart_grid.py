@@ -1,8 +1,10 @@
-"""Where a chart's 6 x 4 patches may lie in a picture: squares that form a lattice, and each way a chart fits on it.
+"""Where a chart's 6 x 4 patches may lie in a picture: squares that form a lattice, and each way a
+chart fits on it.
 
-Dark gaps part the patches, so that an adaptive threshold shows them as holes. Four-cornered holes that are neighbours
-along their own edges get whole-numbered places; the homography of these places gives all 24 patches from those that
-were seen. Nothing here is drawn at random: a picture always gives the same answer.
+Dark gaps part the patches, so that an adaptive threshold shows them as holes. Four-cornered holes
+that are neighbours along their own edges get whole-numbered places; the homography of these places
+gives all 24 patches from those that were seen. Nothing here is drawn at random: a picture always
+gives the same answer.
 """
 
 from __future__ import annotations
@@ -21,30 +23,41 @@ _BLUR_PX = 1.0  # against noise; a gap is wider
 _WINDOWS_PX = (11, 19, 35, 67)  # of the threshold: from one to some gaps
 _DARKER = 2.0  # codes of 255 that a gap is darker than its surroundings
 _LEAST_AREA_PX2, _MOST_AREA = 30.0, 1 / 30  # of a patch; of the whole picture
-_CORNER_REL = (0.04, 0.08, 0.12)  # of the outline's length: how far it may lie from four straight sides
+_CORNER_REL = (
+    0.04,
+    0.08,
+    0.12,
+)  # of the outline's length: how far it may lie from four straight sides
 _FILLED = 0.75  # area of an outline over that of its four corners
 _SAME = 0.3  # sides: closer centres are one patch, seen at two thresholds
 _STEP, _ASIDE = (1.0, 1.7), 0.3  # of a side: how far a neighbour lies along an edge, and across it
 _LIKE = (0.45, 2.2)  # areas of neighbours
 _OFF_PLACE = 0.15  # steps
 _SIDE = (0.5, 1.1)  # of a patch, in steps
-_LEAST_GROWN, _LEAST_SEEN = 6, 8  # neighbours from which a lattice is fitted, and patches of the 24 on it
+_LEAST_GROWN, _LEAST_SEEN = (
+    6,
+    8,
+)  # neighbours from which a lattice is fitted, and patches of the 24 on it
 _PATCH = 0.4  # half a patch's side in steps
 _QUARTER = np.array([[0, 1], [-1, 0]])  # of a turn, of row vectors
 
 
 def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads]:
-    """Patches [rows * columns, 4, 2] in pixels of picture [h, w, 3], row by row; what shows most patches comes first.
+    """Patches [rows * columns, 4, 2] in pixels of picture [h, w, 3], row by row; what shows most
+    patches comes first.
 
     No mirror images. Whether the colours there are a chart's is for the caller to see.
     """
     quads = _quads(picture)
     fits = (_fitted(quads, members, places) for members, places in _components(quads))
-    for lattice, places in sorted((fit for fit in fits if fit is not None), key=lambda fit: -len(fit[1])):
+    for lattice, places in sorted(
+        (fit for fit in fits if fit is not None), key=lambda fit: -len(fit[1])
+    ):
         yield from _laid_on(lattice, places, rows, columns)
 
 
-# ---------------------------------------------------------------------------------------------- four-cornered holes
+# ----------------------------------------------------------------------------------------------
+# four-cornered holes
 
 
 def _quads(picture: NDArray[np.uint8]) -> Quads:
@@ -55,7 +68,12 @@ def _quads(picture: NDArray[np.uint8]) -> Quads:
     for grey in (smooth.max(axis=2), *np.moveaxis(smooth, 2, 0)):
         for window in _WINDOWS_PX:
             dark = cv2.adaptiveThreshold(
-                np.ascontiguousarray(grey), 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, window, _DARKER
+                np.ascontiguousarray(grey),
+                255,
+                cv2.ADAPTIVE_THRESH_MEAN_C,
+                cv2.THRESH_BINARY_INV,
+                window,
+                _DARKER,
             )
             outlines, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
             found += [q for q in map(_four_corners, outlines) if q is not None]
@@ -64,7 +82,9 @@ def _quads(picture: NDArray[np.uint8]) -> Quads:
 
 
 def _four_corners(outline: NDArray[Any]) -> NDArray[np.float64] | None:
-    """Corners [4, 2], clockwise as seen (y downwards), of an outline that is nearly a convex quadrilateral."""
+    """Corners [4, 2], clockwise as seen (y downwards), of an outline that is nearly a convex
+    quadrilateral.
+    """
     import cv2
 
     area = cv2.contourArea(outline)
@@ -100,7 +120,8 @@ def _apart(quads: Quads) -> Quads:
     return quads[kept]
 
 
-# ---------------------------------------------------------------------------------------------- lattices
+# ----------------------------------------------------------------------------------------------
+# lattices
 
 
 def _components(quads: Quads) -> list[tuple[list[int], Places]]:
@@ -120,12 +141,17 @@ def _components(quads: Quads) -> list[tuple[list[int], Places]]:
             like = (areas > _LIKE[0] * areas[i]) & (areas < _LIKE[1] * areas[i])
             for axis in (0, 1):
                 step, aside = along[:, axis], np.abs(along[:, 1 - axis])
-                near = like & (np.abs(step) > _STEP[0]) & (np.abs(step) < _STEP[1]) & (aside < _ASIDE)
+                near = (
+                    like & (np.abs(step) > _STEP[0]) & (np.abs(step) < _STEP[1]) & (aside < _ASIDE)
+                )
                 for j in np.flatnonzero(near).tolist():
                     if j in place:
                         continue
                     move = int(np.sign(step[j])) * turned[axis]
-                    place[j] = ((at[0] + int(move[0]), at[1] + int(move[1])), _turned(inverse[i], edges[j]) @ turned)
+                    place[j] = (
+                        (at[0] + int(move[0]), at[1] + int(move[1])),
+                        _turned(inverse[i], edges[j]) @ turned,
+                    )
                     queue.append(j)
         members = list(place)
         taken[members] = True
@@ -141,14 +167,20 @@ def _edges(quads: Quads) -> NDArray[np.float64]:
 
 
 def _turned(inverse: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
-    """By how many quarters the one with these edges counts its own otherwise: a rotation matrix [2, 2]."""
+    """By how many quarters the one with these edges counts its own otherwise: a rotation matrix
+    [2, 2].
+    """
     c, s = (edges @ inverse)[0]
     quarter = round(float(np.arctan2(s, c)) / (np.pi / 2)) % 4
     return np.linalg.matrix_power(_QUARTER, quarter)
 
 
-def _fitted(quads: Quads, members: list[int], places: Places) -> tuple[NDArray[np.float64], Places] | None:
-    """The homography [3, 3] from places to pixels, and the places [n, 2] on which it finds a patch."""
+def _fitted(
+    quads: Quads, members: list[int], places: Places
+) -> tuple[NDArray[np.float64], Places] | None:
+    """The homography [3, 3] from places to pixels, and the places [n, 2] on which it finds a
+    patch.
+    """
     if len(members) < _LEAST_GROWN or (np.ptp(places, axis=0) == 0).any():
         return None
     centres, side = quads.mean(axis=1), float(np.sqrt(np.median(_areas(quads[members]))))
@@ -156,30 +188,46 @@ def _fitted(quads: Quads, members: list[int], places: Places) -> tuple[NDArray[n
     place, there = _on_places(h, quads)
     if there.sum() < _LEAST_SEEN:
         return None
-    place, there = _on_places(_homography(place[there], centres[there]), quads)  # with those across a gap
+    place, there = _on_places(
+        _homography(place[there], centres[there]), quads
+    )  # with those across a gap
     if there.sum() < _LEAST_SEEN:
         return None
-    return _homography(place[there], centres[there]), np.unique(place[there].astype(np.int64), axis=0)
+    return _homography(place[there], centres[there]), np.unique(
+        place[there].astype(np.int64), axis=0
+    )
 
 
 def _homography(
-    places: NDArray[np.integer] | NDArray[np.float64], at_px: NDArray[np.float64], within_px: float = 0.0
+    places: NDArray[np.integer] | NDArray[np.float64],
+    at_px: NDArray[np.float64],
+    within_px: float = 0.0,
 ) -> NDArray[np.float64]:
-    """From places [n, 2] to pixels [n, 2], by those that lie within; not numbers where there is none."""
+    """From places [n, 2] to pixels [n, 2], by those that lie within; not numbers where there is
+    none.
+    """
     import cv2
 
-    h, _ = cv2.findHomography(places.astype(float), at_px, cv2.RANSAC if within_px else 0, within_px)
+    h, _ = cv2.findHomography(
+        places.astype(float), at_px, cv2.RANSAC if within_px else 0, within_px
+    )
     return np.full((3, 3), np.nan) if h is None else np.asarray(h, np.float64)
 
 
-def _on_places(h: NDArray[np.float64], quads: Quads) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The nearest place [n, 2] of each quadrilateral, and whether it lies there and has a patch's size."""
+def _on_places(
+    h: NDArray[np.float64], quads: Quads
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The nearest place [n, 2] of each quadrilateral, and whether it lies there and has a
+    patch's size.
+    """
     centres, nowhere = quads.mean(axis=1), np.zeros(len(quads), bool)
     if not np.isfinite(h).all() or abs(np.linalg.det(h)) < 1e-12:
         return np.full(centres.shape, np.nan), nowhere
     at = _projected(np.asarray(np.linalg.inv(h), np.float64), centres)
     place = np.rint(at)
-    step = np.linalg.norm(_projected(h, place + np.array([1.0, 0.0])) - _projected(h, place), axis=1)
+    step = np.linalg.norm(
+        _projected(h, place + np.array([1.0, 0.0])) - _projected(h, place), axis=1
+    )
     side = np.sqrt(_areas(quads)) / np.maximum(step, 1e-9)
     near = np.abs(at - place).max(axis=1) < _OFF_PLACE
     return place, near & (side > _SIDE[0]) & (side < _SIDE[1])
@@ -192,7 +240,8 @@ def _projected(h: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[n
     return out[..., :2] / np.where(np.abs(depth) > 1e-9, depth, np.nan)
 
 
-# ---------------------------------------------------------------------------------------------- placements
+# ----------------------------------------------------------------------------------------------
+# placements
 
 
 def _laid_on(h: NDArray[np.float64], places: Places, rows: int, columns: int) -> Iterator[Quads]:
@@ -202,8 +251,12 @@ def _laid_on(h: NDArray[np.float64], places: Places, rows: int, columns: int) ->
     ways = []
     for quarter in range(4):
         turn = np.linalg.matrix_power(_QUARTER, quarter)
-        shifts, seen = np.unique((places[:, None] - grid @ turn).reshape(-1, 2), axis=0, return_counts=True)
-        for shift, count in zip(shifts[seen >= _LEAST_SEEN], seen[seen >= _LEAST_SEEN], strict=True):
+        shifts, seen = np.unique(
+            (places[:, None] - grid @ turn).reshape(-1, 2), axis=0, return_counts=True
+        )
+        for shift, count in zip(
+            shifts[seen >= _LEAST_SEEN], seen[seen >= _LEAST_SEEN], strict=True
+        ):
             ways.append((-int(count), len(ways), (grid @ turn + shift)[:, None] + half @ turn))
     for _, _, patches in sorted(ways, key=lambda way: way[:2]):
         yield _projected(h, patches)

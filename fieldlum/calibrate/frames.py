@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.photometry import response_table, saturation_plateau, snap_shutter_s, vignetting_at, z_per_cdm2
+from fieldlum.photometry import (
+    response_table,
+    saturation_plateau,
+    snap_shutter_s,
+    vignetting_at,
+    z_per_cdm2,
+)
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import LensGeometry, angle_of_radius
 from fieldlum.raw import JPEG_SUFFIXES, channel_positions, read_jpeg, read_mosaic
@@ -20,7 +26,9 @@ FULL = 0.97  # of the saturation: brighter pixels are left out
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Mean camera R, G, B [cd/m2 at the profile's k] of a disc on the sensor and its relative standard uncertainty."""
+    """Mean camera R, G, B [cd/m2 at the profile's k] of a disc on the sensor and its relative
+    standard uncertainty.
+    """
 
     rgb: NDArray[np.float64]
     u_rel: float
@@ -29,7 +37,8 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class LinearFrame:
-    """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting; `step` sensor pixels a pixel.
+    """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting; `step`
+    sensor pixels a pixel.
 
     bad [h, w]: full, or outside the codes that a JPEG's response holds for.
     """
@@ -55,7 +64,10 @@ class LinearFrame:
         if bad.mean() > 0.2:
             found = f"{100 * bad.mean():.0f} % of the patch at {x_px:g}, {y_px:g} is clipped"
             raise InputError(
-                self.path, found, "an exposure that holds it", "take a frame that is neither full nor dark"
+                self.path,
+                found,
+                "an exposure that holds it",
+                "take a frame that is neither full nor dark",
             )
         return _mean(values[~bad], float(bad.mean()))
 
@@ -77,7 +89,11 @@ def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> float:
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
     """Raises InputError for a frame that cannot be read or that another camera took."""
-    return _from_jpeg(path, profile) if path.suffix.lower() in JPEG_SUFFIXES else _from_mosaic(path, profile)
+    return (
+        _from_jpeg(path, profile)
+        if path.suffix.lower() in JPEG_SUFFIXES
+        else _from_mosaic(path, profile)
+    )
 
 
 def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
@@ -86,7 +102,9 @@ def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
     tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
     z = np.stack([table[frame.codes[..., c]] for c, table in enumerate(tables)], axis=-1)
     bad = (frame.codes.max(axis=-1) > r.high_code) | (frame.codes.max(axis=-1) < r.low_code)
-    return LinearFrame(path, (z / _per(frame.exposure, profile)).astype(np.float32), bad, 1, frame.exposure)
+    return LinearFrame(
+        path, (z / _per(frame.exposure, profile)).astype(np.float32), bad, 1, frame.exposure
+    )
 
 
 def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
@@ -96,9 +114,17 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     at = channel_positions(mosaic.cfa)
     rows, columns = (n // 2 * 2 for n in mosaic.counts.shape)
     cells = [mosaic.counts[r:rows:2, c:columns:2].astype(np.float32) for r, c in at]
-    plateaus = (saturation_plateau(mosaic.counts[r:rows:2, c:columns:2], mosaic.white_dn) or np.inf for r, c in at)
-    full = [min(s, mosaic.white_dn, plateau) for s, plateau in zip(sensor.saturation_dn, plateaus, strict=True)]
-    bad = np.logical_or.reduce([cell > FULL * limit for cell, limit in zip(cells, full, strict=True)])
+    plateaus = (
+        saturation_plateau(mosaic.counts[r:rows:2, c:columns:2], mosaic.white_dn) or np.inf
+        for r, c in at
+    )
+    full = [
+        min(s, mosaic.white_dn, plateau)
+        for s, plateau in zip(sensor.saturation_dn, plateaus, strict=True)
+    ]
+    bad = np.logical_or.reduce(
+        [cell > FULL * limit for cell, limit in zip(cells, full, strict=True)]
+    )
     z = [(cell - b) / (sensor.white_dn - b) for cell, b in zip(cells, black, strict=True)]
     rgb = np.stack([z[0], (z[1] + z[2]) / 2, z[3]], axis=-1) / _per(mosaic.exposure, profile)
     return LinearFrame(path, rgb.astype(np.float32), bad, 2, mosaic.exposure, mosaic.colour_matrix)
@@ -114,22 +140,37 @@ def check_size(path: Path, shape: tuple[int, ...], profile: CameraProfile) -> No
     body = profile.camera
     if shape != (body.height_px, body.width_px):
         found = f"{shape[1]} x {shape[0]} pixels"
-        raise InputError(path, found, f"{body.width_px} x {body.height_px}, as {body.name} says", "use its own profile")
+        raise InputError(
+            path,
+            found,
+            f"{body.width_px} x {body.height_px}, as {body.name} says",
+            "use its own profile",
+        )
 
 
-# ---------------------------------------------------------------------------------------------- lens
+# ----------------------------------------------------------------------------------------------
+# lens
 
 
 def geometry_of(lens: Lens) -> LensGeometry:
     return LensGeometry(
-        lens.centre_px, lens.radius_px, lens.full_angle_deg, lens.mapping, lens.coefficients,
-        lens.azimuth_deg, lens.tilt_deg, lens.roll_deg,
-    )  # fmt: skip
+        lens.centre_px,
+        lens.radius_px,
+        lens.full_angle_deg,
+        lens.mapping,
+        lens.coefficients,
+        lens.azimuth_deg,
+        lens.tilt_deg,
+        lens.roll_deg,
+    )
 
 
 def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
     """Index of the lens whose circle the place lies in, relative to its radius."""
-    away = [np.hypot(x_px - l.centre_px[0], y_px - l.centre_px[1]) / l.radius_px for l in profile.lens]  # noqa: E741
+    away = [
+        np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
+        for lens in profile.lens
+    ]
     return int(np.argmin(away))
 
 

@@ -16,10 +16,11 @@ from fieldlum.session import sha256
 
 
 def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Rows of a csv with a header; columns are numbers but `file` and `panorama`, which are paths beside the csv.
+    """Rows of a csv with a header; columns are numbers but `file` and `panorama`, which are paths
+    beside the csv.
 
-    Commas, or semicolons or tabs (then decimals may have a comma). An empty cell is None. Raises InputError naming line
-    and column.
+    Commas, or semicolons or tabs (then decimals may have a comma). An empty cell is None. Raises
+    InputError naming line and column.
     """
     numbered = _lines(path)
     lines = [line for _, line in numbered]
@@ -31,13 +32,17 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
             raise InputError(path, f"no column {name}", f"columns {', '.join([*needed, *also])}")
     for name in names:
         if name not in (*needed, *also):
-            raise InputError(path, f"unknown column {name}", f"columns {', '.join([*needed, *also])}")
+            raise InputError(
+                path, f"unknown column {name}", f"columns {', '.join([*needed, *also])}"
+            )
     rows.fieldnames = names
     found = []
     for (number, _), row in zip(numbered[1:], rows, strict=False):
         if any(text.strip() for text in row.get(None) or ()):
             remedy = "decimals with a point, or semicolons between the cells"
-            raise InputError(f"{path}:{number}", "more cells than the header has", f"{len(names)} cells", remedy)
+            raise InputError(
+                f"{path}:{number}", "more cells than the header has", f"{len(names)} cells", remedy
+            )
         found.append({n: _cell(path, number, n, row[n], mark) for n in names})
     if not found:
         raise InputError(path, "no readings", "one a line")
@@ -51,7 +56,9 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, str(error), "a csv of readings") from None
     return [
-        (number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()[:1] not in ("", "#")
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip()[:1] not in ("", "#")
     ]
 
 
@@ -75,7 +82,9 @@ def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> An
     try:
         return float(text if mark == "," else text.replace(",", "."))
     except ValueError:
-        raise InputError(f"{path}:{number}", f"{name} is '{text}'", "a number", "decimals with a point") from None
+        raise InputError(
+            f"{path}:{number}", f"{name} is '{text}'", "a number", "decimals with a point"
+        ) from None
 
 
 def needed(row: dict[str, Any], name: str, path: Path) -> Any:
@@ -86,9 +95,16 @@ def needed(row: dict[str, Any], name: str, path: Path) -> Any:
 
 
 def keep(
-    out: Path, profile: CameraProfile, frames: Iterable[Path], lines: Sequence[str], today: date, **changed: Any
+    out: Path,
+    profile: CameraProfile,
+    frames: Iterable[Path],
+    lines: Sequence[str],
+    today: date,
+    **changed: Any,
 ) -> CameraProfile:
-    """Write the profile with `changed` tables, the hashes of what it was fitted from, and a line for every fit."""
+    """Write the profile with `changed` tables, the hashes of what it was fitted from, and a line
+    for every fit.
+    """
     hashes = tuple(sorted({sha256(path) for path in frames}))
     before = profile.provenance
     provenance = Provenance(
@@ -97,6 +113,11 @@ def keep(
         tuple(dict.fromkeys((*before.frames_sha256, *hashes))),
         (*before.log, *(f"{today.isoformat()} {line}" for line in lines)),
     )
-    new = replace(profile, camera=replace(profile.camera, date=today.isoformat()), provenance=provenance, **changed)
+    new = replace(
+        profile,
+        camera=replace(profile.camera, date=today.isoformat()),
+        provenance=provenance,
+        **changed,
+    )
     save_profile(out, new)
     return new

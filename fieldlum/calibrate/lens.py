@@ -1,4 +1,6 @@
-"""Where a lens puts a direction: from known directions, from a chessboard, or from the circle's edge."""
+"""Where a lens puts a direction: from known directions, from a chessboard, or from the circle's
+edge.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,10 @@ POWERS = {
     "four terms": (1, 2, 3, 4),
 }
 EDGE_DIRECTIONS = 720
-FAR_SIGMA, FAR_RADIUS = 6.0, 0.02  # a target further off than both (of the radius) is a slip: left out and named
+FAR_SIGMA, FAR_RADIUS = (
+    6.0,
+    0.02,
+)  # a target further off than both (of the radius) is a slip: left out and named
 MOST_FAR = 0.2  # of the targets
 MISS_RADIUS = 0.01  # of the radius: a median miss of more is no lens
 BEYOND = 1.06  # of half the full angle: no target of a lens lies further off its axis
@@ -34,7 +39,9 @@ TURNED_DEG = 30.0  # from the pose that the profile has: said
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """x_px, y_px [n] on the sensor and unit vectors [n, 3] in the panorama's frame (heading = north)."""
+    """x_px, y_px [n] on the sensor and unit vectors [n, 3] in the panorama's frame (heading =
+    north).
+    """
 
     x_px: Array
     y_px: Array
@@ -49,24 +56,38 @@ class Fit:
     rms_px: float  # held-out
     rms_deg: float
     residual_px: Array
-    widest_deg: float  # the largest angle that a target had: beyond it the mapping is an extrapolation
+    widest_deg: (
+        float  # the largest angle that a target had: beyond it the mapping is an extrapolation
+    )
     choice: Choice
     doubts: tuple[str, ...] = ()  # targets left out; a pose far from the profile's
 
 
-# ---------------------------------------------------------------------------------------------- known directions
+# ----------------------------------------------------------------------------------------------
+# known directions
 
 
 def from_table(path: Path) -> Targets:
-    """Targets from a csv: x_px, y_px, azimuth_deg, altitude_deg relative to the camera's heading and the horizon."""
+    """Targets from a csv: x_px, y_px, azimuth_deg, altitude_deg relative to the camera's heading
+    and the horizon.
+    """
     rows = read_table(path, ("x_px", "y_px", "azimuth_deg", "altitude_deg"))
     columns = {n: np.array([needed(row, n, path) for row in rows]) for n in rows[0]}
-    rays = np.stack([direction(a, b) for a, b in zip(columns["altitude_deg"], columns["azimuth_deg"], strict=True)])
+    rays = np.stack(
+        [
+            direction(a, b)
+            for a, b in zip(columns["altitude_deg"], columns["azimuth_deg"], strict=True)
+        ]
+    )
     return Targets(columns["x_px"], columns["y_px"], rays, (path,))
 
 
-def geometry_of_figures(lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool) -> LensGeometry:
-    """The lens with fitted figures: centre x, y, radius, [azimuth, tilt, roll], then the polynomial's higher terms."""
+def geometry_of_figures(
+    lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool
+) -> LensGeometry:
+    """The lens with fitted figures: centre x, y, radius, [azimuth, tilt, roll], then the
+    polynomial's higher terms.
+    """
     x, y, radius, *rest = figures.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
     coefficients: tuple[float, ...] = ()
@@ -80,7 +101,9 @@ def geometry_of_figures(lens: Lens, figures: Array, mapping: str, powers: tuple[
     return LensGeometry((x, y), radius, lens.full_angle_deg, mapping, coefficients, *angles)  # type: ignore[arg-type]
 
 
-def _solve(targets: Targets, rows: NDArray[np.bool_], lens: Lens, mapping: str, powers: tuple[int, ...]) -> Array:
+def _solve(
+    targets: Targets, rows: NDArray[np.bool_], lens: Lens, mapping: str, powers: tuple[int, ...]
+) -> Array:
     from scipy.optimize import least_squares
 
     pose = not targets.pose_known
@@ -90,31 +113,42 @@ def _solve(targets: Targets, rows: NDArray[np.bool_], lens: Lens, mapping: str, 
     scale = [lens.radius_px * 0.01] * 3 + ([1.0] * 3 if pose else []) + [0.05] * (len(powers) - 1)
 
     def misses(figures: Array) -> Array:
-        x, y, _ = lens_pixels(geometry_of_figures(lens, figures, mapping, powers, pose), targets.rays[rows])
+        x, y, _ = lens_pixels(
+            geometry_of_figures(lens, figures, mapping, powers, pose), targets.rays[rows]
+        )
         return np.concatenate([x - targets.x_px[rows], y - targets.y_px[rows]])
 
     return least_squares(misses, start, x_scale=scale, loss="soft_l1", f_scale=2.0, max_nfev=400).x
 
 
 def fit(targets: Targets, lens: Lens) -> Fit:
-    """Centre, radius, pose and mapping by robust least squares in pixels, from the profile's lens as a start.
+    """Centre, radius, pose and mapping by robust least squares in pixels, from the profile's lens
+    as a start.
 
-    Mappings are tried from none to four free terms on targets held out. Targets that no lens explains are left out and
-    named. Raises NotEnoughDataError under eight targets; InputError for directions that are mirrored, lie behind the
-    lens, or fit no lens at all.
+    Mappings are tried from none to four free terms on targets held out. Targets that no lens
+    explains are left out and named. Raises NotEnoughDataError under eight targets; InputError for
+    directions that are mirrored, lie behind the lens, or fit no lens at all.
     """
     n = len(targets.x_px)
     if n < LEAST:
-        raise NotEnoughDataError(f"{n} targets are too few for a lens: take at least {LEAST}, spread over the circle")
+        raise NotEnoughDataError(
+            f"{n} targets are too few for a lens: take at least {LEAST}, spread over the circle"
+        )
     level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
     start = level if targets.pose_known else _posed(targets, lens)
     models: list[tuple[str, str, tuple[int, ...]]] = [
         ("equidistant", "equidistant", ()),
         ("equisolid", "equisolid", ()),
     ]
-    models += [(name, "polynomial", powers) for name, powers in POWERS.items() if n >= 3 * (len(powers) + 5)][1:]
+    models += [
+        (name, "polynomial", powers)
+        for name, powers in POWERS.items()
+        if n >= 3 * (len(powers) + 5)
+    ][1:]
     near = _near(targets, start, models)
-    kept = replace(targets, x_px=targets.x_px[near], y_px=targets.y_px[near], rays=targets.rays[near])
+    kept = replace(
+        targets, x_px=targets.x_px[near], y_px=targets.y_px[near], rays=targets.rays[near]
+    )
     candidates = [
         Candidate(name, max(len(powers) - 1, 0), _held_out(kept, start, mapping, powers))
         for name, mapping, powers in models
@@ -135,38 +169,59 @@ def fit(targets: Targets, lens: Lens) -> Fit:
     )
     if not targets.pose_known:
         azimuth = round((found.azimuth_deg + 180) % 360 - 180, 4)
-        new = replace(new, azimuth_deg=azimuth, tilt_deg=round(found.tilt_deg, 4), roll_deg=round(found.roll_deg, 4))
+        new = replace(
+            new,
+            azimuth_deg=azimuth,
+            tilt_deg=round(found.tilt_deg, 4),
+            roll_deg=round(found.roll_deg, 4),
+        )
     per_px = lens.full_angle_deg / 2 / found.radius_px
     doubts = _doubts(targets, residual, near, new, lens)
-    return Fit(new, rms, rms * per_px, residual, float(np.degrees(angle[near].max())), choice, doubts)
+    return Fit(
+        new, rms, rms * per_px, residual, float(np.degrees(angle[near].max())), choice, doubts
+    )
 
 
-def _doubts(targets: Targets, residual: Array, near: NDArray[np.bool_], new: Lens, before: Lens) -> tuple[str, ...]:
-    far = [f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {residual[i]:.0f} px)" for i in np.flatnonzero(~near)]
+def _doubts(
+    targets: Targets, residual: Array, near: NDArray[np.bool_], new: Lens, before: Lens
+) -> tuple[str, ...]:
+    far = [
+        f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {residual[i]:.0f} px)"
+        for i in np.flatnonzero(~near)
+    ]
     said = [f"left out, for no lens explains them: {'; '.join(far)}"] if far else []
     turn = new.geometry.axes() @ before.geometry.axes().T
     turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if turned_deg > TURNED_DEG:
-        pose = f"azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll {new.roll_deg:.1f} deg"
+        pose = (
+            f"azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll {new.roll_deg:.1f} deg"
+        )
         said.append(
-            f"the camera stands turned by {turned_deg:.0f} deg against the profile's pose, now {pose}; azimuths of "
+            f"the camera stands turned by {turned_deg:.0f} deg against the profile's pose, now "
+            f"{pose}; azimuths of "
             "targets count from the camera's heading, not from north"
         )
     return tuple(said)
 
 
 def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
-    """How far each target is from where the lens puts it [px], and its angle from the axis [rad]."""
+    """How far each target is from where the lens puts it [px], and its angle from the axis
+    [rad].
+    """
     x, y, angle = lens_pixels(found, targets.rays)
     return np.hypot(x - targets.x_px, y - targets.y_px), angle
 
 
-def _near(targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[int, ...]]]) -> NDArray[np.bool_]:
+def _near(
+    targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[int, ...]]]
+) -> NDArray[np.bool_]:
     """Targets that the best of the robust fits explains."""
     every, best = np.ones(len(targets.x_px), bool), np.full(len(targets.x_px), np.inf)
     for _, mapping, powers in models:
         figures = _solve(targets, every, start, mapping, powers)
-        missed, _ = _misses(geometry_of_figures(start, figures, mapping, powers, not targets.pose_known), targets)
+        missed, _ = _misses(
+            geometry_of_figures(start, figures, mapping, powers, not targets.pose_known), targets
+        )
         if np.median(missed) < np.median(best):
             best = missed
     near = best <= max(FAR_SIGMA * float(np.median(best)), FAR_RADIUS * start.radius_px)
@@ -176,37 +231,59 @@ def _near(targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[
 def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
     """Raises InputError for a lens that its own targets contradict."""
     source = targets.frames[0] if targets.frames else "targets"
-    wanted = "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
+    wanted = (
+        "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
+    )
     if np.median(missed) > MISS_RADIUS * found.radius_px:
-        raise InputError(source, f"targets that fit no lens: half of them miss by {np.median(missed):.0f} px", wanted)
+        raise InputError(
+            source,
+            f"targets that fit no lens: half of them miss by {np.median(missed):.0f} px",
+            wanted,
+        )
     if angle.max() > BEYOND * found.half_angle_rad:
         past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that ends at"
-        raise InputError(source, f"{past} {np.degrees(found.half_angle_rad):.0f} deg", wanted, "or mend --full-angle")
+        raise InputError(
+            source,
+            f"{past} {np.degrees(found.half_angle_rad):.0f} deg",
+            wanted,
+            "or mend --full-angle",
+        )
 
 
 def _posed(targets: Targets, lens: Lens) -> Lens:
-    """The lens turned as its targets stand, so that a camera held upright, or turned round, is found too.
+    """The lens turned as its targets stand, so that a camera held upright, or turned round, is
+    found too.
 
-    By the rotation from seen to true directions; when one fits in a mirror and none as they are, signs are wrong:
-    raises InputError.
+    By the rotation from seen to true directions; when one fits in a mirror and none as they are,
+    signs are wrong: raises InputError.
     """
-    seen = lens_rays(replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0), targets.x_px, targets.y_px)
-    (miss, turn), (mirrored, _) = (_turn(seen * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0))
+    seen = lens_rays(
+        replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0),
+        targets.x_px,
+        targets.y_px,
+    )
+    (miss, turn), (mirrored, _) = (
+        _turn(seen * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
+    )
     if mirrored < 0.5 * miss and miss > 0.1:
         source = targets.frames[0] if targets.frames else "targets"
         remedy = "look for a wrong sign, or x and y exchanged"
         wanted = "azimuth clockwise (to the right), altitude up, x right, y down"
         raise InputError(source, "directions that fit in a mirror only", wanted, remedy)
     right, forward = turn[:, 0], turn[:, 1]
-    azimuth, tilt = np.degrees(np.arctan2(forward[0], forward[1])), np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))
+    azimuth, tilt = (
+        np.degrees(np.arctan2(forward[0], forward[1])),
+        np.degrees(np.arcsin(np.clip(forward[2], -1, 1))),
+    )
     level = direction(0.0, azimuth + 90.0)
     roll = np.degrees(np.arctan2(-right @ np.cross(level, forward), right @ level))
     return replace(lens, azimuth_deg=float(azimuth), tilt_deg=float(tilt), roll_deg=float(roll))
 
 
 def _turn(seen: Array, true: Array) -> tuple[float, Array]:
-    """How far directions [n, 3] lie apart in the median, as chords, once turned upon each other, and that rotation
-    [3, 3] (Wahba 1965), slips weighed down."""
+    """How far directions [n, 3] lie apart in the median, as chords, once turned upon each other,
+    and that rotation [3, 3] (Wahba 1965), slips weighed down.
+    """
     from scipy.spatial.transform import Rotation
 
     weight, turn, off = np.ones(len(seen)), np.eye(3), np.zeros(len(seen))
@@ -223,13 +300,15 @@ def _held_out(targets: Targets, lens: Lens, mapping: str, powers: tuple[int, ...
     for held in folds(np.arange(n), 6):
         figures = _solve(targets, ~held, lens, mapping, powers)
         x, y, _ = lens_pixels(
-            geometry_of_figures(lens, figures, mapping, powers, not targets.pose_known), targets.rays[held]
+            geometry_of_figures(lens, figures, mapping, powers, not targets.pose_known),
+            targets.rays[held],
         )
         errors[held] = (x - targets.x_px[held]) ** 2 + (y - targets.y_px[held]) ** 2
     return errors
 
 
-# ---------------------------------------------------------------------------------------------- circle and shift
+# ----------------------------------------------------------------------------------------------
+# circle and shift
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
@@ -259,31 +338,41 @@ class Circle:
 
 
 def circle(picture: NDArray[np.uint8]) -> Circle:
-    """The image circle of a bright frame: scikit-image's Hough transform, refined on the edge along 720 rays.
+    """The image circle of a bright frame: scikit-image's Hough transform, refined on the edge along
+    720 rays.
 
-    The edge is where the brightness passes half of that just inside. Raises InputError when there is no circle.
+    The edge is where the brightness passes half of that just inside. Raises InputError when there
+    is no circle.
     """
     from skimage.feature import canny
     from skimage.transform import hough_circle, resize
 
     h, w = picture.shape
     step = max(max(h, w) / 240, 1.0)  # coarse: the edge is refined at full size
-    small = np.asarray(resize(picture.astype(float) / 255, (round(h / step), round(w / step)), anti_aliasing=True))
+    small = np.asarray(
+        resize(picture.astype(float) / 255, (round(h / step), round(w / step)), anti_aliasing=True)
+    )
     edges = canny(small, sigma=2.0)
     short, long = sorted(small.shape)
     radii = np.arange(int(0.2 * short), int(0.62 * long), 1)
     if not edges.any():
-        raise InputError("circle", "no edge in the picture", "a bright frame with the whole circle in it")
+        raise InputError(
+            "circle", "no edge in the picture", "a bright frame with the whole circle in it"
+        )
     votes = hough_circle(edges, radii, full_output=False)
     best, y, x = np.unravel_index(int(votes.argmax()), votes.shape)
-    return _refined(picture, float(x + 0.5) * step, float(y + 0.5) * step, float(radii[best]) * step)
+    return _refined(
+        picture, float(x + 0.5) * step, float(y + 0.5) * step, float(radii[best]) * step
+    )
 
 
 def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle:
     from scipy.ndimage import gaussian_filter, map_coordinates
     from scipy.optimize import least_squares
 
-    light = (picture.astype(np.float32) / 255) ** 2.2  # half of the light, not half of the code, marks the edge
+    light = (
+        picture.astype(np.float32) / 255
+    ) ** 2.2  # half of the light, not half of the code, marks the edge
     smooth = 255 * gaussian_filter(light, 1.0)
     turn = np.arange(EDGE_DIRECTIONS) * 2 * np.pi / EDGE_DIRECTIONS
     out = np.arange(0.9 * r, 1.1 * r, 0.25)
@@ -295,8 +384,12 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
     first = below.argmax(axis=1)
     good = below.any(axis=1) & (first > 0) & (inner > outer + 8)
     if good.sum() < 60:
-        raise InputError("circle", "no clear edge of a circle", "a bright, evenly lit frame with a dark surround")
-    edge = np.stack([x + np.cos(turn[good]) * out[first[good]], y + np.sin(turn[good]) * out[first[good]]])
+        raise InputError(
+            "circle", "no clear edge of a circle", "a bright, evenly lit frame with a dark surround"
+        )
+    edge = np.stack(
+        [x + np.cos(turn[good]) * out[first[good]], y + np.sin(turn[good]) * out[first[good]]]
+    )
 
     def misses(p: Array) -> Array:
         return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
@@ -311,11 +404,14 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
     from skimage.registration import phase_cross_correlation
 
     if before.shape != after.shape:
-        raise InputError("shift", f"pictures of {before.shape} and {after.shape}", "two frames of one camera")
+        raise InputError(
+            "shift", f"pictures of {before.shape} and {after.shape}", "two frames of one camera"
+        )
     window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
     pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]
     plain: Any = None  # its type hint forgets None
-    # Without normalisation: with it the mosaic's own pattern, which does not move, outvotes the scene.
+    # Without normalisation: with it the mosaic's own pattern, which does not move, outvotes the
+    # scene.
     (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=plain)
     return -float(right), -float(down)
 

@@ -13,7 +13,9 @@ LEAVE_ONE_OUT = 24  # up to so many groups each is held out by itself
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """errors [n]: squared held-out errors of the same n data for every candidate; size: free figures."""
+    """errors [n]: squared held-out errors of the same n data for every candidate; size: free
+    figures.
+    """
 
     name: str
     size: int
@@ -27,12 +29,17 @@ class Choice:
 
 
 def choose(
-    what: str, candidates: Sequence[Candidate], unit: str = "%", scale: float = 100.0, negligible: float = 0.0
+    what: str,
+    candidates: Sequence[Candidate],
+    unit: str = "%",
+    scale: float = 100.0,
+    negligible: float = 0.0,
 ) -> Choice:
-    """The smallest candidate whose mean held-out error is within one standard error of the best one's.
+    """The smallest candidate whose mean held-out error is within one standard error of the best
+    one's.
 
-    The standard error is that of the difference to the best, datum by datum: they share their noise.
-    negligible: an rms that much larger is no worse.
+    The standard error is that of the difference to the best, datum by datum: they share their
+    noise. negligible: an rms that much larger is no worse.
     """
     means = np.array([candidate.errors.mean() for candidate in candidates])
     best = int(np.argmin(means))
@@ -44,13 +51,21 @@ def choose(
         if difference.mean() <= error or small or i == best:
             allowed.append(i)
     chosen = min(allowed, key=lambda i: (candidates[i].size, means[i]))
-    tried = ", ".join(f"{c.name} {scale * np.sqrt(m):.3g} {unit}" for c, m in zip(candidates, means, strict=True))
-    why = "the best" if chosen == best else f"smaller than the best, {candidates[best].name}, and no worse that matters"
+    tried = ", ".join(
+        f"{c.name} {scale * np.sqrt(m):.3g} {unit}" for c, m in zip(candidates, means, strict=True)
+    )
+    why = (
+        "the best"
+        if chosen == best
+        else f"smaller than the best, {candidates[best].name}, and no worse that matters"
+    )
     return Choice(chosen, f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}")
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:
-    """Masks of held-out data: group by group when they are few, else `count` interleaved sets of groups."""
+    """Masks of held-out data: group by group when they are few, else `count` interleaved sets of
+    groups.
+    """
     names = np.unique(groups)
     parts = len(names) if len(names) <= LEAVE_ONE_OUT else count
     for part in range(parts):

@@ -55,7 +55,9 @@ def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> 
 
 
 def of_response(places: response.Places, found: response.Fit) -> Figure:
-    figure, left, right = _two(f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %")
+    figure, left, right = _two(
+        f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %"
+    )
     r = found.response
     tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
     for c, (table, name) in enumerate(zip(tables, ("#c0392b", "#1a7f5a", "#1f5fa8"), strict=True)):
@@ -64,7 +66,9 @@ def of_response(places: response.Places, found: response.Fit) -> Figure:
             (places.codes[..., c] >= r.low_code) & (places.codes[..., c] <= r.high_code),
         )
         left.plot(np.arange(1, 256), np.maximum(table[1:], 1e-5), color=name, linewidth=1.3)
-        light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure, np.nan)
+        light = np.where(
+            counts, np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure, np.nan
+        )
         n = counts.sum(axis=1)
         mean = np.nansum(light, axis=1) / np.maximum(n, 1)
         off = (light - mean[:, None])[counts & (n >= 2)[:, None]]
@@ -76,13 +80,30 @@ def of_response(places: response.Places, found: response.Fit) -> Figure:
 
 
 def of_vignette(samples: vignette.Samples, found: vignette.Fit, half_angle_deg: float) -> Figure:
-    figure, left, right = _two(f"vignetting at f/{samples.f_number:g}; held-out rms {100 * found.u_rel:.2g} %")
+    figure, left, right = _two(
+        f"vignetting at f/{samples.f_number:g}; held-out rms {100 * found.u_rel:.2g} %"
+    )
     r = np.linspace(0, 1, 200)
     left.plot(
-        samples.r * half_angle_deg, samples.value / found.level, "o", color=POINT, markersize=3.5, label="readings"
+        samples.r * half_angle_deg,
+        samples.value / found.level,
+        "o",
+        color=POINT,
+        markersize=3.5,
+        label="readings",
     )
-    left.plot(r * half_angle_deg, vignetting_at(found.coefficients, r), color=CURVE, linewidth=1.4, label="fit")
-    left.set(xlabel="angle from the optical axis [deg]", ylabel="transmission relative to the axis", ylim=(0, 1.1))
+    left.plot(
+        r * half_angle_deg,
+        vignetting_at(found.coefficients, r),
+        color=CURVE,
+        linewidth=1.4,
+        label="fit",
+    )
+    left.set(
+        xlabel="angle from the optical axis [deg]",
+        ylabel="transmission relative to the axis",
+        ylim=(0, 1.1),
+    )
     left.legend(frameon=False, fontsize=8)
     _percent(right, samples.r * half_angle_deg, found.residual_rel, "angle [deg]")
     return figure
@@ -90,12 +111,22 @@ def of_vignette(samples: vignette.Samples, found: vignette.Fit, half_angle_deg: 
 
 def of_scale(readings: list[scale.Reading], found: scale.Fit) -> Figure:
     figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
-    meter, image = np.array([r.meter for r in readings]), np.array([r.image for r in readings]) * found.factor
+    meter, image = (
+        np.array([r.meter for r in readings]),
+        np.array([r.image for r in readings]) * found.factor,
+    )
     for kind, mark in (("spot", "o"), ("illuminance", "s")):
         rows = np.array([r.kind == kind for r in readings])
         if rows.any():
             unit = "cd/m2" if kind == "spot" else "lx"
-            left.loglog(meter[rows], image[rows], mark, color=POINT, markersize=4.5, label=f"{kind} [{unit}]")
+            left.loglog(
+                meter[rows],
+                image[rows],
+                mark,
+                color=POINT,
+                markersize=4.5,
+                label=f"{kind} [{unit}]",
+            )
     ends = np.array([min(meter.min(), image.min()) * 0.8, max(meter.max(), image.max()) * 1.25])
     left.loglog(ends, ends, color=CURVE, linewidth=1)
     left.set(xlabel="meter", ylabel="picture, corrected")
@@ -116,7 +147,13 @@ def of_lens(targets: lens.Targets, found: lens.Fit) -> Figure:
     left.scatter(targets.x_px, targets.y_px, s=10, color=POINT, linewidths=0)
     left.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
     left.invert_yaxis()
-    right.plot(np.hypot(targets.x_px - x, targets.y_px - y) / r, found.residual_px, "o", color=POINT, markersize=3.5)
+    right.plot(
+        np.hypot(targets.x_px - x, targets.y_px - y) / r,
+        found.residual_px,
+        "o",
+        color=POINT,
+        markersize=3.5,
+    )
     right.set(xlabel="distance from the centre / radius", ylabel="miss [px]", ylim=(0, None))
     return figure
 
@@ -132,7 +169,9 @@ def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
     axes.plot(x - 0.5 + r * np.cos(turn), y - 0.5 + r * np.sin(turn), color=POINT, linewidth=1.2)
     axes.plot([x - 0.5], [y - 0.5], "+", color=POINT)
     axes.set_title(
-        f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {found.u_px:.2f} px", fontsize=9, loc="left"
+        f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {found.u_px:.2f} px",
+        fontsize=9,
+        loc="left",
     )
     return figure
 
@@ -144,26 +183,46 @@ def of_colour(colours: colour.Colours, found: colour.Fit) -> Figure:
     left.scatter(colours.y, new, s=60, c=shown, edgecolors=INK, linewidths=0.5)
     ends = np.array([colours.y.min() * 0.8, colours.y.max() * 1.25])
     left.plot(ends, ends, color=CURVE, linewidth=1)
-    left.set(xlabel="reading, or chart [%]", ylabel="picture, at the readings' scale", xscale="log", yscale="log")
+    left.set(
+        xlabel="reading, or chart [%]",
+        ylabel="picture, at the readings' scale",
+        xscale="log",
+        yscale="log",
+    )
     _plain_log(left)
     _percent(right, np.arange(1, len(new) + 1), -found.residual, "patch")
     return figure
 
 
 def of_shutter(found: shutter.Fit) -> Figure:
-    figure, left, right = _two(f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1))
+    figure, left, right = _two(
+        f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1)
+    )
     nominal = np.array([t.nominal_s for t in found.times])
     true, assumed = np.array([t.true_s for t in found.times]), np.array(found.assumed_s)
     u = np.array([t.u_rel for t in found.times])
-    for axes, against, label in ((left, nominal, "true over the dial's [%]"), (right, assumed, "over assumed [%]")):
+    for axes, against, label in (
+        (left, nominal, "true over the dial's [%]"),
+        (right, assumed, "over assumed [%]"),
+    ):
         axes.axhline(0, color=CURVE, linewidth=1)
-        axes.errorbar(nominal, 100 * (true / against - 1), 200 * u, fmt="o", color=POINT, markersize=3.5, linewidth=1)
+        axes.errorbar(
+            nominal,
+            100 * (true / against - 1),
+            200 * u,
+            fmt="o",
+            color=POINT,
+            markersize=3.5,
+            linewidth=1,
+        )
         axes.set(xscale="log", xlabel="time on the dial [s]", ylabel=label)
     return figure
 
 
 def of_pixels(found: pixels.Found, width_px: int, height_px: int) -> Figure:
-    figure, left, right = _two(f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1))
+    figure, left, right = _two(
+        f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1)
+    )
     x, y = np.array(found.bad_px, float).reshape(-1, 2).T
     left.plot(x, y, "o", color=POINT, markersize=3)
     left.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="column", ylabel="row")

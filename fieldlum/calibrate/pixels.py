@@ -1,9 +1,11 @@
-"""Hot, dead and stuck pixels, found as what deviates from its own colour's neighbours in every view.
+"""Hot, dead and stuck pixels, found as what deviates from its own colour's neighbours in every
+view.
 
-A small light or the edge of a frame deviates too, but not in every view: the camera must have been turned between them,
-and that it was is checked by the pictures' own detail. With the cap on (`dark`) there is no light to be mistaken, and
-nothing to see a dead pixel by. How many pixels would deviate everywhere by chance is worked out from how many deviate
-in each view; it sets in how many views a pixel must, and the fit is refused where not even all of them are enough.
+A small light or the edge of a frame deviates too, but not in every view: the camera must have been
+turned between them, and that it was is checked by the pictures' own detail. With the cap on
+(`dark`) there is no light to be mistaken, and nothing to see a dead pixel by. How many pixels would
+deviate everywhere by chance is worked out from how many deviate in each view; it sets in how many
+views a pixel must, and the fit is refused where not even all of them are enough.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ Detail = NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Columns and rows on the sensor; views that were told apart; frames that helped; pixels expected by chance."""
+    """Columns and rows on the sensor; views that were told apart; frames that helped; pixels
+    expected by chance.
+    """
 
     bad_px: tuple[tuple[int, int], ...]
     views: int
@@ -49,13 +53,21 @@ class Found:
 
 
 def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> Found:
-    """sources: frames, or folders of frames of one view each. dark: with the cap on, each frame counts as a view.
+    """sources: frames, or folders of frames of one view each. dark: with the cap on, each frame
+    counts as a view.
 
-    Raises InputError for frames of another camera; NotEnoughDataError where the views are too few or too alike.
+    Raises InputError for frames of another camera; NotEnoughDataError where the views are too few
+    or too alike.
     """
     if profile.camera.kind != "raw":
-        raise InputError(profile.camera.name, "a JPEG camera", "raw frames: a JPEG smears its bad pixels")
-    area = np.ones((profile.camera.height_px, profile.camera.width_px), bool) if dark else _inside_lenses(profile)
+        raise InputError(
+            profile.camera.name, "a JPEG camera", "raw frames: a JPEG smears its bad pixels"
+        )
+    area = (
+        np.ones((profile.camera.height_px, profile.camera.width_px), bool)
+        if dark
+        else _inside_lenses(profile)
+    )
     frames, views, plain = [], [], 0
     for source in sources:
         for path in _frames_of(source):
@@ -75,38 +87,57 @@ def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False)
     return _decide([view.odd for view in views], tuple(frames), int(area.sum()), dark, plain)
 
 
-def _decide(views: list[Mask], frames: tuple[Path, ...], pixels: int, dark: bool, plain: int) -> Found:
+def _decide(
+    views: list[Mask], frames: tuple[Path, ...], pixels: int, dark: bool, plain: int
+) -> Found:
     from scipy.stats import binom
 
     least = LEAST_DARK if dark else LEAST_VIEWS
     if len(views) < least:
         what = "dark frames" if dark else "views"
-        hint = "" if dark else ": turn the camera between brackets, or take frames with the cap on (--dark)"
+        hint = (
+            ""
+            if dark
+            else ": turn the camera between brackets, or take frames with the cap on (--dark)"
+        )
         blank = f", {plain} frames without detail to tell views by" if plain else ""
-        raise NotEnoughDataError(f"bad pixels: {len(views)} different {what}{blank}, {least} are needed{hint}")
+        raise NotEnoughDataError(
+            f"bad pixels: {len(views)} different {what}{blank}, {least} are needed{hint}"
+        )
     count = np.zeros(views[0].shape, np.uint16)
     for view in views:
         count += view
     shares = np.array([view.sum() / pixels for view in views])
     need = max(least, int(np.ceil(0.75 * len(views))))
-    by_chance = [pixels * float(binom.sf(n - 1, len(views), shares.mean())) for n in range(len(views) + 1)]
+    by_chance = [
+        pixels * float(binom.sf(n - 1, len(views), shares.mean())) for n in range(len(views) + 1)
+    ]
     while by_chance[need] > _CHANCE and need < len(views):
         need += 1
     rows, columns = np.nonzero(count >= need)
     if by_chance[need] > _CHANCE:
         raise NotEnoughDataError(
-            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in a view, {by_chance[need]:.2g} would do "
+            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in a view, "
+            f"{by_chance[need]:.2g} would do "
             f"so in all {len(views)} by chance: take more views, or frames with the cap on (--dark)"
         )
     if len(rows) > MOST * pixels:
         raise NotEnoughDataError(
-            f"bad pixels: {len(rows)} found, more than {100 * MOST:g} % of the sensor: is the profile's gain or read "
+            f"bad pixels: {len(rows)} found, more than {100 * MOST:g} % of the sensor: is the "
+            f"profile's gain or read "
             "noise wrong, or did the camera not move?"
         )
     kind = "dark frames" if dark else "views"
-    line = f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; by chance {by_chance[need]:.2g}"
+    line = (
+        f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; by chance "
+        f"{by_chance[need]:.2g}"
+    )
     return Found(
-        tuple((int(x), int(y)) for y, x in zip(rows, columns, strict=True)), len(views), frames, by_chance[need], line
+        tuple((int(x), int(y)) for y, x in zip(rows, columns, strict=True)),
+        len(views),
+        frames,
+        by_chance[need],
+        line,
     )
 
 
@@ -115,7 +146,9 @@ def _frames_of(source: Path) -> list[Path]:
         return [source]
     skipped = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
     found = sorted(
-        p for p in source.iterdir() if p.is_file() and p.suffix.lower() not in skipped and not p.name.startswith(".")
+        p
+        for p in source.iterdir()
+        if p.is_file() and p.suffix.lower() not in skipped and not p.name.startswith(".")
     )
     if not found:
         raise InputError(source, "no frames in it", "a folder of raw frames of one view")
@@ -128,7 +161,12 @@ def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     mosaic, body = read_mosaic(path), profile.camera
     if mosaic.counts.shape != (body.height_px, body.width_px):
         found = f"{mosaic.counts.shape[1]} x {mosaic.counts.shape[0]} pixels"
-        raise InputError(path, found, f"{body.width_px} x {body.height_px}, as {body.name} says", "use its own profile")
+        raise InputError(
+            path,
+            found,
+            f"{body.width_px} x {body.height_px}, as {body.name} says",
+            "use its own profile",
+        )
     return mosaic
 
 
@@ -141,45 +179,63 @@ def _check_dark(path: Path, mosaic: Mosaic, profile: CameraProfile) -> None:
             raise InputError(path, f"{above:.0f} DN above black", "a dark frame", "put the cap on")
 
 
-def _planes(mosaic: Mosaic, profile: CameraProfile) -> list[tuple[NDArray[np.uint16], float, float, float]]:
+def _planes(
+    mosaic: Mosaic, profile: CameraProfile
+) -> list[tuple[NDArray[np.uint16], float, float, float]]:
     """Of R, G1, G2, B: counts, black, electrons a count, saturation."""
     sensor = profile.sensor
     black = sensor.black_dn if any(sensor.black_dn) else mosaic.black_dn
     gain = sensor.gain_e_per_dn * sensor.iso / mosaic.exposure.iso
     return [
         (np.ascontiguousarray(mosaic.counts[r::2, c::2]), b, gain, min(full, mosaic.white_dn))
-        for (r, c), b, full in zip(channel_positions(mosaic.cfa), black, sensor.saturation_dn, strict=True)
+        for (r, c), b, full in zip(
+            channel_positions(mosaic.cfa), black, sensor.saturation_dn, strict=True
+        )
     ]
 
 
 def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
-    """Pixels off the median of their nine of one colour by more than noise, a tenth of the light, and what these nine
-    differ by themselves; [h, w]. alone: not when three of their neighbours are like them, as at a corner of something.
+    """Pixels off the median of their nine of one colour by more than noise, a tenth of the light,
+    and what these nine differ by themselves; [h, w]. alone: not when three of their neighbours are
+    like them, as at a corner of something.
     """
     import cv2
 
     odd = np.zeros(mosaic.counts.shape, bool)
-    read_dn2 = (profile.sensor.read_noise_e / (profile.sensor.gain_e_per_dn * profile.sensor.iso)) ** 2
+    read_dn2 = (
+        profile.sensor.read_noise_e / (profile.sensor.gain_e_per_dn * profile.sensor.iso)
+    ) ** 2
     read_dn2 = read_dn2 * mosaic.exposure.iso**2 + 1 / 12
-    for (r, c), (plane, black, gain, full) in zip(channel_positions(mosaic.cfa), _planes(mosaic, profile), strict=True):
+    for (r, c), (plane, black, gain, full) in zip(
+        channel_positions(mosaic.cfa), _planes(mosaic, profile), strict=True
+    ):
         middle = np.asarray(cv2.medianBlur(plane, 3), np.uint16)
         off = cv2.absdiff(plane, middle)
         spread = cv2.medianBlur(off, 3).astype(np.float32)
         light = np.maximum(middle.astype(np.float32) - np.float32(black), 0)
-        margin = np.maximum(_SIGMA * np.sqrt(light / np.float32(gain) + np.float32(read_dn2)), _LEAST_REL * light)
+        margin = np.maximum(
+            _SIGMA * np.sqrt(light / np.float32(gain) + np.float32(read_dn2)), _LEAST_REL * light
+        )
         found = (off > np.maximum(margin, _SPREAD * spread)) & (middle < _FULL * full)
         odd[r::2, c::2] = _lonely(plane, middle, found) if alone else found
     return odd
 
 
 def _lonely(plane: NDArray[np.uint16], middle: NDArray[np.uint16], found: Mask) -> Mask:
-    """Those found that at most two of their eight neighbours are like: a line of defects, but no corner."""
+    """Those found that at most two of their eight neighbours are like: a line of defects, but no
+    corner.
+    """
     rows, columns = np.nonzero(found)
     own = plane[rows, columns].astype(np.int32) - middle[rows, columns]
     like = np.zeros(len(rows), np.int32)
     for down, across in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
-        y, x = (np.clip(v + d, 0, n - 1) for v, d, n in zip((rows, columns), (down, across), plane.shape, strict=True))
-        like += 2 * (plane[y, x].astype(np.int32) - middle[rows, columns]) * np.sign(own) > np.abs(own)
+        y, x = (
+            np.clip(v + d, 0, n - 1)
+            for v, d, n in zip((rows, columns), (down, across), plane.shape, strict=True)
+        )
+        like += 2 * (plane[y, x].astype(np.int32) - middle[rows, columns]) * np.sign(own) > np.abs(
+            own
+        )
     found[rows, columns] = like <= _LIKE
     return found
 
@@ -193,30 +249,44 @@ def _inside_lenses(profile: CameraProfile) -> Mask:
     return inside
 
 
-# ---------------------------------------------------------------------------------------------- which view
+# ----------------------------------------------------------------------------------------------
+# which view
 
 
 def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
-    """+1 and -1 where a block of one green is brighter or darker than its neighbours, else 0; 2 where one cannot tell:
-    outside, full, or too dark."""
+    """+1 and -1 where a block of one green is brighter or darker than its neighbours, else 0; 2
+    where one cannot tell: outside, full, or too dark.
+    """
     import cv2
 
     plane, black, gain, full = _planes(mosaic, profile)[1]
     r, c = channel_positions(mosaic.cfa)[1]
     size = plane.shape[1] // _BLOCK, plane.shape[0] // _BLOCK
-    clean = cv2.medianBlur(plane, 3).astype(np.float32)  # without single pixels: defects make no view
-    block = np.asarray(cv2.resize(clean, size, interpolation=cv2.INTER_AREA), np.float32) - np.float32(black)
+    clean = cv2.medianBlur(plane, 3).astype(
+        np.float32
+    )  # without single pixels: defects make no view
+    block = np.asarray(
+        cv2.resize(clean, size, interpolation=cv2.INTER_AREA), np.float32
+    ) - np.float32(black)
     inside = (area[r::2, c::2] & (plane < _FULL * full)).astype(np.float32)
     around = np.maximum(np.asarray(cv2.medianBlur(block, 5), np.float32), 0)
-    noise = _DETAIL[0] * np.sqrt(around / gain + (profile.sensor.read_noise_e / gain) ** 2 + 1) / _BLOCK
+    noise = (
+        _DETAIL[0] * np.sqrt(around / gain + (profile.sensor.read_noise_e / gain) ** 2 + 1) / _BLOCK
+    )
     step = block - around
-    detail = np.where(np.abs(step) > np.maximum(noise, _DETAIL[1] * around), np.sign(step), 0).astype(np.int8)
-    detail[(cv2.resize(inside, size, interpolation=cv2.INTER_AREA) < 0.99) | (noise > 0.2 * around)] = 2
+    detail = np.where(
+        np.abs(step) > np.maximum(noise, _DETAIL[1] * around), np.sign(step), 0
+    ).astype(np.int8)
+    detail[
+        (cv2.resize(inside, size, interpolation=cv2.INTER_AREA) < 0.99) | (noise > 0.2 * around)
+    ] = 2
     return detail
 
 
 def _alike(a: Detail, b: Detail) -> float | None:
-    """Share of the poorer frame's detail that the other shows likewise, where both can tell; None: too little."""
+    """Share of the poorer frame's detail that the other shows likewise, where both can tell;
+    None: too little.
+    """
     both = (a != 2) & (b != 2)
     x, y = a[both].astype(np.int32), b[both].astype(np.int32)
     least = min(np.count_nonzero(x), np.count_nonzero(y))
@@ -229,7 +299,9 @@ class _View:
     shown: list[tuple[Path, Detail]]
 
     def shows(self, source: Path, detail: Detail) -> bool:
-        """Frames of one folder that nothing compares (long and short) are taken for one view: better one too few."""
+        """Frames of one folder that nothing compares (long and short) are taken for one view:
+        better one too few.
+        """
         for other, known in self.shown:
             alike = _alike(detail, known)
             if other == source if alike is None else alike > _ALIKE:

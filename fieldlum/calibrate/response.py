@@ -29,7 +29,9 @@ TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """codes [places, frames, 3], 0 where a bracket has no such exposure; log_exposure [frames]; bracket [places]."""
+    """codes [places, frames, 3], 0 where a bracket has no such exposure; log_exposure [frames];
+    bracket [places].
+    """
 
     codes: NDArray[np.uint8]
     log_exposure: NDArray[np.float64]
@@ -45,7 +47,9 @@ class Fit:
 
 
 def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
-    """A folder is a bracket; files by themselves make one together. Raises InputError for what holds no JPEG."""
+    """A folder is a bracket; files by themselves make one together. Raises InputError for what
+    holds no JPEG.
+    """
     single = [path for path in paths if path.is_file()]
     found = [single] if single else []
     for folder in (path for path in paths if not path.is_file()):
@@ -56,8 +60,11 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     return found
 
 
-def sample(brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.random.Generator) -> Places:
-    """The same flat places of every frame of a bracket, spread over its brightnesses, pooled over the brackets.
+def sample(
+    brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.random.Generator
+) -> Places:
+    """The same flat places of every frame of a bracket, spread over its brightnesses, pooled over
+    the brackets.
 
     Raises InputError for a bracket of mixed apertures or fewer than three exposures.
     """
@@ -66,7 +73,9 @@ def sample(brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.r
         blocks, found = _blocks_of(paths, profile)
         log_e = [np.log(true_shutter_s(exposure, profile) * exposure.iso) for exposure in found]
         if len({round(e, 3) for e in log_e}) < 3:
-            raise InputError(paths[0].parent, f"{len(paths)} frames", "a bracket of at least three exposures")
+            raise InputError(
+                paths[0].parent, f"{len(paths)} frames", "a bracket of at least three exposures"
+            )
         exposures.append(np.array(log_e))
         parts.append(_flat_places(blocks, profile, rng, paths[0].parent))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
@@ -88,7 +97,9 @@ class _Blocks:
 
 
 def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, list[Exposure]]:
-    """At most BLOCKS blocks on a grid, so that memory does not grow with the sensor; a frame at a time."""
+    """At most BLOCKS blocks on a grid, so that memory does not grow with the sensor; a frame at
+    a time.
+    """
     codes, exposures, shape = [], [], (0, 0)
     y, x = np.zeros(0, int), np.zeros(0, int)
     for path in paths:
@@ -99,14 +110,18 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
             step = max(3, int(np.ceil(np.sqrt(shape[0] * shape[1] / BLOCKS))))
             y, x = (g.ravel() for g in np.mgrid[1 : shape[0] - 1 : step, 1 : shape[1] - 1 : step])
         elif frame.codes.shape[:2] != shape or frame.exposure.f_number != exposures[0].f_number:
-            raise InputError(path, "another size or aperture than before", "one bracket of one camera")
+            raise InputError(
+                path, "another size or aperture than before", "one bracket of one camera"
+            )
         around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
         codes.append(np.stack(around, axis=1))
         exposures.append(frame.exposure)
     return _Blocks(np.stack(codes), x + 0.5, y + 0.5), exposures
 
 
-def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator, bracket: Path) -> NDArray[np.uint8]:
+def _flat_places(
+    blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator, bracket: Path
+) -> NDArray[np.uint8]:
     """[places, frames, 3]: means of blocks without an edge in them, inside the lens circles."""
     codes = blocks.codes
     holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
@@ -117,8 +132,13 @@ def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generat
         inside |= np.hypot(blocks.x_px - x, blocks.y_px - y) < 0.95 * lens.radius_px
     flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & inside & (holds.sum(axis=0) >= 2))
     if len(flat) < 50:
-        found = f"{bracket}: {len(flat)} flat places in the lens's circle that two frames hold (codes {LOW} to {HIGH})"
-        raise NotEnoughDataError(f"{found}, at least 50: steps of at most 2 EV, of walls and sky rather than texture")
+        found = (
+            f"{bracket}: {len(flat)} flat places in the lens's circle that two frames hold "
+            f"(codes {LOW} to {HIGH})"
+        )
+        raise NotEnoughDataError(
+            f"{found}, at least 50: steps of at most 2 EV, of walls and sky rather than texture"
+        )
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2))
     brightness += rng.uniform(0, 1e-3, len(flat))
     chosen = flat[_spread(brightness, min(PLACES, len(flat)))]
@@ -126,8 +146,9 @@ def _flat_places(blocks: _Blocks, profile: CameraProfile, rng: np.random.Generat
 
 
 def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """At most `count` of `level` [n], half of them even over the levels (the few bright places are all that the short
-    frames see), the rest even over the places."""
+    """At most `count` of `level` [n], half of them even over the levels (the few bright places
+    are all that the short frames see), the rest even over the places.
+    """
     order = np.argsort(level)
     wanted = np.linspace(level.min(), level.max(), count // 2)
     even = np.minimum(np.searchsorted(level[order], wanted), len(level) - 1)
@@ -141,7 +162,9 @@ def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 def residuals(
     table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64], low: int = LOW
 ) -> NDArray[np.float64]:
-    """[places]: mean square of ln(z / exposure) about each place's own mean, over codes that count; NaN: under two."""
+    """[places]: mean square of ln(z / exposure) about each place's own mean, over codes that
+    count; NaN: under two.
+    """
     counts = (codes >= low) & (codes <= HIGH)
     light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
     n = counts.sum(axis=1)
@@ -151,29 +174,39 @@ def residuals(
 
 
 def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDArray[np.float64]]:
-    return [fit_response(places.codes[rows, :, c], places.log_exposure, smooth=smooth)[0] for c in range(3)]
+    return [
+        fit_response(places.codes[rows, :, c], places.log_exposure, smooth=smooth)[0]
+        for c in range(3)
+    ]
 
 
 def fit(places: Places) -> Fit:
     """Standard curves first, then monotone tables from stiff to supple; chosen on held-out places.
 
-    Whole brackets are held out where there are three or more, else every eighth of the places. Where the darkest codes
-    do not follow the light (a black level), low_code rises to the first that does.
+    Whole brackets are held out where there are three or more, else every eighth of the places.
+    Where the darkest codes do not follow the light (a black level), low_code rises to the first
+    that does.
     """
     low = max(LOW, *(dark_floor(places.codes[..., c], places.log_exposure) for c in range(3)))
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8
     simple = {"linear": response_table("linear"), "srgb": response_table("srgb")}
     candidates = [
-        Candidate(name, 0, _pooled(places, lambda rows, t=t: [t] * 3, groups, low)) for name, t in simple.items()
+        Candidate(name, 0, _pooled(places, lambda rows, t=t: [t] * 3, groups, low))
+        for name, t in simple.items()
     ]
     for size, smooth in enumerate(SMOOTH, start=1):
         errors = _pooled(places, lambda rows, s=smooth: _tables(places, rows, s), groups, low)
         candidates.append(Candidate(f"table of stiffness {smooth:g}", size, errors))
     choice = choose("response", candidates, "% of light", negligible=NEGLIGIBLE)
     if choice.index < len(simple):
-        response, tables = Response(kind=("linear", "srgb")[choice.index]), [list(simple.values())[choice.index]] * 3
+        response, tables = (
+            Response(kind=("linear", "srgb")[choice.index]),
+            [list(simple.values())[choice.index]] * 3,
+        )
     else:
-        tables = _tables(places, np.ones(len(places.codes), bool), SMOOTH[choice.index - len(simple)])
+        tables = _tables(
+            places, np.ones(len(places.codes), bool), SMOOTH[choice.index - len(simple)]
+        )
         red, green, blue = (tuple(round(float(z), 7) for z in t) for t in tables)
         response = Response("table", red, green, blue)
     rms = [
@@ -182,7 +215,10 @@ def fit(places: Places) -> Fit:
     ]
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
     if u > DOUBTFUL:
-        doubt = f"CAUTION: the same places differ by {100 * u:.0f} % between frames; did the camera or the light move?"
+        doubt = (
+            f"CAUTION: the same places differ by {100 * u:.0f} % between frames; did the "
+            f"camera or the light move?"
+        )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
     return Fit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)
 
@@ -191,18 +227,27 @@ def _with_u(response: Response, u: float, low: int) -> Response:
     return replace(response, low_code=low, high_code=HIGH, u_rel=round(max(u, 0.001), 5))
 
 
-def _pooled(places: Places, tables_of: TablesOf, groups: NDArray[np.integer], low: int) -> NDArray[np.float64]:
+def _pooled(
+    places: Places, tables_of: TablesOf, groups: NDArray[np.integer], low: int
+) -> NDArray[np.float64]:
     """Held-out squared errors, averaged over colours, of the places that two frames see."""
     errors = np.full(len(places.codes), np.nan)
     for held in folds(groups):
         tables = tables_of(~held)
-        by_colour = [residuals(t, places.codes[held, :, c], places.log_exposure, low) for c, t in enumerate(tables)]
+        by_colour = [
+            residuals(t, places.codes[held, :, c], places.log_exposure, low)
+            for c, t in enumerate(tables)
+        ]
         stacked = np.stack(by_colour)
         seen = np.isfinite(stacked)
         errors[held] = np.where(
-            seen.any(axis=0), np.where(seen, stacked, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1), np.nan
+            seen.any(axis=0),
+            np.where(seen, stacked, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1),
+            np.nan,
         )
     sound = errors[np.isfinite(errors)]
     if len(sound) < 20:
-        raise NotEnoughDataError(f"{len(sound)} places seen well by two frames are too few for a response")
+        raise NotEnoughDataError(
+            f"{len(sound)} places seen well by two frames are too few for a response"
+        )
     return sound

@@ -1,9 +1,10 @@
 """The shutter's true times, from the exposure ratios of many merged brackets.
 
-Each merged bracket says in its sidecar (panoramas/<slot>.json) by how much neighbouring frames still disagreed and how
-they were corrected: together, how much longer or shorter each frame was than assumed, against its neighbour. One
-bracket's figure also holds the light that changed meanwhile; the median over many does not, nor does what a line over
-the bracket's seconds takes out. Pictures tell ratios only: the profile's times, or the snapped ones, keep the level.
+Each merged bracket says in its sidecar (panoramas/<slot>.json) by how much neighbouring frames
+still disagreed and how they were corrected: together, how much longer or shorter each frame was
+than assumed, against its neighbour. One bracket's figure also holds the light that changed
+meanwhile; the median over many does not, nor does what a line over the bracket's seconds takes out.
+Pictures tell ratios only: the profile's times, or the snapped ones, keep the level.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ Pair = tuple[float, float]  # nominal times of the longer and the shorter frame 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """ln of true over assumed exposure of the shorter frame less that of the longer, its u, seconds between them."""
+    """ln of true over assumed exposure of the shorter frame less that of the longer, its u,
+    seconds between them.
+    """
 
     pair: Pair
     log_ratio: float
@@ -48,7 +51,9 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class PairTable:
-    """One pair over all brackets: median, spread beyond its noise, standard error (all logarithms), seconds between."""
+    """One pair over all brackets: median, spread beyond its noise, standard error (all
+    logarithms), seconds between.
+    """
 
     pair: Pair
     median: float
@@ -60,7 +65,9 @@ class PairTable:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """times replace the profile's of the same nominal value; assumed_s and brackets (that show it) of each."""
+    """times replace the profile's of the same nominal value; assumed_s and brackets (that show
+    it) of each.
+    """
 
     times: tuple[ShutterTime, ...]
     assumed_s: tuple[float, ...]
@@ -69,10 +76,13 @@ class Fit:
     line: str
 
 
-# ---------------------------------------------------------------------------------------------- readings
+# ----------------------------------------------------------------------------------------------
+# readings
 
 
-def from_session(session: Session, profile_sha256: str) -> tuple[list[list[Reading]], tuple[Path, ...]]:
+def from_session(
+    session: Session, profile_sha256: str
+) -> tuple[list[list[Reading]], tuple[Path, ...]]:
     """Readings of every bracket that was merged with this very profile, and their sidecars.
 
     Raises NotEnoughDataError when there is none; InputError when another profile merged them.
@@ -91,14 +101,23 @@ def from_session(session: Session, profile_sha256: str) -> tuple[list[list[Readi
             files.append(path)
     if not brackets and others:
         found = f"{others} panoramas merged with another profile"
-        raise InputError(session.panoramas, found, "the profile that merged them", "merge again, or name that profile")
+        raise InputError(
+            session.panoramas,
+            found,
+            "the profile that merged them",
+            "merge again, or name that profile",
+        )
     if not brackets:
-        raise NotEnoughDataError(f"{session.panoramas}: no merged bracket with overlapping frames, merge some first")
+        raise NotEnoughDataError(
+            f"{session.panoramas}: no merged bracket with overlapping frames, merge some first"
+        )
     return brackets, tuple(files)
 
 
 def readings_of(quality: dict[str, Any]) -> list[Reading]:
-    """Of one bracket, without frames through a filter and pairs of two ISOs: these have errors of their own."""
+    """Of one bracket, without frames through a filter and pairs of two ISOs: these have errors
+    of their own.
+    """
     headings: list[list[dict[str, Any]]] = []
     for frame in quality["frames"]:
         if not headings or headings[-1][0]["heading_deg"] != frame["heading_deg"]:
@@ -111,15 +130,24 @@ def readings_of(quality: dict[str, Any]) -> list[Reading]:
         runs[-1].append(neighbour)
     if len(runs) != len(headings):
         return []  # a heading without overlap: whose pairs these are cannot be told
-    found = [_reading(frames[n["long"]], frames[n["short"]], n) for frames, run in zip(headings, runs, strict=True)
-             for n in run]  # fmt: skip
+    found = [
+        _reading(frames[n["long"]], frames[n["short"]], n)
+        for frames, run in zip(headings, runs, strict=True)
+        for n in run
+    ]
     return [r for r in found if r is not None and r.u_log < _NOISY]
 
 
-def _reading(long: dict[str, Any], short: dict[str, Any], neighbour: dict[str, Any]) -> Reading | None:
+def _reading(
+    long: dict[str, Any], short: dict[str, Any], neighbour: dict[str, Any]
+) -> Reading | None:
     exposures = parse_exposure(long["exposure"]), parse_exposure(short["exposure"])
     a, b = (e.shutter_s for e in exposures)
-    if any(e.nd for e in exposures) or abs(b / a - 1) < _SAME or exposures[0].iso != exposures[1].iso:
+    if (
+        any(e.nd for e in exposures)
+        or abs(b / a - 1) < _SAME
+        or exposures[0].iso != exposures[1].iso
+    ):
         return None
     corrected = math.log(short["correction"]) - math.log(long["correction"])
     log_ratio, u_log = neighbour["residual_percent"] / 100 + corrected, neighbour["u_percent"] / 100
@@ -134,7 +162,9 @@ def _reading(long: dict[str, Any], short: dict[str, Any], neighbour: dict[str, A
 
 
 def pool(brackets: Sequence[Sequence[Reading]], drift: bool = True) -> dict[Pair, PairTable]:
-    """Every pair's median over brackets, before and then after each bracket's own change of light is taken off."""
+    """Every pair's median over brackets, before and then after each bracket's own change of
+    light is taken off.
+    """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
     for bracket in brackets:
@@ -156,7 +186,9 @@ def _pair_table(pair: Pair, values: NDArray[np.float64]) -> PairTable:
 
 
 def _drift_per_s(bracket: Sequence[Reading], pooled: dict[Pair, PairTable]) -> float:
-    """Relative change of the light a second, by what the pooled pairs leave of one bracket; 0 where it cannot tell."""
+    """Relative change of the light a second, by what the pooled pairs leave of one bracket; 0
+    where it cannot tell.
+    """
     rows = [(r.seconds, r.log_ratio - pooled[r.pair].median, r.u_log) for r in bracket if r.seconds]
     if len(rows) < 3:
         return 0.0
@@ -166,7 +198,9 @@ def _drift_per_s(bracket: Sequence[Reading], pooled: dict[Pair, PairTable]) -> f
 
 
 def _drift_error(brackets: Sequence[Sequence[Reading]]) -> float:
-    """Standard error of the brackets' common drift, which nothing tells from a shutter's habit. [1/s]"""
+    """Standard error of the brackets' common drift, which nothing tells from a shutter's habit.
+    [1/s]
+    """
     pooled = pool(brackets, drift=False)
     rates = np.array([_drift_per_s(bracket, pooled) for bracket in brackets])
     spread = 1.4826 * float(np.median(np.abs(rates - np.median(rates))))
@@ -176,24 +210,36 @@ def _drift_error(brackets: Sequence[Sequence[Reading]]) -> float:
 def fit(brackets: Sequence[Sequence[Reading]], profile: CameraProfile) -> Fit:
     """True times of the largest chain of settings that enough brackets show alike.
 
-    Raises NotEnoughDataError when brackets are too few, disagree, or tell no better than the times that are assumed.
+    Raises NotEnoughDataError when brackets are too few, disagree, or tell no better than the times
+    that are assumed.
     """
     if profile.camera.kind != "raw":
         found = "a JPEG camera: a response curve and exposure ratios cannot both be free"
         raise InputError(profile.camera.name, found, "raw frames", "its snapped times stay")
     pooled = pool(brackets)
     left_out = [_why(t) for t in pooled.values() if t.brackets < LEAST or t.spread > WIDEST]
-    chain = _largest_chain([t for t in pooled.values() if t.brackets >= LEAST and t.spread <= WIDEST])
+    chain = _largest_chain(
+        [t for t in pooled.values() if t.brackets >= LEAST and t.spread <= WIDEST]
+    )
     if not chain:
         why = "; ".join(left_out) or "no pairs"
-        raise NotEnoughDataError(f"shutter: no two times are shown alike by {LEAST} brackets or more: {why}")
+        raise NotEnoughDataError(
+            f"shutter: no two times are shown alike by {LEAST} brackets or more: {why}"
+        )
     held = _held_out(brackets, {t.pair for t in chain})
-    choice = choose("shutter", [Candidate("times as assumed", 0, held[0]), Candidate("table", len(chain), held[1])])
+    choice = choose(
+        "shutter",
+        [Candidate("times as assumed", 0, held[0]), Candidate("table", len(chain), held[1])],
+    )
     if choice.index == 0:
-        raise NotEnoughDataError(f"no table is better than the times that the profile assumes: {choice.line}")
+        raise NotEnoughDataError(
+            f"no table is better than the times that the profile assumes: {choice.line}"
+        )
     nominal = sorted({time for t in chain for time in t.pair}, reverse=True)
     assumed = [assumed_s(time, profile) for time in nominal]
-    delta, u = _levelled(chain, nominal, np.array([known_u for _, known_u in assumed]), _drift_error(brackets))
+    delta, u = _levelled(
+        chain, nominal, np.array([known_u for _, known_u in assumed]), _drift_error(brackets)
+    )
     times, counts = [], []
     for number, time in enumerate(nominal):
         mine = [t for t in chain if time in t.pair]
@@ -201,7 +247,13 @@ def fit(brackets: Sequence[Sequence[Reading]], profile: CameraProfile) -> Fit:
         true_s = assumed[number][0] * float(np.exp(delta[number]))
         times.append(ShutterTime(time, float(f"{true_s:.7g}"), round(max(u_rel, _FLOOR), 6)))
         counts.append(max(t.brackets for t in mine))
-    return Fit(tuple(times), tuple(known_s for known_s, _ in assumed), tuple(counts), tuple(left_out), choice.line)
+    return Fit(
+        tuple(times),
+        tuple(known_s for known_s, _ in assumed),
+        tuple(counts),
+        tuple(left_out),
+        choice.line,
+    )
 
 
 def _why(table: PairTable) -> str:
@@ -216,12 +268,16 @@ def _largest_chain(tables: Sequence[PairTable]) -> list[PairTable]:
     chains: list[list[PairTable]] = []
     for table in tables:
         touching = [c for c in chains if any(set(table.pair) & set(t.pair) for t in c)]
-        chains = [c for c in chains if c not in touching] + [[table, *(t for c in touching for t in c)]]
+        chains = [c for c in chains if c not in touching] + [
+            [table, *(t for c in touching for t in c)]
+        ]
     return max(chains, key=lambda c: len({time for t in c for time in t.pair}), default=[])
 
 
 def _held_out(brackets: Sequence[Sequence[Reading]], pairs: set[Pair]) -> NDArray[np.float64]:
-    """Squared errors [2, n] of the ratios of brackets held out: as assumed, and by the table of the other brackets."""
+    """Squared errors [2, n] of the ratios of brackets held out: as assumed, and by the table of
+    the other brackets.
+    """
     errors = []
     for out in folds(np.arange(len(brackets))):
         known = pool([b for b, hidden in zip(brackets, out, strict=True) if not hidden])
@@ -232,7 +288,9 @@ def _held_out(brackets: Sequence[Sequence[Reading]], pairs: set[Pair]) -> NDArra
 
 
 def assumed_s(nominal_s: float, profile: CameraProfile) -> tuple[float, float]:
-    """What a merge assumes for a setting, and its relative u: the profile's time, else the snapped one."""
+    """What a merge assumes for a setting, and its relative u: the profile's time, else the
+    snapped one.
+    """
     for known in profile.shutter:
         if abs(known.nominal_s / nominal_s - 1) < _SAME:
             return known.true_s, known.u_rel
@@ -241,12 +299,18 @@ def assumed_s(nominal_s: float, profile: CameraProfile) -> tuple[float, float]:
 
 
 def _levelled(
-    chain: Sequence[PairTable], nominal: Sequence[float], u_prior: NDArray[np.float64], u_drift_per_s: float
+    chain: Sequence[PairTable],
+    nominal: Sequence[float],
+    u_prior: NDArray[np.float64],
+    u_drift_per_s: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """ln of true over assumed time, [n], and its u against the level of all, which is part of k."""
     design = np.zeros((len(chain), len(nominal)))
     for row, table in enumerate(chain):
-        design[row, nominal.index(table.pair[0])], design[row, nominal.index(table.pair[1])] = -1.0, 1.0
+        design[row, nominal.index(table.pair[0])], design[row, nominal.index(table.pair[1])] = (
+            -1.0,
+            1.0,
+        )
     weight = 1.0 / np.array([t.error for t in chain]) ** 2
     normal = design.T @ (weight[:, None] * design) + np.diag(u_prior**-2.0)
     known = np.array([(t.median, t.seconds) for t in chain])
@@ -254,10 +318,16 @@ def _levelled(
     share = u_prior**-2.0 / (u_prior**-2.0).sum()
     free = np.eye(len(nominal)) - share
     covariance = free @ np.linalg.inv(normal) @ free.T
-    return np.asarray(delta, np.float64), np.sqrt(np.diag(covariance) + (u_drift_per_s * (free @ seconds)) ** 2)
+    return np.asarray(delta, np.float64), np.sqrt(
+        np.diag(covariance) + (u_drift_per_s * (free @ seconds)) ** 2
+    )
 
 
 def with_times(profile: CameraProfile, found: Fit) -> tuple[ShutterTime, ...]:
     """The profile's table with the fitted times in place of the old ones; longest first."""
-    kept = [s for s in profile.shutter if not any(abs(s.nominal_s / t.nominal_s - 1) < _SAME for t in found.times)]
+    kept = [
+        s
+        for s in profile.shutter
+        if not any(abs(s.nominal_s / t.nominal_s - 1) < _SAME for t in found.times)
+    ]
     return tuple(sorted((*kept, *found.times), key=lambda t: -t.nominal_s))

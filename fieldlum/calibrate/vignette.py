@@ -1,4 +1,6 @@
-"""Vignetting: an even polynomial that only ever falls towards the edge, no larger than the readings ask for."""
+"""Vignetting: an even polynomial that only ever falls towards the edge, no larger than the
+readings ask for.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ Array = NDArray[Any]
 ORDERS = (0, 2, 4, 6, 8)
 BINS = 60
 LEAST = 5
-FAR_SIGMA, FAR = 5.0, 0.03  # a reading further off than both, alone among those beside it, is a slip
+FAR_SIGMA, FAR = (
+    5.0,
+    0.03,
+)  # a reading further off than both, alone among those beside it, is a slip
 BESIDE, SAME = 0.12, 0.02  # of the half angle
 BEYOND = 1.02  # of the half angle: no reading lies further out
 RISING = 0.03  # a plain parabola that rises by more than this to the edge is a wrong sign
@@ -30,8 +35,9 @@ RISING = 0.03  # a plain parabola that rises by more than this to the edge is a 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Readings [n]: angle over half the full angle, value in any unit, relative uncertainty, and what may be held out
-    together (the same angle)."""
+    """Readings [n]: angle over half the full angle, value in any unit, relative uncertainty, and
+    what may be held out together (the same angle).
+    """
 
     r: Array
     value: Array
@@ -50,14 +56,15 @@ class Fit:
     choice: Choice
 
 
-# ---------------------------------------------------------------------------------------------- readings
+# ----------------------------------------------------------------------------------------------
+# readings
 
 
 def from_table(path: Path, profile: CameraProfile) -> Samples:
     """Readings from a csv: angle_deg, value; or file, x_px, y_px of one patch seen at many angles.
 
-    Optional: radius_px of the patch (12), reference (a meter's reading at that time, to take out a drifting lamp),
-    u_rel, f_number.
+    Optional: radius_px of the patch (12), reference (a meter's reading at that time, to take out a
+    drifting lamp), u_rel, f_number.
     """
     if "angle_deg" in columns_of(path):
         rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
@@ -65,8 +72,15 @@ def from_table(path: Path, profile: CameraProfile) -> Samples:
         r = np.array([abs(needed(row, "angle_deg", path)) / half for row in rows])
         if r.max() > BEYOND:
             found = f"angle_deg up to {half * r.max():g}"
-            raise InputError(path, found, f"at most {half:g}", "angles from the optical axis, or mend full_angle_deg")
-        value = np.array([needed(row, "value", path) / (row.get("reference") or 1.0) for row in rows])
+            raise InputError(
+                path,
+                found,
+                f"at most {half:g}",
+                "angles from the optical axis, or mend full_angle_deg",
+            )
+        value = np.array(
+            [needed(row, "value", path) / (row.get("reference") or 1.0) for row in rows]
+        )
         u = np.array([row.get("u_rel") or 0.005 for row in rows])
         return Samples(r, value, u, rows[0].get("f_number") or profile.bracket.f_number, 0, (path,))
     rows = read_table(path, ("file", "x_px", "y_px"), ("radius_px", "reference"))
@@ -86,8 +100,17 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
         u.append(float(np.hypot(patch.u_rel, 0.002)))
         f_numbers.add(frame.exposure.f_number)
     if len(f_numbers) > 1:
-        raise InputError(path, f"apertures {sorted(f_numbers)}", "one aperture a fit", "make one table for each")
-    return Samples(np.array(r), np.array(value), np.array(u), f_numbers.pop(), lens, tuple(row["file"] for row in rows))
+        raise InputError(
+            path, f"apertures {sorted(f_numbers)}", "one aperture a fit", "make one table for each"
+        )
+    return Samples(
+        np.array(r),
+        np.array(value),
+        np.array(u),
+        f_numbers.pop(),
+        lens,
+        tuple(row["file"] for row in rows),
+    )
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
@@ -106,7 +129,9 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         raise InputError(paths[0], f"apertures {sorted(f_numbers)}", "one aperture a fit")
     if not rings:
         raise InputError(
-            paths[0], "nothing that is neither full nor dark", "a frame exposed to the middle of its range"
+            paths[0],
+            "nothing that is neither full nor dark",
+            "a frame exposed to the middle of its range",
         )
     found = np.array(rings)
     return Samples(found[:, 0], found[:, 1], found[:, 2], f_numbers.pop(), lens, tuple(paths))
@@ -118,9 +143,13 @@ def _rings(r: Array, value: Array, good: NDArray[np.bool_]) -> list[tuple[float,
     for number in range(BINS):
         inside = value[good & (ring == number)]
         if len(inside) >= 20:
-            spread = 1.4826 * float(np.median(np.abs(inside - np.median(inside)))) / np.sqrt(len(inside))
+            spread = (
+                1.4826 * float(np.median(np.abs(inside - np.median(inside)))) / np.sqrt(len(inside))
+            )
             middle = float(np.median(inside))
-            found.append(((number + 0.5) / BINS, middle, float(np.hypot(1.25 * spread / middle, 0.001))))
+            found.append(
+                ((number + 0.5) / BINS, middle, float(np.hypot(1.25 * spread / middle, 0.001)))
+            )
     return found
 
 
@@ -141,7 +170,10 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
     if order == 0:
         return theta * scale
     grid = np.linspace(0.02, 1.0, 50)
-    slope = np.stack([power * grid ** (power - 1) if power else 0 * grid for power in range(0, order + 1, 2)], axis=1)
+    slope = np.stack(
+        [power * grid ** (power - 1) if power else 0 * grid for power in range(0, order + 1, 2)],
+        axis=1,
+    )
     if (slope @ theta).max() > 1e-9:
         hessian, gradient = a.T @ a, a.T @ b
         size = float(np.trace(hessian))
@@ -158,15 +190,20 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
 
 
 def fit(samples: Samples) -> Fit:
-    """Raises NotEnoughDataError under five readings, InputError for a curve that rises towards the edge."""
+    """Raises NotEnoughDataError under five readings, InputError for a curve that rises towards
+    the edge.
+    """
     r, value, u = samples.r, samples.value, samples.u_rel
     if len(r) < LEAST or r.max() < 0.5:
         raise NotEnoughDataError(
-            f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle are too "
+            f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the "
+            f"half angle are too "
             f"few: take at least {LEAST}, from the axis to the edge (angles in degrees)"
         )
     if not (np.isfinite(value).all() and (value > 0).all()):
-        raise InputError(samples.frames[0], "readings that are not positive", "linear values above zero")
+        raise InputError(
+            samples.frames[0], "readings that are not positive", "linear values above zero"
+        )
     near = ~_slips(samples)
     left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in r[~near])
     r, value, u = r[near], value[near], u[near]
@@ -174,7 +211,8 @@ def fit(samples: Samples) -> Fit:
     groups = np.unique(np.round(r, 3), return_inverse=True)[1]
     orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
     candidates = [
-        Candidate(f"order {o}" if o else "no loss", o // 2, _held_out(r, value, u, groups, o)) for o in orders
+        Candidate(f"order {o}" if o else "no loss", o // 2, _held_out(r, value, u, groups, o))
+        for o in orders
     ]
     choice = choose(f"vignetting f/{samples.f_number:g}", candidates)
     theta = _falling(r, value, u, orders[choice.index])
@@ -183,7 +221,9 @@ def fit(samples: Samples) -> Fit:
     coefficients[::2] = even.tolist()
     residual = samples.value / (theta[0] * vignetting_at(tuple(coefficients), samples.r)) - 1.0
     if left_out:
-        choice = replace(choice, line=f"{choice.line}; left out, far from those beside them: {left_out}")
+        choice = replace(
+            choice, line=f"{choice.line}; left out, far from those beside them: {left_out}"
+        )
     wrong = check_vignetting(tuple(coefficients))
     if wrong:
         raise InputError(samples.frames[0], wrong, "a loss towards the edge")
@@ -192,9 +232,11 @@ def fit(samples: Samples) -> Fit:
 
 
 def _slips(samples: Samples) -> NDArray[np.bool_]:
-    """Readings that those beside them contradict (a shadow, a lamp that blinked, a clipped frame). [n]
+    """Readings that those beside them contradict (a shadow, a lamp that blinked, a clipped frame).
+    [n]
 
-    Only where readings beside it lie near the curve: a steep rim, where several lie off it together, is none.
+    Only where readings beside it lie near the curve: a steep rim, where several lie off it
+    together, is none.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     order, nearby = (4 if len(r) < 12 else 6), np.abs(r[:, None] - r) < 2 * BESIDE
@@ -208,7 +250,9 @@ def _slips(samples: Samples) -> NDArray[np.bool_]:
     for i in np.flatnonzero(slips):
         away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))
         twins = off[away < SAME]
-        judged = twins if len(twins) else off[away < BESIDE]  # at one radius, else on both sides of it
+        judged = (
+            twins if len(twins) else off[away < BESIDE]
+        )  # at one radius, else on both sides of it
         between = len(twins) > 0 or r[i] < r.max()
         slips[i] = len(judged) > 0 and between and np.median(np.abs(judged)) < limit / 2
     return slips if slips.mean() < 0.25 else np.zeros(len(r), bool)
@@ -223,18 +267,24 @@ def _held_out(r: Array, value: Array, u: Array, groups: NDArray[np.integer], ord
 
 
 def _refuse_rising(samples: Samples) -> None:
-    """The classic wrong sign: the correction in place of the loss, which would darken where it should brighten."""
+    """The classic wrong sign: the correction in place of the loss, which would darken where it
+    should brighten.
+    """
     a = _design(samples.r, 2) / (samples.u_rel * samples.value)[:, None]
     theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
     rise = float(theta[1] / theta[0])
     if rise > RISING:
         found = f"values that rise by {100 * rise:.0f} % from the axis to the edge"
-        remedy = "give readings, not correction factors, of one patch that is lit alike in all frames"
+        remedy = (
+            "give readings, not correction factors, of one patch that is lit alike in all frames"
+        )
         raise InputError(samples.frames[0], found, "a loss towards the edge", remedy)
 
 
 def with_curve(lens: Lens, f_number: float, found: Fit) -> Lens:
     """The lens with this aperture's curve in place of an older one."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
-    curve = Vignetting(f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5))
+    curve = Vignetting(
+        f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5)
+    )
     return replace(lens, vignetting=tuple(sorted((*others, curve), key=lambda v: v.f_number)))

@@ -41,7 +41,9 @@ from fieldlum.session import (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What an import did. left_out, notes: a sentence each, of what was left and of what was taken with a doubt."""
+    """What an import did. left_out, notes: a sentence each, of what was left and of what was
+    taken with a doubt.
+    """
 
     brackets: int = 0
     frames: int = 0
@@ -51,9 +53,13 @@ class Report:
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     rows: int = 0
-    withdrawn: int = 0  # rows of the logger's file that it brought before with another clock or other columns
+    withdrawn: int = (
+        0  # rows of the logger's file that it brought before with another clock or other columns
+    )
     slots: tuple[str, ...] = ()
-    moved: tuple[str, ...] = ()  # slots that this card's brackets were taken out of: another clock before
+    moved: tuple[
+        str, ...
+    ] = ()  # slots that this card's brackets were taken out of: another clock before
 
 
 def run(
@@ -65,28 +71,40 @@ def run(
     columns: Mapping[str, str] | None = None,
     progress: Progress = quiet,
 ) -> Report:
-    """Copy what matches the plan into raw/ and the journal; add a logger's rows to the day files. Can be run again.
+    """Copy what matches the plan into raw/ and the journal; add a logger's rows to the day files.
+    Can be run again.
 
-    utc_offset_s: what the clocks of camera and logger show minus UTC; None: the camera's is fitted to the plan.
-    columns: quantity to the logger's name for it, where that is an unusual one.
-    Raises InputError for a folder without frames or an ambiguous clock, NotEnoughDataError when nothing matched. Card
-    and file are never changed.
+    utc_offset_s: what the clocks of camera and logger show minus UTC; None: the camera's is fitted
+    to the plan. columns: quantity to the logger's name for it, where that is an unusual one. Raises
+    InputError for a folder without frames or an ambiguous clock, NotEnoughDataError when nothing
+    matched. Card and file are never changed.
     """
     with sole_user(session, "capture"):
-        report = Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
+        report = (
+            Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
+        )
         if logger is None:
             return report
         found = adopt_rows(session, logger, utc_offset_s, columns)
-        return replace(report, rows=found.rows, withdrawn=found.withdrawn, left_out=(*report.left_out, *found.left_out))
+        return replace(
+            report,
+            rows=found.rows,
+            withdrawn=found.withdrawn,
+            left_out=(*report.left_out, *found.left_out),
+        )
 
 
-def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, progress: Progress) -> Report:
+def _adopt_card(
+    session: Session, folder: Path, utc_offset_s: float | None, progress: Progress
+) -> Report:
     setup, slots = session.site_file(), session.slots()
     files, others = card_files(folder)
     frames, unread = read_card(files, progress)
     frames, strangers = of_the_session(frames, setup)
     frames, copies = without_copies(frames)
-    groups = group_frames(frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings)))
+    groups = group_frames(
+        frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings))
+    )
     left_out = [*strangers, *copies, *unread, *others]
     if not groups:
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}")
@@ -97,7 +115,9 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
     for part in _parts(groups, slots, utc_offset_s):
         try:
             offset = clock_offset(part, slots, setup, utc_offset_s)
-        except InputError as error:  # of this campaign alone: a date that was lost with the battery, another plan's
+        except (
+            InputError
+        ) as error:  # of this campaign alone: a date that was lost with the battery, another plan's
             refused.append(error)
             whose = f"{_range(part[0])} and {len(part) - 1} brackets after it"
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
@@ -105,13 +125,18 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
         found, unmatched = match_groups(part, slots, offset)
         clocks.append((part, offset))
         matched += [(match, offset) for match in found]
-        left_out += [f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})" for u in unmatched]
+        left_out += [
+            f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})"
+            for u in unmatched
+        ]
         if said := doubt(part, slots, offset):
             notes.append(said)
     if refused and not matched:
         raise refused[0]
     if not matched:
-        raise NotEnoughDataError(f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}")
+        raise NotEnoughDataError(
+            f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}"
+        )
     notes += clock_steps(clocks)
     offsets = [offset for _, offset in clocks]
     matched, doubles = _one_a_slot(matched)
@@ -119,27 +144,45 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None, prog
     notes += [text for match, _ in matched if (text := _lacking_text(match, setup.camera))]
     new, moved = _adopt_all(session, setup.camera, matched, progress)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
-    update_session(session, {"imported": {**session.table().get("imported", {}), _text(folder): about}})
+    update_session(
+        session, {"imported": {**session.table().get("imported", {}), _text(folder): about}}
+    )
     return Report(
-        len(new), sum(len(m.group.frames) for m in new), len(matched) - len(new), tuple(offsets),
-        tuple(m.late_s for m, _ in matched), tuple(left_out), tuple(notes),
-        slots=tuple(m.slot.id for m in new), moved=moved,
-    )  # fmt: skip
+        len(new),
+        sum(len(m.group.frames) for m in new),
+        len(matched) - len(new),
+        tuple(offsets),
+        tuple(m.late_s for m, _ in matched),
+        tuple(left_out),
+        tuple(notes),
+        slots=tuple(m.slot.id for m in new),
+        moved=moved,
+    )
 
 
-def _parts(groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None) -> list[list[Group]]:
+def _parts(
+    groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None
+) -> list[list[Group]]:
     """Brackets under one setting of the camera's clock each."""
     parts = campaigns(groups)
     if utc_offset_s is not None or not slots:
         return parts
-    return [piece for part in parts for piece in ([part] if tells_utc(part) else clock_parts(part, slots))]
+    return [
+        piece
+        for part in parts
+        for piece in ([part] if tells_utc(part) else clock_parts(part, slots))
+    ]
 
 
-def _one_a_slot(matched: Sequence[tuple[Match, Offset]]) -> tuple[list[tuple[Match, Offset]], list[str]]:
+def _one_a_slot(
+    matched: Sequence[tuple[Match, Offset]],
+) -> tuple[list[tuple[Match, Offset]], list[str]]:
     """Of brackets with several clocks that claim one slot the best; a line for each other."""
     best: dict[str, tuple[Match, Offset]] = {}
     said: list[str] = []
-    for match, offset in sorted(matched, key=lambda one: (-fits(one[0].group, one[0].slot), abs(one[0].late_s))):
+    for match, offset in sorted(
+        matched, key=lambda one: (-fits(one[0].group, one[0].slot), abs(one[0].late_s))
+    ):
         if match.slot.id in best:
             said.append(f"{_range(match.group)}: another bracket fits {match.slot.id} better")
         else:
@@ -151,7 +194,9 @@ def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
     """The slot's exposures, at every heading, that a bracket does not hold."""
     left, missing = [frame.exposure for frame in group.frames], []
     for shot in shots(slot.exposures, setup):
-        found = next((i for i, exposure in enumerate(left) if same_exposure(exposure, shot.exposure)), None)
+        found = next(
+            (i for i, exposure in enumerate(left) if same_exposure(exposure, shot.exposure)), None
+        )
         if found is None:
             missing.append(shot.exposure)
         else:
@@ -160,22 +205,39 @@ def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
 
 
 def _lacking_text(match: Match, setup: CameraSetup) -> str:
-    """A line for a bracket that is not whole; where a filter's frame and its twin cannot be told apart, that too."""
+    """A line for a bracket that is not whole; where a filter's frame and its twin cannot be told
+    apart, that too.
+    """
     missing = lacking(match.group, match.slot, setup)
     if not missing:
         return ""
     there = [frame.exposure for frame in match.group.frames]
-    twins = [e for e in missing if any(same_exposure(e, f) for f in there) and any(
-        e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)]  # fmt: skip
-    unsure = f"; those of {shutter_text(twins[0].shutter_s)} s are taken for the ones without filter" if twins else ""
+    twins = [
+        e
+        for e in missing
+        if any(same_exposure(e, f) for f in there)
+        and any(e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)
+    ]
+    unsure = (
+        f"; those of {shutter_text(twins[0].shutter_s)} s are taken for the ones without filter"
+        if twins
+        else ""
+    )
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
-    return f"{_range(match.group)}: lacks {len(missing)} of {match.slot.id}'s frames: {shown}{unsure}"
+    return (
+        f"{_range(match.group)}: lacks {len(missing)} of {match.slot.id}'s frames: {shown}{unsure}"
+    )
 
 
 def _adopt_all(
-    session: Session, setup: CameraSetup, matched: Sequence[tuple[Match, Offset]], progress: Progress
+    session: Session,
+    setup: CameraSetup,
+    matched: Sequence[tuple[Match, Offset]],
+    progress: Progress,
 ) -> tuple[list[Match], tuple[str, ...]]:
-    """Everything that the journal does not call done; returns what was new, and the slots that were wrong before."""
+    """Everything that the journal does not call done; returns what was new, and the slots that
+    were wrong before.
+    """
     journal = Journal(session)
     new: list[Match] = []
     try:
@@ -201,7 +263,9 @@ def _text(path: Path) -> str:
     return str(path).encode("utf-8", "replace").decode()
 
 
-def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match, offset: Offset) -> None:
+def _adopt(
+    session: Session, setup: CameraSetup, journal: Journal, match: Match, offset: Offset
+) -> None:
     """One bracket: frames copied whole, then journalled like captured ones."""
     slot, folder = match.slot, session.raw / match.slot.id
     now = datetime.now(UTC)
@@ -213,9 +277,13 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match,
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)
         frame = Frame(
-            index, name, *meant(match.group, index, slot, setup), true_time(card.t_camera, offset),
-            card.exposure.shutter_s, sha256(folder / name),
-        )  # fmt: skip
+            index,
+            name,
+            *meant(match.group, index, slot, setup),
+            true_time(card.t_camera, offset),
+            card.exposure.shutter_s,
+            sha256(folder / name),
+        )
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))
@@ -223,14 +291,19 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match,
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")
 
 
-def meant(group: Group, index: int, slot: Slot, setup: CameraSetup) -> tuple[Exposure, float | None]:
-    """The plan's exposure and heading that a frame is; neither filter nor heading is in EXIF, but their order is kept.
+def meant(
+    group: Group, index: int, slot: Slot, setup: CameraSetup
+) -> tuple[Exposure, float | None]:
+    """The plan's exposure and heading that a frame is; neither filter nor heading is in EXIF, but
+    their order is kept.
 
     A frame that is not the plan's stays as EXIF has it.
     """
     exposure = group.frames[index].exposure
     before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])
-    alike = [shot for shot in shots(slot.exposures, setup) if same_exposure(shot.exposure, exposure)]
+    alike = [
+        shot for shot in shots(slot.exposures, setup) if same_exposure(shot.exposure, exposure)
+    ]
     if not alike:
         return exposure, setup.headings[0] if setup.headings else None
     shot = alike[min(before, len(alike) - 1)]

@@ -1,4 +1,6 @@
-"""One bracket: its frames on disk as the camera gave them, checked at once, acknowledged one by one."""
+"""One bracket: its frames on disk as the camera gave them, checked at once, acknowledged one by
+one.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[Shot, ...]
 
 @dataclass(slots=True)
 class Bracket:
-    """Takes the frames of one slot. `between` runs after each frame (log a sample, refresh the display)."""
+    """Takes the frames of one slot. `between` runs after each frame (log a sample, refresh the
+    display).
+    """
 
     session: Session
     setup: CameraSetup
@@ -65,7 +69,9 @@ class Bracket:
     frame_bytes: int = 0  # of the largest frame yet
 
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
-        """Go on from `state` until done; after a failure try again while a new start is still in the slot's window."""
+        """Go on from `state` until done; after a failure try again while a new start is still in
+        the slot's window.
+        """
         folder = self.session.raw / slot.id
         wanted = shots(slot.exposures, self.setup)
         _sweep(folder)
@@ -84,9 +90,13 @@ class Bracket:
             try:
                 whole = missing == list(wanted) and self._takes_whole_brackets(wanted)
                 taken = (
-                    self._expose_whole(wanted, folder) if whole else [self._expose(missing[0], folder, state.attempt)]
+                    self._expose_whole(wanted, folder)
+                    if whole
+                    else [self._expose(missing[0], folder, state.attempt)]
                 )
-            except Exception as error:  # a driver's defect is a failed frame, not the end of the month
+            except (
+                Exception
+            ) as error:  # a driver's defect is a failed frame, not the end of the month
                 why = f"{type(error).__name__}: {error}"[:300]
                 if disk_is_full(error):
                     self.recorder.make_room()
@@ -119,11 +129,19 @@ class Bracket:
         return (self.clock.now() - last.t_utc).total_seconds() - last.seconds
 
     def _again(
-        self, slot: Slot, folder: Path, state: SlotState, shot: Shot, doubtful: Frame, deadline: datetime
+        self,
+        slot: Slot,
+        folder: Path,
+        state: SlotState,
+        shot: Shot,
+        doubtful: Frame,
+        deadline: datetime,
     ) -> SlotState:
-        """Take a doubtful frame once more while the slot's window is open; both files stay, the second one counts.
+        """Take a doubtful frame once more while the slot's window is open; both files stay, the
+        second one counts.
 
-        Not when a second try in this bracket was no better for the same reason: that is how the camera is set.
+        Not when a second try in this bracket was no better for the same reason: that is how the
+        camera is set.
         """
         in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= deadline
         in_vain = any(frame.instead_of and frame.doubt for frame in state.frames)
@@ -138,7 +156,9 @@ class Bracket:
                 self.camera.lost(error)
             return state
         second = replace(second, doubt=second.doubt or self.check_opens(folder / second.file))
-        if not self.recorder.tell("retake", slot=slot.id, frame=frame_fields(second), why=doubtful.doubt):
+        if not self.recorder.tell(
+            "retake", slot=slot.id, frame=frame_fields(second), why=doubtful.doubt
+        ):
             return state
         self.between(second)
         others = tuple(frame for frame in state.frames if frame.index != second.index)
@@ -147,12 +167,15 @@ class Bracket:
     def _opened(
         self, slot: Slot, folder: Path, state: SlotState, wanted: Sequence[Shot], deadline: datetime
     ) -> SlotState:
-        """Read each frame's pixels now that the camera is done; one that does not open is taken again in time.
+        """Read each frame's pixels now that the camera is done; one that does not open is taken
+        again in time.
 
         Second tries were read when they came.
         """
         for frame in sorted(state.frames, key=lambda frame: frame.index):
-            if not (frame.doubt or frame.instead_of) and (why := self.check_opens(folder / frame.file)):
+            if not (frame.doubt or frame.instead_of) and (
+                why := self.check_opens(folder / frame.file)
+            ):
                 doubtful = replace(frame, doubt=why)
                 others = tuple(other for other in state.frames if other.index != frame.index)
                 state = replace(state, frames=(*others, doubtful))
@@ -165,13 +188,17 @@ class Bracket:
         return SlotState("started", attempt)
 
     def _not_too_old(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
-        """A bracket with too long a pause in it begins anew; its frames are kept in a folder beside."""
+        """A bracket with too long a pause in it begins anew; its frames are kept in a folder
+        beside.
+        """
         if not state.frames or self.resumable(slot, state):
             return state
         self.recorder.claim(_FOLDER_BYTES)
         aside = folder / f"attempt-{state.attempt}"
         aside.mkdir(exist_ok=True)
-        for name in (name for frame in state.frames for name in (frame.file, frame.instead_of) if name):
+        for name in (
+            name for frame in state.frames for name in (frame.file, frame.instead_of) if name
+        ):
             if (folder / name).exists():
                 (folder / name).replace(aside / name)
         sync_folder(folder)
@@ -183,10 +210,12 @@ class Bracket:
         self.recorder.claim(self.frame_bytes)
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
-        # A name of its own for each try: a frame that a hung camera delivers late must not land in another's place.
+        # A name of its own for each try: a frame that a hung camera delivers late must not land in
+        # another's place.
         target = folder / f".{shot.stem}.{os.getpid()}.{attempt}.{boot:.3f}"
         written = self.camera.call(
-            lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg), shot.exposure.shutter_s
+            lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg),
+            shot.exposure.shutter_s,
         )
         doubt, exposure = self._judged(written, shot.exposure)
         final = folder / f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}"
@@ -194,8 +223,16 @@ class Bracket:
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
         seconds, hashed = self.clock.boottime() - boot, sha256(final)
         return Frame(
-            shot.index, final.name, exposure, shot.heading_deg, begun, seconds, hashed, doubt, instead_of
-        )  # fmt: skip
+            shot.index,
+            final.name,
+            exposure,
+            shot.heading_deg,
+            begun,
+            seconds,
+            hashed,
+            doubt,
+            instead_of,
+        )
 
     def _judged(self, written: Path, asked: Exposure) -> tuple[str, Exposure]:
         """What looks wrong with a new frame, and the exposure to write down for it."""
@@ -203,10 +240,14 @@ class Bracket:
         return doubt, as_taken(written, asked) if doubt else asked
 
     def _takes_whole_brackets(self, wanted: Sequence[Shot]) -> bool:
-        """A camera that brackets by itself is several times faster than one asked frame by frame."""
+        """A camera that brackets by itself is several times faster than one asked frame by
+        frame.
+        """
         camera = self.camera.get()
         still = all(shot.heading_deg is None and not shot.exposure.nd for shot in wanted)
-        return still and isinstance(camera, BracketingCamera) and len(wanted) in camera.bracket_shots
+        return (
+            still and isinstance(camera, BracketingCamera) and len(wanted) in camera.bracket_shots
+        )
 
     def _expose_whole(self, wanted: Sequence[Shot], folder: Path) -> list[Frame]:
         """All frames in one go; nothing is acknowledged before all are here."""
@@ -234,11 +275,15 @@ class Bracket:
             _settle(written, final, flush=self.recorder.flush)
             self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
             at = begun + timedelta(seconds=each_s * shot.index)
-            frames.append(Frame(shot.index, final.name, exposure, None, at, each_s, sha256(final), doubt))
+            frames.append(
+                Frame(shot.index, final.name, exposure, None, at, each_s, sha256(final), doubt)
+            )
         return frames
 
     def _wait_for_room(self, deadline: datetime, pause_s: float) -> bool:
-        """Until a frame has room; after a pause in any case, for a quota does not show beforehand."""
+        """Until a frame has room; after a pause in any case, for a quota does not show
+        beforehand.
+        """
         earliest = self.clock.now() + timedelta(seconds=pause_s)
         while (now := self.clock.now()) < deadline:
             if now >= earliest and not self.recorder.missing_bytes(self.frame_bytes):
@@ -258,8 +303,15 @@ class Bracket:
     def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
         state = self._read_meter(slot, state)
         doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
-        again = [f"{frame.file} taken again" for frame in state.frames if frame.instead_of and not frame.doubt]
-        darkest = min(state.frames, key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2))
+        again = [
+            f"{frame.file} taken again"
+            for frame in state.frames
+            if frame.instead_of and not frame.doubt
+        ]
+        darkest = min(
+            state.frames,
+            key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2),
+        )
         if text := self.check_shortest(folder / darkest.file):
             doubts.append(f"{darkest.file}: {text}")
         try:
@@ -274,7 +326,9 @@ class Bracket:
         return replace(state, outcome="done", why=why)
 
     def _read_meter(self, slot: Slot, state: SlotState) -> SlotState:
-        """Illuminance at the lens, before and after the frames; a meter that fails costs nothing else."""
+        """Illuminance at the lens, before and after the frames; a meter that fails costs nothing
+        else.
+        """
         if self.meter is None or self.meter.get() is None:
             return state
         try:
@@ -286,7 +340,9 @@ class Bracket:
         return replace(state, illuminance_lx=(*state.illuminance_lx, reading.illuminance_lx))
 
     def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
-        """Close a slot that will not be finished; the frames there are stay, marked as incomplete."""
+        """Close a slot that will not be finished; the frames there are stay, marked as
+        incomplete.
+        """
         folder = self.session.raw / slot.id
         _sweep(folder)
         if state.frames:
@@ -323,7 +379,13 @@ class _Away(DeviceError):
 
 
 def write_capture(
-    folder: Path, slot: Slot, state: SlotState, setup: CameraSetup, camera: dict[str, Any], *, complete: bool
+    folder: Path,
+    slot: Slot,
+    state: SlotState,
+    setup: CameraSetup,
+    camera: dict[str, Any],
+    *,
+    complete: bool,
 ) -> None:
     """raw/<slot>/capture.json: what `merge` needs, whole or not at all (docs/file-formats.md)."""
     frames = sorted(state.frames, key=lambda frame: frame.index)
@@ -337,7 +399,11 @@ def write_capture(
         "profile": setup.profile,
         "heading_deg": setup.heading_deg,
         "camera": camera,
-        **({"illuminance_lx": sum(state.illuminance_lx) / len(state.illuminance_lx)} if state.illuminance_lx else {}),
+        **(
+            {"illuminance_lx": sum(state.illuminance_lx) / len(state.illuminance_lx)}
+            if state.illuminance_lx
+            else {}
+        ),
         "frames": [frame_fields(frame) for frame in frames],
     }
     with replacing(folder / "capture.json", "w", encoding="utf-8") as file:

@@ -17,31 +17,71 @@ from fieldlum.records import Exposure, Progress, SiteFile, quiet
 from fieldlum.session import sha256
 
 RAW_SUFFIXES = (
-    ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw", ".raw",
-)  # fmt: skip
+    ".dng",
+    ".cr2",
+    ".cr3",
+    ".crw",
+    ".nef",
+    ".nrw",
+    ".arw",
+    ".raf",
+    ".rw2",
+    ".orf",
+    ".pef",
+    ".srw",
+    ".raw",
+)
 _OTHER_PICTURES = (
-    ".mpo", ".heic", ".heif", ".hif", ".tif", ".tiff", ".png", ".insp", ".gpr", ".x3f", ".3fr", ".iiq", ".avif",
-)  # fmt: skip
+    ".mpo",
+    ".heic",
+    ".heif",
+    ".hif",
+    ".tif",
+    ".tiff",
+    ".png",
+    ".insp",
+    ".gpr",
+    ".x3f",
+    ".3fr",
+    ".iiq",
+    ".avif",
+)
 
 
 def card_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """Frames under a folder, and a line for each kind of picture that is none. Raises InputError without any frame."""
+    """Frames under a folder, and a line for each kind of picture that is none. Raises InputError
+    without any frame.
+    """
     if folder.is_file():
-        raise InputError(folder, "a file", "a card's folder, such as DCIM", "a logger's file goes with --irradiance")
+        raise InputError(
+            folder,
+            "a file",
+            "a card's folder, such as DCIM",
+            "a logger's file goes with --irradiance",
+        )
     if not folder.is_dir():
-        raise InputError(folder, "no such folder", "a card's folder, such as DCIM", "check the path")
+        raise InputError(
+            folder, "no such folder", "a card's folder, such as DCIM", "check the path"
+        )
     files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
     frames = [p for p in files if p.suffix.lower() in (*RAW_SUFFIXES, *JPEG_SUFFIXES)]
     other = Counter(p.suffix.lower() for p in files if p.suffix.lower() in _OTHER_PICTURES)
-    said = [f"{folder}: {count} {suffix} files, which cannot be merged" for suffix, count in sorted(other.items())]
+    said = [
+        f"{folder}: {count} {suffix} files, which cannot be merged"
+        for suffix, count in sorted(other.items())
+    ]
     if not frames:
         found = "".join(f", but {count} {suffix} files" for suffix, count in sorted(other.items()))
         remedy = "set the camera to raw" if other else "check the path"
-        raise InputError(folder, f"no raw or JPEG frames in it{found}", "a card's folder, such as DCIM", remedy)
+        raise InputError(
+            folder, f"no raw or JPEG frames in it{found}", "a card's folder, such as DCIM", remedy
+        )
     return frames, said
 
 
-def read_card(files: Sequence[Path], progress: Progress = quiet) -> tuple[list[CardFrame], list[str]]:
+def read_card(
+    files: Sequence[Path], progress: Progress = quiet
+) -> tuple[list[CardFrame], list[str]]:
     """Frames with their EXIF, and a line for each file that cannot be used."""
     frames: list[CardFrame] = []
     left_out: list[str] = []
@@ -63,7 +103,9 @@ def read_card(files: Sequence[Path], progress: Progress = quiet) -> tuple[list[C
 
 
 def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[str]]:
-    """Each picture once: a second file of it would part its bracket in two. A line where there were copies."""
+    """Each picture once: a second file of it would part its bracket in two. A line where there
+    were copies.
+    """
     seen: dict[tuple[datetime, Exposure, int], dict[str, CardFrame]] = {}
     alike = Counter(_likeness(frame) for frame in frames)
     kept: list[CardFrame] = []
@@ -75,7 +117,9 @@ def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[s
                 copies.append(frame.path)
                 continue
         kept.append(frame)
-    return kept, [f"{copies[0]}: a copy of another frame, and {len(copies) - 1} more"] if copies else []
+    return kept, [
+        f"{copies[0]}: a copy of another frame, and {len(copies) - 1} more"
+    ] if copies else []
 
 
 def _likeness(frame: CardFrame) -> tuple[datetime, Exposure, int]:
@@ -88,27 +132,41 @@ def _body_serial(path: Path) -> str:
 
 
 def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:
-    """Model and serial number of each; frames that do not tell the number are of the one body of their model."""
+    """Model and serial number of each; frames that do not tell the number are of the one body of
+    their model.
+    """
     told: dict[str, set[str]] = {}
     for frame in frames:
         told.setdefault(frame.camera, set()).update({frame.serial} - {""})
-    return [(f.camera, f.serial or (next(iter(told[f.camera])) if len(told[f.camera]) == 1 else "")) for f in frames]
+    return [
+        (f.camera, f.serial or (next(iter(told[f.camera])) if len(told[f.camera]) == 1 else ""))
+        for f in frames
+    ]
 
 
-def of_the_session(frames: Sequence[CardFrame], setup: SiteFile) -> tuple[list[CardFrame], list[str]]:
-    """The frames of the session's one camera in one format, raw or JPEG; a line for each camera that is another.
+def of_the_session(
+    frames: Sequence[CardFrame], setup: SiteFile
+) -> tuple[list[CardFrame], list[str]]:
+    """The frames of the session's one camera in one format, raw or JPEG; a line for each camera
+    that is another.
 
-    The camera is the one that the profile names, else the one with most frames: frames of two never make one bracket.
-    JPEGs beside raw frames are passed over without a word, unless the profile is of the JPEGs.
+    The camera is the one that the profile names, else the one with most frames: frames of two never
+    make one bracket. JPEGs beside raw frames are passed over without a word, unless the profile is
+    of the JPEGs.
     """
     body = CameraBody("", "raw", 0, 0)
-    with suppress(InputError):  # a profile that is gone is told by doctor and merge; the frames are taken over
+    with suppress(
+        InputError
+    ):  # a profile that is gone is told by doctor and merge; the frames are taken over
         body = load_camera_profile(setup.camera.profile).camera
     bodies = _bodies(frames)
     count = Counter(bodies)
-    ours = min(count, key=lambda who: (not same_model(who[0], body.model), -count[who]), default=("", ""))
+    ours = min(
+        count, key=lambda who: (not same_model(who[0], body.model), -count[who]), default=("", "")
+    )
     said = [
-        f"{number} frames of {' '.join(who).strip()}: the session's camera is {' '.join(ours).strip()}"
+        f"{number} frames of {' '.join(who).strip()}: the session's camera is "
+        f"{' '.join(ours).strip()}"
         for who, number in count.items()
         if who != ours
     ]

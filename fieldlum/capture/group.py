@@ -1,4 +1,6 @@
-"""Frames of a card to brackets, and brackets to slots: by exposure pattern and time. Pure functions."""
+"""Frames of a card to brackets, and brackets to slots: by exposure pattern and time. Pure
+functions.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ _HALF_COUNT = 5000  # cameras count their files to 9999
 
 @dataclass(frozen=True, slots=True)
 class CardFrame:
-    """A frame as its EXIF tells. t_camera: the camera's clock as if it were UTC; known_utc when EXIF has its offset."""
+    """A frame as its EXIF tells. t_camera: the camera's clock as if it were UTC; known_utc when
+    EXIF has its offset.
+    """
 
     path: Path
     exposure: Exposure
@@ -69,7 +73,9 @@ class Unmatched:
 
 
 def same_exposure(a: Exposure, b: Exposure) -> bool:
-    """Within a sixth of a stop in shutter, aperture and ISO, and through the same filter (a camera knows none)."""
+    """Within a sixth of a stop in shutter, aperture and ISO, and through the same filter (a
+    camera knows none).
+    """
     stops = (
         math.log2(a.shutter_s / b.shutter_s),
         2.0 * math.log2(a.f_number / b.f_number),
@@ -79,19 +85,29 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:
-    """Median time between the end of a frame and the start of the next, at least the second that EXIF resolves."""
-    gaps = [(b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s for a, b in pairwise(frames)]
+    """Median time between the end of a frame and the start of the next, at least the second that
+    EXIF resolves.
+    """
+    gaps = [
+        (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
+        for a, b in pairwise(frames)
+    ]
     return max(float(np.median(gaps)), 1.0) if gaps else 1.0
 
 
 def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
-    """By the camera's time; of one second by their names, where 9999 is followed by 0001 (or 0000)."""
+    """By the camera's time; of one second by their names, where 9999 is followed by 0001 (or
+    0000).
+    """
     found: list[CardFrame] = []
     for _, same in groupby(sorted(frames, key=lambda f: f.t_camera), key=lambda f: f.t_camera):
         second = list(same)
         numbers = [_number(frame) for frame in second]
         wraps = max(numbers) - min(numbers) > _HALF_COUNT
-        lifted = [number + (2 * _HALF_COUNT if wraps and number < _HALF_COUNT else 0) for number in numbers]
+        lifted = [
+            number + (2 * _HALF_COUNT if wraps and number < _HALF_COUNT else 0)
+            for number in numbers
+        ]
         order = sorted(range(len(second)), key=lambda i: (lifted[i], second[i].path.name))
         found += [second[i] for i in order]
     return found
@@ -103,12 +119,16 @@ def _number(frame: CardFrame) -> int:
     return int(match[1]) if match else 0
 
 
-def group_frames(frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1) -> list[Group]:
-    """Brackets in order of time. A new one begins where an exposure comes once too often, or after a pause.
+def group_frames(
+    frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1
+) -> list[Group]:
+    """Brackets in order of time. A new one begins where an exposure comes once too often, or after
+    a pause.
 
-    pattern: the plan's exposures; one that comes twice there (the second time through a filter, which EXIF does not
-    know) comes twice in a bracket, and everything comes once more for each heading of a turned head. A pause is ten
-    usual steps of this very card, never a fixed time: a bracket lasts from three seconds to two minutes.
+    pattern: the plan's exposures; one that comes twice there (the second time through a filter,
+    which EXIF does not know) comes twice in a bracket, and everything comes once more for each
+    heading of a turned head. A pause is ten usual steps of this very card, never a fixed time: a
+    bracket lasts from three seconds to two minutes.
     """
     ordered = in_order(frames)
     pause = _PAUSE_FACTOR * usual_step_s(ordered) * (_TURN_FACTOR if headings > 1 else 1.0)
@@ -150,19 +170,26 @@ def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> n
 
 
 def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[float]:
-    """The whole quarters of an hour that, as the camera's clock minus UTC, fit most brackets to slots; none: empty."""
+    """The whole quarters of an hour that, as the camera's clock minus UTC, fit most brackets to
+    slots; none: empty.
+    """
     if not groups or not slots:
         return []
     candidates = _QUARTER_S * np.arange(-12 * 4, 14 * 4 + 1)
-    hits = np.array([np.sum(np.abs(late_s(groups, slots, c)) <= _QUARTER_S / 2) for c in candidates])
+    hits = np.array(
+        [np.sum(np.abs(late_s(groups, slots, c)) <= _QUARTER_S / 2) for c in candidates]
+    )
     return [float(c) for c in candidates[hits == hits.max()]] if hits.max() > 0 else []
 
 
-def find_offset(groups: Sequence[Group], slots: Sequence[Slot], expected_s: Sequence[float]) -> Offset | None:
+def find_offset(
+    groups: Sequence[Group], slots: Sequence[Slot], expected_s: Sequence[float]
+) -> Offset | None:
     """The camera's clock minus UTC when nobody told it.
 
-    expected_s: the place's own offsets (standard, daylight saving, UTC), preferred when several fit alike. None when
-    two fit alike and neither is expected: hours look like each other; and when none fits.
+    expected_s: the place's own offsets (standard, daylight saving, UTC), preferred when several fit
+    alike. None when two fit alike and neither is expected: hours look like each other; and when
+    none fits.
     """
     among = fitting_offsets(groups, slots)
     if len(among) == 1:
@@ -172,12 +199,16 @@ def find_offset(groups: Sequence[Group], slots: Sequence[Slot], expected_s: Sequ
         return None
     what = "civil time of the place" if chosen else "UTC"
     return Offset(
-        chosen, f"taken for {what}; other hours would fit the plan too, so say it by --utc-offset if you know"
+        chosen,
+        f"taken for {what}; other hours would fit the plan too, so say it by --utc-offset if you "
+        f"know",
     )
 
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
-    """Where all brackets start equally early or late, a timer started them: what is left is the camera's clock."""
+    """Where all brackets start equally early or late, a timer started them: what is left is the
+    camera's clock.
+    """
     late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
     if len(near) < 3:
@@ -185,11 +216,18 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     middle = float(np.median(near))
     if float(np.median(np.abs(near - middle))) > _STEADY_S or abs(middle) < 1.0:
         return offset
-    return Offset(offset.seconds + middle, f"{offset.how}, clock {middle:+.0f} s from {len(near)} timed brackets")
+    return Offset(
+        offset.seconds + middle,
+        f"{offset.how}, clock {middle:+.0f} s from {len(near)} timed brackets",
+    )
 
 
-def match_groups(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> tuple[list[Match], list[Unmatched]]:
-    """Each slot gets the group near it that holds most of its exposures; the rest is reported with its reason."""
+def match_groups(
+    groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
+) -> tuple[list[Match], list[Unmatched]]:
+    """Each slot gets the group near it that holds most of its exposures; the rest is reported
+    with its reason.
+    """
     matches: dict[str, Match] = {}
     unmatched: list[Unmatched] = []
     for group in groups:
@@ -202,10 +240,20 @@ def match_groups(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset)
         if fits(group, slot) < min(need, len(slot.exposures)):
             unmatched.append(Unmatched(group, "exposures are not the plan's"))
             continue
-        found, rival = Match(slot, group, (t_utc - slot.t_utc).total_seconds()), matches.get(slot.id)
+        found, rival = (
+            Match(slot, group, (t_utc - slot.t_utc).total_seconds()),
+            matches.get(slot.id),
+        )
         if rival is not None:
-            better = (fits(group, slot), -abs(found.late_s)) > (fits(rival.group, slot), -abs(rival.late_s))
-            unmatched.append(Unmatched(rival.group if better else group, f"another bracket fits {slot.id} better"))
+            better = (fits(group, slot), -abs(found.late_s)) > (
+                fits(rival.group, slot),
+                -abs(rival.late_s),
+            )
+            unmatched.append(
+                Unmatched(
+                    rival.group if better else group, f"another bracket fits {slot.id} better"
+                )
+            )
             if not better:
                 continue
         matches[slot.id] = found

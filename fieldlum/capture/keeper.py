@@ -1,4 +1,6 @@
-"""Devices that come and go: opened when needed, dropped when they fail, opened again with growing pauses."""
+"""Devices that come and go: opened when needed, dropped when they fail, opened again with
+growing pauses.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,20 @@ class Keeper(Generic[D]):
     """Holds one device. `tell(event, fields)` hears of device-lost and device-back."""
 
     def __init__(
-        self, name: str, open_device: Callable[[], D], clock: Clock, tell: Callable[..., Any], watchdog_s: float
+        self,
+        name: str,
+        open_device: Callable[[], D],
+        clock: Clock,
+        tell: Callable[..., Any],
+        watchdog_s: float,
     ) -> None:
-        self.name, self._open, self._clock, self._tell, self._watchdog_s = name, open_device, clock, tell, watchdog_s
+        self.name, self._open, self._clock, self._tell, self._watchdog_s = (
+            name,
+            open_device,
+            clock,
+            tell,
+            watchdog_s,
+        )
         self._device: D | None = None
         self._pause_s = FIRST_PAUSE_S
         self._next_try = float("-inf")
@@ -36,14 +49,17 @@ class Keeper(Generic[D]):
 
     @property
     def state(self) -> str:
-        return "lost" if self._lost_at is not None else "ok" if self._device is not None else "closed"
+        return (
+            "lost" if self._lost_at is not None else "ok" if self._device is not None else "closed"
+        )
 
     def get(self) -> D | None:
         """The open device, or None while it is away; tries to open it when a try is due."""
         if self._device is None and self._clock.boottime() >= self._next_try:
             try:
                 self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
-            except Exception as error:  # termios.error, SerialException, a driver's defect: none may stop the capture
+            # termios.error, SerialException, a driver's defect: none may stop the capture
+            except Exception as error:
                 self.lost(error)
         return self._device
 
@@ -54,13 +70,21 @@ class Keeper(Generic[D]):
         return self._device
 
     def call(self, use: Callable[[D], R], extra_s: float = 0.0) -> R:
-        """`use(device)` under the watchdog. Raises DeviceError when the device is away or does not come back."""
+        """`use(device)` under the watchdog. Raises DeviceError when the device is away or does
+        not come back.
+        """
         device = self.get()
         if device is None:
             raise DeviceError(f"{self.name} is away")
         result = guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
-        if self._lost_at is not None:  # not before it has worked: a full card opens well, and fails again at once
-            self._tell("device-back", device=self.name, after_s=round(self._clock.boottime() - self._lost_at, 1))
+        if (
+            self._lost_at is not None
+        ):  # not before it has worked: a full card opens well, and fails again at once
+            self._tell(
+                "device-back",
+                device=self.name,
+                after_s=round(self._clock.boottime() - self._lost_at, 1),
+            )
             self._lost_at, self._pause_s = None, FIRST_PAUSE_S
         return result
 
@@ -73,7 +97,9 @@ class Keeper(Generic[D]):
         now = self._clock.boottime()
         if self._lost_at is None:
             self._lost_at, self._pause_s = now, FIRST_PAUSE_S
-            self._tell("device-lost", device=self.name, why=f"{type(error).__name__}: {error}"[:300])
+            self._tell(
+                "device-lost", device=self.name, why=f"{type(error).__name__}: {error}"[:300]
+            )
         self._next_try = now + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
 
@@ -87,11 +113,17 @@ class Keeper(Generic[D]):
 def plain_info(info: Any) -> dict[str, Any]:
     """Camera or instrument info as JSON and TOML can hold it: nothing empty."""
     table = asdict(info) if is_dataclass(info) and not isinstance(info, type) else dict(vars(info))
-    return {k: v if isinstance(v, int | float | bool) else str(v) for k, v in table.items() if v not in (None, "", ())}
+    return {
+        k: v if isinstance(v, int | float | bool) else str(v)
+        for k, v in table.items()
+        if v not in (None, "", ())
+    }
 
 
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
-    """`work()` in a thread of its own. Raises DeviceError when it does not return in time, and leaves the thread."""
+    """`work()` in a thread of its own. Raises DeviceError when it does not return in time, and
+    leaves the thread.
+    """
     result: list[Any] = []
 
     def job() -> None:

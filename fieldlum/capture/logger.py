@@ -17,13 +17,18 @@ from fieldlum.records import IrradianceSample
 from fieldlum.session import Session, sole_user, update_session
 
 _BAD_IN_A_ROW = 3  # readings that fail before the port is opened anew
-_TOLD_AN_HOUR = 20  # refused lines that are journalled one by one; a sketch that prints remarks must not fill the disk
+# refused lines that are journalled one by one; a sketch that prints remarks must not fill the disk
+_TOLD_AN_HOUR = 20
 
 
 class Logger:
-    """Polls a pyranometer every `every_s`; in a thread of its own, or by `poll_if_due` from the capture's loop."""
+    """Polls a pyranometer every `every_s`; in a thread of its own, or by `poll_if_due` from the
+    capture's loop.
+    """
 
-    def __init__(self, keeper: Keeper[Pyranometer], recorder: Recorder, clock: SteadyClock, every_s: float) -> None:
+    def __init__(
+        self, keeper: Keeper[Pyranometer], recorder: Recorder, clock: SteadyClock, every_s: float
+    ) -> None:
         self.keeper, self.every_s = keeper, every_s
         self._recorder, self._clock = recorder, clock
         self._due = float("-inf")
@@ -35,7 +40,9 @@ class Logger:
         self._hour, self._refused = -1, 0
 
     def poll(self) -> IrradianceSample | None:
-        """Read and write one row; None when the instrument is away or answered with something broken."""
+        """Read and write one row; None when the instrument is away or answered with something
+        broken.
+        """
         device = self.keeper.get()
         if device is None:
             return None
@@ -44,9 +51,13 @@ class Logger:
             sample = self.keeper.call(lambda d: d.read())
         except Exception as error:  # whatever a driver raises, the log goes on
             self._failed, self.bad = self._failed + 1, self.bad + 1
-            if self.keeper.state != "lost":  # once an instrument is lost, its readings are not told one by one
+            if (
+                self.keeper.state != "lost"
+            ):  # once an instrument is lost, its readings are not told one by one
                 self._recorder.tell(
-                    "bad-reading", device=self.keeper.name, why=f"{type(error).__name__}: {error}"[:300]
+                    "bad-reading",
+                    device=self.keeper.name,
+                    why=f"{type(error).__name__}: {error}"[:300],
                 )
             if self._failed >= _BAD_IN_A_ROW:
                 self._failed = 0
@@ -55,19 +66,27 @@ class Logger:
         finally:
             self._tell_refused(device)
         self._failed = 0
-        sample = replace(sample, t_utc=asked)  # steady time, not the instrument's nor a stepped wall clock's
+        sample = replace(
+            sample, t_utc=asked
+        )  # steady time, not the instrument's nor a stepped wall clock's
         self._recorder.sample(sample)
         self.last = sample
         return sample
 
     def _tell_refused(self, device: Pyranometer) -> None:
-        """Journal the lines that gave no number, as they came; of more than twenty an hour how many there were."""
+        """Journal the lines that gave no number, as they came; of more than twenty an hour how
+        many there were.
+        """
         lines = device.refused() if isinstance(device, Streaming) else []
         hour = int(self._clock.boottime() // 3600)
         if hour != self._hour:
             if self._refused > _TOLD_AN_HOUR:
                 untold = self._refused - _TOLD_AN_HOUR
-                self._recorder.tell("bad-reading", device=self.keeper.name, why=f"and {untold} more lines in that hour")
+                self._recorder.tell(
+                    "bad-reading",
+                    device=self.keeper.name,
+                    why=f"and {untold} more lines in that hour",
+                )
             self._hour, self._refused = hour, 0
         for line in lines[: max(0, _TOLD_AN_HOUR - self._refused)]:
             self._recorder.tell("bad-reading", device=self.keeper.name, why=line[:600])
@@ -94,7 +113,9 @@ class Logger:
         while not self._stop.is_set():
             try:
                 self.poll_if_due()
-            except Exception as error:  # whatever it was, the irradiance of the rest of the month is worth more
+            except (
+                Exception
+            ) as error:  # whatever it was, the irradiance of the rest of the month is worth more
                 why = f"{type(error).__name__}: {error}"[:300]
                 if why != told:  # at every poll it would fill the disk
                     with suppress(Exception):
@@ -110,17 +131,29 @@ class Logger:
 
 
 def log(
-    session: Session, uri: str, *, clock: Clock, every_s: float, rows: int | None, say: Callable[[str], None]
+    session: Session,
+    uri: str,
+    *,
+    clock: Clock,
+    every_s: float,
+    rows: int | None,
+    say: Callable[[str], None],
 ) -> int:
-    """Irradiance alone, until `rows` are written or the process is stopped; returns the rows written.
+    """Irradiance alone, until `rows` are written or the process is stopped; returns the rows
+    written.
 
-    Raises DeviceError when the instrument does not open at the start, InputError when another log runs here.
+    Raises DeviceError when the instrument does not open at the start, InputError when another log
+    runs here.
     """
     steady = SteadyClock(clock)
     with sole_user(session, "log"):
         recorder = Recorder(session, steady.now)
         keeper = Keeper(
-            "pyranometer", lambda: open_pyranometer(uri, clock=clock, session=session), steady, recorder.tell, 60.0
+            "pyranometer",
+            lambda: open_pyranometer(uri, clock=clock, session=session),
+            steady,
+            recorder.tell,
+            60.0,
         )
         logger = Logger(keeper, recorder, steady, every_s)
         try:
@@ -128,7 +161,10 @@ def log(
             known = session.table().get("devices", {})
             with suppress(OSError):  # a full disk; the rows say so
                 update_session(session, {"devices": {**known, "pyranometer": plain_info(info)}})
-            say(f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every {every_s:g} s; Ctrl-C stops")
+            say(
+                f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every "
+                f"{every_s:g} s; Ctrl-C stops"
+            )
             while rows is None or recorder.rows < rows:
                 for name, fields in steady.check():
                     recorder.tell(name, **fields)

@@ -1,4 +1,6 @@
-"""A logger's file into the day files. Told anew with another clock or other columns, it replaces what it brought."""
+"""A logger's file into the day files. Told anew with another clock or other columns, it replaces
+what it brought.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from fieldlum.session import (
 
 @dataclass(frozen=True, slots=True)
 class Adopted:
-    """rows: new ones; withdrawn: of the same file, brought before with another clock or other columns."""
+    """rows: new ones; withdrawn: of the same file, brought before with another clock or other
+    columns.
+    """
 
     rows: int
     withdrawn: int
@@ -35,7 +39,10 @@ class Adopted:
 
 
 def adopt_rows(
-    session: Session, path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None = None
+    session: Session,
+    path: Path,
+    utc_offset_s: float | None,
+    columns: Mapping[str, str] | None = None,
 ) -> Adopted:
     """Raises InputError for a file that cannot be read."""
     told = {
@@ -57,11 +64,15 @@ def adopt_rows(
 
 def _read(path: Path, told: Mapping[str, Any]) -> Any:
     offset_s = told.get("utc_offset_s")
-    return read_logger_file(path, None if offset_s is None else timedelta(seconds=offset_s), told.get("columns"))
+    return read_logger_file(
+        path, None if offset_s is None else timedelta(seconds=offset_s), told.get("columns")
+    )
 
 
 def _readable(path: Path, told: Mapping[str, Any]) -> Sequence[IrradianceSample]:
-    """The file as it would have been read then; nothing where it has no such columns, or no zone."""
+    """The file as it would have been read then; nothing where it has no such columns, or no
+    zone.
+    """
     try:
         return _read(path, told).samples
     except InputError:
@@ -69,7 +80,9 @@ def _readable(path: Path, told: Mapping[str, Any]) -> Sequence[IrradianceSample]
 
 
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Append rows that are not there yet, by their time; returns how many. Rows that differ at one moment all stay."""
+    """Append rows that are not there yet, by their time; returns how many. Rows that differ at
+    one moment all stay.
+    """
     wanted = sorted(samples, key=lambda s: s.t_utc)
     if not wanted:
         return 0
@@ -82,7 +95,9 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     last: IrradianceSample | None = None
     try:
         for sample in wanted:
-            if sample.t_utc not in known and sample != last:  # a table that was joined with its own copy
+            if (
+                sample.t_utc not in known and sample != last
+            ):  # a table that was joined with its own copy
                 log.append(sample)
                 added += 1
             last = sample
@@ -94,8 +109,8 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Take rows with these times and texts out of the day files; returns how many.
 
-    A day file that loses rows is kept as it was in irradiance/withdrawn/. clean.csv goes: a day file whose rows only
-    moved has the length that it was made from.
+    A day file that loses rows is kept as it was in irradiance/withdrawn/. clean.csv goes: a day
+    file whose rows only moved has the length that it was made from.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

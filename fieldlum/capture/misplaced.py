@@ -1,4 +1,6 @@
-"""Brackets of a card that an earlier import, with another clock, put into other slots: they are taken out again."""
+"""Brackets of a card that an earlier import, with another clock, put into other slots: they are
+taken out again.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,11 @@ SAME_TIME_S = 120.0  # a clock refined by other brackets differs by less
 def withdraw(
     session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
 ) -> tuple[str, ...]:
-    """Take imported brackets whose frames now belong elsewhere out of the session; returns their slots.
+    """Take imported brackets whose frames now belong elsewhere out of the session; returns their
+    slots.
 
-    Their folders are kept under raw/withdrawn/; what was merged from them goes. The slots are owed again.
+    Their folders are kept under raw/withdrawn/; what was merged from them goes. The slots are owed
+    again.
     """
     held: dict[str, list[str]] = {}
     for slot, state in ledger.slots.items():
@@ -26,13 +30,17 @@ def withdraw(
                 held.setdefault(frame.file, []).append(slot)
     gone: list[str] = []
     for match, offset in matched:
-        there = dict.fromkeys(slot for f in match.group.frames for slot in held.get(f.path.name, ()))
+        there = dict.fromkeys(
+            slot for f in match.group.frames for slot in held.get(f.path.name, ())
+        )
         for slot in there:
             if slot not in gone and _misplaced(ledger.slots[slot], slot, match, offset):
                 _set_aside(
                     session, slot
                 )  # before the journal says so: a kill between them is mended by the next import
-                journal.append("withdrawn", datetime.now(UTC), slot=slot, why="the card was told another clock")
+                journal.append(
+                    "withdrawn", datetime.now(UTC), slot=slot, why="the card was told another clock"
+                )
                 gone.append(slot)
     return tuple(gone)
 
@@ -45,7 +53,9 @@ def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> boo
         if frame is None:
             continue
         apart_s = abs((true_time(card.t_camera, offset) - frame.t_utc).total_seconds())
-        return (slot != match.slot.id or apart_s > SAME_TIME_S) and frame.sha256 == sha256(card.path)
+        return (slot != match.slot.id or apart_s > SAME_TIME_S) and frame.sha256 == sha256(
+            card.path
+        )
     return False
 
 

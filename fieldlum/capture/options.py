@@ -9,15 +9,22 @@ from fieldlum.capture.recorder import RESERVE_BYTES
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    grace_s: float = 300.0  # a bracket may start this late; later it is missed, never caught up in a burst
+    grace_s: float = (
+        300.0  # a bracket may start this late; later it is missed, never caught up in a burst
+    )
     log_every_s: float = 5.0
-    log_around_s: float | None = None  # log only this long before a slot (simulated time); None: all the time
-    threaded: bool = True  # the log in a thread of its own; else from the loop, for a simulated clock
+    log_around_s: float | None = (
+        None  # log only this long before a slot (simulated time); None: all the time
+    )
+    threaded: bool = (
+        True  # the log in a thread of its own; else from the loop, for a simulated clock
+    )
     watchdog_s: float = 60.0  # a device that is silent for longer has hung
     on_misses: str = ""  # shell command to run when two slots in a row gave no bracket
     reserve_bytes: int = RESERVE_BYTES
     flush: bool = True  # False: survives a kill, but not a power cut
-    boot: str = ""  # which start of the machine this is; lets a restarted capture see a clock step made in between
+    # which start of the machine this is; lets a restarted capture see a clock step made in between
+    boot: str = ""
 
 
 DEFAULTS = Options()

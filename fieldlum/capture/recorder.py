@@ -1,4 +1,6 @@
-"""Writing on a disk that may be full: a reserve file makes room, and what cannot be written yet is kept in memory."""
+"""Writing on a disk that may be full: a reserve file makes room, and what cannot be written yet
+is kept in memory.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,24 @@ _KEPT_ROWS = 100_000  # almost six days at 5 s
 class Recorder:
     """Journal and day files of one running capture.
 
-    Once open, it raises for no trouble of the disk, full or away: it says so, keeps what it could not write, and tries
-    again at the next event or row.
+    Once open, it raises for no trouble of the disk, full or away: it says so, keeps what it could
+    not write, and tries again at the next event or row.
     """
 
     def __init__(
-        self, session: Session, now: Callable[[], datetime], reserve_bytes: int = RESERVE_BYTES, *, flush: bool = True
+        self,
+        session: Session,
+        now: Callable[[], datetime],
+        reserve_bytes: int = RESERVE_BYTES,
+        *,
+        flush: bool = True,
     ) -> None:
-        self._session, self._now, self._reserve_bytes, self.flush = session, now, reserve_bytes, flush
+        self._session, self._now, self._reserve_bytes, self.flush = (
+            session,
+            now,
+            reserve_bytes,
+            flush,
+        )
         self._reserve = session.root / ".reserve"
         self._lock = threading.RLock()
         self._events: deque[tuple[str, datetime, dict[str, Any]]] = deque()
@@ -56,11 +68,17 @@ class Recorder:
             return self._flush_rows()
 
     def missing_bytes(self, size: float) -> int:
-        """How much room a file of `size` bytes lacks, half of the reserve left to the journal and the rows."""
-        return max(0, round(size) + self._reserve_bytes // 2 - self._free_bytes() - self._reserved_bytes())
+        """How much room a file of `size` bytes lacks, half of the reserve left to the journal
+        and the rows.
+        """
+        return max(
+            0, round(size) + self._reserve_bytes // 2 - self._free_bytes() - self._reserved_bytes()
+        )
 
     def claim(self, size: float) -> None:
-        """See that a file of `size` bytes has room, if need be in the reserve. Raises OSError (ENOSPC) when not."""
+        """See that a file of `size` bytes has room, if need be in the reserve. Raises OSError
+        (ENOSPC) when not.
+        """
         with self._lock:
             if missing := self.missing_bytes(size):
                 self.make_room()
@@ -115,7 +133,9 @@ class Recorder:
         return True
 
     def _write(self, write: Callable[[], None]) -> bool:
-        """Once more after the reserve is given back, or after the files are opened anew; False when that is in vain."""
+        """Once more after the reserve is given back, or after the files are opened anew; False
+        when that is in vain.
+        """
         for _ in range(2):
             try:
                 write()
@@ -133,7 +153,9 @@ class Recorder:
         return False
 
     def _open_anew(self, error: OSError) -> None:
-        """A disk or share that was away gives no second life to open files; a folder may have been moved meanwhile."""
+        """A disk or share that was away gives no second life to open files; a folder may have
+        been moved meanwhile.
+        """
         self.last_event = f"not written: {error.strerror or error}"
         with suppress(OSError, InputError):
             self.days.close()
@@ -161,7 +183,10 @@ def _allocate(path: Path, size: int) -> None:
     with path.open("wb") as file:
         try:
             os.posix_fallocate(file.fileno(), 0, size)
-        except (AttributeError, OSError) as error:  # no such call: macOS, Windows, FAT on some systems
+        except (
+            AttributeError,
+            OSError,
+        ) as error:  # no such call: macOS, Windows, FAT on some systems
             if disk_is_full(error):
                 raise
             file.write(b"\0" * size)

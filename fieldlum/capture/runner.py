@@ -1,4 +1,6 @@
-"""The loop that a laptop runs for a month: wait for a slot, take its bracket, go on whatever happens."""
+"""The loop that a laptop runs for a month: wait for a slot, take its bracket, go on whatever
+happens.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,14 @@ from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.refusals import refuse_a_past_plan, refuse_what_is_not_offered
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
-from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer, open_camera, open_meter, open_pyranometer
+from fieldlum.devices import (
+    Camera,
+    IlluminanceMeter,
+    Pyranometer,
+    open_camera,
+    open_meter,
+    open_pyranometer,
+)
 from fieldlum.devices.clock import Clock, FastClock, RealClock
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Exposure, Slot, parse_utc
@@ -32,7 +41,8 @@ FAST_LEAD_S = 20.0
 
 
 def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
-    """The real clock and a log of its own thread; or a simulated clock that jumps from slot to slot.
+    """The real clock and a log of its own thread; or a simulated clock that jumps from slot to
+    slot.
 
     The simulated one starts a minute before the first slot, or where the journal ends.
     """
@@ -64,7 +74,9 @@ class Live:
     camera: str
     pyranometer: str
     bytes_free: int
-    bytes_missing: int  # what the next bracket lacks, beside what is kept for the journal and the rows
+    bytes_missing: (
+        int  # what the next bracket lacks, beside what is kept for the journal and the rows
+    )
     disk_days: float | None
     last_event: str
 
@@ -105,9 +117,9 @@ def run(
 ) -> Ledger:
     """Take all brackets that are owed; returns when the plan is settled.
 
-    Raises DeviceError when a device does not open at the start (a person is still there then), InputError for a
-    session that another capture holds, NotEnoughDataError for a plan that was never begun and is past.
-    `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
+    Raises DeviceError when a device does not open at the start (a person is still there then),
+    InputError for a session that another capture holds, NotEnoughDataError for a plan that was
+    never begun and is past. `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
     """
     with sole_user(session, "capture"):
         looks = check, check_opens, check_shortest
@@ -132,9 +144,13 @@ def run(
 
 class _Runner:
     def __init__(
-        self, session: Session, clock: SteadyClock, options: Options, watch: Watch,
+        self,
+        session: Session,
+        clock: SteadyClock,
+        options: Options,
+        watch: Watch,
         looks: tuple[Check, Callable[[Path], str], Callable[[Path], str]],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
         self.looks = looks
         self.setup = session.site_file()
@@ -151,7 +167,9 @@ class _Runner:
         self.meter: Keeper[IlluminanceMeter] | None = None
         self.frame_bytes, self.bytes_per_slot = 0, 0.0
         self.last_frame = ""
-        for slot in [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames][-1:]:
+        for slot in [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames][
+            -1:
+        ]:
             self._learn_sizes(slot, self.states[slot.id])
         self._misses_in_a_row = 0
         self._watched = True
@@ -160,20 +178,26 @@ class _Runner:
     def _resume_time(self, before: Ledger) -> None:
         if before.opened and before.last_utc is not None:
             self.clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
-        if before.last_utc is not None and self.clock.now() < before.last_utc - timedelta(seconds=2):
+        if before.last_utc is not None and self.clock.now() < before.last_utc - timedelta(
+            seconds=2
+        ):
             raise DeviceError(
-                f"the clock says {self.clock.now():%Y-%m-%d %H:%M:%S} UTC, before the last journal entry "
+                f"the clock says {self.clock.now():%Y-%m-%d %H:%M:%S} UTC, before the last "
+                f"journal entry "
                 f"({before.last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
             )
 
     def open(
-        self, open_cam: Callable[[], Camera], open_pyr: Callable[[], Pyranometer] | None,
-        open_met: Callable[[], IlluminanceMeter] | None, uris: dict[str, str],
-    ) -> None:  # fmt: skip
+        self,
+        open_cam: Callable[[], Camera],
+        open_pyr: Callable[[], Pyranometer] | None,
+        open_met: Callable[[], IlluminanceMeter] | None,
+        uris: dict[str, str],
+    ) -> None:
         """Open all devices, or say now what is missing.
 
-        An instrument that answered once, and does not now that the capture is started again, is waited for: the
-        brackets of the month are worth more.
+        An instrument that answered once, and does not now that the capture is started again, is
+        waited for: the brackets of the month are worth more.
         """
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
@@ -182,11 +206,15 @@ class _Runner:
         refuse_what_is_not_offered(camera, self.slots, self.states)
         about["camera"] = plain_info(camera.info)
         if open_pyr is not None:
-            keeper = Keeper("pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s)
+            keeper = Keeper(
+                "pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s
+            )
             about |= self._insist(keeper, uris)
             self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
         if open_met is not None:
-            self.meter = Keeper("meter", open_met, self.clock, self.recorder.tell, options.watchdog_s)
+            self.meter = Keeper(
+                "meter", open_met, self.clock, self.recorder.tell, options.watchdog_s
+            )
             about |= self._insist(self.meter, uris)
         self.recorder.tell(
             "open",
@@ -198,7 +226,9 @@ class _Runner:
         for name, fields in self.clock.check():
             self.recorder.tell(name, **fields)
         try:
-            update_session(self.session, {"devices": {**self.session.table().get("devices", {}), **about}})
+            update_session(
+                self.session, {"devices": {**self.session.table().get("devices", {}), **about}}
+            )
         except OSError as error:
             if not disk_is_full(error):
                 raise
@@ -211,7 +241,10 @@ class _Runner:
         try:
             return {keeper.name: plain_info(keeper.insist().info)}
         except Exception as error:
-            if keeper.name not in known or known.get("uris", {}).get(keeper.name) != uris[keeper.name]:
+            if (
+                keeper.name not in known
+                or known.get("uris", {}).get(keeper.name) != uris[keeper.name]
+            ):
                 raise
             keeper.lost(error)
             return {}
@@ -236,7 +269,9 @@ class _Runner:
             if not self._wait_until(slot.t_utc):
                 continue
             late_s = (self.clock.now() - slot.t_utc).total_seconds()
-            if late_s > self.options.grace_s and not (state.outcome == "started" and bracket.resumable(slot, state)):
+            if late_s > self.options.grace_s and not (
+                state.outcome == "started" and bracket.resumable(slot, state)
+            ):
                 state = self._too_late(bracket, slot, state, late_s)
             else:
                 self._state = "capturing"
@@ -259,7 +294,8 @@ class _Runner:
             self._plan_stamp = self._stamp()
             with suppress(InputError, OSError):
                 slots = self.session.slots()
-                # A re-plan takes nothing out; a file that was spoilt by hand does: the plan before still holds.
+                # A re-plan takes nothing out; a file that was spoilt by hand does: the plan before
+                # still holds.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
         return next(iter(owed(self.slots, Ledger(dict(self.states)))), None)
@@ -273,7 +309,9 @@ class _Runner:
         except OSError:
             return self._plan_stamp
 
-    def _take(self, bracket: Bracket, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
+    def _take(
+        self, bracket: Bracket, slot: Slot, state: SlotState, deadline: datetime
+    ) -> SlotState:
         """A bracket; whatever goes wrong in it costs this slot, never the month."""
         try:
             return bracket.take(slot, state, deadline)
@@ -286,13 +324,17 @@ class _Runner:
     def _too_late(self, bracket: Bracket, slot: Slot, state: SlotState, late_s: float) -> SlotState:
         if state.outcome == "started":
             return bracket.abort(
-                slot, state, f"interrupted, and the slot's window closed {late_s:.0f} s after its start"
+                slot,
+                state,
+                f"interrupted, and the slot's window closed {late_s:.0f} s after its start",
             )
         self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s")
         return SlotState("missed", why="late")
 
     def _after_bracket(self, slot: Slot, state: SlotState) -> None:
-        """One more sample, so that the bracket's interval is closed on both sides; and what a slot takes on disk."""
+        """One more sample, so that the bracket's interval is closed on both sides; and what a
+        slot takes on disk.
+        """
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
@@ -305,7 +347,9 @@ class _Runner:
             sizes = [path.stat().st_size for path in paths if path.is_file()]
         if sizes:
             self.frame_bytes = max(sizes)
-            self.bytes_per_slot = sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))
+            self.bytes_per_slot = (
+                sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))
+            )
 
     def _wait_until(self, t_utc: datetime) -> bool:
         """False when the plan changed while waiting."""
@@ -345,10 +389,14 @@ class _Runner:
         self._misses_in_a_row = 0 if state.outcome == "done" else self._misses_in_a_row + 1
         if self._misses_in_a_row == 2 and self.options.on_misses:
             self.recorder.tell("hook", command=self.options.on_misses)
-            threading.Thread(target=_run_hook, args=(self.options.on_misses, self.session.root), daemon=True).start()
+            threading.Thread(
+                target=_run_hook, args=(self.options.on_misses, self.session.root), daemon=True
+            ).start()
 
     def _show(self) -> None:
-        """A terminal that was closed, a pipe that nobody reads, a share that is gone: the capture goes on unseen."""
+        """A terminal that was closed, a pipe that nobody reads, a share that is gone: the
+        capture goes on unseen.
+        """
         try:
             self.watch(self.live())
         except Exception as error:
@@ -364,17 +412,31 @@ class _Runner:
         upcoming = next((s for s in self.slots if s.id == self._next), None)
         sample = self.logger.last if self.logger else None
         free = disk_usage(self.session.root).free
-        per_day = self.bytes_per_slot * len(self.slots) / max(1, len({slot.t_utc.date() for slot in self.slots}))
+        per_day = (
+            self.bytes_per_slot
+            * len(self.slots)
+            / max(1, len({slot.t_utc.date() for slot in self.slots}))
+        )
         return Live(
-            self._state, now, len(self.slots), done, missed, aborted, left, self._next,
+            self._state,
+            now,
+            len(self.slots),
+            done,
+            missed,
+            aborted,
+            left,
+            self._next,
             (upcoming.t_utc - now).total_seconds() if upcoming else None,
             self.last_frame,
             sample.ghi_wm2 if sample else None,
             (now - sample.t_utc).total_seconds() if sample else None,
-            self.camera.state if self.camera else "", self.logger.keeper.state if self.logger else "",
-            free, self.recorder.missing_bytes(self.bytes_per_slot), free / per_day if per_day else None,
+            self.camera.state if self.camera else "",
+            self.logger.keeper.state if self.logger else "",
+            free,
+            self.recorder.missing_bytes(self.bytes_per_slot),
+            free / per_day if per_day else None,
             self.recorder.last_event,
-        )  # fmt: skip
+        )
 
     def close(self) -> None:
         if self.logger is not None:
@@ -389,4 +451,6 @@ class _Runner:
 
 def _run_hook(command: str, folder: Path) -> None:
     with suppress(OSError, subprocess.SubprocessError):
-        subprocess.run(command, shell=True, cwd=folder, timeout=300, stdin=subprocess.DEVNULL, check=False)
+        subprocess.run(
+            command, shell=True, cwd=folder, timeout=300, stdin=subprocess.DEVNULL, check=False
+        )

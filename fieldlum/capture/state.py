@@ -1,4 +1,6 @@
-"""What the journal says: the state of each slot, and what is still owed. Pure functions over events."""
+"""What the journal says: the state of each slot, and what is still owed. Pure functions over
+events.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ Outcome = Literal["", "started", "done", "missed", "aborted"]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One acknowledged frame: on disk under `file` (relative to the slot's folder) with this hash."""
+    """One acknowledged frame: on disk under `file` (relative to the slot's folder) with this
+    hash.
+    """
 
     index: int
     file: str
@@ -24,7 +28,9 @@ class Frame:
     seconds: float  # from the request to the file on disk
     sha256: str
     doubt: str = ""  # what did not look right when it was checked at once
-    instead_of: str = ""  # file of the doubtful frame of the same exposure that this one was taken again for
+    instead_of: str = (
+        ""  # file of the doubtful frame of the same exposure that this one was taken again for
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,23 +94,31 @@ def fold(events: Iterable[dict[str, Any]]) -> Ledger:
         if kind == "open":
             ledger.opened = event
         if "slot" in event:
-            ledger.slots[event["slot"]] = _step(ledger.slots.get(event["slot"], SlotState()), kind, event)
+            ledger.slots[event["slot"]] = _step(
+                ledger.slots.get(event["slot"], SlotState()), kind, event
+            )
     return ledger
 
 
 def _step(state: SlotState, kind: str, event: dict[str, Any]) -> SlotState:
     if kind == "started":
-        # A second start of the same attempt is a resumption and keeps its frames; a new attempt begins empty.
+        # A second start of the same attempt is a resumption and keeps its frames; a new attempt
+        # begins empty.
         attempt = int(event.get("attempt", 1))
         return replace(
-            state, outcome="started", attempt=attempt, frames=state.frames if attempt == state.attempt else ()
+            state,
+            outcome="started",
+            attempt=attempt,
+            frames=state.frames if attempt == state.attempt else (),
         )
     if kind in ("frame", "retake"):
         frame = frame_from(event["frame"])
         others = tuple(f for f in state.frames if f.index != frame.index)
         return replace(state, frames=(*others, frame))
     if kind == "illuminance":
-        return replace(state, illuminance_lx=(*state.illuminance_lx, float(event["illuminance_lx"])))
+        return replace(
+            state, illuminance_lx=(*state.illuminance_lx, float(event["illuminance_lx"]))
+        )
     if kind in ("done", "missed", "aborted"):
         return replace(state, outcome=kind, why=event.get("why", ""))
     return SlotState() if kind == "withdrawn" else state

@@ -38,13 +38,19 @@ def _of(ledger: Ledger, slot: Slot) -> SlotState:
 
 def _plan(session: Session, slots: list[Slot]) -> dict[str, Any]:
     about = session.table().get("plan", {})
-    ends = {"first_utc": utc_text(slots[0].t_utc), "last_utc": utc_text(slots[-1].t_utc)} if slots else {}
+    ends = (
+        {"first_utc": utc_text(slots[0].t_utc), "last_utc": utc_text(slots[-1].t_utc)}
+        if slots
+        else {}
+    )
     return {"set": about.get("set", ""), "slots": len(slots), **ends}
 
 
 def _capture(slots: list[Slot], ledger: Ledger) -> dict[str, Any]:
     outcomes = [_of(ledger, slot).outcome for slot in slots]
-    owed = [slot for slot, outcome in zip(slots, outcomes, strict=True) if outcome in ("", "started")]
+    owed = [
+        slot for slot, outcome in zip(slots, outcomes, strict=True) if outcome in ("", "started")
+    ]
     return {
         "done": outcomes.count("done"),
         "missed": outcomes.count("missed"),
@@ -63,7 +69,9 @@ def _irradiance(session: Session) -> dict[str, Any]:
     rows = 0
     for path in files:
         with path.open("rb") as file:
-            rows += sum(block.count(b"\n") for block in iter(lambda f=file: f.read(1 << 20), b"")) - 1
+            rows += (
+                sum(block.count(b"\n") for block in iter(lambda f=file: f.read(1 << 20), b"")) - 1
+            )
     return {
         "days": len(files),
         "rows": max(rows, 0),
@@ -77,7 +85,9 @@ def _pairs(path: Path) -> tuple[set[str], int]:
         return set(), 0
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    return {Path(row.get("panorama") or "").stem for row in rows}, sum(row.get("ok") == "1" for row in rows)
+    return {Path(row.get("panorama") or "").stem for row in rows}, sum(
+        row.get("ok") == "1" for row in rows
+    )
 
 
 def _models(folder: Path) -> list[dict[str, Any]]:

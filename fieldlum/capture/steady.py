@@ -10,14 +10,21 @@ from typing import Any
 
 from fieldlum.devices.clock import Clock
 
-STEP_S = 2.0  # a wall clock that leaves the steady one by more is a step; less is drift, and is followed
+STEP_S = (
+    2.0  # a wall clock that leaves the steady one by more is a step; less is drift, and is followed
+)
 
 
 def synchronised() -> bool:
-    """Whether the system says that its clock is held by a time server (systemd); anything else counts as no."""
+    """Whether the system says that its clock is held by a time server (systemd); anything else
+    counts as no.
+    """
     try:
         said = subprocess.run(
-            ["timedatectl", "show", "-p", "NTPSynchronized", "--value"], capture_output=True, text=True, timeout=5
+            ["timedatectl", "show", "-p", "NTPSynchronized", "--value"],
+            capture_output=True,
+            text=True,
+            timeout=5,
         )
     except (OSError, subprocess.SubprocessError):
         return False
@@ -33,13 +40,17 @@ def boot_id() -> str:
 
 
 class SteadyClock:
-    """A `Clock`: the wall clock's UTC at the start, carried on by the time since boot (which counts sleep).
+    """A `Clock`: the wall clock's UTC at the start, carried on by the time since boot (which counts
+    sleep).
 
-    A step of the wall clock is followed only when a time server vouches for it; else the steady time goes on, so that
-    slots stay where the sun is. `check` reports steps and sleeps as journal events.
+    A step of the wall clock is followed only when a time server vouches for it; else the steady
+    time goes on, so that slots stay where the sun is. `check` reports steps and sleeps as journal
+    events.
     """
 
-    def __init__(self, clock: Clock, trusted: Callable[[], bool] = synchronised, boot: str = "") -> None:
+    def __init__(
+        self, clock: Clock, trusted: Callable[[], bool] = synchronised, boot: str = ""
+    ) -> None:
         self._clock, self._trusted, self._boot_id = clock, trusted, boot
         self._anchor, self._boot = clock.now(), clock.boottime()
         self._slept = clock.boottime() - clock.monotonic()
@@ -62,7 +73,9 @@ class SteadyClock:
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
     def carry_on(self, then: datetime, mark: dict[str, Any]) -> None:
-        """Take up the time of an earlier process of the same boot; `check` then sees any step made in between."""
+        """Take up the time of an earlier process of the same boot; `check` then sees any step
+        made in between.
+        """
         if self._boot_id and mark.get("boot_id") == self._boot_id:
             self._anchor, self._boot = then, float(mark["boottime_s"])
 
@@ -76,7 +89,9 @@ class SteadyClock:
         step = (self._clock.now() - self.now()).total_seconds()
         if abs(step - self._refused_s) > STEP_S:
             followed = abs(step) > STEP_S and self._trusted()
-            events.append(("clock-step", {"seconds": round(step - self._refused_s, 1), "followed": followed}))
+            events.append(
+                ("clock-step", {"seconds": round(step - self._refused_s, 1), "followed": followed})
+            )
             self._refused_s = 0.0 if followed else step
             if followed:
                 self._follow()

@@ -1,4 +1,6 @@
-"""A look at each new frame while it can still be taken again: it opens, it is what was asked, it is not all clipped."""
+"""A look at each new frame while it can still be taken again: it opens, it is what was asked, it
+is not all clipped.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def doubts(path: Path, asked: Exposure) -> str:
 
 
 def as_taken(path: Path, asked: Exposure) -> Exposure:
-    """The exposure of a doubtful frame: EXIF's where that can be read and departs from the request, else as asked."""
+    """The exposure of a doubtful frame: EXIF's where that can be read and departs from the
+    request, else as asked.
+    """
     try:
         info = read_exif(path)
     except InputError:
@@ -53,7 +57,9 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
 
 
 def clipped_share(path: Path) -> float:
-    """Share of a frame's pixels at its highest value, or at the top code of a JPEG. Raises InputError."""
+    """Share of a frame's pixels at its highest value, or at the top code of a JPEG. Raises
+    InputError.
+    """
     if path.suffix.lower() in JPEG_SUFFIXES:
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
     mosaic = read_mosaic(path)

@@ -1,4 +1,6 @@
-"""The command line: one small file per command; stdout is the answer, stderr is talk and progress."""
+"""The command line: one small file per command; stdout is the answer, stderr is talk and
+progress.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +15,33 @@ import click
 from fieldlum import __version__
 from fieldlum.errors import FieldlumError
 
-# In the order of the job, not of the alphabet. Each name is a module of this folder with a click command `command`.
+# In the order of the job, not of the alphabet. Each name is a module of this folder with a click
+# command `command`.
 COMMANDS = (
-    "demo", "plan", "doctor", "capture", "log", "import", "status", "calibrate", "merge", "pair",
-    "train", "predict", "glare", "bench", "report", "simulate", "info",
-)  # fmt: skip
+    "demo",
+    "plan",
+    "doctor",
+    "capture",
+    "log",
+    "import",
+    "status",
+    "calibrate",
+    "merge",
+    "pair",
+    "train",
+    "predict",
+    "glare",
+    "bench",
+    "report",
+    "simulate",
+    "info",
+)
 
 INTERRUPTED = 130  # as a shell says it of Ctrl-C
 BAD_FILE = 3
 
-# What a folder or a disk can do to any command: no defect of the tool, and nothing that a stage could mend.
+# What a folder or a disk can do to any command: no defect of the tool, and nothing that a stage
+# could mend.
 DISK_TROUBLE = {
     errno.EACCES: "give yourself the right to it, or choose another place",
     errno.EPERM: "give yourself the right to it, or choose another place",
@@ -38,7 +57,9 @@ DISK_TROUBLE = {
 
 
 class _Job(click.Group):
-    """Loads a command's module only when it is asked for, and shows the tool's own errors as one line."""
+    """Loads a command's module only when it is asked for, and shows the tool's own errors as one
+    line.
+    """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [name for name in COMMANDS if (Path(__file__).parent / f"{name}_.py").is_file()]
@@ -73,13 +94,15 @@ class _Job(click.Group):
             click.echo(f"fieldlum {ctx.invoked_subcommand}: {said}", err=True)
             sys.exit(BAD_FILE)
         except KeyboardInterrupt:
-            click.echo(f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True)
+            click.echo(
+                f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True
+            )
             sys.exit(INTERRUPTED)
 
 
 def _hold_standard_files() -> None:
-    """Where a standard file was closed (`<&- >&-`), its number would go to the next file that is opened, a journal say,
-    and a library's talk into that.
+    """Where a standard file was closed (`<&- >&-`), its number would go to the next file that is
+    opened, a journal say, and a library's talk into that.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
@@ -90,7 +113,9 @@ def _hold_standard_files() -> None:
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
 
 
-@click.group(cls=_Job, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=_Job, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
+)
 @click.version_option(__version__, package_name="fieldlum")
 def main() -> None:
     """From a camera, a pyranometer and a laptop on site to a year of luminance maps of a room.

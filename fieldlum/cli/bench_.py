@@ -11,28 +11,62 @@ from fieldlum.cli.terminal import emit_json, progress, say
 
 @click.command()
 @click.argument("pairs", type=click.Path(path_type=Path))
-@click.option("--test", type=click.Path(path_type=Path), help="Pairs to ask about; without it, held-out days.")
-@click.option("--pool", type=click.Path(path_type=Path), help="Pairs of other seasons, for --stress.")
-@click.option("--site", type=click.Path(path_type=Path), help="SITE.toml, where no session and no site.toml is near.")
 @click.option(
-    "--models", default="mean,nearest,transport,dense", show_default=True,
+    "--test", type=click.Path(path_type=Path), help="Pairs to ask about; without it, held-out days."
+)
+@click.option(
+    "--pool", type=click.Path(path_type=Path), help="Pairs of other seasons, for --stress."
+)
+@click.option(
+    "--site",
+    type=click.Path(path_type=Path),
+    help="SITE.toml, where no session and no site.toml is near.",
+)
+@click.option(
+    "--models",
+    default="mean,nearest,transport,dense",
+    show_default=True,
     help="Names, NAME:none or NAME:gain, or folders of trained models, parted by commas.",
-)  # fmt: skip
+)
 @click.option("--seeds", default=1, show_default=True, type=click.IntRange(min=1))
-@click.option("--budget", default=5.0, show_default=True, type=click.FloatRange(min=0, min_open=True),
-              help="Minutes of training for the dense network.")  # fmt: skip
-@click.option("--stress", is_flag=True, help="The regimes where methods fail, beside the normal case.")
-@click.option("--render", default=1, show_default=True, type=click.IntRange(min=0),
-              help="Hours to render with Radiance for the cost row; needs a [room].")  # fmt: skip
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of tables and charts.")
+@click.option(
+    "--budget",
+    default=5.0,
+    show_default=True,
+    type=click.FloatRange(min=0, min_open=True),
+    help="Minutes of training for the dense network.",
+)
+@click.option(
+    "--stress", is_flag=True, help="The regimes where methods fail, beside the normal case."
+)
+@click.option(
+    "--render",
+    default=1,
+    show_default=True,
+    type=click.IntRange(min=0),
+    help="Hours to render with Radiance for the cost row; needs a [room].",
+)
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path), help="Folder of tables and charts."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
-    pairs: Path, test: Path | None, pool: Path | None, site: Path | None, models: str, seeds: int, budget: float,
-    stress: bool, render: int, out: Path, as_json: bool,
-) -> None:  # fmt: skip
+    pairs: Path,
+    test: Path | None,
+    pool: Path | None,
+    site: Path | None,
+    models: str,
+    seeds: int,
+    budget: float,
+    stress: bool,
+    render: int,
+    out: Path,
+    as_json: bool,
+) -> None:
     """Chart speed against accuracy of the models.
 
-    Writes bench.md, scores.csv and .png, and where the data allow learning_curve, periods and stress.
+    Writes bench.md, scores.csv and .png, and where the data allow learning_curve, periods and
+    stress.
 
     \b
     Example:
@@ -48,9 +82,17 @@ def command(
         whole = load_pairs(pool, site, progress=show) if pool else None
     with progress("benchmark") as show:
         answer = run(
-            data, test=asked, whole=whole, models=models.split(","), seeds=seeds, budget_min=budget,
-            with_stress=stress, render_hours=render, out=out, progress=show,
-        )  # fmt: skip
+            data,
+            test=asked,
+            whole=whole,
+            models=models.split(","),
+            seeds=seeds,
+            budget_min=budget,
+            with_stress=stress,
+            render_hours=render,
+            out=out,
+            progress=show,
+        )
     if as_json:
         emit_json(answer)
     else:

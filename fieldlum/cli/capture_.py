@@ -17,22 +17,67 @@ if TYPE_CHECKING:
 
 @click.command("capture")
 @click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option("--camera", "camera", metavar="URI", help="Like sim:office?seed=1, gphoto: or theta:http://192.168.1.1.")
-@click.option("--pyranometer", metavar="URI", help="Like serial:/dev/ttyUSB0?kind=spn1; without, none is logged.")
-@click.option("--meter", metavar="URI", help="Illuminance meter beside the lens, like cl200a:/dev/ttyUSB1.")
 @click.option(
-    "--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True, help="fast: simulated."
+    "--camera",
+    "camera",
+    metavar="URI",
+    help="Like sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",
 )
-@click.option("--grace", "grace_s", metavar="S", type=click.FloatRange(min=0), default=300.0, show_default=True,
-              help="How late a bracket may start; later it is missed.")  # fmt: skip
-@click.option("--log-every", "log_every_s", metavar="S", type=click.FloatRange(min=0.1), default=5.0,
-              show_default=True, help="Seconds between irradiance rows.")  # fmt: skip
-@click.option("--status-json", type=click.Path(path_type=Path), help="Keep this file up to date for remote watching.")
-@click.option("--on-misses", metavar="COMMAND", default="", help="Run this when two slots in a row gave no bracket.")
+@click.option(
+    "--pyranometer",
+    metavar="URI",
+    help="Like serial:/dev/ttyUSB0?kind=spn1; without, none is logged.",
+)
+@click.option(
+    "--meter", metavar="URI", help="Illuminance meter beside the lens, like cl200a:/dev/ttyUSB1."
+)
+@click.option(
+    "--clock",
+    type=click.Choice(["real", "fast"]),
+    default="real",
+    show_default=True,
+    help="fast: simulated.",
+)
+@click.option(
+    "--grace",
+    "grace_s",
+    metavar="S",
+    type=click.FloatRange(min=0),
+    default=300.0,
+    show_default=True,
+    help="How late a bracket may start; later it is missed.",
+)
+@click.option(
+    "--log-every",
+    "log_every_s",
+    metavar="S",
+    type=click.FloatRange(min=0.1),
+    default=5.0,
+    show_default=True,
+    help="Seconds between irradiance rows.",
+)
+@click.option(
+    "--status-json",
+    type=click.Path(path_type=Path),
+    help="Keep this file up to date for remote watching.",
+)
+@click.option(
+    "--on-misses",
+    metavar="COMMAND",
+    default="",
+    help="Run this when two slots in a row gave no bracket.",
+)
 def command(
-    folder: Path, camera: str | None, pyranometer: str | None, meter: str | None, clock: str, grace_s: float,
-    log_every_s: float, status_json: Path | None, on_misses: str,
-) -> None:  # fmt: skip
+    folder: Path,
+    camera: str | None,
+    pyranometer: str | None,
+    meter: str | None,
+    clock: str,
+    grace_s: float,
+    log_every_s: float,
+    status_json: Path | None,
+    on_misses: str,
+) -> None:
     """Take the planned brackets and log irradiance beside.
 
     Can be stopped and started again at any moment: at most the frame in flight is taken anew.
@@ -48,10 +93,14 @@ def command(
 
     session = open_session(folder)
     if session.table().get("plan", {}).get("sha256") != sha256(session.plan):
-        terminal.say("note: plan.csv is not the file that session.toml was written for: ask fieldlum doctor")
+        terminal.say(
+            "note: plan.csv is not the file that session.toml was written for: ask fieldlum doctor"
+        )
     camera_uri, pyranometer_uri, meter_uri = _devices(session, camera, pyranometer, meter)
     if clock == "fast" and (real := _real(camera_uri, pyranometer_uri, meter_uri)):
-        raise click.UsageError(f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}")
+        raise click.UsageError(
+            f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}"
+        )
     ticking, options = capture.prepare(session, fast=clock == "fast")
     options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
     awake = nullcontext() if clock == "fast" else terminal.awake()
@@ -71,17 +120,22 @@ def command(
     outcomes = [state.outcome for state in ledger.slots.values()]
     with suppress(OSError):  # a terminal that was closed since
         click.echo(
-            f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} missed, "
+            f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} "
+            f"missed, "
             f"{outcomes.count('aborted')} aborted"
         )
 
 
-def _devices(session: Session, camera: str | None, pyranometer: str | None, meter: str | None) -> tuple[str, str, str]:
+def _devices(
+    session: Session, camera: str | None, pyranometer: str | None, meter: str | None
+) -> tuple[str, str, str]:
     """What the command line names, else what the last capture of this session used."""
     known = session.table().get("devices", {}).get("uris", {})
     camera_uri = camera if camera is not None else known.get("camera", "")
     if not camera_uri:
-        raise click.UsageError("name a camera, like: --camera gphoto: (or --camera sim:office?seed=1 to try it)")
+        raise click.UsageError(
+            "name a camera, like: --camera gphoto: (or --camera sim:office?seed=1 to try it)"
+        )
     if pyranometer is None:
         pyranometer = known.get("pyranometer", "")
         if not pyranometer:

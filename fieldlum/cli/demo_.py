@@ -22,15 +22,19 @@ def _shown(name: str) -> Iterator[Progress]:
 @click.command()
 @click.argument("folder", default="fieldlum-demo", type=click.Path(path_type=Path))
 @click.option(
-    "--preset", type=click.Choice(["quick", "paper"]), default="quick", show_default=True,
+    "--preset",
+    type=click.Choice(["quick", "paper"]),
+    default="quick",
+    show_default=True,
     help="quick: 230 x 115, a short training. paper: 460 x 230, half an hour of training.",
-)  # fmt: skip
+)
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0))
 def command(folder: Path, preset: str, seed: int) -> None:
     """Do the whole job on simulated captures.
 
-    Nine days of brackets in the paper's office, rendered by Radiance: plan, capture, merge, pair, train, predict, glare
-    and report. Run it again after an interruption: it goes on where it stopped.
+    Nine days of brackets in the paper's office, rendered by Radiance: plan, capture, merge, pair,
+    train, predict, glare and report. Run it again after an interruption: it goes on where it
+    stopped.
 
     \b
     Example:
@@ -42,5 +46,8 @@ def command(folder: Path, preset: str, seed: int) -> None:
     for name, value, remark in outcome.figures:
         click.echo(f"{name:18} {value:>16}  {remark}")
     total = sum(outcome.seconds.values())
-    say("; ".join(f"{name} {seconds:.0f} s" for name, seconds in outcome.seconds.items()) + f"; in all {total:.0f} s")
+    say(
+        "; ".join(f"{name} {seconds:.0f} s" for name, seconds in outcome.seconds.items())
+        + f"; in all {total:.0f} s"
+    )
     click.echo(f"report: {outcome.report}")

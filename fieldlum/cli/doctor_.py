@@ -15,11 +15,21 @@ MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "
 
 @click.command("doctor")
 @click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option("--camera", metavar="URI", help="Like gphoto: or sim:office; else what the last capture used.")
-@click.option("--pyranometer", metavar="URI", help="Like serial:/dev/ttyUSB0?kind=spn1; else what the last one used.")
-@click.option("--meter", metavar="URI", help="Like cl200a:/dev/ttyUSB1; else what the last capture used.")
+@click.option(
+    "--camera", metavar="URI", help="Like gphoto: or sim:office; else what the last capture used."
+)
+@click.option(
+    "--pyranometer",
+    metavar="URI",
+    help="Like serial:/dev/ttyUSB0?kind=spn1; else what the last one used.",
+)
+@click.option(
+    "--meter", metavar="URI", help="Like cl200a:/dev/ttyUSB1; else what the last capture used."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as one JSON object.")
-def command(folder: Path, camera: str | None, pyranometer: str | None, meter: str | None, as_json: bool) -> None:
+def command(
+    folder: Path, camera: str | None, pyranometer: str | None, meter: str | None, as_json: bool
+) -> None:
     """Look at devices, clock, disk and plan before you leave.
 
     Exit code 0: nothing failed. 4: a device or this computer. 3: a file.
@@ -32,8 +42,10 @@ def command(folder: Path, camera: str | None, pyranometer: str | None, meter: st
 
     session = open_session(folder)
     known = session.table().get("devices", {}).get("uris", {})
-    uris = (known.get("camera", "") if camera is None else camera,
-            known.get("pyranometer", "") if pyranometer is None else pyranometer)  # fmt: skip
+    uris = (
+        known.get("camera", "") if camera is None else camera,
+        known.get("pyranometer", "") if pyranometer is None else pyranometer,
+    )
     with terminal.progress("looking") as progress:
         meter_uri = known.get("meter", "") if meter is None else meter
         findings = doctor.run(session, *uris, datetime.now(UTC), progress, meter_uri=meter_uri)

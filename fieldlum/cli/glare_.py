@@ -19,15 +19,20 @@ from fieldlum.cli.terminal import emit_json, say
     multiple=True,
     type=float,
     metavar="DEG",
-    help="Look there, clockwise from true north; may be given several times. [default: where it faces]",
+    help="Look there, clockwise from true north; may be given several times. [default: where it "
+    "faces]",
 )
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a picture on stdout.")
-@click.option("--reference", is_flag=True, help="Ask evalglare too, on an 800-pixel fisheye of each view.")
-def command(images: tuple[Path, ...], azimuths: tuple[float, ...], as_json: bool, reference: bool) -> None:
+@click.option(
+    "--reference", is_flag=True, help="Ask evalglare too, on an 800-pixel fisheye of each view."
+)
+def command(
+    images: tuple[Path, ...], azimuths: tuple[float, ...], as_json: bool, reference: bool
+) -> None:
     """Glare of panoramas and fisheyes (.exr, .hdr).
 
-    A panorama is looked at in ten directions unless --view-azimuth names some; a fisheye in its own. A picture without
-    a true VIEW is refused, with the line to write.
+    A panorama is looked at in ten directions unless --view-azimuth names some; a fisheye in its
+    own. A picture without a true VIEW is refused, with the line to write.
 
     \b
     Example:
@@ -53,7 +58,8 @@ def _table(answer: dict[str, Any]) -> None:
     for view in answer["views"]:
         shown = {k: "    -" if v is None else v for k, v in view.items()}
         click.echo(
-            f"  {view['azimuth_deg']:5.1f}°  {view['dgp']:.3f}  {view['dgps']:.3f}  {view['ev_lx']:6.0f}"
+            f"  {view['azimuth_deg']:5.1f}°  {view['dgp']:.3f}  {view['dgps']:.3f}  "
+            f"{view['ev_lx']:6.0f}"
             f"  {view['melanopic_edi_lx']:6.0f}  {_figure(shown['ugr'])}  {_figure(shown['dgi'])}"
             f"  {_figure(shown['window_to_task'])}        {view['verdict']}"
         )

@@ -17,12 +17,16 @@ def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) 
         return None
     found = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", text.strip())
     if not found or int(found[2]) > 14 or int(found[3]) > 59:
-        raise click.BadParameter(f"{text} is no UTC offset, write it like -08:00 (or +05:30:12 with seconds)")
+        raise click.BadParameter(
+            f"{text} is no UTC offset, write it like -08:00 (or +05:30:12 with seconds)"
+        )
     seconds = int(found[2]) * 3600 + int(found[3]) * 60 + int(found[4] or 0)
     return float(-seconds if found[1] == "-" else seconds)
 
 
-def _columns(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+def _columns(
+    ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
+) -> dict[str, str]:
     from fieldlum.devices.logger_files import QUANTITIES
 
     named: dict[str, str] = {}
@@ -30,25 +34,47 @@ def _columns(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, .
         quantity, _, name = text.partition("=")
         named[quantity] = name
         if quantity not in QUANTITIES or not name:
-            raise click.BadParameter(f"{quantity}={name}: write it like ghi_wm2=SlrkW_Avg, for {', '.join(QUANTITIES)}")
+            raise click.BadParameter(
+                f"{quantity}={name}: write it like ghi_wm2=SlrkW_Avg, for {', '.join(QUANTITIES)}"
+            )
     return named
 
 
 @click.command("import")
 @click.argument("session_folder", metavar="SESSION", type=click.Path(path_type=Path))
 @click.argument("folder", metavar="[FOLDER]", required=False, type=click.Path(path_type=Path))
-@click.option("--irradiance", "logger", type=click.Path(path_type=Path), help="A logger's file: Campbell TOA5 or CSV.")
-@click.option("--utc-offset", "offset_s", metavar="+HH:MM", callback=_offset_s,
-              help="What camera and logger clocks show minus UTC; else fitted to the plan.")  # fmt: skip
-@click.option("--column", "columns", metavar="QUANTITY=NAME", multiple=True, callback=_columns,
-              help="What the logger calls ghi_wm2, dhi_wm2 or dni_wm2, where it is unusual.")  # fmt: skip
+@click.option(
+    "--irradiance",
+    "logger",
+    type=click.Path(path_type=Path),
+    help="A logger's file: Campbell TOA5 or CSV.",
+)
+@click.option(
+    "--utc-offset",
+    "offset_s",
+    metavar="+HH:MM",
+    callback=_offset_s,
+    help="What camera and logger clocks show minus UTC; else fitted to the plan.",
+)
+@click.option(
+    "--column",
+    "columns",
+    metavar="QUANTITY=NAME",
+    multiple=True,
+    callback=_columns,
+    help="What the logger calls ghi_wm2, dhi_wm2 or dni_wm2, where it is unusual.",
+)
 def command(
-    session_folder: Path, folder: Path | None, logger: Path | None, offset_s: float | None, columns: dict[str, str]
+    session_folder: Path,
+    folder: Path | None,
+    logger: Path | None,
+    offset_s: float | None,
+    columns: dict[str, str],
 ) -> None:
     """Bring in a card's folder, and a logger's file.
 
-    Frames are grouped into brackets by their exposures and times, and matched to the plan; what matches nothing is
-    listed. The card is left as it is, and can be imported again.
+    Frames are grouped into brackets by their exposures and times, and matched to the plan; what
+    matches nothing is listed. The card is left as it is, and can be imported again.
 
     \b
     fieldlum import office-2027 /media/card/DCIM --irradiance CR1000_sky.dat --utc-offset -08:00
@@ -61,13 +87,23 @@ def command(
     session = open_session(session_folder)
     with terminal.progress("import") as progress:
         report = adopt.run(
-            session, folder, logger=logger, utc_offset_s=offset_s, columns=columns or None, progress=progress
+            session,
+            folder,
+            logger=logger,
+            utc_offset_s=offset_s,
+            columns=columns or None,
+            progress=progress,
         )
     for line in _summary(report):
         terminal.say(line)
     click.echo(
-        f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} rows of irradiance"
-        + (f"; {report.withdrawn} that this file brought before are withdrawn" if report.withdrawn else "")
+        f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} "
+        f"rows of irradiance"
+        + (
+            f"; {report.withdrawn} that this file brought before are withdrawn"
+            if report.withdrawn
+            else ""
+        )
         + (f"; {report.known} brackets were there already" if report.known else "")
     )
 
@@ -80,9 +116,13 @@ def _summary(report: object) -> list[str]:
     assert isinstance(report, Report)
     lines = [f"camera clock: UTC {_hms(offset.seconds)}, {offset.how}" for offset in report.offsets]
     if report.late_s:
-        lines.append(f"brackets begin {median(report.late_s):+.0f} s from their slots in the median")
+        lines.append(
+            f"brackets begin {median(report.late_s):+.0f} s from their slots in the median"
+        )
     if report.moved:
-        lines.append(f"taken out of {', '.join(report.moved)}, kept in raw/withdrawn: merge and pair again")
+        lines.append(
+            f"taken out of {', '.join(report.moved)}, kept in raw/withdrawn: merge and pair again"
+        )
     for what, texts in (("note", report.notes), ("left out", report.left_out)):
         lines += [f"{what}: {text}" for text in texts[:_SHOWN]]
         if len(texts) > _SHOWN:
@@ -92,4 +132,6 @@ def _summary(report: object) -> list[str]:
 
 def _hms(seconds: float) -> str:
     minutes, rest = divmod(round(abs(seconds)), 60)
-    return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (f":{rest:02d}" if rest else "")
+    return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (
+        f":{rest:02d}" if rest else ""
+    )

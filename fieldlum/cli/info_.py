@@ -41,8 +41,13 @@ def describe(path: Path) -> dict[str, Any]:
         raise InputError(path, "no such file or folder")
     suffix = path.suffix.lower()
     readers: dict[str, Callable[[Path], dict[str, Any]]] = {
-        ".exr": _panorama, ".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg,
-    }  # fmt: skip
+        ".exr": _panorama,
+        ".hdr": _radiance,
+        ".toml": _toml,
+        ".csv": _csv,
+        ".jpg": _jpeg,
+        ".jpeg": _jpeg,
+    }
     return readers.get(suffix, _raw)(path)
 
 
@@ -114,8 +119,14 @@ def _toml(path: Path) -> dict[str, Any]:
     if "entry" in table:
         return _instrument(path, table)
     if "setup" in table and "plan" in table:
-        return {"kind": "session", "name": table["setup"].get("site", {}).get("name", ""), **table["plan"]}
-    raise InputError(path, f"tables {', '.join(table) or 'none'}", "a site, a camera profile or a session")
+        return {
+            "kind": "session",
+            "name": table["setup"].get("site", {}).get("name", ""),
+            **table["plan"],
+        }
+    raise InputError(
+        path, f"tables {', '.join(table) or 'none'}", "a site, a camera profile or a session"
+    )
 
 
 def _instrument(path: Path, table: dict[str, Any]) -> dict[str, Any]:
@@ -125,7 +136,12 @@ def _instrument(path: Path, table: dict[str, Any]) -> dict[str, Any]:
     if "form" in table:
         lines = load_ascii_profile(str(path))
         gives = ", ".join(e.quantity for e in lines.entry)
-        return {"kind": "instrument profile (lines)", "name": lines.name, "form": lines.form, "gives": gives}
+        return {
+            "kind": "instrument profile (lines)",
+            "name": lines.name,
+            "form": lines.form,
+            "gives": gives,
+        }
     registers = load_register_profile(str(path))
     return {
         "kind": "instrument profile (Modbus)",
@@ -161,7 +177,11 @@ def _jpeg(path: Path) -> dict[str, Any]:
 
     frame = read_jpeg(path)
     height, width = frame.codes.shape[:2]
-    return {"kind": "JPEG frame", "size": f"{width} x {height}", "exposure": exposure_text(frame.exposure)}
+    return {
+        "kind": "JPEG frame",
+        "size": f"{width} x {height}",
+        "exposure": exposure_text(frame.exposure),
+    }
 
 
 def _raw(path: Path) -> dict[str, Any]:
@@ -189,7 +209,14 @@ def _folder(path: Path) -> dict[str, Any]:
         return _toml(path / "session.toml")
     if (path / "config.json").is_file():
         try:
-            return {"kind": "model", **json.loads((path / "config.json").read_text(encoding="utf-8"))}
+            return {
+                "kind": "model",
+                **json.loads((path / "config.json").read_text(encoding="utf-8")),
+            }
         except ValueError as error:
-            raise InputError(path / "config.json", str(error), "JSON", "train the model again") from None
-    raise InputError(path, "neither a session nor a model", "a folder with session.toml or config.json")
+            raise InputError(
+                path / "config.json", str(error), "JSON", "train the model again"
+            ) from None
+    raise InputError(
+        path, "neither a session nor a model", "a folder with session.toml or config.json"
+    )

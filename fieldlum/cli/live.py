@@ -1,4 +1,6 @@
-"""What a running capture shows: a live panel on a terminal, lines in a pipe, a JSON file for a watcher far away."""
+"""What a running capture shows: a live panel on a terminal, lines in a pipe, a JSON file for a
+watcher far away.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def panel(live: Live, site: Site) -> RenderableType:
     for name, text in _lines(live, ZoneInfo(site.timezone)):
         rows.add_row(name, text)
     whole = Table.grid(padding=(0, 0))
-    whole.add_row(ProgressBar(total=max(1, live.planned), completed=live.planned - live.left, width=58))
+    whole.add_row(
+        ProgressBar(total=max(1, live.planned), completed=live.planned - live.left, width=58)
+    )
     whole.add_row(rows)
     return Panel(whole, title=f"fieldlum capture: {escape(site.name)}", width=64)
 
@@ -53,8 +57,15 @@ def _lines(live: Live, zone: ZoneInfo) -> list[tuple[str, str]]:
     from rich.markup import escape
 
     trouble = "yellow" if live.missed or live.aborted else "green"
-    slots = f"[green]{live.done} done[/], [{trouble}]{live.missed} missed, {live.aborted} aborted[/], {live.left} left"
-    at = f"{parse_utc(live.next_slot).astimezone(zone):%a %H:%M}, {live.next_slot}" if live.next_slot else ""
+    slots = (
+        f"[green]{live.done} done[/], [{trouble}]{live.missed} missed, {live.aborted} "
+        f"aborted[/], {live.left} left"
+    )
+    at = (
+        f"{parse_utc(live.next_slot).astimezone(zone):%a %H:%M}, {live.next_slot}"
+        if live.next_slot
+        else ""
+    )
     upcoming = f"{at} in [bold]{countdown(live.next_in_s)}[/]" if at else "none"
     age = f" ({live.ghi_age_s:.0f} s ago)" if live.ghi_age_s is not None else ""
     ghi = f"{live.ghi_wm2:.0f} W/m²{age}" if live.ghi_wm2 is not None else "-"
@@ -85,8 +96,18 @@ class _StatusFile:
         self._path, self._key, self._at = path, (), None
 
     def __call__(self, live: Live) -> None:
-        key = (live.state, live.next_slot, live.done, live.missed, live.aborted, live.last_frame, live.last_event)
-        fresh = self._at is not None and abs((live.t_utc - self._at).total_seconds()) < _JSON_EVERY_S
+        key = (
+            live.state,
+            live.next_slot,
+            live.done,
+            live.missed,
+            live.aborted,
+            live.last_frame,
+            live.last_event,
+        )
+        fresh = (
+            self._at is not None and abs((live.t_utc - self._at).total_seconds()) < _JSON_EVERY_S
+        )
         if self._path is None or (key == self._key and fresh):
             return
         self._key, self._at = key, live.t_utc
@@ -135,5 +156,7 @@ class _PlainLines:
         settled = live.planned - live.left
         if settled != self._settled and settled % max(1, live.planned // 20) == 0:
             self._settled = settled
-            counts = f"{live.done} done, {live.missed} missed, {live.aborted} aborted, {live.left} left"
+            counts = (
+                f"{live.done} done, {live.missed} missed, {live.aborted} aborted, {live.left} left"
+            )
             terminal.say(f"{utc_text(live.t_utc)}  {counts}")

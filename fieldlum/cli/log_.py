@@ -12,10 +12,21 @@ from fieldlum.cli import terminal
 
 @click.command("log")
 @click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option("--pyranometer", "uri", metavar="URI", required=True, help="Like serial:/dev/ttyUSB0?kind=spn1.")
-@click.option("--every", "every_s", metavar="S", type=click.FloatRange(min=0.1), default=5.0, show_default=True,
-              help="Seconds between rows.")  # fmt: skip
-@click.option("--rows", type=click.IntRange(min=1), help="Stop after so many rows; else log until Ctrl-C.")
+@click.option(
+    "--pyranometer", "uri", metavar="URI", required=True, help="Like serial:/dev/ttyUSB0?kind=spn1."
+)
+@click.option(
+    "--every",
+    "every_s",
+    metavar="S",
+    type=click.FloatRange(min=0.1),
+    default=5.0,
+    show_default=True,
+    help="Seconds between rows.",
+)
+@click.option(
+    "--rows", type=click.IntRange(min=1), help="Stop after so many rows; else log until Ctrl-C."
+)
 def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
     """Log irradiance alone, until stopped.
 
@@ -29,7 +40,9 @@ def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
     session = open_session(folder)
     try:
         with terminal.unattended(), terminal.awake():
-            written = log(session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say)
+            written = log(
+                session, uri, clock=RealClock(), every_s=every_s, rows=rows, say=terminal.say
+            )
         said = f"{written} rows"
     except KeyboardInterrupt:
         said = "stopped"

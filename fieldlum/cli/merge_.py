@@ -14,14 +14,39 @@ from fieldlum.errors import InputError
 @click.argument("session", required=False, type=click.Path(path_type=Path))
 @click.argument("more", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--frames", is_flag=True, help="Merge the FILES named, instead of a session.")
-@click.option("--camera", help="Camera profile: a TOML file or a name in calibration/ (with --frames).")
+@click.option(
+    "--camera", help="Camera profile: a TOML file or a name in calibration/ (with --frames)."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="OUT.exr or OUT.hdr (with --frames).")
 @click.option("--size", help="WxH of the result.  [default: 460x230; fisheye 1000x1000]")
-@click.option("--projection", type=click.Choice(["equirect", "fisheye"]), default="equirect", show_default=True)
-@click.option("--heading", type=float, default=180.0, show_default=True, help="Where the camera looks, with --frames.")
-@click.option("--fit/--no-fit", default=None, help="Estimate exposure ratios from the frames.  [default: raw only]")
-@click.option("--drop-moved", is_flag=True, help="Leave frames out of pixels that something moved through.")
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes for a session.")
+@click.option(
+    "--projection",
+    type=click.Choice(["equirect", "fisheye"]),
+    default="equirect",
+    show_default=True,
+)
+@click.option(
+    "--heading",
+    type=float,
+    default=180.0,
+    show_default=True,
+    help="Where the camera looks, with --frames.",
+)
+@click.option(
+    "--fit/--no-fit",
+    default=None,
+    help="Estimate exposure ratios from the frames.  [default: raw only]",
+)
+@click.option(
+    "--drop-moved", is_flag=True, help="Leave frames out of pixels that something moved through."
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Processes for a session.",
+)
 @click.option("--force", is_flag=True, help="Merge again what is done already.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
@@ -44,26 +69,36 @@ def command(
     \b
     Example:
       fieldlum merge my-session --workers 2
-      fieldlum merge --frames IMG_*.JPG --camera canon-5d2-8mm-f5.6 --out office.hdr --projection fisheye
+      fieldlum merge --frames IMG_*.JPG --camera canon-5d2-8mm-f5.6 --out office.hdr --projection
+      fisheye
     """
     if session is None:
         raise click.UsageError("name a SESSION, or --frames FILE... --camera PROFILE --out OUT")
     if frames:
         if not camera or out is None:
             raise click.UsageError("--frames needs --camera PROFILE and --out OUT.exr or OUT.hdr")
-        _merge_files([session, *more], camera, out, size, projection, heading, fit, drop_moved, as_json)
+        _merge_files(
+            [session, *more], camera, out, size, projection, heading, fit, drop_moved, as_json
+        )
         return
     if more:
         raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
     if camera or out or projection != "equirect":
-        raise click.UsageError("--camera, --out and --projection go with --frames; a session knows its own")
+        raise click.UsageError(
+            "--camera, --out and --projection go with --frames; a session knows its own"
+        )
     _merge_session(session, _height(size), fit, drop_moved, workers, force, as_json)
 
 
 def _dimensions(size: str) -> tuple[int, int]:
     """Raises click.UsageError for anything but WxH."""
     width, _, height = size.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and 8 <= int(height) <= 8192 and 8 <= int(width) <= 16384):
+    if not (
+        width.isdigit()
+        and height.isdigit()
+        and 8 <= int(height) <= 8192
+        and 8 <= int(width) <= 16384
+    ):
         raise click.UsageError(f"--size {size}: write it as 460x230")
     return int(width), int(height)
 
@@ -79,7 +114,13 @@ def _height(size: str | None) -> int:
 
 
 def _merge_session(
-    root: Path, height: int, fit: bool | None, drop_moved: bool, workers: int, force: bool, as_json: bool
+    root: Path,
+    height: int,
+    fit: bool | None,
+    drop_moved: bool,
+    workers: int,
+    force: bool,
+    as_json: bool,
 ) -> None:
     from dataclasses import asdict
 
@@ -88,15 +129,22 @@ def _merge_session(
 
     with progress("Merge") as bar:
         verdicts = merge.run(
-            open_session(root), workers=workers, height=height, fit=fit, drop_moved=drop_moved, force=force,
+            open_session(root),
+            workers=workers,
+            height=height,
+            fit=fit,
+            drop_moved=drop_moved,
+            force=force,
             progress=bar,
-        )  # fmt: skip
+        )
     if as_json:
         emit_json({"slots": [asdict(v) for v in verdicts]})
         return
     for v in verdicts:
         click.echo(f"{v.slot} {v.state}: {v.text}")
-    counts = {state: sum(v.state == state for v in verdicts) for state in ("merged", "kept", "failed")}
+    counts = {
+        state: sum(v.state == state for v in verdicts) for state in ("merged", "kept", "failed")
+    }
     say(", ".join(f"{n} {state}" for state, n in counts.items() if n))
 
 
@@ -124,9 +172,16 @@ def _merge_files(
             raise click.UsageError(f"--size {size}: a fisheye picture is square")
     with progress("Merge") as bar:
         result, facts = files_to_picture(
-            files, load_camera_profile(camera), out, pixels=pixels, projection=projection, heading_deg=heading,
-            fit=fit, drop_moved=drop_moved, progress=bar,
-        )  # fmt: skip
+            files,
+            load_camera_profile(camera),
+            out,
+            pixels=pixels,
+            projection=projection,
+            heading_deg=heading,
+            fit=fit,
+            drop_moved=drop_moved,
+            progress=bar,
+        )
     if as_json:
         emit_json({"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality})
         return

@@ -30,8 +30,13 @@ def command(folder: Path, force: bool) -> None:
     with terminal.progress("pair") as progress:
         pairs = pair.run(session, force=force, progress=progress)
     usable = sum(p.ok for p in pairs)
-    click.echo(f"{session.pairs}: {usable} of {len(pairs)} panoramas paired, {health.rows} rows of irradiance")
+    click.echo(
+        f"{session.pairs}: {usable} of {len(pairs)} panoramas paired, {health.rows} rows of "
+        f"irradiance"
+    )
     for why, count in Counter(p.why for p in pairs if p.why).most_common(5):
         terminal.say(f"refused {count}: {why}")
-    for caution, count in Counter(c for p in pairs if p.ok for c in p.caution.split("; ") if c).most_common(5):
+    for caution, count in Counter(
+        c for p in pairs if p.ok for c in p.caution.split("; ") if c
+    ).most_common(5):
         terminal.say(f"caution {count}: {caution}")

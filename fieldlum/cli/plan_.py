@@ -20,28 +20,53 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.command("plan")
 @click.argument("target", metavar="SITE.toml|SESSION", type=click.Path(path_type=Path, exists=True))
 @click.option("--set", "set_", type=click.Choice(SETS), help="Which hours of the year to capture.")
-@click.option("--start", type=click.DateTime(["%Y-%m-%d"]), metavar="YYYY-MM-DD",
-              help="First day, local date; else the next that fits.")  # fmt: skip
+@click.option(
+    "--start",
+    type=click.DateTime(["%Y-%m-%d"]),
+    metavar="YYYY-MM-DD",
+    help="First day, local date; else the next that fits.",
+)
 @click.option("--year", type=click.IntRange(1950, 2100), help="Plan the events of this year.")
 @click.option(
-    "--days", type=click.IntRange(1, 366), help="Days of a month (31), or of the window of even and best (365)."
+    "--days",
+    type=click.IntRange(1, 366),
+    help="Days of a month (31), or of the window of even and best (365).",
 )
-@click.option("--count", type=click.IntRange(min=1), help="Number of hours, for even (200) and best (50).")
 @click.option(
-    "--weather", "weather_file", type=click.Path(path_type=Path), help="EPW, TMY3 or CSV: skies and coverage."
+    "--count", type=click.IntRange(min=1), help="Number of hours, for even (200) and best (50)."
+)
+@click.option(
+    "--weather",
+    "weather_file",
+    type=click.Path(path_type=Path),
+    help="EPW, TMY3 or CSV: skies and coverage.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="The session folder to make.")
 @click.option("--ics", is_flag=True, help="Also write plan.ics, one event a day.")
 @click.option("--html", is_flag=True, help="Also write plan.html, a printable sheet a day.")
 @click.option(
-    "--next", "next_", is_flag=True, help="Rank the hours of the coming two weeks by what they would teach the model."
+    "--next",
+    "next_",
+    is_flag=True,
+    help="Rank the hours of the coming two weeks by what they would teach the model.",
 )
 @click.option("--replan", is_flag=True, help="Add make-up slots for the missed ones.")
 @click.option("--json", "as_json", is_flag=True, help="Print the answer as one JSON object.")
 def command(
-    target: Path, set_: str | None, start: datetime | None, year: int | None, days: int | None, count: int | None,
-    weather_file: Path | None, out: Path | None, ics: bool, html: bool, next_: bool, replan: bool, as_json: bool,
-) -> None:  # fmt: skip
+    target: Path,
+    set_: str | None,
+    start: datetime | None,
+    year: int | None,
+    days: int | None,
+    count: int | None,
+    weather_file: Path | None,
+    out: Path | None,
+    ics: bool,
+    html: bool,
+    next_: bool,
+    replan: bool,
+    as_json: bool,
+) -> None:
     """Choose the hours to capture and make the session.
 
     On a session: say what to capture next, or add make-ups for missed hours.
@@ -55,12 +80,20 @@ def command(
         raise click.UsageError("--next and --replan do different things: give one of them")
     if next_ or replan:
         if set_ or out:
-            raise click.UsageError("--next and --replan work on a session: leave out --set and --out")
-        answer, said = _coming(target, weather_file) if next_ else _replanned(target, ics, html, weather_file)
+            raise click.UsageError(
+                "--next and --replan work on a session: leave out --set and --out"
+            )
+        answer, said = (
+            _coming(target, weather_file) if next_ else _replanned(target, ics, html, weather_file)
+        )
     elif set_ is None or out is None:
-        raise click.UsageError("give --set and --out, like: fieldlum plan SITE.toml --set 9-day --out my-session")
+        raise click.UsageError(
+            "give --set and --out, like: fieldlum plan SITE.toml --set 9-day --out my-session"
+        )
     elif set_ == "best" and weather_file is None:
-        raise click.UsageError("the best hours depend on the climate: give a weather year with --weather FILE")
+        raise click.UsageError(
+            "the best hours depend on the climate: give a weather year with --weather FILE"
+        )
     elif said := _meaningless(set_, start, year, days, count):
         raise click.UsageError(said)
     else:
@@ -72,7 +105,9 @@ def command(
         click.echo("\n".join(said))
 
 
-def _meaningless(set_: str, start: datetime | None, year: int | None, days: int | None, count: int | None) -> str:
+def _meaningless(
+    set_: str, start: datetime | None, year: int | None, days: int | None, count: int | None
+) -> str:
     """What is asked for and would be passed over, or nothing."""
     if start and year:
         return "--start and --year both say when: give one of them"
@@ -91,7 +126,9 @@ def _planned(
 
     setup = load_site(target)
     set_, start, year, days, count = asked
-    request = plan.Request(set_, plan.today_at(setup.site, datetime.now(UTC)), start, year, days, count)
+    request = plan.Request(
+        set_, plan.today_at(setup.site, datetime.now(UTC)), start, year, days, count
+    )
     weather = _weather(weather_file, setup.site)
     with terminal.progress("choosing hours") as progress:
         session, made = plan.run(setup, request, out, weather, progress)
@@ -116,13 +153,18 @@ def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
         from fieldlum.weather import synthetic_weather
 
         weather = synthetic_weather(session.site_file().site)
-        terminal.say("note: no --weather: clear skies with random clouds stand in for the climate of this place")
+        terminal.say(
+            "note: no --weather: clear skies with random clouds stand in for the climate of this "
+            "place"
+        )
     with terminal.progress("ranking hours") as progress:
         answer = coming.run(session, weather, datetime.now(UTC), progress)
     return coming.as_table(answer), coming.sentences(answer, session.site_file().site)
 
 
-def _replanned(target: Path, ics: bool, html: bool, weather_file: Path | None) -> tuple[dict, list[str]]:
+def _replanned(
+    target: Path, ics: bool, html: bool, weather_file: Path | None
+) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.plan import makeup
     from fieldlum.session import open_session

@@ -11,15 +11,36 @@ from fieldlum.cli.terminal import emit_json, progress, say
 
 @click.command()
 @click.argument("model_folder", metavar="MODELDIR", type=click.Path(path_type=Path))
-@click.option("--weather", "weather_path", required=True, type=click.Path(path_type=Path), help="EPW, TMY3 or CSV.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the year. [default: SESSION/annual/NAME]")
-@click.option("--maps", is_flag=True, help="Keep every map too, as Zarr (about 0.7 GB for a year at 460 x 230).")
-@click.option("--views", default=10, show_default=True, type=click.IntRange(1, 360), help="View directions around.")
+@click.option(
+    "--weather",
+    "weather_path",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="EPW, TMY3 or CSV.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for the year. [default: SESSION/annual/NAME]",
+)
+@click.option(
+    "--maps",
+    is_flag=True,
+    help="Keep every map too, as Zarr (about 0.7 GB for a year at 460 x 230).",
+)
+@click.option(
+    "--views",
+    default=10,
+    show_default=True,
+    type=click.IntRange(1, 360),
+    help="View directions around.",
+)
 @click.option(
     "--occupancy",
     "occupancy_path",
     type=click.Path(path_type=Path),
-    help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to 18:00]",
+    help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to "
+    "18:00]",
 )
 @click.option("--force", is_flag=True, help="Predict again even if nothing changed.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
@@ -35,8 +56,8 @@ def command(
 ) -> None:
     """Predict a year of maps and glare from a weather file.
 
-    Writes hourly.csv (vertical illuminance, DGP, UGR and more for every hour and direction), predict.json (what it
-    means, by EN 17037, with confidence) and the maps of some telling hours.
+    Writes hourly.csv (vertical illuminance, DGP, UGR and more for every hour and direction),
+    predict.json (what it means, by EN 17037, with confidence) and the maps of some telling hours.
 
     \b
     Example:
@@ -46,15 +67,24 @@ def command(
 
     with progress("predict") as show:
         annual, new = run(
-            model_folder, weather_path, out=out, maps=maps, views=views, occupancy_path=occupancy_path, force=force,
+            model_folder,
+            weather_path,
+            out=out,
+            maps=maps,
+            views=views,
+            occupancy_path=occupancy_path,
+            force=force,
             progress=show,
-        )  # fmt: skip
+        )
     about = annual.about
     if as_json:
         emit_json({"folder": str(annual.folder), "new": new, **about})
         return
     if not new:
-        say("nothing to do: this year was predicted from the same model, weather and settings (--force does it again)")
+        say(
+            "nothing to do: this year was predicted from the same model, weather and settings "
+            "(--force does it again)"
+        )
     for text in (*about["weather"]["repairs"], *about["notes"]):
         say(f"note: {text}")
     click.echo(f"{about['hours']} daylight hours in {annual.folder / 'hourly.csv'}")
@@ -63,4 +93,7 @@ def command(
     if about["capture_next"]:
         click.echo("To settle what is open, capture skies like these:")
         for hour in about["capture_next"]:
-            click.echo(f"  {hour['date']} {hour['hour']}  DNI {hour['dni_wm2']:.0f}, DHI {hour['dhi_wm2']:.0f} W/m²")
+            click.echo(
+                f"  {hour['date']} {hour['hour']}  DNI {hour['dni_wm2']:.0f}, DHI "
+                f"{hour['dhi_wm2']:.0f} W/m²"
+            )

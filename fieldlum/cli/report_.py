@@ -11,7 +11,9 @@ from fieldlum.cli.terminal import progress, say
 
 @click.command()
 @click.argument("session", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the page; default SESSION/report.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Folder for the page; default SESSION/report."
+)
 def command(session: Path, out: Path | None) -> None:
     """Write the page that answers where to sit.
 

@@ -21,30 +21,73 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.command("simulate")
 @click.argument("site", metavar="SITE.toml|SESSION", type=click.Path(path_type=Path, exists=True))
 @click.option("--out", type=click.Path(path_type=Path), help="The session folder to make.")
-@click.option("--set", "set_", type=click.Choice(SETS), default="9-day", show_default=True, help="Hours to render.")
-@click.option("--start", type=click.DateTime(["%Y-%m-%d"]), help="First day, local date.")
-@click.option("--year", type=click.IntRange(1950, 2100), default=2027, show_default=True, help="Year of the events.")
-@click.option("--count", type=click.IntRange(min=1), help="Number of hours, for even and best.")
-@click.option("--year-sample", type=click.IntRange(min=1), help="Instead of a set: this many random daylight hours.")
-@click.option("--weather", "weather_file", type=click.Path(path_type=Path), help="EPW, TMY3 or CSV of the place.")
-@click.option("--size", default="460x230", show_default=True, metavar="WxH", help="Of the panoramas.")
 @click.option(
-    "--quality", type=click.Choice(("draft", "quick", "paper")), help="Else quick up to 230x115, paper above."
+    "--set",
+    "set_",
+    type=click.Choice(SETS),
+    default="9-day",
+    show_default=True,
+    help="Hours to render.",
+)
+@click.option("--start", type=click.DateTime(["%Y-%m-%d"]), help="First day, local date.")
+@click.option(
+    "--year",
+    type=click.IntRange(1950, 2100),
+    default=2027,
+    show_default=True,
+    help="Year of the events.",
+)
+@click.option("--count", type=click.IntRange(min=1), help="Number of hours, for even and best.")
+@click.option(
+    "--year-sample",
+    type=click.IntRange(min=1),
+    help="Instead of a set: this many random daylight hours.",
+)
+@click.option(
+    "--weather",
+    "weather_file",
+    type=click.Path(path_type=Path),
+    help="EPW, TMY3 or CSV of the place.",
+)
+@click.option(
+    "--size", default="460x230", show_default=True, metavar="WxH", help="Of the panoramas."
+)
+@click.option(
+    "--quality",
+    type=click.Choice(("draft", "quick", "paper")),
+    help="Else quick up to 230x115, paper above.",
 )
 @click.option("--drift", is_flag=True, help="Let the light change within the hour.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of random hours and of synthetic weather.")
+@click.option(
+    "--seed",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Of random hours and of synthetic weather.",
+)
 @click.option("--force", is_flag=True, help="Render again what is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was made as one JSON object.")
 def command(
-    site: Path, out: Path | None, set_: str, start: datetime | None, year: int, count: int | None,
-    year_sample: int | None, weather_file: Path | None, size: str, quality: str | None, drift: bool, seed: int,
-    force: bool, as_json: bool,
-) -> None:  # fmt: skip
+    site: Path,
+    out: Path | None,
+    set_: str,
+    start: datetime | None,
+    year: int,
+    count: int | None,
+    year_sample: int | None,
+    weather_file: Path | None,
+    size: str,
+    quality: str | None,
+    drift: bool,
+    seed: int,
+    force: bool,
+    as_json: bool,
+) -> None:
     """Render a box room by Radiance at the hours of a plan.
 
-    Writes a session with truth/ (what simulated devices look at), sun patches and a pairs.csv of the truth itself.
-    Without --weather: the paper's year near Seattle, elsewhere a synthetic one, which is said. Given a SESSION, it
-    renders the plan that stands there.
+    Writes a session with truth/ (what simulated devices look at), sun patches and a pairs.csv of
+    the truth itself. Without --weather: the paper's year near Seattle, elsewhere a synthetic one,
+    which is said. Given a SESSION, it renders the plan that stands there.
 
     \b
     fieldlum simulate office.toml --set 9-day --size 230x115 --out office-sim
@@ -63,21 +106,37 @@ def command(
         terminal.say(f"weather: {repair}")
     with terminal.progress("simulating") as progress:
         if session is None and out is not None:
-            session = _planned(out, setup, weather, (set_, start, year, count, year_sample, seed), progress)
+            session = _planned(
+                out, setup, weather, (set_, start, year, count, year_sample, seed), progress
+            )
         assert session is not None
         chosen = quality or ("quick" if height <= 115 else "paper")
         made = simulate.run(
-            session, weather, height=height, quality=chosen, drift=drift, force=force, progress=progress
-        )  # fmt: skip
+            session,
+            weather,
+            height=height,
+            quality=chosen,
+            drift=drift,
+            force=force,
+            progress=progress,
+        )
     answer = {
-        "session": str(session.root), "rendered": made.rendered, "kept": made.kept, "dark": made.dark,
-        "weather": made.weather, "size": size, "quality": chosen,
-    }  # fmt: skip
+        "session": str(session.root),
+        "rendered": made.rendered,
+        "kept": made.kept,
+        "dark": made.dark,
+        "weather": made.weather,
+        "size": size,
+        "quality": chosen,
+    }
     if as_json:
         terminal.emit_json(answer)
         return
     dark = f", {made.dark} slots without light" if made.dark else ""
-    click.echo(f"{session.root}: {made.rendered} hours rendered, {made.kept} kept{dark}; weather: {made.weather}")
+    click.echo(
+        f"{session.root}: {made.rendered} hours rendered, {made.kept} kept{dark}; weather: "
+        f"{made.weather}"
+    )
     click.echo(f"train on the truth:    fieldlum train {session.root}")
     devices = "--camera sim:office --pyranometer sim:office --clock fast"
     click.echo(f"or photograph it:      fieldlum capture {session.root} {devices}")
@@ -92,21 +151,32 @@ def _height(size: str) -> int:
         or int(parts[1]) < 8
     ):
         raise click.BadParameter(
-            f"'{size}' is no panorama: write the width twice the height, like 460x230", param_hint="--size"
+            f"'{size}' is no panorama: write the width twice the height, like 460x230",
+            param_hint="--size",
         )
     return int(parts[1])
 
 
-def _planned(out: Path, setup: SiteFile, weather: Weather, asked: tuple, progress: Progress) -> Session:
+def _planned(
+    out: Path, setup: SiteFile, weather: Weather, asked: tuple, progress: Progress
+) -> Session:
     """A new session: a plan's slots, or random hours of the weather year."""
     from fieldlum import plan, simulate
 
     set_, start, year, count, year_sample, seed = asked
     if year_sample is not None:
         slots = simulate.sample_slots(setup, weather, year_sample, seed)
-        return simulate.make_session(out, setup, slots, {"set": "year-sample", "count": year_sample, "seed": seed})
+        return simulate.make_session(
+            out, setup, slots, {"set": "year-sample", "count": year_sample, "seed": seed}
+        )
     request = plan.Request(
-        set_, plan.today_at(setup.site, datetime.now(UTC)), start.date() if start else None, year, None, count, seed
+        set_,
+        plan.today_at(setup.site, datetime.now(UTC)),
+        start.date() if start else None,
+        year,
+        None,
+        count,
+        seed,
     )
     session, _ = plan.run(setup, request, out, weather, progress)
     return session

@@ -31,13 +31,16 @@ def command(folder: Path, as_json: bool) -> None:
 
 
 def _lines(s: dict[str, Any]) -> list[str]:
-    plan, capture, log, merge, pair = (s[k] for k in ("plan", "capture", "irradiance", "merge", "pair"))
+    plan, capture, log, merge, pair = (
+        s[k] for k in ("plan", "capture", "irradiance", "merge", "pair")
+    )
     models = ", ".join(m["name"] for m in s["train"]["models"]) or "none"
     upcoming = f", next {capture['next']}" if capture["next"] else ""
     return [
         f"{s['session']}: {s['name']}",
         f"plan        {plan['slots']} slots" + (f" ({plan['set']})" if plan["set"] else ""),
-        f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} aborted, "
+        f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} "
+        f"aborted, "
         f"{capture['owed']} owed{upcoming}; {capture['frames']} frames",
         f"irradiance  {log['rows']} rows on {log['days']} days",
         f"merge       {merge['done']} done, {merge['owed']} owed",

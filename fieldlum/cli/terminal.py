@@ -43,7 +43,8 @@ def seen() -> bool:
 
 @contextmanager
 def unattended() -> Iterator[None]:
-    """For what runs for weeks: a closed terminal (SIGHUP) ends nothing, and SIGTERM ends as properly as Ctrl-C.
+    """For what runs for weeks: a closed terminal (SIGHUP) ends nothing, and SIGTERM ends as
+    properly as Ctrl-C.
 
     What is started meanwhile, such as a camera's process, ignores the closed terminal too.
     """
@@ -52,7 +53,9 @@ def unattended() -> Iterator[None]:
         raise KeyboardInterrupt
 
     wanted = {getattr(signal, "SIGHUP", None): signal.SIG_IGN, signal.SIGTERM: interrupt}
-    before = {number: signal.signal(number, how) for number, how in wanted.items() if number is not None}
+    before = {
+        number: signal.signal(number, how) for number, how in wanted.items() if number is not None
+    }
     try:
         yield
     finally:
@@ -78,13 +81,23 @@ def progress(label: str) -> Iterator[Progress]:
         yield lambda done, total, text: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
     from rich.progress import Progress as Bar
 
     columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[text]}"),
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
+    )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None, text="")
 

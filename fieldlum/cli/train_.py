@@ -12,26 +12,53 @@ from fieldlum.cli.terminal import emit_json, progress, say
 
 @click.command()
 @click.argument("pairs", type=click.Path(path_type=Path))
-@click.option("--site", type=click.Path(path_type=Path), help="SITE.toml, where no session and no site.toml is near.")
 @click.option(
-    "--model", default="auto", show_default=True,
-    type=click.Choice(["auto", "transport", "dense", "nearest", "mean"]), help="auto tries all and picks one.",
-)  # fmt: skip
+    "--site",
+    type=click.Path(path_type=Path),
+    help="SITE.toml, where no session and no site.toml is near.",
+)
 @click.option(
-    "--patch", default="absolute", show_default=True, type=click.Choice(["absolute", "gain", "none"]),
+    "--model",
+    default="auto",
+    show_default=True,
+    type=click.Choice(["auto", "transport", "dense", "nearest", "mean"]),
+    help="auto tries all and picks one.",
+)
+@click.option(
+    "--patch",
+    default="absolute",
+    show_default=True,
+    type=click.Choice(["absolute", "gain", "none"]),
     help="Sun patches in cd/m2, up to an unknown factor, or not used.",
-)  # fmt: skip
-@click.option("--budget", default=10.0, show_default=True, type=click.FloatRange(min=0, min_open=True), help="Minutes.")
+)
+@click.option(
+    "--budget",
+    default=10.0,
+    show_default=True,
+    type=click.FloatRange(min=0, min_open=True),
+    help="Minutes.",
+)
 @click.option("--seed", default=0, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), help="Model folder. [default: models/MODEL beside the pairs]")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Model folder. [default: models/MODEL beside the pairs]",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
-    pairs: Path, site: Path | None, model: str, patch: Any, budget: float, seed: int, out: Path | None, as_json: bool
+    pairs: Path,
+    site: Path | None,
+    model: str,
+    patch: Any,
+    budget: float,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session or a pairs.csv. The budget is for the dense network, half for its held-out folds and half for the
-    model that is kept; the other models take what they need.
+    PAIRS is a session or a pairs.csv. The budget is for the dense network, half for its held-out
+    folds and half for the model that is kept; the other models take what they need.
 
     \b
     Example:
@@ -46,7 +73,9 @@ def command(
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
     with progress("training") as show:
-        answer = run(data, model, budget_min=budget, patch=patch, seed=seed, out=folder, progress=show)
+        answer = run(
+            data, model, budget_min=budget, patch=patch, seed=seed, out=folder, progress=show
+        )
     if as_json:
         emit_json(answer)
     else:
@@ -57,10 +86,13 @@ def command(
 def _show(answer: dict[str, Any]) -> None:
     """The table that the choice was made from."""
     click.echo("                 honest, held-out days                 paper mode")
-    click.echo("model          log10 MSE      RER    worst  DGP MSE  log10 MSE      RER  fit [s]  maps")
+    click.echo(
+        "model          log10 MSE      RER    worst  DGP MSE  log10 MSE      RER  fit [s]  maps"
+    )
     for row in answer["models"]:
         click.echo(
-            f"{row['name']:12} {_short(row['log10_mse_weighted'])} {row['rer_weighted']:8.4f} {_short(row['worst'])}"
+            f"{row['name']:12} {_short(row['log10_mse_weighted'])} {row['rer_weighted']:8.4f} "
+            f"{_short(row['worst'])}"
             f" {_short(row['dgp_mse'])}  {_short(row['paper_log10_mse'])} {row['paper_rer']:8.4f}"
             f" {row['fit_s']:8.1f} {row['n_test']:5d}"
         )

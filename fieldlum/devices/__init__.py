@@ -9,7 +9,8 @@
     modbus:/dev/serial/by-id/...?kind=smp&unit=1
     cl200a:/dev/serial/by-id/...          an illuminance meter
 
-An option that a driver does not know is a DeviceError naming it. Drivers only ever ask instruments; none writes to one.
+An option that a driver does not know is a DeviceError naming it. Drivers only ever ask instruments;
+none writes to one.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ class InstrumentInfo:
     status: str = ""  # empty: all well
     port: str = ""
     gives: tuple[str, ...] = ("ghi",)  # of ghi, dhi, dni, illuminance
-    guard: str = ""  # what shows a damaged answer: CRC-16, exclusive or, asked twice; FORM_ALONE is none
+    guard: str = (
+        ""  # what shows a damaged answer: CRC-16, exclusive or, asked twice; FORM_ALONE is none
+    )
 
 
 class Camera(Protocol):
@@ -64,9 +67,11 @@ class Camera(Protocol):
     def info(self) -> CameraInfo: ...
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Take one frame and return its file: `target`'s name with the camera's suffix put behind it.
+        """Take one frame and return its file: `target`'s name with the camera's suffix put behind
+        it.
 
-        heading_deg: where a turned head shall look. Raises DeviceError when the camera cannot do just this.
+        heading_deg: where a turned head shall look. Raises DeviceError when the camera cannot do
+        just this.
         """
         ...
 
@@ -83,7 +88,9 @@ class BracketingCamera(Protocol):
         ...
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """All frames in the order asked for, each to its target's name with a suffix. Raises DeviceError."""
+        """All frames in the order asked for, each to its target's name with a suffix. Raises
+        DeviceError.
+        """
         ...
 
 
@@ -97,7 +104,9 @@ class Choosing(Protocol):
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Why a camera will take none of these frames: a sentence each, doubles once; none for one that takes anything."""
+    """Why a camera will take none of these frames: a sentence each, doubles once; none for one
+    that takes anything.
+    """
     said: list[str] = []
     if not isinstance(camera, Choosing):
         return said
@@ -114,7 +123,9 @@ class Pyranometer(Protocol):
     def info(self) -> InstrumentInfo: ...
 
     def read(self) -> IrradianceSample:
-        """One reading, now. Raises DeviceError for silence and for an answer that cannot be trusted."""
+        """One reading, now. Raises DeviceError for silence and for an answer that cannot be
+        trusted.
+        """
         ...
 
     def close(self) -> None: ...
@@ -166,7 +177,9 @@ PYRANOMETERS = {
 
 def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any:
     if uri.scheme not in table:
-        raise DeviceError(f"{uri.text}: no {what} driver '{uri.scheme}:', there are {', '.join(sorted(table))}")
+        raise DeviceError(
+            f"{uri.text}: no {what} driver '{uri.scheme}:', there are {', '.join(sorted(table))}"
+        )
     module, function = table[uri.scheme]
     return getattr(import_module(module), function)
 
@@ -184,6 +197,8 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
 
 
 def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
-    """An illuminance meter beside the lens: ``cl200a:/dev/serial/by-id/...``. Raises DeviceError."""
+    """An illuminance meter beside the lens: ``cl200a:/dev/serial/by-id/...``. Raises
+    DeviceError.
+    """
     asked = parse_uri(uri)
     return _driver(asked, METERS, "illuminance meter")(asked, clock=clock)

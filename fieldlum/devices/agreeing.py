@@ -21,10 +21,10 @@ def said_twice(
 ) -> tuple[T, tuple[bytes, ...]]:
     """What the instrument means, and all its answers as they came.
 
-    Two questions; a third where these two are `apart` by more than limits[0], its noise. Believed is the earlier of the
-    two answers nearest to each other, within limits[1]; else the middle one of three that lie `in_line`: the light was
-    changing. An answer that does not parse is near none. Raises DeviceError when nothing agrees; what `ask` raises
-    (silence) goes through at once.
+    Two questions; a third where these two are `apart` by more than limits[0], its noise. Believed
+    is the earlier of the two answers nearest to each other, within limits[1]; else the middle one
+    of three that lie `in_line`: the light was changing. An answer that does not parse is near none.
+    Raises DeviceError when nothing agrees; what `ask` raises (silence) goes through at once.
     """
     answers: list[bytes] = []
     sound: list[T] = []

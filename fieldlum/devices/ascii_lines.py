@@ -1,7 +1,9 @@
-"""Instruments that send a line now and then (Arduino rigs, loggers): what a line means, as data and pure functions.
+"""Instruments that send a line now and then (Arduino rigs, loggers): what a line means, as data and
+pure functions.
 
-A profile says the form: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json` (one object a line). A
-line that does not fit in every part gives no number; it is counted, not guessed at.
+A profile says the form: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json` (one
+object a line). A line that does not fit in every part gives no number; it is counted, not guessed
+at.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ _LIMITS = {"temperature_c": (-60.0, 150.0)}
 
 @dataclass(frozen=True, slots=True)
 class AsciiLine:
-    """The serial line. Opening it restarts most Arduinos: their silence after that is waited out."""
+    """The serial line. Opening it restarts most Arduinos: their silence after that is waited
+    out.
+    """
 
     baud: int = 9600
     bits: int = 8
@@ -42,9 +46,9 @@ class AsciiLine:
 class AsciiField:
     """quantity = scale * number + offset.
 
-    What is known of the form tells a damaged number from a whole one: `decimals` exactly so many digits after the
-    point; `width` exactly so many characters, as printf's %6.1f or %06.1f fill them; `unit` text right behind the
-    number; `lowest` and `highest` of the quantity.
+    What is known of the form tells a damaged number from a whole one: `decimals` exactly so many
+    digits after the point; `width` exactly so many characters, as printf's %6.1f or %06.1f fill
+    them; `unit` text right behind the number; `lowest` and `highest` of the quantity.
     """
 
     quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
@@ -67,8 +71,9 @@ class AsciiProfile:
     entry: tuple[AsciiField, ...]
     pattern: str = ""  # of a regex; groups are named as the entries' keys
     only: bool = False  # key-value, json: these keys, in this order, and no others
-    # The line ends in * and hexadecimal digits over what stands before it (less a leading $): the exclusive or of its
-    # bytes in two, as NMEA's do; or CRC-16/MODBUS in four, which lets no damage of a few bytes pass.
+    # The line ends in * and hexadecimal digits over what stands before it (less a leading $): the
+    # exclusive or of its bytes in two, as NMEA's do; or CRC-16/MODBUS in four, which lets no damage
+    # of a few bytes pass.
     checksum: Literal["none", "xor", "crc16"] = "none"
     model: str = ""
     serial: str = ""
@@ -77,41 +82,67 @@ class AsciiProfile:
 
 
 def load_ascii_profile(name: str) -> AsciiProfile:
-    """By the name of a shipped profile or by path. Raises InputError, or DeviceError for an unknown name."""
+    """By the name of a shipped profile or by path. Raises InputError, or DeviceError for an
+    unknown name.
+    """
     folder = shipped("calibration") / "instruments" / "ascii"
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
-        raise DeviceError(f"no profile of lines '{name}', there are {known}, or give the path of a TOML")
+        raise DeviceError(
+            f"no profile of lines '{name}', there are {known}, or give the path of a TOML"
+        )
     profile = build(AsciiProfile, read_toml(path), str(path))
     quantities = [e.quantity for e in profile.entry]
-    if not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(quantities) or len(set(quantities)) != len(quantities):
-        raise InputError(path, f"entries for {', '.join(quantities) or 'nothing'}", "an irradiance, each quantity once")
+    if not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(quantities) or len(set(quantities)) != len(
+        quantities
+    ):
+        raise InputError(
+            path,
+            f"entries for {', '.join(quantities) or 'nothing'}",
+            "an irradiance, each quantity once",
+        )
     if profile.form == "regex":
         try:
             groups = set(re.compile(profile.pattern, re.ASCII).groupindex)
         except re.error as error:
-            raise InputError(path, f"pattern: {error}", "a regular expression with named groups") from None
+            raise InputError(
+                path, f"pattern: {error}", "a regular expression with named groups"
+            ) from None
         if missing := {e.key for e in profile.entry} - groups:
             raise InputError(
-                path, f"no group named {', '.join(sorted(missing))}", "one in the pattern", "(?P<name>...)"
+                path,
+                f"no group named {', '.join(sorted(missing))}",
+                "one in the pattern",
+                "(?P<name>...)",
             )
     return profile
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Quantities of one whole line, its end mark included. Raises DeviceError for everything that does not fit."""
+    """Quantities of one whole line, its end mark included. Raises DeviceError for everything
+    that does not fit.
+    """
     text = body_of(profile, line)
-    found = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](profile, text)
-    values = {e.quantity: e.scale * _number(found[e.key], e, text) + e.offset for e in profile.entry}
+    found = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](
+        profile, text
+    )
+    values = {
+        e.quantity: e.scale * _number(found[e.key], e, text) + e.offset for e in profile.entry
+    }
     for entry in profile.entry:
-        value, (low, high) = values[entry.quantity], _LIMITS.get(entry.quantity, (LOWEST_WM2, HIGHEST_WM2))
+        value, (low, high) = (
+            values[entry.quantity],
+            _LIMITS.get(entry.quantity, (LOWEST_WM2, HIGHEST_WM2)),
+        )
         low, high = (
             entry.lowest if entry.lowest is not None else low,
             entry.highest if entry.highest is not None else high,
         )
         if not low <= value <= high:
-            raise DeviceError(f"line {text[:60]!r}: {entry.quantity} {value:g}, expected {low:g} to {high:g}")
+            raise DeviceError(
+                f"line {text[:60]!r}: {entry.quantity} {value:g}, expected {low:g} to {high:g}"
+            )
     return values
 
 
@@ -162,7 +193,9 @@ def _by_keys(profile: AsciiProfile, text: str) -> dict[str, Any]:
     for word in re.split(r"[,;\s]+", text.strip(" \t,;")):
         key, equals, value = word.partition("=")
         if not equals or not key or key in found:
-            raise DeviceError(f"line {text[:60]!r}: {word!r} is no key=value, or its key stands there twice")
+            raise DeviceError(
+                f"line {text[:60]!r}: {word!r} is no key=value, or its key stands there twice"
+            )
         found[key] = value
     return _having(profile, found, text)
 
@@ -175,7 +208,9 @@ def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
 
     try:
         # Numbers stay texts, so that their decimals can be counted.
-        found = json.loads(text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str)
+        found = json.loads(
+            text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str
+        )
     except (ValueError, RecursionError):
         raise DeviceError(f"line {text[:60]!r} is no JSON object") from None
     if not isinstance(found, dict):
@@ -188,7 +223,10 @@ def _having(profile: AsciiProfile, found: dict[str, Any], text: str) -> dict[str
     if missing := [key for key in keys if key not in found]:
         raise DeviceError(f"line {text[:60]!r} lacks {', '.join(missing)}")
     if profile.only and list(found) != keys:
-        raise DeviceError(f"line {text[:60]!r} has keys {', '.join(found)}, expected {', '.join(keys)} and no others")
+        raise DeviceError(
+            f"line {text[:60]!r} has keys {', '.join(found)}, expected {', '.join(keys)} and no "
+            f"others"
+        )
     return found
 
 

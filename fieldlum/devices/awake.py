@@ -1,4 +1,6 @@
-"""This computer as a device that falls asleep: held awake while something runs, by what the system offers for it."""
+"""This computer as a device that falls asleep: held awake while something runs, by what the
+system offers for it.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +11,19 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-# A closed lid is a lock of its own; where that is not granted (a remote login, say), the rest is worth having.
+# A closed lid is a lock of its own; where that is not granted (a remote login, say), the rest is
+# worth having.
 _WHAT = ("sleep:idle:handle-lid-switch", "sleep:idle")
 _PATIENCE_S = 5.0
 
 
 @contextmanager
 def kept_awake() -> Iterator[str]:
-    """Keep the computer awake inside; yields what holds (``sleep:idle:handle-lid-switch``), empty where nothing can.
+    """Keep the computer awake inside; yields what holds (``sleep:idle:handle-lid-switch``), empty
+    where nothing can.
 
-    Linux: a lock of systemd-logind; macOS: caffeinate; Windows: the thread's execution state (the last two were not
-    tried). The lock goes with this process, however it ends.
+    Linux: a lock of systemd-logind; macOS: caffeinate; Windows: the thread's execution state (the
+    last two were not tried). The lock goes with this process, however it ends.
     """
     if sys.platform == "win32":
         with _windows() as what:
@@ -52,11 +56,24 @@ def _start() -> tuple[subprocess.Popen[bytes] | None, str]:
 
 
 def _inhibit(what: str) -> subprocess.Popen[bytes] | None:
-    """A `cat` under the lock: it answers once the lock is granted, and ends when this process does."""
-    line = ["systemd-inhibit", f"--what={what}", "--who=fieldlum", "--why=captures are planned", "--mode=block", "cat"]
+    """A `cat` under the lock: it answers once the lock is granted, and ends when this process
+    does.
+    """
+    line = [
+        "systemd-inhibit",
+        f"--what={what}",
+        "--who=fieldlum",
+        "--why=captures are planned",
+        "--mode=block",
+        "cat",
+    ]
     try:
         process = subprocess.Popen(
-            line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+            line,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
     except OSError:
         return None
@@ -64,7 +81,10 @@ def _inhibit(what: str) -> subprocess.Popen[bytes] | None:
     with suppress(OSError):
         process.stdin.write(b"?\n")
         process.stdin.flush()
-        if select.select([process.stdout], [], [], _PATIENCE_S)[0] and process.stdout.read(2) == b"?\n":
+        if (
+            select.select([process.stdout], [], [], _PATIENCE_S)[0]
+            and process.stdout.read(2) == b"?\n"
+        ):
             return process
     process.kill()
     process.wait()

@@ -1,7 +1,8 @@
-"""A driver in a process of its own: when it hangs it is killed, when it crashes it is started anew, and the rest lives.
+"""A driver in a process of its own: when it hangs it is killed, when it crashes it is started anew,
+and the rest lives.
 
-The child runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result), ("error", text), or ("full",
-errno) when the disk is: that is no fault of the device's.
+The child runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result), ("error",
+text), or ("full", errno) when the disk is: that is no fault of the device's.
 """
 
 from __future__ import annotations
@@ -23,11 +24,17 @@ Serve = Callable[[Connection], None]
 
 def failure(error: Exception) -> tuple[str, Any]:
     """What a child answers for an error of its own."""
-    return ("full", error.errno) if isinstance(error, OSError) and disk_is_full(error) else ("error", str(error))
+    return (
+        ("full", error.errno)
+        if isinstance(error, OSError) and disk_is_full(error)
+        else ("error", str(error))
+    )
 
 
 class Child:
-    """Starts when first asked; one question at a time. `starts` counts how often it had to be started."""
+    """Starts when first asked; one question at a time. `starts` counts how often it had to be
+    started.
+    """
 
     def __init__(self, name: str, serve: Serve) -> None:
         self._name, self._serve = name, serve
@@ -41,7 +48,8 @@ class Child:
         return self._process is not None and self._process.is_alive()
 
     def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
-        """The child's answer. Raises DeviceError for its error, its silence (it is killed then) and its death.
+        """The child's answer. Raises DeviceError for its error, its silence (it is killed then) and
+        its death.
 
         Raises OSError when the child found the disk full.
         """
@@ -51,12 +59,21 @@ class Child:
                 pipe.send((command, arguments))
                 if not pipe.poll(timeout_s):
                     self._kill()
-                    raise DeviceError(f"{self._name}: '{command}' hung for {timeout_s:g} s; its process was killed")
+                    raise DeviceError(
+                        f"{self._name}: '{command}' hung for {timeout_s:g} s; its process was "
+                        f"killed"
+                    )
                 kind, result = pipe.recv()
             except (EOFError, OSError):
                 code = self._kill(grace_s=5.0)  # it is ending by itself: let it tell how
-                why = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
-                raise DeviceError(f"{self._name}: the driver crashed in '{command}' ({why})") from None
+                why = (
+                    f"signal {signal.Signals(-code).name}"
+                    if code is not None and code < 0
+                    else f"exit code {code}"
+                )
+                raise DeviceError(
+                    f"{self._name}: the driver crashed in '{command}' ({why})"
+                ) from None
         if kind == "full":
             raise OSError(result, os.strerror(result))
         if kind == "error":
@@ -66,9 +83,13 @@ class Child:
     def _ready(self) -> Connection:
         if self._pipe is None or not self.alive:
             self._kill()
-            context = multiprocessing.get_context("spawn")  # never fork: libusb and threads do not survive it
+            context = multiprocessing.get_context(
+                "spawn"
+            )  # never fork: libusb and threads do not survive it
             ours, theirs = context.Pipe()
-            self._process = context.Process(target=self._serve, args=(theirs,), daemon=True, name=self._name)
+            self._process = context.Process(
+                target=self._serve, args=(theirs,), daemon=True, name=self._name
+            )
             self._process.start()
             theirs.close()
             self._pipe, self.starts = ours, self.starts + 1

@@ -1,4 +1,6 @@
-"""Time as a device: the real clock, and a fast one whose sleep costs nothing and that can be stepped and suspended."""
+"""Time as a device: the real clock, and a fast one whose sleep costs nothing and that can be
+stepped and suspended.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +35,20 @@ class RealClock:
         return datetime.now(UTC)
 
     def monotonic(self) -> float:
-        return time.clock_gettime(time.CLOCK_MONOTONIC) if hasattr(time, "clock_gettime") else time.monotonic()
+        return (
+            time.clock_gettime(time.CLOCK_MONOTONIC)
+            if hasattr(time, "clock_gettime")
+            else time.monotonic()
+        )
 
     def boottime(self) -> float:
-        # Only Linux has this clock; on macOS and Windows time.monotonic counts sleep, or nothing does.
-        return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+        # Only Linux has this clock; on macOS and Windows time.monotonic counts sleep, or nothing
+        # does.
+        return (
+            time.clock_gettime(time.CLOCK_BOOTTIME)
+            if hasattr(time, "CLOCK_BOOTTIME")
+            else time.monotonic()
+        )
 
     def sleep(self, seconds: float) -> None:
         time.sleep(max(seconds, 0.0))
@@ -45,7 +56,9 @@ class RealClock:
 
 @dataclass(frozen=True, slots=True)
 class ClockFault:
-    """At `at_utc` (true time) the wall clock is stepped by `seconds`, or the computer sleeps for `seconds`."""
+    """At `at_utc` (true time) the wall clock is stepped by `seconds`, or the computer sleeps for
+    `seconds`.
+    """
 
     at_utc: datetime
     kind: Literal["step", "suspend"]
@@ -53,9 +66,11 @@ class ClockFault:
 
 
 class FastClock:
-    """Simulated time: `sleep` returns at once and time has passed. `true_utc` is what the sun goes by.
+    """Simulated time: `sleep` returns at once and time has passed. `true_utc` is what the sun goes
+    by.
 
-    faults: wall steps and suspends that come when their time does; `step` and `suspend` make them by hand.
+    faults: wall steps and suspends that come when their time does; `step` and `suspend` make them
+    by hand.
     """
 
     def __init__(self, start: datetime, faults: Iterable[ClockFault] = ()) -> None:
@@ -84,7 +99,9 @@ class FastClock:
             return self._boot_s
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass; a suspend on the way makes the sleeper wake later, as on a real computer."""
+        """Let time pass; a suspend on the way makes the sleeper wake later, as on a real
+        computer.
+        """
         with self._lock:
             left = max(seconds, 0.0)
             while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=left):

@@ -1,4 +1,6 @@
-"""A tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``; ``?delete=1`` clears the card as it goes."""
+"""A tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``; ``?delete=1`` clears the
+card as it goes.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ _NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", r
 
 
 def setting_value(text: str) -> float | None:
-    """Number behind a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100; None for Bulb, Auto and the like."""
+    """Number behind a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100; None for Bulb, Auto
+    and the like.
+    """
     match = _NUMBER.fullmatch(text.strip())
     if match is None or (match[2] is not None and not float(match[2])):
         return None
@@ -43,8 +47,8 @@ def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
 class GphotoCamera:
     """Implements `Camera`, with libgphoto2 in a child process under a watchdog.
 
-    After a hang or a crash the next call starts the child anew. readout_s: patience beyond the shutter time;
-    late_file_s: how long the second file of a raw and JPEG pair may take.
+    After a hang or a crash the next call starts the child anew. readout_s: patience beyond the
+    shutter time; late_file_s: how long the second file of a raw and JPEG pair may take.
     """
 
     def __init__(
@@ -57,7 +61,12 @@ class GphotoCamera:
         late_file_s: float = 0.15,
     ) -> None:
         self._child = Child("gphoto", serve)
-        self._model, self._delete, self._readout_s, self._late_ms = model, delete, readout_s, round(1000 * late_file_s)
+        self._model, self._delete, self._readout_s, self._late_ms = (
+            model,
+            delete,
+            readout_s,
+            round(1000 * late_file_s),
+        )
         self._about: dict[str, Any] = {}
         try:
             self._open()
@@ -77,18 +86,23 @@ class GphotoCamera:
         return CameraInfo("gphoto", **about)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set, read back, take, copy. What was taken is kept, whatever its EXIF says: the caller compares it.
+        """Set, read back, take, copy. What was taken is kept, whatever its EXIF says: the caller
+        compares it.
 
         Raises DeviceError, and OSError when the disk is full.
         """
         if heading_deg is not None:
-            raise DeviceError("gphoto: this camera has no head that turns: leave headings out of the site file")
+            raise DeviceError(
+                "gphoto: this camera has no head that turns: leave headings out of the site file"
+            )
         if not self._child.alive or self._child.starts != self._opened_at_start:
             self._open()
         for role, asked in _roles(exposure):
             self._set(role, asked)
         wait_s = exposure.shutter_s + self._readout_s
-        return Path(self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s))
+        return Path(
+            self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s)
+        )
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raises DeviceError for a value that is none of the camera's choices."""
@@ -97,13 +111,18 @@ class GphotoCamera:
                 choose(role, asked, self._about["settings"][role][1])
 
     def _set(self, role: str, asked: float) -> None:
-        if role not in self._about["settings"]:  # a manual lens, or fixed: EXIF has the last word, in `capture`
+        if (
+            role not in self._about["settings"]
+        ):  # a manual lens, or fixed: EXIF has the last word, in `capture`
             return
         widget, choices = self._about["settings"][role]
         text = choose(role, asked, choices)
         shown = self._child.ask("set", widget, text, timeout_s=SET_S)
         if shown != text:
-            raise DeviceError(f"gphoto: {widget} was set to {text}, but the camera shows {shown}: set its dial to M")
+            raise DeviceError(
+                f"gphoto: {widget} was set to {text}, but the camera shows {shown}: set its dial "
+                f"to M"
+            )
 
     def close(self) -> None:
         self._child.close()
@@ -115,7 +134,9 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 
     options = uri.read(delete=whole(0, 1))
     if find_spec("gphoto2") is None:
-        raise DeviceError(f"{uri.text}: needs the package gphoto2: pip install 'fieldlum[gphoto]' (Linux, macOS)")
+        raise DeviceError(
+            f"{uri.text}: needs the package gphoto2: pip install 'fieldlum[gphoto]' (Linux, macOS)"
+        )
     from fieldlum.devices.gphoto_child import serve
 
     return GphotoCamera(serve, uri.place, delete=bool(options.get("delete", 0)))

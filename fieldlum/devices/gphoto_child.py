@@ -1,4 +1,6 @@
-"""Runs in its own process, beside libgphoto2: opens the camera, sets what it offers, takes a picture, copies it out."""
+"""Runs in its own process, beside libgphoto2: opens the camera, sets what it offers, takes a
+picture, copies it out.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,10 @@ def _open(gp: Any, model: str) -> Any:
     if model:
         found = [entry for entry in gp.Camera.autodetect() if model.lower() in entry[0].lower()]
         if not found:
-            raise ValueError(f"no camera named {model}: there are {[e[0] for e in gp.Camera.autodetect()] or 'none'}")
+            raise ValueError(
+                f"no camera named {model}: there are "
+                f"{[e[0] for e in gp.Camera.autodetect()] or 'none'}"
+            )
         name, port = found[0]
         abilities, ports = gp.CameraAbilitiesList(), gp.PortInfoList()
         abilities.load()
@@ -96,7 +101,10 @@ def _describe(gp: Any, camera: Any) -> dict[str, Any]:
                     settings[role] = (name, list(widget.get_choices()))
                     break
     asked = time.time()
-    clock = next((v for n in ("datetimeutc", "datetime") if isinstance(v := _value(gp, camera, n), int)), None)
+    clock = next(
+        (v for n in ("datetimeutc", "datetime") if isinstance(v := _value(gp, camera, n), int)),
+        None,
+    )
     return {
         "make": str(_value(gp, camera, "manufacturer") or ""),
         "model": str(_value(gp, camera, "cameramodel") or camera.get_abilities().model),
@@ -136,7 +144,8 @@ def _set(gp: Any, camera: Any, name: str, text: str) -> str:
 
 
 def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> str:
-    """Take a picture and copy it to `target` plus its suffix; of raw and JPEG the raw. Returns the path.
+    """Take a picture and copy it to `target` plus its suffix; of raw and JPEG the raw. Returns the
+    path.
 
     late_ms: how long to wait for a second file of the same picture.
     """
@@ -152,7 +161,9 @@ def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> st
         kind, data = camera.wait_for_event(late_ms)
     folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
     shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
-    body = bytes(memoryview(shot.get_data_and_size()))  # `shot` must live until the bytes are copied
+    body = bytes(
+        memoryview(shot.get_data_and_size())
+    )  # `shot` must live until the bytes are copied
     path = Path(f"{target}{Path(name).suffix.lower()}")
     with path.open("wb") as file:
         file.write(body)

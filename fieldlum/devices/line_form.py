@@ -1,7 +1,9 @@
-"""The form of a stream of lines, learned from the stream itself: what stands around its numbers, how they are written.
+"""The form of a stream of lines, learned from the stream itself: what stands around its numbers,
+how they are written.
 
-A damaged line that still reads as a number often lacks the form of all the lines before it: it lost decimals, a key, a
-nought of its padding. What is constant in a stream is found here without anybody stating it.
+A damaged line that still reads as a number often lacks the form of all the lines before it: it lost
+decimals, a key, a nought of its padding. What is constant in a stream is found here without anybody
+stating it.
 """
 
 from __future__ import annotations
@@ -11,13 +13,20 @@ from collections import Counter, deque
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
-RECENT, ENOUGH = 60, 20  # lines that count; and how many it takes before anything is called constant
-_NUMBER = re.compile(r"(?P<blanks>[ \t]*)(?P<number>[+-]?\d+(?:\.(?P<decimals>\d+))?(?:[eE][+-]?\d{1,2})?)")
+RECENT, ENOUGH = (
+    60,
+    20,
+)  # lines that count; and how many it takes before anything is called constant
+_NUMBER = re.compile(
+    r"(?P<blanks>[ \t]*)(?P<number>[+-]?\d+(?:\.(?P<decimals>\d+))?(?:[eE][+-]?\d{1,2})?)"
+)
 _PADDED = re.compile(r"[+-]?0\d")
 
 
 def constant(values: Sequence[Hashable]) -> Hashable | None:
-    """The value that all of them have but one in sixty; None where there is none, or too few to tell."""
+    """The value that all of them have but one in sixty; None where there is none, or too few to
+    tell.
+    """
     if len(values) < ENOUGH:
         return None
     value, count = Counter(values).most_common(1)[0]
@@ -29,7 +38,9 @@ class _Number:
     """One number's place in the line, over the recent lines."""
 
     decimals: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    widths: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))  # blanks before it included
+    widths: deque[int] = field(
+        default_factory=lambda: deque(maxlen=RECENT)
+    )  # blanks before it included
     blanks: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
     noughts: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))  # 024.1
 
@@ -47,7 +58,8 @@ class LineForm:
     numbers: dict[int, _Number] = field(default_factory=dict)
 
     def unlike(self, text: str) -> str:
-        """How a line differs from what was constant before it, or nothing; the line is then remembered.
+        """How a line differs from what was constant before it, or nothing; the line is then
+        remembered.
 
         A form that changes for good is refused twice and is no exception any more.
         """

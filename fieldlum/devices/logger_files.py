@@ -1,4 +1,6 @@
-"""Files of data loggers to irradiance samples: Campbell TOA5, plain CSV, and fieldlum's own day files."""
+"""Files of data loggers to irradiance samples: Campbell TOA5, plain CSV, and fieldlum's own day
+files.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ _TIMES = ("t_utc", "time", "timestamp")
 
 @dataclass(frozen=True, slots=True)
 class LoggerFile:
-    """samples by time; left_out: lines that could not be read, with the reason; about: what the file says it is."""
+    """samples by time; left_out: lines that could not be read, with the reason; about: what the
+    file says it is.
+    """
 
     samples: tuple[IrradianceSample, ...]
     left_out: tuple[str, ...]
@@ -32,8 +36,8 @@ def read_logger_file(
 ) -> LoggerFile:
     """utc_offset: the logger's clock minus UTC, for files whose times have no zone.
 
-    Raises InputError for what is no such file, for times without a zone and without utc_offset, and for a file of
-    which nothing can be read.
+    Raises InputError for what is no such file, for times without a zone and without utc_offset, and
+    for a file of which nothing can be read.
     """
     try:
         data = path.read_bytes()
@@ -49,23 +53,40 @@ def read_logger_file(
         left_out = table.broken
         if table.missing_records:
             left_out += (f"{table.missing_records} record numbers are missing",)
-        found = LoggerFile(table.samples, left_out, f"TOA5 of {table.station}, {table.model} {table.serial}".strip())
+        found = LoggerFile(
+            table.samples,
+            left_out,
+            f"TOA5 of {table.station}, {table.model} {table.serial}".strip(),
+        )
     elif text.startswith(",".join(DAY_COLUMNS)):
         samples, broken = read_day(path)
-        found = LoggerFile(tuple(samples), (f"{broken} broken rows",) if broken else (), "a day file of fieldlum")
+        found = LoggerFile(
+            tuple(samples), (f"{broken} broken rows",) if broken else (), "a day file of fieldlum"
+        )
     else:
         found = _read_csv(path, text, utc_offset, columns)
     if not found.samples:
         why = found.left_out[0] if found.left_out else "it holds no rows"
-        raise InputError(path, f"nothing could be read: {why}", "rows of irradiance", "check the file")
-    return LoggerFile(tuple(sorted(found.samples, key=lambda s: s.t_utc)), found.left_out, found.about)
+        raise InputError(
+            path, f"nothing could be read: {why}", "rows of irradiance", "check the file"
+        )
+    return LoggerFile(
+        tuple(sorted(found.samples, key=lambda s: s.t_utc)), found.left_out, found.about
+    )
 
 
 def _no_zone(path: Path) -> InputError:
-    return InputError(path, "times without a time zone", "the logger's offset from UTC", "give --utc-offset +HH:MM")
+    return InputError(
+        path,
+        "times without a time zone",
+        "the logger's offset from UTC",
+        "give --utc-offset +HH:MM",
+    )
 
 
-def _read_csv(path: Path, text: str, utc_offset: timedelta | None, columns: Mapping[str, str] | None) -> LoggerFile:
+def _read_csv(
+    path: Path, text: str, utc_offset: timedelta | None, columns: Mapping[str, str] | None
+) -> LoggerFile:
     """A header with a time (t_utc, time or timestamp) and at least one irradiance."""
     rows = csv.reader(text.splitlines())
     try:
@@ -80,7 +101,10 @@ def _read_csv(path: Path, text: str, utc_offset: timedelta | None, columns: Mapp
     wanted = columns or {name: name for name in QUANTITIES}
     chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
     if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
-        shown, remedy = ", ".join(names)[:120], "name them in its first line, or by --column ghi_wm2=NAME"
+        shown, remedy = (
+            ", ".join(names)[:120],
+            "name them in its first line, or by --column ghi_wm2=NAME",
+        )
         raise InputError(path, f"columns {shown}", "t_utc and ghi_wm2, dhi_wm2 or dni_wm2", remedy)
     samples, left_out = [], []
     try:
@@ -96,7 +120,12 @@ def _read_csv(path: Path, text: str, utc_offset: timedelta | None, columns: Mapp
 
 
 def _sample(
-    path: Path, row: list[str], names: list[str], when: int, chosen: dict[str, int], utc_offset: timedelta | None
+    path: Path,
+    row: list[str],
+    names: list[str],
+    when: int,
+    chosen: dict[str, int],
+    utc_offset: timedelta | None,
 ) -> IrradianceSample:
     """Raises ValueError for a broken row."""
     if len(row) != len(names):
@@ -104,10 +133,14 @@ def _sample(
     try:
         t = datetime.fromisoformat(row[when].strip())
     except ValueError:
-        raise ValueError(f"time {row[when][:30]!r}, expected one like 2027-03-20T16:00:00Z") from None
+        raise ValueError(
+            f"time {row[when][:30]!r}, expected one like 2027-03-20T16:00:00Z"
+        ) from None
     if t.tzinfo is None:
         if utc_offset is None:
             raise _no_zone(path)
         t = t.replace(tzinfo=UTC) - utc_offset
-    values = {q: number_of(row[i].strip(), q) if row[i].strip() else None for q, i in chosen.items()}
+    values = {
+        q: number_of(row[i].strip(), q) if row[i].strip() else None for q, i in chosen.items()
+    }
     return sample_of(t.astimezone(UTC), values, ",".join(row[i] for i in sorted(chosen.values())))

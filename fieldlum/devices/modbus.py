@@ -1,7 +1,9 @@
-"""Pyranometers on Modbus RTU: ``modbus:PLACE?kind=smp&unit=1``, all by one driver and a register profile.
+"""Pyranometers on Modbus RTU: ``modbus:PLACE?kind=smp&unit=1``, all by one driver and a register
+profile.
 
-Options: kind (or the path of an own profile), unit, dhi_unit and dni_unit (more instruments of that kind on the same
-bus), baud, parity, stop, timeout. Only functions 3 and 4 are ever sent: no register is written.
+Options: kind (or the path of an own profile), unit, dhi_unit and dni_unit (more instruments of that
+kind on the same bus), baud, parity, stop, timeout. Only functions 3 and 4 are ever sent: no
+register is written.
 """
 
 from __future__ import annotations
@@ -12,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.registers import Block, Decoded, Line, RegisterProfile, decode, load_register_profile
+from fieldlum.devices.registers import (
+    Block,
+    Decoded,
+    Line,
+    RegisterProfile,
+    decode,
+    load_register_profile,
+)
 from fieldlum.devices.serial_port import SerialPort, told
 from fieldlum.devices.uri import DeviceUri, number, one_of, whole
 from fieldlum.errors import DeviceError
@@ -32,14 +41,28 @@ class ModbusPyranometer:
     """Implements `Pyranometer`: one instrument, or several of one kind on one bus."""
 
     def __init__(
-        self, place: str, profile: RegisterProfile, line: Line, units: Sequence[Unit], clock: Clock, *, timeout_s: float
+        self,
+        place: str,
+        profile: RegisterProfile,
+        line: Line,
+        units: Sequence[Unit],
+        clock: Clock,
+        *,
+        timeout_s: float,
     ) -> None:
         self._profile, self._units, self._clock = profile, tuple(units), clock
         self._port = SerialPort(
-            place, baud=line.baud, bits=line.bits, parity=line.parity, stop=line.stop, timeout_s=timeout_s
+            place,
+            baud=line.baud,
+            bits=line.bits,
+            parity=line.parity,
+            stop=line.stop,
+            timeout_s=timeout_s,
         )
         try:
-            self._about = [self._ask(unit, profile.at_open + profile.poll)[0] for unit in self._units]
+            self._about = [
+                self._ask(unit, profile.at_open + profile.poll)[0] for unit in self._units
+            ]
         except DeviceError:
             self.close()
             raise
@@ -57,7 +80,14 @@ class ModbusPyranometer:
             texts("serial"),
             texts("firmware"),
             # Of several instruments the oldest date counts.
-            min((d.texts["calibration_date"] for d in self._about if d.texts.get("calibration_date")), default=""),
+            min(
+                (
+                    d.texts["calibration_date"]
+                    for d in self._about
+                    if d.texts.get("calibration_date")
+                ),
+                default="",
+            ),
             texts("sensitivity"),
             " ".join(d.status for d in self._about if d.status),
             self._port.name,
@@ -66,7 +96,9 @@ class ModbusPyranometer:
         )
 
     def read(self) -> IrradianceSample:
-        """All units one after the other. Raises DeviceError when one is silent or answers nonsense."""
+        """All units one after the other. Raises DeviceError when one is silent or answers
+        nonsense.
+        """
         t_utc = self._clock.now()
         values: dict[str, float] = {}
         words, status, warm = [], [], None
@@ -77,8 +109,14 @@ class ModbusPyranometer:
             if found.status:
                 status.append(f"{unit.measures}: {found.status}")
             warm = found.values.get("temperature_c") if warm is None else warm
-        return IrradianceSample(t_utc, values.pop("ghi_wm2", None), **values, temperature_c=warm,
-                                status="; ".join(status), raw="; ".join(words))  # fmt: skip
+        return IrradianceSample(
+            t_utc,
+            values.pop("ghi_wm2", None),
+            **values,
+            temperature_c=warm,
+            status="; ".join(status),
+            raw="; ".join(words),
+        )
 
     def _ask(self, unit: Unit, blocks: tuple[Block, ...]) -> tuple[Decoded, str]:
         """The blocks of one unit, decoded and as hexadecimal words."""
@@ -92,13 +130,20 @@ class ModbusPyranometer:
                     words = client.read_registers(block.start, block.count, self._profile.function)
                 except minimalmodbus.NoResponseError:
                     raise DeviceError(
-                        f"{self._port.name}: {self._profile.kind} unit {unit.address} is silent: check wiring, power, "
+                        f"{self._port.name}: {self._profile.kind} unit {unit.address} is silent: "
+                        f"check wiring, power, "
                         "unit number, baud rate and parity"
                     ) from None
                 except minimalmodbus.ModbusException as error:
-                    raise DeviceError(f"{self._port.name}: {self._profile.kind} unit {unit.address}: {error}") from None
+                    raise DeviceError(
+                        f"{self._port.name}: {self._profile.kind} unit {unit.address}: {error}"
+                    ) from None
             registers.update(zip(range(block.start, block.start + block.count), words, strict=True))
-        raw = " ".join(f"{registers[r]:04x}" for b in self._profile.poll for r in range(b.start, b.start + b.count))
+        raw = " ".join(
+            f"{registers[r]:04x}"
+            for b in self._profile.poll
+            for r in range(b.start, b.start + b.count)
+        )
         return decode(self._profile, registers), raw
 
     def close(self) -> None:
@@ -109,21 +154,37 @@ def _whole(value: float | None) -> str:
     return "" if value is None else f"{value:.10g}"
 
 
-def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ModbusPyranometer:
-    """Raises DeviceError for unknown options or kinds, a missing port, or an instrument that does not answer."""
+def open_pyranometer(
+    uri: DeviceUri, *, clock: Clock, session: Session | None = None
+) -> ModbusPyranometer:
+    """Raises DeviceError for unknown options or kinds, a missing port, or an instrument that
+    does not answer.
+    """
     options: dict[str, Any] = uri.read(
-        kind=str, unit=whole(1, 247), dhi_unit=whole(1, 247), dni_unit=whole(1, 247), baud=whole(300, 115200),
-        parity=one_of("N", "E", "O"), stop=whole(1, 2), timeout=number(0.05, 30.0),
-    )  # fmt: skip
+        kind=str,
+        unit=whole(1, 247),
+        dhi_unit=whole(1, 247),
+        dni_unit=whole(1, 247),
+        baud=whole(300, 115200),
+        parity=one_of("N", "E", "O"),
+        stop=whole(1, 2),
+        timeout=number(0.05, 30.0),
+    )
     if not uri.place or "kind" not in options:
-        raise DeviceError(f"{uri.text}: expected a port and a kind, like modbus:/dev/ttyUSB0?kind=smp&unit=1")
+        raise DeviceError(
+            f"{uri.text}: expected a port and a kind, like modbus:/dev/ttyUSB0?kind=smp&unit=1"
+        )
     profile = load_register_profile(options["kind"])
     line = profile.line
     unit = options.get("unit", line.unit)
     if not unit:
-        raise DeviceError(f"{uri.text}: no unit, and {profile.kind} has no common one: {profile.note}")
+        raise DeviceError(
+            f"{uri.text}: no unit, and {profile.kind} has no common one: {profile.note}"
+        )
     units = [Unit("ghi", unit)]
-    units += [Unit(name, options[f"{name}_unit"]) for name in ("dhi", "dni") if f"{name}_unit" in options]
+    units += [
+        Unit(name, options[f"{name}_unit"]) for name in ("dhi", "dni") if f"{name}_unit" in options
+    ]
     if len({u.address for u in units}) != len(units):
         raise DeviceError(f"{uri.text}: a unit number is given twice")
     settings = Line(
@@ -133,4 +194,6 @@ def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = 
         options.get("stop", line.stop),
         unit,
     )
-    return ModbusPyranometer(uri.place, profile, settings, units, clock, timeout_s=options.get("timeout", 0.5))
+    return ModbusPyranometer(
+        uri.place, profile, settings, units, clock, timeout_s=options.get("timeout", 0.5)
+    )

@@ -1,4 +1,6 @@
-"""Instruments with registers: what stands where (profiles as data), and what a block of registers means."""
+"""Instruments with registers: what stands where (profiles as data), and what a block of
+registers means.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,10 @@ from fieldlum.profiles import build, read_toml, shipped
 
 Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
 WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}
-LOWEST_WM2, HIGHEST_WM2 = -200.0, 4000.0  # beyond any sun, cloud edge or night offset: a misread register
+LOWEST_WM2, HIGHEST_WM2 = (
+    -200.0,
+    4000.0,
+)  # beyond any sun, cloud edge or night offset: a misread register
 Registers = Mapping[int, int]
 
 
@@ -39,7 +44,9 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One value. power10_register: the value is divided by ten to the power of that register (Kipp & Zonen)."""
+    """One value. power10_register: the value is divided by ten to the power of that register
+    (Kipp & Zonen).
+    """
 
     name: str
     register: int
@@ -69,7 +76,9 @@ class RegisterProfile:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """values by the entries' names; texts of model, serial and dates; what the status words complain of."""
+    """values by the entries' names; texts of model, serial and dates; what the status words
+    complain of.
+    """
 
     values: dict[str, float]
     texts: dict[str, str]
@@ -81,22 +90,35 @@ def known_kinds() -> list[str]:
 
 
 def load_register_profile(kind: str) -> RegisterProfile:
-    """By kind, or by the path of an own TOML. Raises InputError for a broken one, DeviceError for an unknown kind."""
+    """By kind, or by the path of an own TOML. Raises InputError for a broken one, DeviceError
+    for an unknown kind.
+    """
     path = Path(kind)
     if path.suffix != ".toml":
         path = shipped("calibration") / "instruments" / f"{kind}.toml"
     if not path.is_file():
-        raise DeviceError(f"no instrument '{kind}', there are {', '.join(known_kinds())}, or give the path of a TOML")
+        raise DeviceError(
+            f"no instrument '{kind}', there are {', '.join(known_kinds())}, or give the path of a "
+            f"TOML"
+        )
     profile = build(RegisterProfile, read_toml(path), str(path))
     for block in (*profile.poll, *profile.at_open):
-        if not 0 < block.count <= profile.largest_request or not 0 <= block.start <= 65535 - block.count:
+        if (
+            not 0 < block.count <= profile.largest_request
+            or not 0 <= block.start <= 65535 - block.count
+        ):
             limit = f"1 to {profile.largest_request} registers in a request"
             raise InputError(path, f"a block of {block.count} registers at {block.start}", limit)
     polled = {r for b in profile.poll for r in range(b.start, b.start + b.count)}
     read = polled | {r for b in profile.at_open for r in range(b.start, b.start + b.count)}
     for entry in profile.entry:
         if not set(_span(entry)) <= (polled if entry.name == "irradiance_wm2" else read):
-            raise InputError(path, f"entry '{entry.name}' lies outside the blocks", "a block that holds it", "add it")
+            raise InputError(
+                path,
+                f"entry '{entry.name}' lies outside the blocks",
+                "a block that holds it",
+                "add it",
+            )
     if "irradiance_wm2" not in {e.name for e in profile.entry}:
         raise InputError(path, "no entry 'irradiance_wm2'", "one", "add it")
     return profile
@@ -120,7 +142,10 @@ def date_text(number: float) -> str:
     """20260115 to 2026-01-15; empty for what is no date."""
     text = f"{number:.0f}"
     plausible = (
-        len(text) == 8 and "1990" <= text[:4] <= "2100" and "01" <= text[4:6] <= "12" and "01" <= text[6:] <= "31"
+        len(text) == 8
+        and "1990" <= text[:4] <= "2100"
+        and "01" <= text[4:6] <= "12"
+        and "01" <= text[6:] <= "31"
     )
     return f"{text[:4]}-{text[4:6]}-{text[6:]}" if plausible else ""
 
@@ -131,7 +156,9 @@ def _text(words: Iterable[int]) -> str:
 
 
 def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
-    """The entries whose registers are there. Raises DeviceError for an irradiance that no sun can make."""
+    """The entries whose registers are there. Raises DeviceError for an irradiance that no sun
+    can make.
+    """
     values: dict[str, float] = {}
     texts: dict[str, str] = {}
     complaints = []
@@ -139,9 +166,13 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
         if any(r not in registers for r in _span(entry)):
             continue
         if entry.type == "text":
-            texts[entry.name] = _text(registers[r] for r in range(entry.register, entry.register + entry.words))
+            texts[entry.name] = _text(
+                registers[r] for r in range(entry.register, entry.register + entry.words)
+            )
             continue
-        number = raw_value(entry.type, [registers[entry.register + i] for i in range(WORDS[entry.type])])
+        number = raw_value(
+            entry.type, [registers[entry.register + i] for i in range(WORDS[entry.type])]
+        )
         if entry.type == "date":
             texts[entry.name] = date_text(number)
             continue
@@ -151,11 +182,16 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
             number /= 10.0 ** _power(registers[entry.power10_register], profile)
         values[entry.name] = number * entry.scale
     irradiance = values.get("irradiance_wm2")
-    if irradiance is not None and not (math.isfinite(irradiance) and LOWEST_WM2 <= irradiance <= HIGHEST_WM2):
+    if irradiance is not None and not (
+        math.isfinite(irradiance) and LOWEST_WM2 <= irradiance <= HIGHEST_WM2
+    ):
         raise DeviceError(
-            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2, expected {LOWEST_WM2:g} to {HIGHEST_WM2:g}"
+            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2, expected {LOWEST_WM2:g} to "
+            f"{HIGHEST_WM2:g}"
         )
-    return Decoded({k: v for k, v in values.items() if math.isfinite(v)}, texts, " ".join(complaints))
+    return Decoded(
+        {k: v for k, v in values.items() if math.isfinite(v)}, texts, " ".join(complaints)
+    )
 
 
 def _power(word: int, profile: RegisterProfile) -> int:

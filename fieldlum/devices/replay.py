@@ -1,6 +1,8 @@
-"""Frames that were taken before, as a camera: ``replay:FOLDER``. For rehearsals, and to see what a capture would do.
+"""Frames that were taken before, as a camera: ``replay:FOLDER``. For rehearsals, and to see what a
+capture would do.
 
-Each frame of the folder is given once, in the order of the camera's clock, to the first exposure that it fits.
+Each frame of the folder is given once, in the order of the camera's clock, to the first exposure
+that it fits.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", 
 
 
 def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
-    """All frames under a folder, by the camera's clock and name. Raises DeviceError when there is none.
+    """All frames under a folder, by the camera's clock and name. Raises DeviceError when there is
+    none.
 
     A file that is no frame, or tells no exposure, is passed over.
     """
@@ -45,12 +48,18 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
 def _order(t_camera: datetime | None) -> datetime:
     """Naive camera times are only compared with each other."""
     late = datetime.max.replace(tzinfo=UTC)
-    return late if t_camera is None else t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
+    return (
+        late if t_camera is None else t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
+    )
 
 
 def fits(found: Exposure, asked: Exposure) -> bool:
     """The same within 1/6 EV in each setting, and the same filter where the file names one."""
-    pairs = ((found.shutter_s, asked.shutter_s), (found.f_number, asked.f_number), (found.iso, asked.iso))
+    pairs = (
+        (found.shutter_s, asked.shutter_s),
+        (found.f_number, asked.f_number),
+        (found.iso, asked.iso),
+    )
     near = all(abs(math.log2(a / b)) <= LARGEST_STEP_EV for a, b in pairs)
     return near and found.nd in ("", asked.nd)
 

@@ -1,4 +1,6 @@
-"""``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``; PLACE is a device file or usb=VID:PID:SERIAL."""
+"""``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``; PLACE is a device file or
+usb=VID:PID:SERIAL.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,16 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 
-def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Pyranometer:
-    """Raises DeviceError for unknown options, a port that is not there, or an instrument that does not answer."""
+def open_pyranometer(
+    uri: DeviceUri, *, clock: Clock, session: Session | None = None
+) -> Pyranometer:
+    """Raises DeviceError for unknown options, a port that is not there, or an instrument that
+    does not answer.
+    """
     if not uri.place:
-        raise DeviceError(f"{uri.text}: no port, expected something like serial:/dev/serial/by-id/NAME?kind=spn1")
+        raise DeviceError(
+            f"{uri.text}: no port, expected something like serial:/dev/serial/by-id/NAME?kind=spn1"
+        )
     kind = one_of("spn1", "ascii")
     if uri.options.get("kind") == "ascii":
         return _open_lines(uri, clock)
@@ -25,7 +33,9 @@ def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = 
         raise DeviceError(f"{uri.text}: no kind, add ?kind=spn1 or ?kind=ascii&profile=NAME")
     from fieldlum.devices.serial_spn1 import Spn1
 
-    return Spn1(uri.place, clock, baud=options.get("baud", 9600), timeout_s=options.get("timeout", 2.0))
+    return Spn1(
+        uri.place, clock, baud=options.get("baud", 9600), timeout_s=options.get("timeout", 2.0)
+    )
 
 
 def _open_lines(uri: DeviceUri, clock: Clock) -> Pyranometer:

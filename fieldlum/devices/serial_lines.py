@@ -23,22 +23,32 @@ _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 
 
 def voted(values: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """The median of each quantity over lines: of three, a damaged one stands outside the other two, or is harmless."""
+    """The median of each quantity over lines: of three, a damaged one stands outside the other
+    two, or is harmless.
+    """
     return {quantity: median(line[quantity] for line in values) for quantity in values[-1]}
 
 
 class LineInstrument:
-    """Implements `Pyranometer` and `Streaming`: the newest line since the last reading, or the next one.
+    """Implements `Pyranometer` and `Streaming`: the newest line since the last reading, or the next
+    one.
 
     Where three or more have come, at two seconds' distance or less, the median of the newest three.
     """
 
-    def __init__(self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float | None = None) -> None:
+    def __init__(
+        self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float | None = None
+    ) -> None:
         line = profile.line
         self._profile, self._clock = profile, clock
         self._silence_s = line.silence_s if silence_s is None else silence_s
         self._port = SerialPort(
-            place, baud=line.baud, bits=line.bits, parity=line.parity, stop=line.stop, timeout_s=_POLL_S
+            place,
+            baud=line.baud,
+            bits=line.bits,
+            parity=line.parity,
+            stop=line.stop,
+            timeout_s=_POLL_S,
         )
         self._rest: bytes | None = None  # None: the first line may have begun before we listened
         self._form = LineForm()
@@ -49,11 +59,18 @@ class LineInstrument:
     @property
     def info(self) -> InstrumentInfo:
         p = self._profile
-        gives = tuple(e.quantity.removesuffix("_wm2") for e in p.entry if e.quantity.endswith("_wm2"))
+        gives = tuple(
+            e.quantity.removesuffix("_wm2") for e in p.entry if e.quantity.endswith("_wm2")
+        )
         return InstrumentInfo(
-            "ascii", p.model or p.name, p.serial, calibration_date=p.calibration_date, port=self._port.name,
-            gives=gives, guard=_GUARD[p.checksum],
-        )  # fmt: skip
+            "ascii",
+            p.model or p.name,
+            p.serial,
+            calibration_date=p.calibration_date,
+            port=self._port.name,
+            gives=gives,
+            guard=_GUARD[p.checksum],
+        )
 
     def read(self) -> IrradianceSample:
         """Raises DeviceError after a silence, or when only lines come that do not fit."""
@@ -81,7 +98,9 @@ class LineInstrument:
     def _reading(self, sound: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:
         now = self._clock.boottime()
         apart_s, self._last_read_s = (now - self._last_read_s) / len(sound), now
-        newest = sound[-_VOTES:] if len(sound) >= _VOTES and apart_s <= _SLOWEST_VOTE_S else sound[-1:]
+        newest = (
+            sound[-_VOTES:] if len(sound) >= _VOTES and apart_s <= _SLOWEST_VOTE_S else sound[-1:]
+        )
         texts = " | ".join(dict.fromkeys(text for text, _ in newest))
         return sample_of(self._clock.now(), voted([values for _, values in newest]), texts)
 

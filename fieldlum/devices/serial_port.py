@@ -1,4 +1,6 @@
-"""A serial port that says what is wrong with it as DeviceError, and finds its instrument again after an unplug."""
+"""A serial port that says what is wrong with it as DeviceError, and finds its instrument again
+after an unplug.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,18 @@ def told(port: str) -> Iterator[None]:
     """Turns the three unrelated errors that a serial port raises into DeviceError."""
     try:
         yield
-    except (OSError, _TermiosError) as error:  # serial.SerialException is an OSError, termios.error is not
+    except (
+        OSError,
+        _TermiosError,
+    ) as error:  # serial.SerialException is an OSError, termios.error is not
         said = str(error.args[-1] if error.args else error).splitlines()
         raise DeviceError(f"{port}: {said[0] if said else type(error).__name__}") from None
 
 
 def _cannot_open(port: str, error: DeviceError) -> str:
-    """What to do about a port that does not open. pyserial tells the reason in its text alone on Windows."""
+    """What to do about a port that does not open. pyserial tells the reason in its text alone on
+    Windows.
+    """
     said = str(error)
     if "[Errno 2]" in said or "FileNotFoundError" in said:
         from serial.tools.list_ports import comports
@@ -34,9 +41,13 @@ def _cannot_open(port: str, error: DeviceError) -> str:
         known = ", ".join(sorted(found.device for found in comports()))
         return f"{port}: no such port; ports there are: {known or 'none, so check cable and power'}"
     if "[Errno 13]" in said:
-        return f"{port}: no right to open it; join the port's group (often dialout) and log in again"
+        return (
+            f"{port}: no right to open it; join the port's group (often dialout) and log in again"
+        )
     if "exclusively lock" in said or "[Errno 16]" in said or "PermissionError" in said:
-        return f"{port}: another program holds it; close that one (a terminal, another capture or log)"
+        return (
+            f"{port}: another program holds it; close that one (a terminal, another capture or log)"
+        )
     if "[Errno 25]" in said or "Inappropriate ioctl" in said:
         return f"{port}: is no serial port"
     return said
@@ -67,7 +78,14 @@ class SerialPort:
     """One exclusive port with fixed settings. `exchange` asks and reads up to an end mark."""
 
     def __init__(
-        self, place: str, *, baud: int, bits: int = 8, parity: str = "N", stop: float = 1, timeout_s: float
+        self,
+        place: str,
+        *,
+        baud: int,
+        bits: int = 8,
+        parity: str = "N",
+        stop: float = 1,
+        timeout_s: float,
     ) -> None:
         import serial
 
@@ -75,9 +93,15 @@ class SerialPort:
         try:
             with told(self.name):
                 self._port: Any = serial.Serial(
-                    self.name, baud, bytesize=bits, parity=parity, stopbits=stop, timeout=timeout_s,
-                    write_timeout=timeout_s, exclusive=True,
-                )  # fmt: skip
+                    self.name,
+                    baud,
+                    bytesize=bits,
+                    parity=parity,
+                    stopbits=stop,
+                    timeout=timeout_s,
+                    write_timeout=timeout_s,
+                    exclusive=True,
+                )
         except DeviceError as error:
             raise DeviceError(_cannot_open(self.name, error)) from None
 
@@ -87,7 +111,9 @@ class SerialPort:
         return self._port
 
     def drain(self) -> bytes:
-        """Take what lies waiting: the rest of a reply that came too late must not be taken for the next one."""
+        """Take what lies waiting: the rest of a reply that came too late must not be taken for
+        the next one.
+        """
         with told(self.name):
             waiting = self._port.in_waiting
             return self._port.read(waiting) if waiting else b""

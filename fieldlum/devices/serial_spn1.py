@@ -51,22 +51,34 @@ class Spn1:
     @property
     def info(self) -> InstrumentInfo:
         return InstrumentInfo(
-            "spn1", "Delta-T SPN1", self._status.serial, self._status.firmware, port=self._port.name,
-            gives=("ghi", "dhi"), guard="asked twice",
-        )  # fmt: skip
+            "spn1",
+            "Delta-T SPN1",
+            self._status.serial,
+            self._status.firmware,
+            port=self._port.name,
+            gives=("ghi", "dhi"),
+            guard="asked twice",
+        )
 
     def read(self) -> IrradianceSample:
-        """Total and diffuse, now, said twice: its line has no checksum. A total below the diffuse comes with a status.
+        """Total and diffuse, now, said twice: its line has no checksum. A total below the diffuse
+        comes with a status.
 
-        raw holds all answers that differ. Raises DeviceError for silence, and when neither two answers agree nor three
-        lie in line.
+        raw holds all answers that differ. Raises DeviceError for silence, and when neither two
+        answers agree nor three lie in line.
         """
         t_utc = self._clock.now()
-        reading, answers = said_twice(self._ask_reading, parse_reading, apart_wm2, (NOISE_WM2, AGREE_WM2), in_line)
+        reading, answers = said_twice(
+            self._ask_reading, parse_reading, apart_wm2, (NOISE_WM2, AGREE_WM2), in_line
+        )
         # Seen in the field at dawn; the instrument's own noise is below 3 W/m2.
         doubt = "total below diffuse" if reading.total_wm2 < reading.diffuse_wm2 - 3.0 else ""
-        text = " | ".join(answer.decode("ascii", "backslashreplace").strip() for answer in dict.fromkeys(answers))
-        return IrradianceSample(t_utc, reading.total_wm2, reading.diffuse_wm2, status=doubt, raw=text)
+        text = " | ".join(
+            answer.decode("ascii", "backslashreplace").strip() for answer in dict.fromkeys(answers)
+        )
+        return IrradianceSample(
+            t_utc, reading.total_wm2, reading.diffuse_wm2, status=doubt, raw=text
+        )
 
     def _ask_reading(self) -> bytes:
         self._wake()
@@ -77,7 +89,9 @@ class Spn1:
         return reply
 
     def _wake(self) -> None:
-        """R until it answers 0xAF; what else lies in the line is a late reply and is thrown away."""
+        """R until it answers 0xAF; what else lies in the line is a late reply and is thrown
+        away.
+        """
         heard = b""
         for _ in range(_WAKE_TRIES):
             self._port.drain()
@@ -86,7 +100,10 @@ class Spn1:
             if heard == AWAKE:
                 return
         said = f"said {heard!r}" if heard else "is silent"
-        raise DeviceError(f"{self._port.name}: SPN1 {said} when woken, expected 0xAF: check cable, power and 9600 8N1")
+        raise DeviceError(
+            f"{self._port.name}: SPN1 {said} when woken, expected 0xAF: check cable, power and "
+            f"9600 8N1"
+        )
 
     def _ask_status(self) -> Spn1Status:
         self._wake()

@@ -1,7 +1,8 @@
 """Delta-T SPN1, total and diffuse: what it says and what that means, as pure functions.
 
-Source: SPN1 User Manual v1.0, appendix B: 9600 8N1; every character is echoed except R; replies end in CR alone.
-Only R, S and I are ever sent. T starts a test mode in which commands change the calibration for good.
+Source: SPN1 User Manual v1.0, appendix B: 9600 8N1; every character is echoed except R; replies end
+in CR alone. Only R, S and I are ever sent. T starts a test mode in which commands change the
+calibration for good.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ AWAKE = b"\xaf"
 LARGEST_WM2 = 2500.0  # the instrument's range ends at 2000
 _SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"  # filled with blanks, or with noughts
 _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
-# Answers within a tenth of a second of each other: apart by the instrument's noise; by what they may be apart under a
-# steady sky; from the first to the third at a shadow's edge, blurred by the sun's half degree and the cloud's own.
+# Answers within a tenth of a second of each other: apart by the instrument's noise; by what they
+# may be apart under a steady sky; from the first to the third at a shadow's edge, blurred by the
+# sun's half degree and the cloud's own.
 NOISE_WM2, AGREE_WM2, STEEPEST_WM2 = 3.0, 25.0, 200.0
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
@@ -38,9 +40,11 @@ class Spn1Status:
 
 
 def parse_reading(reply: bytes) -> Spn1Reading:
-    """``S 812.4, 104.9,1<CR>``, with or without the echo. Raises DeviceError for every other byte string.
+    """``S 812.4, 104.9,1<CR>``, with or without the echo. Raises DeviceError for every other byte
+    string.
 
-    Both numbers fill six places with one decimal, so that a lost character is never taken for a smaller number.
+    Both numbers fill six places with one decimal, so that a lost character is never taken for a
+    smaller number.
     """
     match = _READING.fullmatch(reply)
     if match is None:
@@ -57,9 +61,13 @@ def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
 
 
 def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
-    """Whether three answers may be of light that rises or falls evenly: the middle one half way between the others."""
+    """Whether three answers may be of light that rises or falls evenly: the middle one half way
+    between the others.
+    """
     triples = zip(_both(a), _both(b), _both(c), strict=True)
-    return apart_wm2(a, c) <= STEEPEST_WM2 and all(abs(y - (x + z) / 2.0) <= AGREE_WM2 for x, y, z in triples)
+    return apart_wm2(a, c) <= STEEPEST_WM2 and all(
+        abs(y - (x + z) / 2.0) <= AGREE_WM2 for x, y, z in triples
+    )
 
 
 def _both(reading: Spn1Reading) -> tuple[float, float]:
@@ -76,7 +84,9 @@ def parse_status(reply: bytes) -> Spn1Status:
     text = reply.decode("ascii").replace("\r", "\n")
     units = re.search(r"Units: *(\S+)", text)
     if units and units[1].upper().replace("^", "") not in ("W.M-2", "W/M2"):
-        raise DeviceError(f"SPN1 is set to {units[1]}, expected W.m-2: set it with Delta-T's own program")
+        raise DeviceError(
+            f"SPN1 is set to {units[1]}, expected W.m-2: set it with Delta-T's own program"
+        )
     firmware, serial = _FIRMWARE.search(text), _SERIAL.search(text)
     lines = tuple(line.strip() for line in text.splitlines() if line.strip())
     return Spn1Status(firmware[1].strip() if firmware else "", serial[1] if serial else "", lines)

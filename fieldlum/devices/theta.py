@@ -1,6 +1,8 @@
-"""A Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``; ``?delete=1`` clears its memory.
+"""A Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``; ``?delete=1``
+clears its memory.
 
-Source: Ricoh's THETA Web API v2.1. With file format raw+ (Z1) the DNG of each picture is kept, else the JPEG.
+Source: Ricoh's THETA Web API v2.1. With file format raw+ (Z1) the DNG of each picture is kept, else
+the JPEG.
 """
 
 from __future__ import annotations
@@ -36,11 +38,24 @@ _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylig
 class ThetaCamera:
     """Implements `Camera`. `expose_bracket` takes many frames in one go (`_autoBracket`, JPEG)."""
 
-    def __init__(self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0) -> None:
-        self._address, self._clock, self._delete, self._timeout_s = address.rstrip("/"), clock, delete, timeout_s
+    def __init__(
+        self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0
+    ) -> None:
+        self._address, self._clock, self._delete, self._timeout_s = (
+            address.rstrip("/"),
+            clock,
+            delete,
+            timeout_s,
+        )
         about, state = self._get("/osc/info"), self._post("/osc/state", {}).get("state", {})
         self._set(_MANUAL)
-        names = ("shutterSpeedSupport", "isoSupport", "apertureSupport", "remainingPictures", "dateTimeZone")
+        names = (
+            "shutterSpeedSupport",
+            "isoSupport",
+            "apertureSupport",
+            "remainingPictures",
+            "dateTimeZone",
+        )
         options = self._options(*names)
         self._offers = {
             "shutter": _numbers(options.get("shutterSpeedSupport")),
@@ -67,10 +82,12 @@ class ThetaCamera:
             return (stamp - self._clock.now()).total_seconds()
         return None
 
-    # -------------------------------------------------------------------------------------- pictures
+    # --------------------------------------------------------------------------------------
+    # pictures
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set, read back, take, fetch. What was taken is kept, whatever its EXIF says: the caller compares it.
+        """Set, read back, take, fetch. What was taken is kept, whatever its EXIF says: the caller
+        compares it.
 
         Raises DeviceError, and OSError when the disk is full.
         """
@@ -80,9 +97,15 @@ class ThetaCamera:
         shown = self._options(*wanted)
         for name, value in wanted.items():
             if abs(float(shown.get(name, 0.0)) - value) > 1e-3 * value:
-                raise DeviceError(f"theta: {name} was set to {value:g}, but the camera shows {shown.get(name)}")
+                raise DeviceError(
+                    f"theta: {name} was set to {value:g}, but the camera shows {shown.get(name)}"
+                )
         results = self._command("camera.takePicture", {}, exposure.shutter_s + READOUT_S)
-        urls = [url for name in ("_dngFileUrl", "fileUrl") if isinstance(url := results.get(name), str) and url]
+        urls = [
+            url
+            for name in ("_dngFileUrl", "fileUrl")
+            if isinstance(url := results.get(name), str) and url
+        ]
         if not urls:
             raise DeviceError("theta: the picture was taken, but the camera names no file")
         path = self._fetch(urls[0], target)
@@ -94,29 +117,45 @@ class ThetaCamera:
         return BRACKET_SHOTS
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """All frames in one go, in the order asked for. Raises DeviceError; frames fetched by then stay."""
+        """All frames in one go, in the order asked for. Raises DeviceError; frames fetched by
+        then stay.
+        """
         if len(exposures) not in self.bracket_shots:
             low, high = self.bracket_shots[0], self.bracket_shots[-1]
-            raise DeviceError(f"theta: a bracket of {len(exposures)} frames, it takes {low} to {high}")
-        shots = [{"exposureProgram": 1, "whiteBalance": "daylight", **self._chosen(e)} for e in exposures]
-        self._set({**_MANUAL, "_autoBracket": {"_bracketNumber": len(shots), "_bracketParameters": shots}})
+            raise DeviceError(
+                f"theta: a bracket of {len(exposures)} frames, it takes {low} to {high}"
+            )
+        shots = [
+            {"exposureProgram": 1, "whiteBalance": "daylight", **self._chosen(e)} for e in exposures
+        ]
+        self._set(
+            {**_MANUAL, "_autoBracket": {"_bracketNumber": len(shots), "_bracketParameters": shots}}
+        )
         patience = sum(e.shutter_s for e in exposures) + READOUT_S + 2.0 * len(shots)
-        # The camera tells only how many frames it will take, not their settings: their EXIF says it.
+        # The camera tells only how many frames it will take, not their settings: their EXIF says
+        # it.
         urls = self._command("camera.startCapture", {"_mode": "bracket"}, patience).get("fileUrls")
         if not isinstance(urls, list) or len(urls) != len(shots):
-            raise DeviceError(f"theta: {len(urls) if isinstance(urls, list) else 'no'} files, {len(shots)} were asked")
+            raise DeviceError(
+                f"theta: {len(urls) if isinstance(urls, list) else 'no'} files, {len(shots)} were "
+                f"asked"
+            )
         paths = [self._fetch(str(url), target) for url, target in zip(urls, targets, strict=True)]
         self._clear([str(u) for u in urls])
         return paths
 
     def _refuse_turning(self, heading_deg: float | None) -> None:
         if heading_deg is not None:
-            raise DeviceError("theta: this camera has no head that turns: leave headings out of the site file")
+            raise DeviceError(
+                "theta: this camera has no head that turns: leave headings out of the site file"
+            )
 
     def _chosen(self, exposure: Exposure) -> dict[str, float]:
         """The camera's own steps. Raises DeviceError when one is over 1/6 EV away."""
         out = {
-            "shutterSpeed": nearest(exposure.shutter_s, self._offers["shutter"], "theta shutter", "s"),
+            "shutterSpeed": nearest(
+                exposure.shutter_s, self._offers["shutter"], "theta shutter", "s"
+            ),
             "iso": nearest(exposure.iso, self._offers["iso"], "theta ISO"),
         }
         if self._offers["aperture"]:
@@ -146,7 +185,8 @@ class ThetaCamera:
     def close(self) -> None:
         """HTTP keeps nothing open."""
 
-    # -------------------------------------------------------------------------------------- protocol
+    # --------------------------------------------------------------------------------------
+    # protocol
 
     def _set(self, options: dict[str, Any]) -> None:
         self._command("camera.setOptions", {"options": options}, self._timeout_s)
@@ -157,7 +197,9 @@ class ThetaCamera:
         return found if isinstance(found, dict) else {}
 
     def _command(self, name: str, parameters: dict[str, Any], patience_s: float) -> dict[str, Any]:
-        """Execute and wait until it is done. Raises DeviceError for its error and for its silence."""
+        """Execute and wait until it is done. Raises DeviceError for its error and for its
+        silence.
+        """
         reply = self._post("/osc/commands/execute", {"name": name, "parameters": parameters})
         started = self._clock.boottime()
         while reply.get("state") == "inProgress":
@@ -179,7 +221,9 @@ class ThetaCamera:
         return _json(self._http(request, self._timeout_s))
 
     def _http(self, request: urllib.request.Request, timeout_s: float) -> bytes:
-        """Raises DeviceError for all that can go wrong; an error with a JSON body is the camera's own answer."""
+        """Raises DeviceError for all that can go wrong; an error with a JSON body is the
+        camera's own answer.
+        """
         try:
             with urllib.request.urlopen(request, timeout=timeout_s) as response:
                 body = response.read(_LARGEST_FILE)
@@ -191,9 +235,13 @@ class ThetaCamera:
                 raise DeviceError(f"theta: HTTP {error.code} from {request.full_url}") from None
         except (OSError, ValueError) as error:
             why = getattr(error, "reason", error)
-            raise DeviceError(f"theta: {self._address}: {why}: is the computer in its network?") from None
+            raise DeviceError(
+                f"theta: {self._address}: {why}: is the computer in its network?"
+            ) from None
         if length is not None and length.isdigit() and len(body) != int(length):
-            raise DeviceError(f"theta: {request.full_url} came short: {len(body)} of {length} bytes")
+            raise DeviceError(
+                f"theta: {request.full_url} came short: {len(body)} of {length} bytes"
+            )
         return body
 
 
@@ -216,7 +264,9 @@ def _error_text(reply: dict[str, Any]) -> str:
 
 def _numbers(values: Any) -> list[float]:
     listed = values if isinstance(values, list) else []
-    return [float(v) for v in listed if isinstance(v, int | float) and not isinstance(v, bool) and v > 0]
+    return [
+        float(v) for v in listed if isinstance(v, int | float) and not isinstance(v, bool) and v > 0
+    ]
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:

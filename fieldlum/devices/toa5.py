@@ -1,7 +1,8 @@
 """Campbell Scientific TOA5 tables: a logger's file to irradiance samples.
 
-Four header lines (environment, names, units, processing), then quoted times WITHOUT a time zone, a record number and
-numbers, "NAN" where there is none. Source: help.campbellsci.com, TOA5. The logger's UTC offset must be told.
+Four header lines (environment, names, units, processing), then quoted times WITHOUT a time zone, a
+record number and numbers, "NAN" where there is none. Source: help.campbellsci.com, TOA5. The
+logger's UTC offset must be told.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ _USUAL = {
 
 @dataclass(frozen=True, slots=True)
 class Toa5:
-    """samples in the file's order; broken: the lines left out, with the reason; gaps in the record numbers."""
+    """samples in the file's order; broken: the lines left out, with the reason; gaps in the
+    record numbers.
+    """
 
     samples: tuple[IrradianceSample, ...]
     station: str
@@ -49,23 +52,42 @@ def is_toa5(text: str) -> bool:
 
 
 def parse_toa5(
-    text: str, utc_offset: timedelta, columns: Mapping[str, str] | None = None, *, source: str | Path = "TOA5"
+    text: str,
+    utc_offset: timedelta,
+    columns: Mapping[str, str] | None = None,
+    *,
+    source: str | Path = "TOA5",
 ) -> Toa5:
-    """columns: quantity (ghi_wm2 ...) to column name, else the usual names. utc_offset: the logger's clock minus UTC.
+    """columns: quantity (ghi_wm2 ...) to column name, else the usual names. utc_offset: the
+    logger's clock minus UTC.
 
-    A row that is cut, whose time or number is no such thing or out of step, or which has other decimals than the rest
-    of its column, is left out and listed. Raises InputError for what is no TOA5 table, has no such column, or has
-    another unit than W/m2.
+    A row that is cut, whose time or number is no such thing or out of step, or which has other
+    decimals than the rest of its column, is left out and listed. Raises InputError for what is no
+    TOA5 table, has no such column, or has another unit than W/m2.
     """
     lines = text.split("\n")
     if not is_toa5(text) or len(lines) < 4:
-        raise InputError(source, "no TOA5 header", "a Campbell Scientific TOA5 table", "convert it with LoggerNet")
+        raise InputError(
+            source,
+            "no TOA5 header",
+            "a Campbell Scientific TOA5 table",
+            "convert it with LoggerNet",
+        )
     try:
-        about, names, units = (next(csv.reader([line.rstrip("\r")], strict=True)) for line in lines[:3])
+        about, names, units = (
+            next(csv.reader([line.rstrip("\r")], strict=True)) for line in lines[:3]
+        )
     except (csv.Error, StopIteration):
-        raise InputError(source, "a broken TOA5 header", "four header lines", "copy the file again") from None
+        raise InputError(
+            source, "a broken TOA5 header", "four header lines", "copy the file again"
+        ) from None
     if "TIMESTAMP" not in names or len(units) != len(names):
-        raise InputError(source, f"columns {', '.join(names)[:80]}", "a column TIMESTAMP, and a unit for each", "")
+        raise InputError(
+            source,
+            f"columns {', '.join(names)[:80]}",
+            "a column TIMESTAMP, and a unit for each",
+            "",
+        )
     chosen = _columns(names, units, columns, source)
     samples: list[IrradianceSample] = []
     broken: list[str] = []
@@ -90,7 +112,9 @@ def parse_toa5(
             records.append(int(record))
             numbered.append((number, len(samples) - 1, int(record)))
     strays = _out_of_step(numbered, [sample.t_utc for sample in samples])
-    broken += [f"line {line}: its time or record number fits neither neighbour's" for line, _ in strays]
+    broken += [
+        f"line {line}: its time or record number fits neither neighbour's" for line, _ in strays
+    ]
     odd = _odd_decimals([row for _, row in read], chosen)
     broken += [f"line {read[i][0]}: {why}" for i, why in odd.items()]
     left_out = {i for _, i in strays} | set(odd)
@@ -103,17 +127,24 @@ def parse_toa5(
 def _odd_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[int, str]:
     """Row to reason: a number has other decimals than all the rest of its column but one in sixty.
 
-    Compared are numbers with as many digits before the point: Campbell's FP2 writes 99.99, 999.9 and 1023. Where
-    numbers of several sizes have the same decimals, all are compared. A logger that drops noughts has no usual ones.
+    Compared are numbers with as many digits before the point: Campbell's FP2 writes 99.99, 999.9
+    and 1023. Where numbers of several sizes have the same decimals, all are compared. A logger that
+    drops noughts has no usual ones.
     """
     odd: dict[int, str] = {}
     for quantity, i in chosen.items():
-        parts = {k: row[i].lstrip("+-").partition(".") for k, row in enumerate(rows) if _NUMBER.fullmatch(row[i])}
+        parts = {
+            k: row[i].lstrip("+-").partition(".")
+            for k, row in enumerate(rows)
+            if _NUMBER.fullmatch(row[i])
+        }
         sizes: dict[int, list[int]] = {}
         for whole, _, decimals in parts.values():
             sizes.setdefault(len(whole), []).append(len(decimals))
         usual = {size: constant(found) for size, found in sizes.items() if len(found) >= ENOUGH}
-        everywhere = next(iter(usual.values())) if len(usual) > 1 and len(set(usual.values())) == 1 else None
+        everywhere = (
+            next(iter(usual.values())) if len(usual) > 1 and len(set(usual.values())) == 1 else None
+        )
         for k, (whole, _, decimals) in parts.items():
             due = usual.get(len(whole), everywhere)
             if due not in (None, len(decimals)):
@@ -122,17 +153,20 @@ def _odd_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[int, st
 
 
 def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> list[tuple[int, int]]:
-    """(line, sample) of rows whose time less their record number's share differs from both neighbours', which agree.
+    """(line, sample) of rows whose time less their record number's share differs from both
+    neighbours', which agree.
 
-    A table's records are written at a fixed interval: a damaged digit in a time or a number stands out, and a logger
-    whose clock was set does not, for all later rows go with it.
+    A table's records are written at a fixed interval: a damaged digit in a time or a number stands
+    out, and a logger whose clock was set does not, for all later rows go with it.
     """
     if len(rows) < 4:
         return []
     t0 = times[rows[0][1]]
     t = [(times[i] - t0).total_seconds() for _, i, _ in rows]
     steps = sorted(
-        (b - a) / (n - m) for (_, _, m), (_, _, n), a, b in zip(rows, rows[1:], t, t[1:], strict=False) if n > m
+        (b - a) / (n - m)
+        for (_, _, m), (_, _, n), a, b in zip(rows, rows[1:], t, t[1:], strict=False)
+        if n > m
     )
     every = steps[len(steps) // 2] if steps else 0.0
     due = [at - every * number for at, (_, _, number) in zip(t, rows, strict=True)]
@@ -140,36 +174,59 @@ def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> lis
     return [
         (rows[k][0], rows[k][1])
         for k in range(1, len(rows) - 1)
-        if abs(due[k + 1] - due[k - 1]) <= near < min(abs(due[k] - due[k - 1]), abs(due[k] - due[k + 1]))
+        if abs(due[k + 1] - due[k - 1])
+        <= near
+        < min(abs(due[k] - due[k - 1]), abs(due[k] - due[k + 1]))
     ]
 
 
-def _columns(names: list[str], units: list[str], asked: Mapping[str, str] | None, source: str | Path) -> dict[str, int]:
+def _columns(
+    names: list[str], units: list[str], asked: Mapping[str, str] | None, source: str | Path
+) -> dict[str, int]:
     """Quantity to column number."""
     found: dict[str, int] = {}
     for quantity, usual in _USUAL.items():
         if asked is not None:
             matches = [i for i, name in enumerate(names) if name == asked.get(quantity)]
         else:
-            matches = [i for i, name in enumerate(names) if re.sub(r"[^a-z]", "", name.lower()) in usual]
+            matches = [
+                i for i, name in enumerate(names) if re.sub(r"[^a-z]", "", name.lower()) in usual
+            ]
         if len(matches) > 1:
             several = ", ".join(names[i] for i in matches)
-            raise InputError(source, f"columns {several} for {quantity}", "one", f"name it: --column {quantity}=NAME")
+            raise InputError(
+                source,
+                f"columns {several} for {quantity}",
+                "one",
+                f"name it: --column {quantity}=NAME",
+            )
         if matches:
             found[quantity] = matches[0]
     if asked is not None and (lost := [name for q, name in asked.items() if q not in found]):
-        raise InputError(source, f"no column {', '.join(lost)}", f"one of {', '.join(names)}", "check the name")
+        raise InputError(
+            source, f"no column {', '.join(lost)}", f"one of {', '.join(names)}", "check the name"
+        )
     for quantity, i in found.items():
         if quantity.endswith("_wm2") and units[i].upper().replace(" ", "") not in _UNITS:
-            raise InputError(source, f"{names[i]} in '{units[i]}'", "W/m^2", f"name another: --column {quantity}=NAME")
+            raise InputError(
+                source,
+                f"{names[i]} in '{units[i]}'",
+                "W/m^2",
+                f"name another: --column {quantity}=NAME",
+            )
     if not any(q.endswith("_wm2") for q in found):
         raise InputError(
-            source, f"columns {', '.join(names)[:120]}", "one of irradiance", "name it: --column ghi_wm2=NAME"
+            source,
+            f"columns {', '.join(names)[:120]}",
+            "one of irradiance",
+            "name it: --column ghi_wm2=NAME",
         )
     return found
 
 
-def _sample(row: list[str], names: list[str], chosen: dict[str, int], utc_offset: timedelta) -> IrradianceSample:
+def _sample(
+    row: list[str], names: list[str], chosen: dict[str, int], utc_offset: timedelta
+) -> IrradianceSample:
     stamp = row[names.index("TIMESTAMP")]
     if not _TIME.fullmatch(stamp):
         raise ValueError(f"time {stamp[:30]!r}")
@@ -182,7 +239,9 @@ def _sample(row: list[str], names: list[str], chosen: dict[str, int], utc_offset
 
 
 def number_of(text: str, quantity: str) -> float | None:
-    """A logger's number; None for its NAN. Raises ValueError for what is none, or no irradiance that can be."""
+    """A logger's number; None for its NAN. Raises ValueError for what is none, or no irradiance
+    that can be.
+    """
     if text.upper() in ("NAN", "-NAN", "INF", "-INF"):
         return None
     if not _NUMBER.fullmatch(text):

@@ -22,11 +22,17 @@ class DeviceUri:
     options: dict[str, str] = field(default_factory=dict)
 
     def read(self, **known: Callable[[str], Any]) -> dict[str, Any]:
-        """The options, each through its reader. Raises DeviceError naming an unknown option or a bad value."""
+        """The options, each through its reader. Raises DeviceError naming an unknown option or a
+        bad value.
+        """
         for name in self.options:
             if name not in known:
                 near = get_close_matches(name, known, n=1)
-                hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(sorted(known)) or 'none'}"
+                hint = (
+                    f"did you mean '{near[0]}'?"
+                    if near
+                    else f"known: {', '.join(sorted(known)) or 'none'}"
+                )
                 raise DeviceError(f"{self.text}: unknown option '{name}', {hint}")
         found = {}
         for name, value in self.options.items():
@@ -41,7 +47,10 @@ def parse_uri(text: str) -> DeviceUri:
     """Raises DeviceError for what has no scheme, or an option without a value."""
     scheme, colon, rest = text.partition(":")
     if not colon or not re.fullmatch(r"[a-z][a-z0-9+]*", scheme):
-        raise DeviceError(f"{text}: no device URI, expected something like sim:office or serial:/dev/ttyUSB0?kind=spn1")
+        raise DeviceError(
+            f"{text}: no device URI, expected something like sim:office or "
+            f"serial:/dev/ttyUSB0?kind=spn1"
+        )
     place, _, query = rest.partition("?")
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []

@@ -1,4 +1,6 @@
-"""Preflight: everything that would ruin a month of captures, one plain verdict a line, before anybody leaves."""
+"""Preflight: everything that would ruin a month of captures, one plain verdict a line, before
+anybody leaves.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ GRACE = timedelta(minutes=5)
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the verdict. exit_code counts when it failed: 4 devices and this computer, 3 files."""
+    """One line of the verdict. exit_code counts when it failed: 4 devices and this computer, 3
+    files.
+    """
 
     what: str
     verdict: Verdict
@@ -56,9 +60,14 @@ class Finding:
 
 
 def run(
-    session: Session, camera_uri: str, pyranometer_uri: str, now_utc: datetime, progress: Progress = quiet,
-    *, meter_uri: str = "",
-) -> list[Finding]:  # fmt: skip
+    session: Session,
+    camera_uri: str,
+    pyranometer_uri: str,
+    now_utc: datetime,
+    progress: Progress = quiet,
+    *,
+    meter_uri: str = "",
+) -> list[Finding]:
     """All checks. A check that breaks is a failed finding, never an exception."""
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
@@ -78,12 +87,16 @@ def run(
         try:
             found += check()
         except (FieldlumError, OSError, ValueError, KeyError) as error:
-            found.append(Finding(name, "fail", str(error), 3 if isinstance(error, InputError) else 4))
+            found.append(
+                Finding(name, "fail", str(error), 3 if isinstance(error, InputError) else 4)
+            )
     return found
 
 
 def exit_code(findings: Sequence[Finding]) -> int:
-    """0 when nothing failed; a bad file (3) comes before a device (4), for without files nothing else counts."""
+    """0 when nothing failed; a bad file (3) comes before a device (4), for without files nothing
+    else counts.
+    """
     codes = [finding.exit_code for finding in findings if finding.verdict == "fail"]
     return min(codes, default=0)
 
@@ -92,13 +105,16 @@ def as_table(findings: Sequence[Finding]) -> dict[str, Any]:
     return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}
 
 
-# ---------------------------------------------------------------------------------------------- plan and profile
+# ----------------------------------------------------------------------------------------------
+# plan and profile
 
 
 def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
     """Slots that can still be taken."""
     settled = outcomes(session)
-    return [slot for slot in session.slots() if slot.id not in settled and slot.t_utc + GRACE >= now_utc]
+    return [
+        slot for slot in session.slots() if slot.id not in settled and slot.t_utc + GRACE >= now_utc
+    ]
 
 
 def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
@@ -107,7 +123,10 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
     slots, ahead = session.slots(), owed_slots(session, now_utc)
     found = []
     if about.get("sha256", "") != sha256(session.plan):
-        text = "plan.csv is not the file that session.toml was written for: restore it, or run fieldlum plan --replan"
+        text = (
+            "plan.csv is not the file that session.toml was written for: restore it, or run "
+            "fieldlum plan --replan"
+        )
         found.append(Finding("plan", "fail", text, 3))
     if not ahead:
         return [*found, Finding("plan", "warn", f"none of its {len(slots)} slots is still ahead")]
@@ -128,10 +147,23 @@ def _age(profile: CameraProfile, today: date) -> Finding:
     name = profile.camera.name
     expires, made = _date(profile.expires), _date(profile.camera.date)
     if expires and expires < today:
-        return Finding("profile", "fail", f"{name} expired on {expires}: calibrate again, or move its date on", 3)
+        return Finding(
+            "profile",
+            "fail",
+            f"{name} expired on {expires}: calibrate again, or move its date on",
+            3,
+        )
     if made and (today - made).days > CALIBRATION_YEARS * 365.25:
-        return Finding("profile", "warn", f"{name} was calibrated on {made}, over {CALIBRATION_YEARS:g} years ago")
-    return Finding("profile", "ok", f"{name}" + (f", calibrated {made}" if made else ", no date of calibration"))
+        return Finding(
+            "profile",
+            "warn",
+            f"{name} was calibrated on {made}, over {CALIBRATION_YEARS:g} years ago",
+        )
+    return Finding(
+        "profile",
+        "ok",
+        f"{name}" + (f", calibrated {made}" if made else ", no date of calibration"),
+    )
 
 
 def _date(text: str) -> date | None:
@@ -149,19 +181,35 @@ def _fit(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:
     apertures = {e.f_number for e in planned}
     if profile.scale.f_numbers and (other := sorted(apertures - set(profile.scale.f_numbers))):
         said = ", ".join(f"f/{f:g}" for f in other)
-        found.append(Finding("profile", "fail", f"{profile.camera.name} has no scale for {said}", 3))
+        found.append(
+            Finding("profile", "fail", f"{profile.camera.name} has no scale for {said}", 3)
+        )
     if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
-        found.append(Finding("profile", "fail", f"{profile.camera.name} does not know filter {sorted(missing)[0]}", 3))
+        found.append(
+            Finding(
+                "profile",
+                "fail",
+                f"{profile.camera.name} does not know filter {sorted(missing)[0]}",
+                3,
+            )
+        )
     return found
 
 
-# ---------------------------------------------------------------------------------------------- devices
+# ----------------------------------------------------------------------------------------------
+# devices
 
 
 def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]:
-    """The camera opens and says who it is, what time it has, and how many frames fit on its card."""
+    """The camera opens and says who it is, what time it has, and how many frames fit on its
+    card.
+    """
     if not uri:
-        return [Finding("camera", "warn", "none named: give --camera URI, or import its card afterwards")]
+        return [
+            Finding(
+                "camera", "warn", "none named: give --camera URI, or import its card afterwards"
+            )
+        ]
     camera = open_camera(uri, clock=RealClock(), session=session)
     try:
         ahead, setup = owed_slots(session, now_utc), session.site_file()
@@ -180,17 +228,28 @@ def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
         return []
     shown = "; ".join(refused[:3]) + (f"; {len(refused) - 3} more" if len(refused) > 3 else "")
     text = (
-        f"of {planned} planned exposures not all can be set: {shown}: write [bracket] of the profile so, and plan anew"
+        f"of {planned} planned exposures not all can be set: {shown}: write [bracket] of the "
+        f"profile so, and plan anew"
     )
     return [Finding("camera", "fail", text)]
 
 
 def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
-    """Frames of another camera than the profile's cannot be merged; its exposures and sizes are not this one's."""
+    """Frames of another camera than the profile's cannot be merged; its exposures and sizes are
+    not this one's.
+    """
     wanted = profile.camera.model
-    if not info.model or not wanted or info.kind in ("sim", "replay") or same_model(info.model, wanted):
+    if (
+        not info.model
+        or not wanted
+        or info.kind in ("sim", "replay")
+        or same_model(info.model, wanted)
+    ):
         return []
-    text = f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), by which exposures are planned"
+    text = (
+        f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), by which "
+        f"exposures are planned"
+    )
     return [Finding("profile", "warn", text)]
 
 
@@ -200,16 +259,34 @@ def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
 
 def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
     who = " ".join(part for part in (info.make, info.model, info.serial) if part) or info.kind
-    found = [Finding("camera", "ok", f"{who} answers at {uri}" + (f", battery {info.battery}" if info.battery else ""))]
+    found = [
+        Finding(
+            "camera",
+            "ok",
+            f"{who} answers at {uri}" + (f", battery {info.battery}" if info.battery else ""),
+        )
+    ]
     if info.clock_offset_s is None:
-        found.append(Finding("camera clock", "warn", "the camera does not tell its time: photograph this clock once"))
+        found.append(
+            Finding(
+                "camera clock",
+                "warn",
+                "the camera does not tell its time: photograph this clock once",
+            )
+        )
     else:
         off = abs(info.clock_offset_s)
-        verdict = "fail" if off > CAMERA_CLOCK_FAIL_S else "warn" if off > CAMERA_CLOCK_WARN_S else "ok"
+        verdict = (
+            "fail" if off > CAMERA_CLOCK_FAIL_S else "warn" if off > CAMERA_CLOCK_WARN_S else "ok"
+        )
         hours = round(info.clock_offset_s / 3600.0)
         civil = hours and abs(info.clock_offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S
         hint = ": by whole hours, so a time zone or daylight saving" if civil else ""
-        found.append(Finding("camera clock", verdict, f"{info.clock_offset_s:+.1f} s against this computer{hint}"))
+        found.append(
+            Finding(
+                "camera clock", verdict, f"{info.clock_offset_s:+.1f} s against this computer{hint}"
+            )
+        )
     if info.frames_left is not None:
         enough = info.frames_left >= frames
         text = f"room for {info.frames_left} frames, {frames} still to come"
@@ -220,7 +297,13 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
 def check_pyranometer(session: Session, uri: str) -> list[Finding]:
     """The instrument opens, answers with a plausible reading, and is within its calibration."""
     if not uri:
-        return [Finding("pyranometer", "warn", "none named: give --pyranometer URI, or import a logger's file")]
+        return [
+            Finding(
+                "pyranometer",
+                "warn",
+                "none named: give --pyranometer URI, or import a logger's file",
+            )
+        ]
     instrument = open_pyranometer(uri, clock=RealClock(), session=session)
     try:
         return judge_pyranometer(instrument.info, instrument.read(), session.site_file().site)
@@ -234,49 +317,87 @@ def check_meter(uri: str) -> list[Finding]:
         return []
     meter = open_meter(uri, clock=RealClock())
     try:
-        who, reading = " ".join(part for part in (meter.info.model, meter.info.serial) if part), meter.read()
+        who, reading = (
+            " ".join(part for part in (meter.info.model, meter.info.serial) if part),
+            meter.read(),
+        )
     finally:
         meter.close()
-    found = [Finding("meter", "ok", f"{who or meter.info.kind} answers: {reading.illuminance_lx:.4g} lx")]
-    return [*found, Finding("meter", "warn", "its battery is low")] if reading.low_battery else found
+    found = [
+        Finding("meter", "ok", f"{who or meter.info.kind} answers: {reading.illuminance_lx:.4g} lx")
+    ]
+    return (
+        [*found, Finding("meter", "warn", "its battery is low")] if reading.low_battery else found
+    )
 
 
 def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
     who = " ".join(part for part in (info.model or info.kind, info.serial) if part)
     reading = ", ".join(
         f"{name} {value:.0f}"
-        for name, value in (("global", sample.ghi_wm2), ("diffuse", sample.dhi_wm2), ("direct", sample.dni_wm2))
+        for name, value in (
+            ("global", sample.ghi_wm2),
+            ("diffuse", sample.dhi_wm2),
+            ("direct", sample.dni_wm2),
+        )
         if value is not None
     )
     found = [Finding("pyranometer", "ok", f"{who} answers: {reading} W/m2")]
     if sample.status or info.status:
-        found.append(Finding("pyranometer", "warn", f"its status is not clean: {sample.status or info.status}"))
+        found.append(
+            Finding(
+                "pyranometer", "warn", f"its status is not clean: {sample.status or info.status}"
+            )
+        )
     altitude = sun.position([sample.t_utc], site).altitude_deg
     limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2([sample.t_utc]))
-    for name, value in (("ghi_wm2", sample.ghi_wm2), ("dhi_wm2", sample.dhi_wm2), ("dni_wm2", sample.dni_wm2)):
+    for name, value in (
+        ("ghi_wm2", sample.ghi_wm2),
+        ("dhi_wm2", sample.dhi_wm2),
+        ("dni_wm2", sample.dni_wm2),
+    ):
         low, high = getattr(limits, name)
         if value is not None and not low <= value <= high[0]:
             possible = f"{low:g} to {high[0]:.0f}"
-            text = f"{name[:3]} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is impossible ({possible})"
+            text = (
+                f"{name[:3]} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is "
+                f"impossible ({possible})"
+            )
             found.append(Finding("pyranometer", "fail", text))
     if info.gives == ("ghi",):
-        text = "gives global only: direct and diffuse will be derived, with an error of about 30 % of direct"
+        text = (
+            "gives global only: direct and diffuse will be derived, with an error of about 30 "
+            "% of direct"
+        )
         found.append(Finding("pyranometer", "warn", text))
     if info.guard == FORM_ALONE:
-        text = "its lines have no checksum: under moving clouds up to 2 in 100 damaged ones pass as another number"
-        remedy = "let the sketch print a CRC-16 (profile arduino-crc), or at least a line a second, three for each row"
+        text = (
+            "its lines have no checksum: under moving clouds up to 2 in 100 damaged ones pass "
+            "as another number"
+        )
+        remedy = (
+            "let the sketch print a CRC-16 (profile arduino-crc), or at least a line a "
+            "second, three for each row"
+        )
         found.append(Finding("pyranometer", "warn", f"{text}; {remedy}"))
     made = _date(info.calibration_date)
     if made and (sample.t_utc.date() - made).days > CALIBRATION_YEARS * 365.25:
-        found.append(Finding("pyranometer", "warn", f"calibrated on {made}, over {CALIBRATION_YEARS:g} years ago"))
+        found.append(
+            Finding(
+                "pyranometer", "warn", f"calibrated on {made}, over {CALIBRATION_YEARS:g} years ago"
+            )
+        )
     return found
 
 
-# ---------------------------------------------------------------------------------------------- this computer
+# ----------------------------------------------------------------------------------------------
+# this computer
 
 
 def kernel_clock() -> bool | None:
-    """Whether the kernel holds the clock to be synchronised (Linux, adjtimex); None: it does not tell."""
+    """Whether the kernel holds the clock to be synchronised (Linux, adjtimex); None: it does not
+    tell.
+    """
     if not sys.platform.startswith("linux"):
         return None
     timex = ctypes.create_string_buffer(512)  # struct timex, all zero: modes 0 only reads
@@ -290,10 +411,16 @@ def kernel_clock() -> bool | None:
 def check_clock(synchronised: bool | None) -> Finding:
     now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
     if synchronised is None:
-        return Finding("clock", "warn", f"{now}, and does not tell whether a time server holds it: compare it with one")
+        return Finding(
+            "clock",
+            "warn",
+            f"{now}, and does not tell whether a time server holds it: compare it with one",
+        )
     if not synchronised:
         return Finding(
-            "clock", "warn", f"{now}, held by no time server: switch network time on, or set it by hand today"
+            "clock",
+            "warn",
+            f"{now}, held by no time server: switch network time on, or set it by hand today",
         )
     return Finding("clock", "ok", f"{now}, held by a time server")
 
@@ -304,15 +431,25 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
     text = (
-        f"{free_bytes / 1e9:.1f} GB free, {wanted / 1e9:.1f} GB wanted for {len(ahead)} slots (with a third to spare)"
+        f"{free_bytes / 1e9:.1f} GB free, {wanted / 1e9:.1f} GB wanted for {len(ahead)} slots "
+        f"(with a third to spare)"
     )
     return Finding("disk", "ok" if free_bytes >= wanted else "fail", text)
 
 
 def _largest_bracket_bytes(session: Session) -> int:
-    """Of the last brackets taken: what the camera really writes may be far from the profile's estimate."""
-    taken = [folder for folder in sorted(session.raw.glob("[0-9]*Z")) if (folder / "capture.json").is_file()]
-    return max((sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]), default=0)
+    """Of the last brackets taken: what the camera really writes may be far from the profile's
+    estimate.
+    """
+    taken = [
+        folder
+        for folder in sorted(session.raw.glob("[0-9]*Z"))
+        if (folder / "capture.json").is_file()
+    ]
+    return max(
+        (sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]),
+        default=0,
+    )
 
 
 def check_writing(folder: Path) -> list[Finding]:
@@ -338,16 +475,20 @@ def check_writing(folder: Path) -> list[Finding]:
     verdict: Verdict = "warn" if took > SLOW_FSYNC_S else "ok"
     found = [Finding("writing", verdict, f"1 MB written and flushed in {took * 1000:.0f} ms")]
     if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
-        text = "the folder is synchronised by a cloud service, which can lock files: move it to a plain disk"
+        text = (
+            "the folder is synchronised by a cloud service, which can lock files: move it to a "
+            "plain disk"
+        )
         found.append(Finding("writing", "warn", text))
     return found
 
 
 def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> Finding:
-    """Whether something keeps this computer awake for the whole time: a lock that is held, or `own`, `capture`'s.
+    """Whether something keeps this computer awake for the whole time: a lock that is held, or
+    `own`, `capture`'s.
 
-    A closed lid is another matter: by logind's default it overrides a lock on sleep, and only one on handle-lid-switch
-    holds.
+    A closed lid is another matter: by logind's default it overrides a lock on sleep, and only one
+    on handle-lid-switch holds.
     """
     how = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
@@ -362,11 +503,16 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
     if not by:
         return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
     if lid and not any("handle-lid-switch" in lock.what for lock in held):
-        return Finding("sleep", "warn", f"held off by {by}, but closing the lid would still send it to sleep: {how}")
+        return Finding(
+            "sleep",
+            "warn",
+            f"held off by {by}, but closing the lid would still send it to sleep: {how}",
+        )
     return Finding("sleep", "ok", f"held off by {by}")
 
 
-# ---------------------------------------------------------------------------------------------- calendar
+# ----------------------------------------------------------------------------------------------
+# calendar
 
 
 def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
@@ -378,17 +524,26 @@ def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
     changes = sun.clock_changes(first, last, site.timezone)
     zone = ZoneInfo(site.timezone)
     text = "; ".join(
-        f"{'forward' if change > timedelta() else 'back'} {abs(change.total_seconds()) / 3600:g} h on "
+        f"{'forward' if change > timedelta() else 'back'} {abs(change.total_seconds()) / 3600:g} "
+        f"h on "
         f"{moment.astimezone(zone):%Y-%m-%d}"
         for moment, change in changes
     )
     found = [
-        Finding("calendar", "ok", f"clocks go {text}: the plan is in UTC and stays" if text else "no clock changes")
+        Finding(
+            "calendar",
+            "ok",
+            f"clocks go {text}: the plan is in UTC and stays" if text else "no clock changes",
+        )
     ]
     in_view = [slot for slot in ahead if "sun-in-view" in slot.tags]
     if in_view:
         filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
         said = f"the sun looks into the lens in {len(in_view)} slots"
-        remedy = "the bracket has a filter for it" if filtered else "without a filter its energy must come from DNI"
+        remedy = (
+            "the bracket has a filter for it"
+            if filtered
+            else "without a filter its energy must come from DNI"
+        )
         found.append(Finding("sun", "ok" if filtered else "warn", f"{said}: {remedy}"))
     return found

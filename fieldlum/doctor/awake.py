@@ -10,9 +10,11 @@ from pathlib import Path
 
 from fieldlum.devices.awake import kept_awake
 
-# One lock a line: who (may hold spaces), uid, user, pid, command, what, why (may hold spaces), mode.
+# One lock a line: who (may hold spaces), uid, user, pid, command, what, why (may hold spaces),
+# mode.
 _LOCK = re.compile(
-    r"(?P<who>.*?) +\d+ +\S+ +\d+ +\S+ +(?P<what>(?:shutdown|sleep|idle|handle-[a-z-]+)(?::[a-z-]+)*) +(?:.* )?"
+    r"(?P<who>.*?) +\d+ +\S+ +\d+ +\S+ "
+    r"+(?P<what>(?:shutdown|sleep|idle|handle-[a-z-]+)(?::[a-z-]+)*) +(?:.* )?"
     r"(?P<mode>block|block-weak|delay) *"
 )
 _LOCK_BEFORE_240 = re.compile(
@@ -30,22 +32,38 @@ class Lock:
 
 
 def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
-    """What `systemd-inhibit --list` says; None where it is not there, has no bus, hangs or fails."""
+    """What `systemd-inhibit --list` says; None where it is not there, has no bus, hangs or
+    fails.
+    """
     # A wide terminal: cells are cut to its width otherwise. English: words are looked for.
-    surroundings = {**os.environ, "LC_ALL": "C", "COLUMNS": "500", "SYSTEMD_PAGER": "cat", "SYSTEMD_COLORS": "0"}
+    surroundings = {
+        **os.environ,
+        "LC_ALL": "C",
+        "COLUMNS": "500",
+        "SYSTEMD_PAGER": "cat",
+        "SYSTEMD_COLORS": "0",
+    }
     try:
         said = subprocess.run(
-            ["systemd-inhibit", "--list"], stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout_s,
-            env=surroundings, check=False,
-        )  # fmt: skip
+            ["systemd-inhibit", "--list"],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=timeout_s,
+            env=surroundings,
+            check=False,
+        )
     except (OSError, subprocess.SubprocessError):
         return None
     return parse_locks(said.stdout.decode("utf-8", "replace")) if said.returncode == 0 else None
 
 
 def parse_locks(listed: str) -> list[Lock]:
-    """Both forms: the table of systemd 240 and later (with or without its heading), and the blocks of before."""
-    found = [_LOCK.fullmatch(line) for line in listed.splitlines()] + list(_LOCK_BEFORE_240.finditer(listed))
+    """Both forms: the table of systemd 240 and later (with or without its heading), and the
+    blocks of before.
+    """
+    found = [_LOCK.fullmatch(line) for line in listed.splitlines()] + list(
+        _LOCK_BEFORE_240.finditer(listed)
+    )
     return [Lock(m["who"].strip(), frozenset(m["what"].split(":")), m["mode"]) for m in found if m]
 
 

@@ -1,9 +1,10 @@
 """Contrast and what else a map says: RAMMG, window to task, uniformity, melanopic illuminance.
 
-RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and Marini 2004). In the
-paper's form (cd/m2) it is computed as its authors' code does: five levels, halved by OpenCV's bilinear resize, eight
-neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2), border pixels count as no contrast, no solid angles, no wrap at
-the seam. The L* form is the same on CIELAB lightness, which is what Rizzi describes.
+RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and
+Marini 2004). In the paper's form (cd/m2) it is computed as its authors' code does: five levels,
+halved by OpenCV's bilinear resize, eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2),
+border pixels count as no contrast, no solid angles, no wrap at the seam. The L* form is the same on
+CIELAB lightness, which is what Rizzi describes.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ def local_contrast(image: Float) -> NDArray[np.float64]:
 
 
 def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.float64]:
-    """Mean local contrast of each pyramid level, full size first, [levels] (the paper's Figure 13)."""
+    """Mean local contrast of each pyramid level, full size first, [levels] (the paper's Figure
+    13).
+    """
     import cv2
 
     level = np.asarray(image, np.float64)
@@ -55,7 +58,9 @@ def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.floa
 
 
 def rammg(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
-    """RAMMG in cd/m2, as the paper's tables; the sun's disc dominates it where the map holds one."""
+    """RAMMG in cd/m2, as the paper's tables; the sun's disc dominates it where the map holds
+    one.
+    """
     return float(contrast_levels(luminance_cdm2, levels).mean())
 
 
@@ -74,12 +79,16 @@ def lightness(relative: Float) -> NDArray[np.float64]:
 
 
 def melanopic_edi_lx(ev_lx: Float, melanopic_der: float = MELANOPIC_DER_D65) -> NDArray[np.float64]:
-    """An estimate: Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; D65 = 1, a blue sky above)."""
+    """An estimate: Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; D65 = 1, a
+    blue sky above).
+    """
     return np.asarray(ev_lx, float) * melanopic_der
 
 
 class ViewRegions:
-    """Where task, band and bright window stand for d view directions; made once, used every hour."""
+    """Where task, band and bright window stand for d view directions; made once, used every
+    hour.
+    """
 
     def __init__(self, height: int, width: int, heading_deg: float, azimuths_deg: Float) -> None:
         rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
@@ -91,14 +100,19 @@ class ViewRegions:
             task.append(omega * (to_task > np.cos(np.radians(TASK_RADIUS_DEG))))
             band.append(omega * (ahead & (np.abs(rays[:, 2]) < np.sin(np.radians(BAND_DEG)))))
             half.append(omega * ahead)
-        self.task, self.band, self.half = (np.array(part, np.float32).T for part in (task, band, half))
+        self.task, self.band, self.half = (
+            np.array(part, np.float32).T for part in (task, band, half)
+        )
 
-    def ratios(self, luminance_cdm2: Float, window_cdm2: float = 2000.0) -> dict[str, NDArray[np.float64]]:
+    def ratios(
+        self, luminance_cdm2: Float, window_cdm2: float = 2000.0
+    ) -> dict[str, NDArray[np.float64]]:
         """Of n maps [n, H, W]: arrays [n, d].
 
-        task_cdm2: mean of a 15-degree cone 30 degrees down; window_to_task: mean of the pixels in view brighter than
-        `window_cdm2` over that (NaN where there is none); uniformity: the 40-degree band's harmonic over its arithmetic
-        mean, 1 for a uniform band, falling with dark corners.
+        task_cdm2: mean of a 15-degree cone 30 degrees down; window_to_task: mean of the pixels in
+        view brighter than `window_cdm2` over that (NaN where there is none); uniformity: the
+        40-degree band's harmonic over its arithmetic mean, 1 for a uniform band, falling with dark
+        corners.
         """
         flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
         task = flat @ self.task / self.task.sum(axis=0)

@@ -1,4 +1,6 @@
-"""From a panorama to what a person sees: fisheye pictures, by flux, with the sun put in by energy."""
+"""From a panorama to what a person sees: fisheye pictures, by flux, with the sun put in by
+energy.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))
 
 
 def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Rays (right, up, forward) of an equidistant 180-degree picture, [N, N, 3], N = size * samples; and the circle."""
+    """Rays (right, up, forward) of an equidistant 180-degree picture, [N, N, 3], N = size *
+    samples; and the circle.
+    """
     n = size * samples
     axis = ((np.arange(n) + 0.5) / n - 0.5) * np.pi
     x, y = axis[None, :], -axis[:, None]
@@ -26,7 +30,9 @@ def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDAr
 
 
 def fisheye_solid_angles(size: int) -> NDArray[np.float64]:
-    """Solid angle of each pixel of an equidistant 180-degree picture, [N, N]; nothing outside the circle. [sr]"""
+    """Solid angle of each pixel of an equidistant 180-degree picture, [N, N]; nothing outside
+    the circle. [sr]
+    """
     axis = ((np.arange(size) + 0.5) / size - 0.5) * np.pi
     angle = np.hypot(axis[None, :], axis[:, None])
     return np.where(angle <= np.pi / 2, np.sinc(angle / np.pi) * (np.pi / size) ** 2, 0.0)
@@ -41,26 +47,38 @@ def panorama_to_fisheye(
     size: int = 800,
     sun: SunSource | None = None,
 ) -> NDArray[np.float32]:
-    """An equidistant 180-degree picture (VIEW `FISHEYE_VIEW`) of a panorama [H, W], [size, size]; 0 outside the circle.
+    """An equidistant 180-degree picture (VIEW `FISHEYE_VIEW`) of a panorama [H, W], [size, size]; 0
+    outside the circle.
 
-    Each pixel is the mean of samples of the panorama's piecewise constant field, fine enough for both grids, so flux is
-    kept; the sun's energy goes where its disc stands, over the share of each pixel that it covers.
+    Each pixel is the mean of samples of the panorama's piecewise constant field, fine enough for
+    both grids, so flux is kept; the sun's energy goes where its disc stands, over the share of each
+    pixel that it covers.
     """
     height, width = luminance_cdm2.shape
     samples = max(2, int(np.ceil(2.0 * height / size)))
     rays, inside = fisheye_rays(size, samples)
     world = rays[inside] @ view_frame(azimuth_deg, altitude_deg)
     altitude = np.degrees(np.arcsin(np.clip(world[:, 2], -1.0, 1.0)))
-    row, column = equirect_pixel(altitude, np.degrees(np.arctan2(world[:, 0], world[:, 1])), height, width, heading_deg)
+    row, column = equirect_pixel(
+        altitude, np.degrees(np.arctan2(world[:, 0], world[:, 1])), height, width, heading_deg
+    )
     values = np.zeros(inside.shape, np.float32)
-    values[inside] = luminance_cdm2[np.minimum(row.astype(int), height - 1), np.minimum(column.astype(int), width - 1)]
+    values[inside] = luminance_cdm2[
+        np.minimum(row.astype(int), height - 1), np.minimum(column.astype(int), width - 1)
+    ]
     shares = inside.reshape(size, samples, size, samples).sum(axis=(1, 3))
     picture = values.reshape(size, samples, size, samples).sum(axis=(1, 3)) / np.maximum(shares, 1)
     picture[~(fisheye_solid_angles(size) > 0)] = 0.0
-    return _with_sun(picture.astype(np.float32), sun, azimuth_deg, altitude_deg) if sun else picture.astype(np.float32)
+    return (
+        _with_sun(picture.astype(np.float32), sun, azimuth_deg, altitude_deg)
+        if sun
+        else picture.astype(np.float32)
+    )
 
 
-def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float, altitude_deg: float) -> NDArray[np.float32]:
+def _with_sun(
+    picture: Float, sun: SunSource, azimuth_deg: float, altitude_deg: float
+) -> NDArray[np.float32]:
     """Add the disc's energy to the pixels it covers; a sun behind the view changes nothing."""
     size = len(picture)
     x, y, z = view_frame(azimuth_deg, altitude_deg) @ direction(sun.altitude_deg, sun.azimuth_deg)
@@ -72,14 +90,17 @@ def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float, altitude_deg: 
     omega = fisheye_solid_angles(size)
     disc = _disc_pixels(_disc_shares(centre, np.array([x, y, z]), size), omega)
     if disc.any():
-        picture = picture + (disc * (sun.normal_illuminance_lx / omega[disc].sum())).astype(np.float32)
+        picture = picture + (disc * (sun.normal_illuminance_lx / omega[disc].sum())).astype(
+            np.float32
+        )
     return picture
 
 
 def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:
     """The most covered pixels that together have the disc's solid angle, [N, N].
 
-    Energy spread over half-covered rim pixels would double the source's solid angle at 800 px, and halve its luminance.
+    Energy spread over half-covered rim pixels would double the source's solid angle at 800 px, and
+    halve its luminance.
     """
     order = np.argsort(share, axis=None)[::-1]
     order = order[share.ravel()[order] > 0]

@@ -1,8 +1,9 @@
 """Vertical illuminance, DGP, DGPs, UGR and DGI for every direction around a panorama, at once.
 
-Vertical illuminance of all hours and directions is one matrix product with exact solid angles; glare sources are
-grouped once an hour (see `sources`) and summed for all directions by small products. The sun is never a pixel: it is a
-source of its own with its direction, its normal illuminance at the lens and its solid angle.
+Vertical illuminance of all hours and directions is one matrix product with exact solid angles;
+glare sources are grouped once an hour (see `sources`) and summed for all directions by small
+products. The sun is never a pixel: it is a source of its own with its direction, its normal
+illuminance at the lens and its solid angle.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")  # beside them contrast, sun_contrast, sun_ev_lx
 
-# Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16; evalglare computes with these, and so do we.
+# Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16; evalglare computes with these,
+# and so do we.
 DGP_EV, DGP_CONTRAST, DGP_BASE = 5.87e-5, 0.092, 0.159
 
 
 def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
-    """Daylight glare probability from vertical illuminance and the sum of L2 omega / P2 over sources; at most 1.
+    """Daylight glare probability from vertical illuminance and the sum of L2 omega / P2 over
+    sources; at most 1.
 
     No low-light correction (evalglare's default since 2.14).
     """
@@ -32,7 +35,9 @@ def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
 
 
 def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
-    """Simplified DGP, 6.22e-5 Ev + 0.184 (Wienold 2007); at most 1. Not for hours with the sun in view."""
+    """Simplified DGP, 6.22e-5 Ev + 0.184 (Wienold 2007); at most 1. Not for hours with the sun
+    in view.
+    """
     return np.minimum(6.22e-5 * np.asarray(ev_lx, float) + 0.184, 1.0)
 
 
@@ -44,7 +49,9 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
 
 
 def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
-    """10 log10 of the sum over sources (Hopkinson 1972, with P for the window's place); NaN without a source."""
+    """10 log10 of the sum over sources (Hopkinson 1972, with P for the window's place); NaN
+    without a source.
+    """
     total = np.asarray(source_sum, float)
     return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
 
@@ -58,8 +65,9 @@ def glare_directions(
     *,
     views: Views | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Glare of n panoramas in d horizontal view directions, each [n, d]: `METRICS`, and the parts that DGP is made of:
-    contrast, the sum of L2 omega / P2 over sources; sun_contrast and sun_ev_lx, what the disc gives to it and to Ev.
+    """Glare of n panoramas in d horizontal view directions, each [n, d]: `METRICS`, and the parts
+    that DGP is made of: contrast, the sum of L2 omega / P2 over sources; sun_contrast and
+    sun_ev_lx, what the disc gives to it and to Ev.
 
     luminance_cdm2 : [n, H, W] without the sun's disc.
     sun_direction : [n, 3] unit vectors (x east, y north, z up).
@@ -76,7 +84,13 @@ def glare_directions(
     map_ev = (flat @ views.illuminance).astype(float)
     sums = np.stack([_source_sums(flat[i], maps[i], views, map_ev[i]) for i in range(count)])
     sun_cdm2 = disc[:, None] * (cosine > 0) / SUN_SOLID_ANGLE_SR
-    return _combine(map_ev, disc[:, None] * np.clip(cosine, 0.0, None), sums, sun_cdm2, position_index(right, up))
+    return _combine(
+        map_ev,
+        disc[:, None] * np.clip(cosine, 0.0, None),
+        sums,
+        sun_cdm2,
+        position_index(right, up),
+    )
 
 
 def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
@@ -86,7 +100,9 @@ def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
 
 
 def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[np.float64]:
-    """Over the map's sources, for d views: sum L2 omega / P2, illuminance of sources, sum for DGI, [3, d]."""
+    """Over the map's sources, for d views: sum L2 omega / P2, illuminance of sources, sum for
+    DGI, [3, d].
+    """
     groups = sources_of(image)
     out = np.zeros((3, len(views.azimuths_deg)))
     if not groups:
@@ -123,7 +139,9 @@ def _combine(
     omega = np.asarray(SUN_SOLID_ANGLE_SR)
     sun_contrast = sun_cdm2**2 * omega / sun_index**2
     contrast = sums[:, 0] + sun_contrast
-    background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi  # CIE: what is left of Ev without the sources
+    background = (
+        np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
+    )  # CIE: what is left of Ev without the sources
     return {
         "ev_lx": ev,
         "contrast": contrast,

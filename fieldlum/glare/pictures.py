@@ -1,7 +1,9 @@
-"""Any luminance picture on disk as a panorama: Radiance views are read, checked, and resampled by nearest rays.
+"""Any luminance picture on disk as a panorama: Radiance views are read, checked, and resampled by
+nearest rays.
 
-A picture says where it looks: `VIEW=` with Radiance's options in a .hdr, the attribute `view` in an .exr, or that it
-is a panorama. What is missing or contradicts itself is refused with the line to write.
+A picture says where it looks: `VIEW=` with Radiance's options in a .hdr, the attribute `view` in an
+.exr, or that it is a panorama. What is missing or contradicts itself is refused with the line to
+write.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ from fieldlum.images import read_exr, read_panorama, read_radiance_hdr
 from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.records import Flag, Float, Panorama, SunSource
 
-HOW = "write VIEW= -vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180 (a 180-degree fisheye that looks south)"
+HOW = (
+    "write VIEW= -vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180 (a 180-degree fisheye that looks south)"
+)
 HOW_PANORAMA = "or FIELDLUM_VIEW= equirect heading_deg=180 for a panorama"
 VIEW_TYPES = {"a": "equidistant", "h": "hemispherical", "s": "stereographic", "v": "perspective"}
 
@@ -44,7 +48,8 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """view is None for a panorama. covered_sr: how much of the hemisphere in front the picture covers, at most 2 pi.
+    """view is None for a panorama. covered_sr: how much of the hemisphere in front the picture
+    covers, at most 2 pi.
 
     directed: it says where it looks; else its azimuth is Radiance's default, north.
     """
@@ -56,7 +61,9 @@ class Picture:
 
 
 def read_picture(path: Path) -> Picture:
-    """A .hdr or .exr picture as a panorama. Raises InputError for a missing or contradictory VIEW."""
+    """A .hdr or .exr picture as a panorama. Raises InputError for a missing or contradictory
+    VIEW.
+    """
     if not path.is_file():
         raise InputError(path, "no such file", "a luminance picture .hdr or .exr")
     found = _read_exr(path) if path.suffix.lower() == ".exr" else _read_hdr(path)
@@ -64,7 +71,12 @@ def read_picture(path: Path) -> Picture:
     height, width = pixels.shape
     if found.panorama:
         if text:
-            raise InputError(path, f"a panorama and VIEW= {text}", "one of the two", "take one of the two lines out")
+            raise InputError(
+                path,
+                f"a panorama and VIEW= {text}",
+                "one of the two",
+                "take one of the two lines out",
+            )
         return Picture(read_panorama(path), None, 2.0 * np.pi)
     if not text:
         raise InputError(path, "no VIEW", "where the picture looks", f"{HOW}, {HOW_PANORAMA}")
@@ -77,7 +89,9 @@ def read_picture(path: Path) -> Picture:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """A picture as it stands: view is Radiance's words; heading_deg is where it faces when those do not say it."""
+    """A picture as it stands: view is Radiance's words; heading_deg is where it faces when those
+    do not say it.
+    """
 
     luminance_cdm2: Float
     view: str
@@ -91,7 +105,9 @@ def _read_hdr(path: Path) -> _Found:
     views = [line[5:].strip() for line in image.header if line.startswith("VIEW=")]
     types = {word for text in views for word in text.split() if word.startswith("-vt")}
     if len(types) > 1:
-        raise InputError(path, f"views {', '.join(sorted(types))}", "one VIEW", "keep the line that is true")
+        raise InputError(
+            path, f"views {', '.join(sorted(types))}", "one VIEW", "keep the line that is true"
+        )
     return _Found(image.luminance_cdm2, image.view, image.heading_deg is not None)
 
 
@@ -105,11 +121,13 @@ def _read_exr(path: Path) -> _Found:
     return _Found(pixels, words, view == "equirect", picture.heading_deg, picture.sun)
 
 
-# ---------------------------------------------------------------------------------------------- VIEW
+# ----------------------------------------------------------------------------------------------
+# VIEW
 
 
 def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> View:
-    """Radiance's view options; without -vd the view is level and faces `heading_deg` (Radiance's own default is north).
+    """Radiance's view options; without -vd the view is level and faces `heading_deg` (Radiance's
+    own default is north).
 
     Raises InputError for a type or an angle that cannot be.
     """
@@ -118,11 +136,16 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> View:
     if kind not in VIEW_TYPES:
         shown = f"view type -vt{kind}" if kind else "a VIEW without a type"
         raise InputError(source, shown, "-vta, -vth, -vts or -vtv", HOW)
-    forward = _vector(options["vd"], "-vd", source) if "vd" in options else direction(0.0, heading_deg)
+    forward = (
+        _vector(options["vd"], "-vd", source) if "vd" in options else direction(0.0, heading_deg)
+    )
     up = _vector(options.get("vu", "0 0 1"), "-vu", source)
     if abs(float(forward @ up)) > 0.9999:
         raise InputError(
-            source, "-vd along -vu", "two different directions", "write -vu 0 1 0 for a picture of the sky"
+            source,
+            "-vd along -vu",
+            "two different directions",
+            "write -vu 0 1 0 for a picture of the sky",
         )
     default = "45" if kind == "v" else "180"
     angles = [_number(options.get(name, default), f"-{name}", source) for name in ("vh", "vv")]
@@ -130,18 +153,25 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> View:
     for name, angle in zip(("-vh", "-vv"), angles, strict=True):
         if not 0.0 < angle <= largest:
             raise InputError(
-                source, f"{name} {angle:g} with -vt{kind}", f"above 0, at most {largest:g}", HOW.replace("-vta", "-vta")
+                source,
+                f"{name} {angle:g} with -vt{kind}",
+                f"above 0, at most {largest:g}",
+                HOW.replace("-vta", "-vta"),
             )
     up = up - forward * float(up @ forward)
     return View(kind, forward, up / np.linalg.norm(up), *angles)
 
 
 def _options(text: str, source: Path) -> dict[str, str]:
-    """-vta is vt = a; -vd x y z is vd = "x y z"; what is not about direction or angle is passed over."""
+    """-vta is vt = a; -vd x y z is vd = "x y z"; what is not about direction or angle is passed
+    over.
+    """
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise InputError(source, f"VIEW {text!r} ({error})", "Radiance's view options", HOW) from None
+        raise InputError(
+            source, f"VIEW {text!r} ({error})", "Radiance's view options", HOW
+        ) from None
     found: dict[str, str] = {}
     take = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
     at = 0
@@ -155,7 +185,12 @@ def _options(text: str, source: Path) -> dict[str, str]:
             at += take[name]
     for shift in ("vs", "vl"):
         if shift in found and _number(found[shift], f"-{shift}", source) != 0.0:
-            raise InputError(source, f"a shifted view -{shift} {found[shift]}", "an unshifted one", "render it without")
+            raise InputError(
+                source,
+                f"a shifted view -{shift} {found[shift]}",
+                "an unshifted one",
+                "render it without",
+            )
     return found
 
 
@@ -180,7 +215,9 @@ def _vector(text: str, name: str, source: Path) -> NDArray[np.float64]:
 def _reach(kind: str, angle_deg: float) -> float:
     """Radius that half an angle takes in a mapping, of focal length 1."""
     half = np.radians(angle_deg) / 2.0
-    return float({"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}[kind])
+    return float(
+        {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}[kind]
+    )
 
 
 def _check_shape(view: View, height: int, width: int, source: Path) -> None:
@@ -188,16 +225,22 @@ def _check_shape(view: View, height: int, width: int, source: Path) -> None:
     expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
     if abs(width / height / expected - 1.0) > 0.02 + 1.0 / min(width, height):
         raise InputError(
-            source, f"{width} x {height} pixels with -vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}",
-            f"proportion {expected:.3f}", f"correct -vh and -vv, or crop the picture; a full fisheye: {HOW}",
-        )  # fmt: skip
+            source,
+            f"{width} x {height} pixels with -vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}",
+            f"proportion {expected:.3f}",
+            f"correct -vh and -vv, or crop the picture; a full fisheye: {HOW}",
+        )
 
 
-# ---------------------------------------------------------------------------------------------- resampling
+# ----------------------------------------------------------------------------------------------
+# resampling
 
 
-def to_panorama(pixels: Float, view: View, height: int | None = None) -> tuple[NDArray[np.float32], float]:
-    """The picture's luminance on a panorama whose centre faces the view, 0 where it does not look; covered sr in front.
+def to_panorama(
+    pixels: Float, view: View, height: int | None = None
+) -> tuple[NDArray[np.float32], float]:
+    """The picture's luminance on a panorama whose centre faces the view, 0 where it does not look;
+    covered sr in front.
 
     Every panorama pixel is the mean of samples of the picture, fine enough for both grids.
     """
@@ -226,7 +269,9 @@ def to_panorama(pixels: Float, view: View, height: int | None = None) -> tuple[N
 
 
 def _radius(kind: str, angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Radius of an angle from the axis in a mapping of focal length 1; NaN where the mapping ends."""
+    """Radius of an angle from the axis in a mapping of focal length 1; NaN where the mapping
+    ends.
+    """
     if kind == "a":
         return angle_rad
     if kind == "s":

@@ -1,7 +1,9 @@
-"""The reference that ours is checked against: the evalglare program that pyradiance carries, called as a process.
+"""The reference that ours is checked against: the evalglare program that pyradiance carries, called
+as a process.
 
-evalglare is by J. Wienold, EPFL and Fraunhofer ISE. Its version and flags go with every figure, because both change
-the answer: the threshold in 2.05, the low-light correction in 2.14 and 3.05, the position index in 2.12 to 3.02.
+evalglare is by J. Wienold, EPFL and Fraunhofer ISE. Its version and flags go with every figure,
+because both change the answer: the threshold in 2.05, the low-light correction in 2.14 and 3.05,
+the position index in 2.12 to 3.02.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ FLAGS = ("-b", "2000", "-C", "l-", "-d")
 
 @dataclass(frozen=True, slots=True)
 class ReferenceGlare:
-    """What evalglare says of one picture; contrast is not among it. sources: how many glare sources it found."""
+    """What evalglare says of one picture; contrast is not among it. sources: how many glare
+    sources it found.
+    """
 
     dgp: float
     ev_lx: float
@@ -43,12 +47,16 @@ def _binary(name: str) -> str:
 @lru_cache(maxsize=1)
 def reference_version() -> str:
     """Such as ``evalglare 3.06 release 25.06.2024 by J.Wienold, EPFL``."""
-    shown = subprocess.run([_binary("evalglare"), "-v"], capture_output=True, text=True, check=False, timeout=60)
+    shown = subprocess.run(
+        [_binary("evalglare"), "-v"], capture_output=True, text=True, check=False, timeout=60
+    )
     return (shown.stdout or shown.stderr).strip()
 
 
 def reference_glare(fisheye_cdm2: Float, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
-    """evalglare's answer for an equidistant 180-degree picture [N, N]. Raises FieldlumError when it gives none."""
+    """evalglare's answer for an equidistant 180-degree picture [N, N]. Raises FieldlumError when
+    it gives none.
+    """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
         write_radiance_hdr(path, fisheye_cdm2, view=FISHEYE_VIEW)
@@ -57,12 +65,16 @@ def reference_glare(fisheye_cdm2: Float, flags: tuple[str, ...] = FLAGS) -> Refe
 
 def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
     """As `reference_glare`, of a picture on disk that has a VIEW; flags must hold -d."""
-    done = subprocess.run([_binary("evalglare"), *flags, str(path)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [_binary("evalglare"), *flags, str(path)], capture_output=True, text=True, check=False
+    )
     return _parse(done.stdout, f"{done.stderr.strip()} (exit {done.returncode})", " ".join(flags))
 
 
 def _parse(text: str, trouble: str, flags: str) -> ReferenceGlare:
-    """The line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` of the detailed output, and the table of sources above it."""
+    """The line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` of the detailed output, and the table
+    of sources above it.
+    """
     line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
     names, _, figures = line.partition(":")
     row = dict(zip(names.split(","), figures.split(), strict=False))
@@ -70,6 +82,12 @@ def _parse(text: str, trouble: str, flags: str) -> ReferenceGlare:
         raise FieldlumError(f"evalglare gave no answer: {trouble}")
     head = text.split(maxsplit=1)[0] if text.split() else "0"
     return ReferenceGlare(
-        float(row["dgp"]), float(row["E_v"]), float(row["dgi"]), float(row["ugr"]), float(row["lum_backg"]),
-        int(head) if head.isdigit() else 0, reference_version(), flags,
-    )  # fmt: skip
+        float(row["dgp"]),
+        float(row["E_v"]),
+        float(row["dgi"]),
+        float(row["ugr"]),
+        float(row["lum_backg"]),
+        int(head) if head.isdigit() else 0,
+        reference_version(),
+        flags,
+    )

@@ -23,7 +23,12 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 DISC_CDM2 = 1e6  # no matt surface and no sky is that bright
 BRIGHTEST_SUN_CDM2 = 2.2e9
-VERDICTS = ((0.35, "imperceptible"), (0.40, "perceptible"), (0.45, "disturbing"), (np.inf, "intolerable"))
+VERDICTS = (
+    (0.35, "imperceptible"),
+    (0.40, "perceptible"),
+    (0.45, "disturbing"),
+    (np.inf, "intolerable"),
+)
 
 
 def verdict(dgp: float) -> str:
@@ -31,8 +36,12 @@ def verdict(dgp: float) -> str:
     return next(name for limit, name in VERDICTS if dgp < limit)
 
 
-def picture_glare(path: Path, azimuths_deg: Sequence[float] = (), *, reference: bool = False) -> dict[str, Any]:
-    """File, views (one dict each), contrast of the whole and warnings. Raises InputError for an unusable picture."""
+def picture_glare(
+    path: Path, azimuths_deg: Sequence[float] = (), *, reference: bool = False
+) -> dict[str, Any]:
+    """File, views (one dict each), contrast of the whole and warnings. Raises InputError for an
+    unusable picture.
+    """
     picture = read_picture(path)
     panorama = picture.panorama
     azimuths = _azimuths(picture, azimuths_deg, path)
@@ -55,7 +64,11 @@ def picture_glare(path: Path, azimuths_deg: Sequence[float] = (), *, reference: 
             view = panorama_to_fisheye(maps, panorama.heading_deg, float(azimuth), sun=sun)
             row["reference"] = asdict(reference_glare(view))
         views.append(row)
-    whole = {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)} if picture.view is None else {}
+    whole = (
+        {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)}
+        if picture.view is None
+        else {}
+    )
     return {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
@@ -69,11 +82,15 @@ def picture_glare(path: Path, azimuths_deg: Sequence[float] = (), *, reference: 
     }
 
 
-def take_out_sun(luminance_cdm2: Float, heading_deg: float, known: SunSource | None) -> tuple[Float, SunSource | None]:
-    """A disc that a rendering left in its picture becomes a source of its own, of the sun's own solid angle.
+def take_out_sun(
+    luminance_cdm2: Float, heading_deg: float, known: SunSource | None
+) -> tuple[Float, SunSource | None]:
+    """A disc that a rendering left in its picture becomes a source of its own, of the sun's own
+    solid angle.
 
-    The brightest spot from `DISC_CDM2` up, no larger than a disc that a coarse grid has smeared, and no brighter than
-    the sun once its energy is put into the disc. A sun that the picture names is taken as it stands.
+    The brightest spot from `DISC_CDM2` up, no larger than a disc that a coarse grid has smeared,
+    and no brighter than the sun once its energy is put into the disc. A sun that the picture names
+    is taken as it stands.
     """
     peaks = luminance_cdm2 >= DISC_CDM2
     if known is not None or not peaks.any():
@@ -84,13 +101,23 @@ def take_out_sun(luminance_cdm2: Float, heading_deg: float, known: SunSource | N
     spot = groups == groups.flat[int(np.argmax(luminance_cdm2))]
     energy = float((luminance_cdm2 * omega)[spot].sum())
     room = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(omega[spot].max())
-    if omega[spot].sum() > room or not DISC_CDM2 <= energy / SUN_SOLID_ANGLE_SR <= BRIGHTEST_SUN_CDM2:
+    if (
+        omega[spot].sum() > room
+        or not DISC_CDM2 <= energy / SUN_SOLID_ANGLE_SR <= BRIGHTEST_SUN_CDM2
+    ):
         return luminance_cdm2, None
     weights = (luminance_cdm2 * omega)[spot][:, None]
     x, y, z = (weights * equirect_rays(height, width, heading_deg)[spot]).sum(axis=0)
-    around = np.where(spot, float(np.median(luminance_cdm2[widen(spot, np.radians(3.0)) & ~spot])), luminance_cdm2)
-    altitude, azimuth = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(x, y)) % 360.0
-    return around.astype(np.float32), SunSource(float(altitude), float(azimuth), energy, 1.0, "picture")
+    around = np.where(
+        spot, float(np.median(luminance_cdm2[widen(spot, np.radians(3.0)) & ~spot])), luminance_cdm2
+    )
+    altitude, azimuth = (
+        np.degrees(np.arctan2(z, np.hypot(x, y))),
+        np.degrees(np.arctan2(x, y)) % 360.0,
+    )
+    return around.astype(np.float32), SunSource(
+        float(altitude), float(azimuth), energy, 1.0, "picture"
+    )
 
 
 def _azimuths(picture: Picture, asked: Sequence[float], path: Path) -> np.ndarray:
@@ -99,25 +126,39 @@ def _azimuths(picture: Picture, asked: Sequence[float], path: Path) -> np.ndarra
         return np.asarray(asked or view_azimuths_deg(picture.panorama.heading_deg), float) % 360.0
     if abs(view.altitude_deg) > 1.0:
         raise InputError(
-            path, f"a view {view.altitude_deg:.1f} degrees off the horizon", "a level view", "take it with a level head"
+            path,
+            f"a view {view.altitude_deg:.1f} degrees off the horizon",
+            "a level view",
+            "take it with a level head",
         )
     if asked and max(abs((a - view.azimuth_deg + 180.0) % 360.0 - 180.0) for a in asked) > 1e-3:
         raise InputError(
-            path, f"--view-azimuth on a fisheye that looks to {view.azimuth_deg:.1f}", "a panorama",
+            path,
+            f"--view-azimuth on a fisheye that looks to {view.azimuth_deg:.1f}",
+            "a panorama",
             "leave --view-azimuth away",
-        )  # fmt: skip
+        )
     return np.array([view.azimuth_deg])
 
 
 def _sound(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Negative values are noise and count as 0, and so does what no lens saw; what else is no number is refused."""
+    """Negative values are noise and count as 0, and so does what no lens saw; what else is no
+    number is refused.
+    """
     pixels, said = np.asarray(panorama.luminance_cdm2, np.float32), []
     if panorama.flags is not None and (outside := panorama.flags & Flag.OUTSIDE_LENS > 0).any():
         pixels = np.where(outside, np.float32(0.0), pixels)
-        said.append(f"{100 * outside.mean():.0f} % of the panorama was seen by no lens and counts as dark")
+        said.append(
+            f"{100 * outside.mean():.0f} % of the panorama was seen by no lens and counts as dark"
+        )
     bad = int((~np.isfinite(pixels)).sum())
     if bad:
-        raise InputError(path, f"{bad} pixels that are no numbers", "cd/m2 everywhere", "merge or render it again")
+        raise InputError(
+            path,
+            f"{bad} pixels that are no numbers",
+            "cd/m2 everywhere",
+            "merge or render it again",
+        )
     dark = int((pixels < 0).sum())
     if dark:
         said.append(f"{dark} pixels below 0 cd/m2 count as 0")
@@ -130,11 +171,15 @@ def _warnings(picture: Picture) -> list[str]:
     if share < 0.98:
         said.append(f"covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds")
     if not picture.directed:
-        said.append("its VIEW has no -vd: glare holds, but whether it looks to azimuth 0 is not known")
+        said.append(
+            "its VIEW has no -vd: glare holds, but whether it looks to azimuth 0 is not known"
+        )
     flags = picture.panorama.flags
     clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
     if clipped:
-        said.append(f"{clipped} pixels clipped in every frame: luminance there, and DGP, are lower bounds")
+        said.append(
+            f"{clipped} pixels clipped in every frame: luminance there, and DGP, are lower bounds"
+        )
     return said
 
 

@@ -1,10 +1,12 @@
 """Which bright pixels make one glare source.
 
-A pixel brighter than 2 000 cd/m2 belongs to a source. Pixels nearer to each other than 0.1 rad (5.7 degrees) belong to
-the same one, so the panes of a window are one source; its position is its luminance-weighted centre. Pixels from
-50 000 cd/m2 up are taken out of their source and make sources of their own. These are evalglare's defaults (-b 2000,
--r 0.2 with its own definition of the search angle, -Y 50000): the additive sum over pixels that needs no grouping comes
-out higher for windows with bright and dark panes (docs/accuracy.md, "Glare").
+A pixel brighter than 2 000 cd/m2 belongs to a source. Pixels nearer to each other than 0.1 rad (5.7
+degrees) belong to the same one, so the panes of a window are one source; its position is its
+luminance-weighted centre. Pixels from 50 000 cd/m2 up are taken out of their source and make
+sources of their own. These are evalglare's defaults (-b 2000,
+-r 0.2 with its own definition of the search angle, -Y 50000): the additive sum over pixels that
+needs no grouping comes out higher for windows with bright and dark panes (docs/accuracy.md,
+"Glare").
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
 
 
 def group_pixels(mask: NDArray[np.bool_], reach_rad: float = REACH_RAD) -> NDArray[np.int32]:
-    """Number each pixel of `mask` by its source, 1 up, [H, W]; 0 elsewhere. Sources closer than `reach_rad` are one."""
+    """Number each pixel of `mask` by its source, 1 up, [H, W]; 0 elsewhere. Sources closer than
+    `reach_rad` are one.
+    """
     from scipy.ndimage import label
 
     labels = np.zeros(mask.shape, np.int32)
@@ -73,7 +77,9 @@ def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
 
 
 def sources_of(luminance_cdm2: Float) -> list[NDArray[np.int64]]:
-    """Flat pixel numbers of each source of a panorama [H, W]: sources without their peaks, then the peaks' own."""
+    """Flat pixel numbers of each source of a panorama [H, W]: sources without their peaks, then
+    the peaks' own.
+    """
     bright = luminance_cdm2 > SOURCE_CDM2
     if not bright.any():
         return []

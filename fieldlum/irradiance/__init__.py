@@ -1,4 +1,6 @@
-"""Irradiance: the day files of a session to one quality-checked series, irradiance/clean.csv, and its health."""
+"""Irradiance: the day files of a session to one quality-checked series, irradiance/clean.csv,
+and its health.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +35,14 @@ _BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all woul
 _RECIPE = 6  # raise it when the arithmetic changes: clean.csv is then made again
 
 
-# ---------------------------------------------------------------------------------------------- checks
+# ----------------------------------------------------------------------------------------------
+# checks
 
 
 def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
-    """True sun altitude [n] deg and extraterrestrial normal irradiance [n] W/m2, interpolated between whole minutes."""
+    """True sun altitude [n] deg and extraterrestrial normal irradiance [n] W/m2, interpolated
+    between whole minutes.
+    """
     minute = np.floor(t_unix_s / 60.0)
     grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])
     times = [datetime.fromtimestamp(t, UTC) for t in grid]
@@ -54,7 +59,9 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
     ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
     for extreme, mark in ((False, Mark.IMPOSSIBLE), (True, Mark.EXTREME)):
         limits = sun.bsrn_limits(altitude, top, extreme=extreme)
-        for value, (low, high) in zip((ghi, dhi, dni), (limits.ghi_wm2, limits.dhi_wm2, limits.dni_wm2), strict=True):
+        for value, (low, high) in zip(
+            (ghi, dhi, dni), (limits.ghi_wm2, limits.dhi_wm2, limits.dni_wm2), strict=True
+        ):
             with np.errstate(invalid="ignore"):
                 marks[(value < low) | (value > high)] |= mark
     with np.errstate(invalid="ignore"):
@@ -69,20 +76,28 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
     two_level = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
     marks[two_level & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
     dni = np.where(two_level, np.minimum(_beam(ghi, dhi, altitude), top), dni)
-    dhi = np.where(np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi), sun.dhi_by_closure(ghi, dni, altitude), dhi)
+    dhi = np.where(
+        np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi),
+        sun.dhi_by_closure(ghi, dni, altitude),
+        dhi,
+    )
     beam = dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
     ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
     return Series(series.t_unix_s, ghi, dhi, dni, marks)
 
 
 def _beam(ghi: Array, dhi: Array, altitude: Array) -> Array:
-    """As `sun.dni_by_closure`, but noise may take it below zero: a mean over rows is then without bias."""
+    """As `sun.dni_by_closure`, but noise may take it below zero: a mean over rows is then
+    without bias.
+    """
     sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
     return np.where(altitude > 2.0, (ghi - dhi) / sine, 0.0)
 
 
 def _closure_fails(ghi: Array, dhi: Array, dni: Array, altitude: Array) -> NDArray[np.bool_]:
-    """QCRad: within 8 % above 15 degrees of sun, 15 % below; not testable under 50 W/m2 or with two components only."""
+    """QCRad: within 8 % above 15 degrees of sun, 15 % below; not testable under 50 W/m2 or with
+    two components only.
+    """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
     allowed = np.where(altitude > 15.0, 0.08, 0.15)
     with np.errstate(invalid="ignore"):
@@ -90,7 +105,8 @@ def _closure_fails(ghi: Array, dhi: Array, dni: Array, altitude: Array) -> NDArr
 
 
 def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
-    """Rows in a run of equal figures that lasts over ten minutes of daylight, while the sun moved enough to change one.
+    """Rows in a run of equal figures that lasts over ten minutes of daylight, while the sun moved
+    enough to change one.
 
     In whole W/m2 a clear noon stands still for up to half an hour.
     """
@@ -101,19 +117,27 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
     starts, ends = np.r_[0, changes], np.r_[changes, len(ghi)]
     sine = np.sin(np.radians(np.maximum(altitude, 0.1)))
     highest, lowest = np.maximum.reduceat(sine, starts), np.minimum.reduceat(sine, starts)
-    digit = steps[steps > 0.0].min(initial=np.inf)  # the smallest step that the log shows; none at all: all is stuck
+    digit = steps[steps > 0.0].min(
+        initial=np.inf
+    )  # the smallest step that the log shows; none at all: all is stuck
     with np.errstate(invalid="ignore"):
-        due = (ghi[starts] <= 0.0) | (ghi[starts] * (1.0 - lowest / highest) > digit) | np.isinf(digit)
+        due = (
+            (ghi[starts] <= 0.0)
+            | (ghi[starts] * (1.0 - lowest / highest) > digit)
+            | np.isinf(digit)
+        )
     long_run = (t_unix_s[ends - 1] - t_unix_s[starts] > STUCK_S) & (ends - starts > 2) & due
     out = np.repeat(long_run, ends - starts)
     return out & (altitude > 2.0) & np.isfinite(ghi)
 
 
 def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
-    """Rows [n] that depart from both neighbours, to the same side, by far more than these differ and than is usual.
+    """Rows [n] that depart from both neighbours, to the same side, by far more than these differ
+    and than is usual.
 
-    Usual is the ninth largest of the other steps within 120 rows on either side: where the light jumps often, as under
-    broken clouds, nothing stands out (bench/damaged_series.py). Rows beside a gap, and short series, are not judged.
+    Usual is the ninth largest of the other steps within 120 rows on either side: where the light
+    jumps often, as under broken clouds, nothing stands out (bench/damaged_series.py). Rows beside a
+    gap, and short series, are not judged.
     """
     out = np.zeros(len(value), bool)
     if len(value) < 3 + 2 * _SPIKE_ROWS:
@@ -124,7 +148,9 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         same_side = from_left * from_right > 0
         departure = np.where(same_side, np.minimum(np.abs(from_left), np.abs(from_right)), 0.0)
-        far = (departure > SPIKE_WM2) & (departure > SPIKE_OVER_NEIGHBOURS * np.abs(from_left - from_right))
+        far = (departure > SPIKE_WM2) & (
+            departure > SPIKE_OVER_NEIGHBOURS * np.abs(from_left - from_right)
+        )
     # Steps around candidate row k + 1, less its own two (k and k + 1).
     around = np.r_[-_SPIKE_ROWS:0, 2 : 2 + _SPIKE_ROWS]
     size = np.abs(np.nan_to_num(step))
@@ -133,19 +159,24 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
     for first in range(0, len(candidates), block):
         some = candidates[first : first + block]
         near = some[:, None] + around
-        others = np.where((near >= 0) & (near < len(size)), size[np.clip(near, 0, len(size) - 1)], 0.0)
+        others = np.where(
+            (near >= 0) & (near < len(size)), size[np.clip(near, 0, len(size) - 1)], 0.0
+        )
         usual = np.partition(others, -_SPIKE_RANK, axis=1)[:, -_SPIKE_RANK]
         out[some[departure[some] > SPIKE_OVER_USUAL * usual] + 1] = True
     return out
 
 
-# ---------------------------------------------------------------------------------------------- global alone
+# ----------------------------------------------------------------------------------------------
+# global alone
 
 
 def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[np.integer]]:
-    """Means by UTC minute: the minutes' centres [m] (unix s), means [m], and each row's minute [n] as an index.
+    """Means by UTC minute: the minutes' centres [m] (unix s), means [m], and each row's minute [n]
+    as an index.
 
-    A minute without a figure stands wherever more than half an hour is missing, so that neighbours are neighbours.
+    A minute without a figure stands wherever more than half an hour is missing, so that neighbours
+    are neighbours.
     """
     minute = np.floor(t_unix_s / 60.0).astype(np.int64)
     present, row_minute = np.unique(minute, return_inverse=True)
@@ -156,19 +187,29 @@ def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[n
     breaks = np.flatnonzero(np.diff(present) * 60.0 > _SEGMENT_GAP_S)
     shift = np.searchsorted(breaks, np.arange(len(present)), side="left")
     centres = np.insert(60.0 * present + 30.0, breaks + 1, 60.0 * present[breaks] + 90.0)
-    return centres, np.insert(means, breaks + 1, np.nan), (np.arange(len(present)) + shift)[row_minute]
+    return (
+        centres,
+        np.insert(means, breaks + 1, np.nan),
+        (np.arange(len(present)) + shift)[row_minute],
+    )
 
 
 def derive(series: Series, altitude: Array, site: Site) -> Series:
-    """DNI and DHI of a lone global pyranometer by DIRINT on minute means, shared out to the rows of each minute."""
+    """DNI and DHI of a lone global pyranometer by DIRINT on minute means, shared out to the rows
+    of each minute.
+    """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():
         return series
-    centres, ghi_minute, row_minute = minute_means(series.t_unix_s, np.where(alone, series.ghi_wm2, np.nan))
+    centres, ghi_minute, row_minute = minute_means(
+        series.t_unix_s, np.where(alone, series.ghi_wm2, np.nan)
+    )
     times = [datetime.fromtimestamp(t, UTC) for t in centres]
     dni_minute = sun.dirint_dni(ghi_minute, times, site)
     dni_minute[_without_neighbours(ghi_minute) & (ghi_minute > 0.0)] = np.nan
-    beam_share = np.divide(dni_minute, ghi_minute, out=np.zeros_like(ghi_minute), where=np.nan_to_num(ghi_minute) > 1.0)
+    beam_share = np.divide(
+        dni_minute, ghi_minute, out=np.zeros_like(ghi_minute), where=np.nan_to_num(ghi_minute) > 1.0
+    )
     dni = np.where(alone, beam_share[row_minute] * np.maximum(series.ghi_wm2, 0.0), series.dni_wm2)
     dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
     marks = series.marks.copy()
@@ -178,12 +219,15 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
 
 
 def _without_neighbours(value: Float) -> NDArray[np.bool_]:
-    """[m]: numbers with none right before or after them. DIRINT goes by how the light changes: it says nothing then."""
+    """[m]: numbers with none right before or after them. DIRINT goes by how the light changes:
+    it says nothing then.
+    """
     known = np.r_[False, np.isfinite(value), False]
     return known[1:-1] & ~known[:-2] & ~known[2:]
 
 
-# ---------------------------------------------------------------------------------------------- files
+# ----------------------------------------------------------------------------------------------
+# files
 
 
 def mark_text(marks: int) -> str:
@@ -198,7 +242,9 @@ def write_clean(path: Path, series: Series) -> None:
 
     texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
     with replacing(path, "w", newline="", encoding="utf-8") as file:
-        for first in range(0, max(len(series), 1), _BLOCK_ROWS):  # texts of a million rows would take 300 MB
+        for first in range(
+            0, max(len(series), 1), _BLOCK_ROWS
+        ):  # texts of a million rows would take 300 MB
             rows = slice(first, first + _BLOCK_ROWS)
             when = pd.to_datetime(series.t_unix_s[rows], unit="s", utc=True).round("ms")
             table = pd.DataFrame(
@@ -220,7 +266,8 @@ def _fingerprint(files: Sequence[Path]) -> dict[str, Any]:
 
 
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
-    """Day files to irradiance/clean.csv and irradiance/health.json; kept when nothing was added since.
+    """Day files to irradiance/clean.csv and irradiance/health.json; kept when nothing was added
+    since.
 
     Raises NotEnoughDataError when nothing was logged.
     """
@@ -233,7 +280,9 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
             return Health(**{**known, "warnings": tuple(known["warnings"])})
     raw, broken = _read(files, progress)
     if len(raw) == 0:
-        raise NotEnoughDataError(f"{session.irradiance}: no irradiance was logged; log some, or import a logger file")
+        raise NotEnoughDataError(
+            f"{session.irradiance}: no irradiance was logged; log some, or import a logger file"
+        )
     site = session.site_file().site
     altitude, top = sky_geometry(raw.t_unix_s, site)
     series = derive(check(raw, altitude, top), altitude, site)

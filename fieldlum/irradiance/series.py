@@ -28,7 +28,8 @@ class Mark(IntFlag):
     GAP = 128  # the first row after a gap
     DISORDER = 256  # a row that stood later in the file than its time
     DERIVED = 512  # DNI and DHI are a model's, not an instrument's
-    SPIKE = 1024  # one reading alone departs from both neighbours: a damaged line, a bird, a very small cloud
+    # one reading alone departs from both neighbours: a damaged line, a bird, a very small cloud
+    SPIKE = 1024
     DOUBLE = 2048  # another row of the same moment has other figures; the first one counts
 
 
@@ -55,7 +56,9 @@ def poll_period_s(t_unix_s: Array) -> float:
 
 
 def local_period_s(t_unix_s: Array) -> Array:
-    """The usual time between two rows around each of them [n]: one session may hold several loggers."""
+    """The usual time between two rows around each of them [n]: one session may hold several
+    loggers.
+    """
     step = np.diff(t_unix_s, prepend=t_unix_s[:1] - poll_period_s(t_unix_s))
     blocks = [step[first : first + _BLOCK] for first in range(0, len(step), _BLOCK)]
     usual = [float(np.median(block)) for block in blocks]
@@ -65,15 +68,22 @@ def local_period_s(t_unix_s: Array) -> Array:
 
 
 def series_of(samples: Sequence[IrradianceSample]) -> Series:
-    """Samples as arrays in order of time, the first one of each moment; STATUS, DISORDER and DOUBLE are marked."""
+    """Samples as arrays in order of time, the first one of each moment; STATUS, DISORDER and
+    DOUBLE are marked.
+    """
     t = np.array([s.t_utc.timestamp() for s in samples])
-    ghi, dhi, dni = (np.array([getattr(s, f"{name}_wm2") for s in samples], float) for name in ("ghi", "dhi", "dni"))
+    ghi, dhi, dni = (
+        np.array([getattr(s, f"{name}_wm2") for s in samples], float)
+        for name in ("ghi", "dhi", "dni")
+    )
     marks = np.array([_mark_of_status(s.status) for s in samples], np.int64)
     if len(t) > 1:
         marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
     _, keep, which = np.unique(t, return_index=True, return_inverse=True)
     first = keep[which]
-    other = np.any([(v != v[first]) & ~(np.isnan(v) & np.isnan(v[first])) for v in (ghi, dhi, dni)], axis=0)
+    other = np.any(
+        [(v != v[first]) & ~(np.isnan(v) & np.isnan(v[first])) for v in (ghi, dhi, dni)], axis=0
+    )
     marks[first[other]] |= Mark.DOUBLE
     return Series(t[keep], ghi[keep], dhi[keep], dni[keep], marks[keep])
 

@@ -1,4 +1,6 @@
-"""How an instrument and its logger did: what the person responsible wants to know, and what to do about it."""
+"""How an instrument and its logger did: what the person responsible wants to know, and what to
+do about it.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,23 @@ class Health:
     every_s: float
     gaps: int
     longest_gap_s: float
-    night_offset_wm2: float | None  # median of the global with the sun under -6 degrees; never subtracted
+    night_offset_wm2: (
+        float | None
+    )  # median of the global with the sun under -6 degrees; never subtracted
     closure_pass: float | None  # share of testable rows, where direct is measured too
-    clock_off_s: float | None  # by the light itself (`light_clock`); None without a whole day, dark on either side
+    clock_off_s: (
+        float | None
+    )  # by the light itself (`light_clock`); None without a whole day, dark on either side
     marks: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
-def health(raw: Series, clean: Series, altitude: Array, top: Array, broken: int, site: Site) -> Health:
-    """raw and clean: the same rows before and after the checks. altitude, top [n]: of `sky_geometry`."""
+def health(
+    raw: Series, clean: Series, altitude: Array, top: Array, broken: int, site: Site
+) -> Health:
+    """raw and clean: the same rows before and after the checks. altitude, top [n]: of
+    `sky_geometry`.
+    """
     night = raw.ghi_wm2[(altitude < NIGHT_SUN_DEG) & np.isfinite(raw.ghi_wm2)]
     offset = float(np.median(night)) if len(night) >= 10 else None
     ratio = sun.closure_ratio(raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
@@ -44,37 +54,57 @@ def health(raw: Series, clean: Series, altitude: Array, top: Array, broken: int,
     period = poll_period_s(clean.t_unix_s)
     steps = np.diff(clean.t_unix_s)
     gaps = steps[steps > 2.5 * local_period_s(clean.t_unix_s)[1:]]
-    counts = {mark.name.lower(): int(np.sum((clean.marks & mark) != 0)) for mark in Mark if mark.name}
+    counts = {
+        mark.name.lower(): int(np.sum((clean.marks & mark) != 0)) for mark in Mark if mark.name
+    }
     warnings: list[str] = []
     if offset is not None and offset > NIGHT_LIGHT_WM2:
-        warnings.append(f"{offset:.0f} W/m2 in the middle of the night: a lamp, or a wrong clock, offset or longitude")
+        warnings.append(
+            f"{offset:.0f} W/m2 in the middle of the night: a lamp, or a wrong clock, offset or "
+            f"longitude"
+        )
     elif offset is not None and abs(offset) >= NIGHT_OFFSET_WARN_WM2:
-        warnings.append(f"night offset {offset:+.1f} W/m2: level, clean and ventilate the instrument")
+        warnings.append(
+            f"night offset {offset:+.1f} W/m2: level, clean and ventilate the instrument"
+        )
     warnings += _by_day(clean, altitude, top)
     if passed is not None and passed < 0.8:
         warnings.append(
-            f"global = diffuse + direct holds in {100 * passed:.0f} % of the rows only: check clock and tilt"
+            f"global = diffuse + direct holds in {100 * passed:.0f} % of the rows only: check "
+            f"clock and tilt"
         )
     clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
     if clock_off is not None and abs(clock_off) > CLOCK_WARN_S:
         warnings.append(
-            f"the days' light is centred {clock_off / 60:+.0f} min from solar noon: check the logger's clock, its "
+            f"the days' light is centred {clock_off / 60:+.0f} min from solar noon: check the "
+            f"logger's clock, its "
             "--utc-offset (daylight saving?) and longitude_deg, and import it anew"
         )
     if (was_set := clock_set_s(raw.t_unix_s, raw.ghi_wm2, site)) is not None:
         day, step_s = was_set
         warnings.append(
-            f"from {day:%Y-%m-%d} on the days' light is centred {step_s / 60:+.0f} min from that of the days before: "
-            "was the logger's clock set (daylight saving)? import the two parts as files of their own, by --utc-offset"
+            f"from {day:%Y-%m-%d} on the days' light is centred {step_s / 60:+.0f} min from that "
+            f"of the days before: "
+            "was the logger's clock set (daylight saving)? import the two parts as files of their "
+            "own, by --utc-offset"
         )
     if broken:
         warnings.append(f"{broken} broken lines in the day files were skipped")
     usable = int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum())
     longest = float(gaps.max()) if len(gaps) else 0.0
     return Health(
-        len(clean), broken, usable, period, len(gaps), longest, offset, passed, clock_off,
-        {name: count for name, count in counts.items() if count}, tuple(warnings),
-    )  # fmt: skip
+        len(clean),
+        broken,
+        usable,
+        period,
+        len(gaps),
+        longest,
+        offset,
+        passed,
+        clock_off,
+        {name: count for name, count in counts.items() if count},
+        tuple(warnings),
+    )
 
 
 _ASKED = {
@@ -84,7 +114,8 @@ _ASKED = {
     Mark.STUCK: "the same for over ten minutes: is the instrument dead?",
     Mark.STATUS: "with an error of the instrument",
     Mark.SPIKE: "lone spikes: is the line disturbed?",
-    Mark.DOUBLE: "there twice with other figures, and the first counts: a clock put back, or two instruments?",
+    Mark.DOUBLE: "there twice with other figures, and the first counts: a clock put back, or two "
+    "instruments?",
 }
 
 
@@ -101,11 +132,15 @@ def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
     with np.errstate(invalid="ignore"):
         weak = float(np.mean(sun.too_weak(clean.ghi_wm2, altitude, top)[up]))
     if weak > MOST_BY_DAY:
-        said.append(f"{100 * weak:.0f} % of the rows by day hold less light than any sky lets through: is it kW/m2?")
+        said.append(
+            f"{100 * weak:.0f} % of the rows by day hold less light than any sky lets through: is "
+            f"it kW/m2?"
+        )
     lone = float(np.mean(np.isfinite(clean.ghi_wm2[up]) & np.isnan(clean.dni_wm2[up])))
     if lone > MOST_BY_DAY:
         said.append(
-            f"{100 * lone:.0f} % of the rows by day are global alone without neighbours within half an hour: "
+            f"{100 * lone:.0f} % of the rows by day are global alone without neighbours within "
+            f"half an hour: "
             "no direct can be derived from them"
         )
     return said

@@ -1,4 +1,6 @@
-"""Bracket to luminance panorama: linear merge on the mosaic, flux-conserving projection, uncertainty and flags."""
+"""Bracket to luminance panorama: linear merge on the mosaic, flux-conserving projection,
+uncertainty and flags.
+"""
 
 from fieldlum.merge.bracket import MergeResult, merge_frames, merge_sensor, merge_shots
 from fieldlum.merge.picture import files_to_picture

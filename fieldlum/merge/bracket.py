@@ -35,10 +35,16 @@ from fieldlum.merge.ratios import (
     ratio_curve,
     take_samples,
     unexplained,
-)  # fmt: skip
+)
 from fieldlum.merge.scatter import footprint_px, with_seen_noise
 from fieldlum.merge.shift import Moved, shifts
-from fieldlum.merge.shots import Shot, exposure_covariance, shots_of_files, sorted_shots, true_shutter_s
+from fieldlum.merge.shots import (
+    Shot,
+    exposure_covariance,
+    shots_of_files,
+    sorted_shots,
+    true_shutter_s,
+)
 from fieldlum.merge.stitch import SensorMap, View, blend, finish, lens_geometry, view_through
 from fieldlum.merge.store import FRAMES_BYTES, FrameStore
 from fieldlum.photometry import RatioFit, fit_ratios
@@ -50,7 +56,9 @@ from fieldlum.records import Panorama, Progress, quiet
 
 @dataclass(frozen=True, slots=True)
 class MergeResult:
-    """The map, one line about it, and the figures behind that line. view: Radiance's words, empty for a panorama."""
+    """The map, one line about it, and the figures behind that line. view: Radiance's words,
+    empty for a panorama.
+    """
 
     panorama: Panorama
     quality: dict[str, Any]
@@ -73,7 +81,9 @@ class SensorMerge:
     off: Offsets
     u_ratio: float  # typical of its frames; `u_curve` is what a value gets
     u_curve: RatioCurve
-    dropped: tuple[float, ...]  # share of its pixels that each frame lost to motion; empty: not asked for
+    dropped: tuple[
+        float, ...
+    ]  # share of its pixels that each frame lost to motion; empty: not asked for
 
 
 def merge_sensor(
@@ -86,10 +96,12 @@ def merge_sensor(
     budget_bytes: int = FRAMES_BYTES,
     progress: Progress = quiet,
 ) -> SensorMerge:
-    """Merge frames of one heading, sorted by exposure. fit: estimate exposure ratios (default: of raw frames).
+    """Merge frames of one heading, sorted by exposure. fit: estimate exposure ratios (default: of
+    raw frames).
 
-    target: what the result is meant for: a JPEG's noise depends on how many of its pixels go into one.
-    drop_moved: leave frames out of pixels where most others agree that something moved through them.
+    target: what the result is meant for: a JPEG's noise depends on how many of its pixels go into
+    one. drop_moved: leave frames out of pixels where most others agree that something moved through
+    them.
 
     Raises InputError for a frame that cannot be read or does not belong.
     """
@@ -121,11 +133,19 @@ def merge_sensor(
     seeming = ratios if wanted else free_fit(pairs, len(shots))
     off = Offsets(np.log(seeming.correction), np.hypot(np.sqrt(np.diag(prior)), response))
     extra = max(unexplained(left, explained), 0.0 if wanted else beyond(seeming, explained))
-    apart = float(np.median([abs(n.residual_percent) for n in left])) / 100 if left and not wanted else typical
+    apart = (
+        float(np.median([abs(n.residual_percent) for n in left])) / 100
+        if left and not wanted
+        else typical
+    )
     shape = (crop.height // 2, 2, crop.width) if raw else (crop.height, crop.width, 3)
-    tolerance = max(0.003, 3 * apart, response)  # what a JPEG's response gets wrong is no motion either
+    tolerance = max(
+        0.003, 3 * apart, response
+    )  # what a JPEG's response gets wrong is no motion either
     frames = [lambda i=i: store[i] for i in range(len(shots))]
-    merged = merge_signals(frames, shape, u_ratio=tolerance, resident=store.resident, progress=progress)
+    merged = merge_signals(
+        frames, shape, u_ratio=tolerance, resident=store.resident, progress=progress
+    )
     dropped: tuple[float, ...] = ()
     if drop_moved:
         over = over_mosaic if raw else over_colours
@@ -135,7 +155,18 @@ def merge_sensor(
         merged = with_seen_noise(merged, store, profile.colour.y_from_rgb, edge_px)
     u_ratio, curve = float(np.hypot(typical, extra)), ratio_curve(samples, ratios.covariance, extra)
     return SensorMerge(
-        merged, tuple(shots), crop, ratios, tuple(left), tuple(moved), look, noise, off, u_ratio, curve, dropped
+        merged,
+        tuple(shots),
+        crop,
+        ratios,
+        tuple(left),
+        tuple(moved),
+        look,
+        noise,
+        off,
+        u_ratio,
+        curve,
+        dropped,
     )
 
 
@@ -149,14 +180,20 @@ def look_through(
     drop_moved: bool = False,
     progress: Progress = quiet,
 ) -> tuple[list[SensorMerge], list[View]]:
-    """Merge each heading of sorted shots on the sensor, and look at the target grid through every lens of each."""
+    """Merge each heading of sorted shots on the sensor, and look at the target grid through
+    every lens of each.
+    """
     views, parts = [], []
     for heading, group in groupby(shots, key=lambda s: s.heading_deg):
-        part = merge_sensor(list(group), profile, fit=fit, drop_moved=drop_moved, target=target, progress=progress)
+        part = merge_sensor(
+            list(group), profile, fit=fit, drop_moved=drop_moved, target=target, progress=progress
+        )
         parts.append(part)
         turn = 0.0 if heading is None else heading - heading_deg
         good = good_pixels(profile, part.crop, part.merged.flags)
-        sensor = SensorMap(part.merged, part.crop, turn, part.shots[0].exposure.f_number, part.u_curve, good)
+        sensor = SensorMap(
+            part.merged, part.crop, turn, part.shots[0].exposure.f_number, part.u_curve, good
+        )
         views += [view_through(sensor, lens, profile, target) for lens in profile.lens]
     return parts, views
 
@@ -174,15 +211,31 @@ def merge_shots(
     """Merge a bracket of one or several headings to a target grid. Raises InputError."""
     ordered = sorted_shots(shots, profile)
     parts, views = look_through(
-        ordered, profile, target=target, heading_deg=heading_deg, fit=fit, drop_moved=drop_moved, progress=progress
+        ordered,
+        profile,
+        target=target,
+        heading_deg=heading_deg,
+        fit=fit,
+        drop_moved=drop_moved,
+        progress=progress,
     )
     done = finish(blend(views), profile, target)
-    quality = {**quality_of(parts, done.flags, target), "held_otherwise": held_otherwise(ordered, profile)}
+    quality = {
+        **quality_of(parts, done.flags, target),
+        "held_otherwise": held_otherwise(ordered, profile),
+    }
     times = [s.t_utc for s in ordered if s.t_utc is not None]
     middle = min(times) + (max(times) - min(times)) / 2 if times else None
     panorama = Panorama(
-        done.luminance_cdm2, heading_deg, done.u_cdm2, done.flags, middle, None, done.rgb, calibration_mark(profile),
-    )  # fmt: skip
+        done.luminance_cdm2,
+        heading_deg,
+        done.u_cdm2,
+        done.flags,
+        middle,
+        None,
+        done.rgb,
+        calibration_mark(profile),
+    )
     view = "" if isinstance(target, Equirect) else target.view
     return MergeResult(panorama, quality, verdict(quality), view)
 
@@ -205,6 +258,11 @@ def merge_frames(
     """
     known = list(shots) if shots is not None else shots_of_files(files)
     return merge_shots(
-        known, profile, target=Equirect(height), heading_deg=heading_deg, fit=fit, drop_moved=drop_moved,
+        known,
+        profile,
+        target=Equirect(height),
+        heading_deg=heading_deg,
+        fit=fit,
+        drop_moved=drop_moved,
         progress=progress,
-    )  # fmt: skip
+    )

@@ -1,4 +1,6 @@
-"""Pixels of the sensor that are not used: those that the profile lists, and those that contradict themselves."""
+"""Pixels of the sensor that are not used: those that the profile lists, and those that
+contradict themselves.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,11 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.records import Flag
 
 
-def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
-    """False at the profile's bad pixels and, of a mosaic, at `odd_pixels`; [height, width] of the crop.
+def good_pixels(
+    profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]
+) -> NDArray[np.bool_] | None:
+    """False at the profile's bad pixels and, of a mosaic, at `odd_pixels`; [height, width] of the
+    crop.
 
     flags: of the merge, in the frames' shape. None when every pixel is good.
     """
@@ -28,14 +33,18 @@ def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) ->
 
 
 def odd_pixels(flags: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """Row and column of pixels of a mosaic [h, w] whose frames contradict each other (MOTION) while those of all eight
-    neighbours of their colour agree: stuck pixels, and noise; what moves is larger. [n, 2]"""
+    """Row and column of pixels of a mosaic [h, w] whose frames contradict each other (MOTION)
+    while those of all eight neighbours of their colour agree: stuck pixels, and noise; what
+    moves is larger. [n, 2]
+    """
     import cv2
 
     found = [np.empty((0, 2), np.intp)]
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
         moved = ((flags[row::2, column::2] & Flag.MOTION) > 0).view(np.uint8)
         if moved.any():
-            around = cv2.boxFilter(moved, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            around = cv2.boxFilter(
+                moved, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
+            )
             found.append(2 * np.argwhere((moved > 0) & (np.asarray(around) == 1)) + (row, column))
     return np.concatenate(found)

@@ -1,10 +1,11 @@
-"""The estimator: inverse-variance weights from the predicted signal, frame by frame, with two float32 accumulators.
+"""The estimator: inverse-variance weights from the predicted signal, frame by frame, with two
+float32 accumulators.
 
-Model of a frame: y = e L + noise, with e the counts per cd/m2 and var(y) known as a function of e L. The first pass,
-sum y / sum e, only predicts; the second weighs with e / var(predicted), which is unbiased and reaches the Cramer-Rao
-bound from far below the noise to just below saturation (Aguerrebere et al. 2014; bench/merge_estimator.py). Weights
-from the noisy value itself would be biased by -15 % in the dark. Negative signals are kept: cutting them biases the
-dark.
+Model of a frame: y = e L + noise, with e the counts per cd/m2 and var(y) known as a function of e
+L. The first pass, sum y / sum e, only predicts; the second weighs with e / var(predicted), which is
+unbiased and reaches the Cramer-Rao bound from far below the noise to just below saturation
+(Aguerrebere et al. 2014; bench/merge_estimator.py). Weights from the noisy value itself would be
+biased by -15 % in the dark. Negative signals are kept: cutting them biases the dark.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,11 +30,15 @@ class Signal(Protocol):
     through_nd: bool
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Counts above black, and where they, or a near neighbour, are saturated (None: nowhere)."""
+        """Counts above black, and where they, or a near neighbour, are saturated (None:
+        nowhere).
+        """
         ...
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """per_cdm2 / variance of the counts predicted from the luminance; 0 where that nears saturation."""
+        """per_cdm2 / variance of the counts predicted from the luminance; 0 where that nears
+        saturation.
+        """
         ...
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
@@ -49,13 +54,17 @@ class Signal(Protocol):
         ...
 
     def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:
-        """About rows x columns pixels evenly spread, as a signal of their own, and which are near saturation."""
+        """About rows x columns pixels evenly spread, as a signal of their own, and which are
+        near saturation.
+        """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """Arrays of the frames' shape: luminance in the sensor's own colours, variance, `Flag` bits, and what is valid."""
+    """Arrays of the frames' shape: luminance in the sensor's own colours, variance, `Flag` bits,
+    and what is valid.
+    """
 
     value_cdm2: NDArray[np.float32]
     variance: NDArray[np.float32]
@@ -68,7 +77,9 @@ def _strips(shape: tuple[int, ...]) -> Iterator[tuple[int, int]]:
         yield first, min(first + step, shape[0])
 
 
-def _predict(frames: Sequence[Callable[[], Signal]], shape: tuple[int, ...], tick: Callable[[], None]) -> Strip:
+def _predict(
+    frames: Sequence[Callable[[], Signal]], shape: tuple[int, ...], tick: Callable[[], None]
+) -> Strip:
     """sum y / sum e over usable counts, at least 0; infinite where no frame is usable."""
     total, exposure = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     for load in frames:
@@ -79,7 +90,12 @@ def _predict(frames: Sequence[Callable[[], Signal]], shape: tuple[int, ...], tic
             if full is not None:
                 ok &= ~full
             np.add(total[a:b], counts, out=total[a:b], where=ok)
-            np.add(exposure[a:b], np.broadcast_to(signal.per_cdm2, counts.shape), out=exposure[a:b], where=ok)
+            np.add(
+                exposure[a:b],
+                np.broadcast_to(signal.per_cdm2, counts.shape),
+                out=exposure[a:b],
+                where=ok,
+            )
         tick()
     for a, b in _strips(shape):
         seen = exposure[a:b] > 0
@@ -100,7 +116,11 @@ class _Sums:
 
 
 def _weigh(
-    frames: Sequence[Callable[[], Signal]], predicted: Strip, chi2: bool, nd: bool, tick: Callable[[], None]
+    frames: Sequence[Callable[[], Signal]],
+    predicted: Strip,
+    chi2: bool,
+    nd: bool,
+    tick: Callable[[], None],
 ) -> _Sums:
     shape = predicted.shape
     sums = _Sums(
@@ -142,15 +162,17 @@ def merge_signals(
     resident: bool = False,
     progress: Progress = quiet,
 ) -> Merged:
-    """Merge frames of one `shape`, given as loaders that are called once a pass, in the order given.
+    """Merge frames of one `shape`, given as loaders that are called once a pass, in the order
+    given.
 
-    resident: all frames lie in memory, so that loading them again costs nothing: then the work goes strip by strip
-    through all passes and stays in a core's cache, with the same result; main memory is what cores wait for.
+    resident: all frames lie in memory, so that loading them again costs nothing: then the work goes
+    strip by strip through all passes and stays in a core's cache, with the same result; main memory
+    is what cores wait for.
 
-    Callers sort the frames, most exposed first, so that the order of files never matters. u_ratio is the relative
-    disagreement between frames that is no motion. A pixel that saturates everywhere gets its lower bound and
-    CLIPPED_HIGH; one that is only next to such a pixel gets the value of the most exposed frame that can be read there,
-    and BLOOM.
+    Callers sort the frames, most exposed first, so that the order of files never matters. u_ratio
+    is the relative disagreement between frames that is no motion. A pixel that saturates everywhere
+    gets its lower bound and CLIPPED_HIGH; one that is only next to such a pixel gets the value of
+    the most exposed frame that can be read there, and BLOOM.
     """
     if resident:
         return _merge_by_strips(frames, shape, passes, u_ratio, motion_sigma, progress)
@@ -167,7 +189,9 @@ def merge_signals(
         last = number == passes - 1
         sums = _weigh(frames, value, last and len(frames) > 1, last and nd, tick)
         for a, b in _strips(shape):
-            _settle(sums, value, variance, flags, slice(a, b), len(frames), u_ratio, motion_sigma, last)
+            _settle(
+                sums, value, variance, flags, slice(a, b), len(frames), u_ratio, motion_sigma, last
+            )
     _fill_lost(frames, value, variance, flags)
     return Merged(value, variance, flags)
 
@@ -195,13 +219,20 @@ def _merge_by_strips(
     progress: Progress,
 ) -> Merged:
     signals, strips = [load() for load in frames], list(_strips(shape))
-    value, variance, flags = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    value, variance, flags = (
+        np.empty(shape, np.float32),
+        np.empty(shape, np.float32),
+        np.empty(shape, np.uint8),
+    )
     for number, (a, b) in enumerate(strips, start=1):
         rows: list[Any] = [_Rows(signal, a, b) for signal in signals]
         part = merge_signals(
-            [lambda r=r: r for r in rows], (b - a, *shape[1:]), passes=passes, u_ratio=u_ratio,
+            [lambda r=r: r for r in rows],
+            (b - a, *shape[1:]),
+            passes=passes,
+            u_ratio=u_ratio,
             motion_sigma=motion_sigma,
-        )  # fmt: skip
+        )
         value[a:b], variance[a:b], flags[a:b] = part.value_cdm2, part.variance, part.flags
         progress(number, len(strips), "strips")
     return Merged(value, variance, flags)
@@ -218,7 +249,9 @@ def _settle(
     motion_sigma: float,
     last: bool,
 ) -> None:
-    """Value from the sums of one strip; in the last pass variance and flags too, else only a better prediction."""
+    """Value from the sums of one strip; in the last pass variance and flags too, else only a
+    better prediction.
+    """
     information = sums.information[at]
     seen = information > 0
     mean = np.divide(sums.value[at], information, out=np.full_like(information, np.inf), where=seen)
@@ -229,23 +262,31 @@ def _settle(
     if sums.chi2 is not None:
         shift = np.where(seen, mean - np.where(np.isfinite(value[at]), value[at], 0.0), 0.0)
         chi2 = sums.chi2[at] - information * shift * shift
-        allowed = (frames - 1) + (u_ratio * np.where(seen, mean, 0.0)) ** 2 * information * (frames - 1)
+        allowed = (frames - 1) + (u_ratio * np.where(seen, mean, 0.0)) ** 2 * information * (
+            frames - 1
+        )
         moved = seen & (chi2 > motion_sigma**2 + allowed)
         flags[at][moved] |= np.uint8(Flag.MOTION)
-        variance[at][moved] *= chi2[moved] / (frames - 1)  # as far apart as the frames are, the mean is uncertain
+        variance[at][moved] *= chi2[moved] / (
+            frames - 1
+        )  # as far apart as the frames are, the mean is uncertain
     if sums.unfiltered is not None:
         flags[at][seen & (sums.unfiltered[at] < 0.5 * information)] |= np.uint8(Flag.ND)
     value[at] = mean
 
 
-def _fill_lost(frames: Sequence[Callable[[], Signal]], value: Strip, variance: Strip, flags: NDArray[np.uint8]) -> None:
+def _fill_lost(
+    frames: Sequence[Callable[[], Signal]], value: Strip, variance: Strip, flags: NDArray[np.uint8]
+) -> None:
     """Where every frame was left out: the most exposed readable frame's value, or a lower bound."""
     lost = ~np.isfinite(value)
     strips = [(a, b) for a, b in _strips(value.shape) if lost[a:b].any()]
     bound = np.zeros(value.shape, np.float32) if strips else value
     for load in frames if strips else ():
         signal = load()
-        per, largest = (np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.largest_cdm2()))
+        per, largest = (
+            np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.largest_cdm2())
+        )
         for a, b in strips:
             counts, _ = signal.strip(a, b)
             readable, spread = signal.readable(counts)

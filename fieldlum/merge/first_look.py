@@ -18,7 +18,9 @@ _HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 
 @dataclass(frozen=True, slots=True)
 class FirstLook:
-    """plateau_dn by ISO; black_off_dn: the file's black level less the profile's, largest over the colours."""
+    """plateau_dn by ISO; black_off_dn: the file's black level less the profile's, largest over
+    the colours.
+    """
 
     plateau_dn: dict[float, Plateau]
     black_off_dn: float = 0.0
@@ -30,8 +32,8 @@ class FirstLook:
 def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
     """By the most exposed frame of each ISO; shots of one heading, sorted. Nothing of JPEG frames.
 
-    A colour may be full below the others, and at another count at each ISO: full wells at a low one, the converter's
-    end at a high one.
+    A colour may be full below the others, and at another count at each ISO: full wells at a low
+    one, the converter's end at a high one.
     """
     if profile.camera.kind == "jpeg":
         return FirstLook({})
@@ -42,11 +44,18 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
             continue
         mosaic = read_mosaic(shot.path)
         step = 2 * max(1, mosaic.counts.size // _LOOKED_AT)
-        planes = (mosaic.counts[row::step, column::2] for row, column in channel_positions(mosaic.cfa))
-        red, green_1, green_2, blue = (saturation_plateau(plane, mosaic.white_dn) for plane in planes)
+        planes = (
+            mosaic.counts[row::step, column::2] for row, column in channel_positions(mosaic.cfa)
+        )
+        red, green_1, green_2, blue = (
+            saturation_plateau(plane, mosaic.white_dn) for plane in planes
+        )
         found[shot.exposure.iso] = red, green_1, green_2, blue
         if any(profile.sensor.black_dn):
-            each = [file - own for file, own in zip(mosaic.black_dn, profile.sensor.black_dn, strict=True)]
+            each = [
+                file - own
+                for file, own in zip(mosaic.black_dn, profile.sensor.black_dn, strict=True)
+            ]
             off = max([off, *each], key=abs)
     return FirstLook(found, off)
 
@@ -57,7 +66,9 @@ def held_otherwise(shots: Sequence[Shot], profile: CameraProfile) -> str:
     A map of a camera that was put on its side lies on its side, with every figure in order.
     """
     lens = profile.lens[0]
-    if len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG:  # two lie as they like; upwards its sensor guesses
+    if (
+        len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG
+    ):  # two lie as they like; upwards its sensor guesses
         return ""
     told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(told) > 1:
@@ -65,7 +76,10 @@ def held_otherwise(shots: Sequence[Shot], profile: CameraProfile) -> str:
     off = (told.pop() - lens.roll_deg + 180.0) % 360.0 - 180.0 if told else 0.0
     if abs(off) <= _HELD_DEG:
         return ""
-    return f"by its EXIF the camera was held {abs(off):.0f} deg off the profile's roll of {lens.roll_deg:g}"
+    return (
+        f"by its EXIF the camera was held {abs(off):.0f} deg off the profile's roll of "
+        f"{lens.roll_deg:g}"
+    )
 
 
 def _degrees(values: set[float]) -> str:

@@ -22,8 +22,9 @@ from fieldlum.raw import channel_positions, read_jpeg, read_mosaic, same_model
 
 _GATE = 0.97  # of the saturation, for predictions; noise is added to it
 _FULL = 0.99  # of the saturation: a count that is taken for saturated
-# Codes: noise of a JPEG pixel beside its quantisation. Sensor 0.5, rounding to YCbCr and of its cosines 0.7; these hang
-# together between colours and neighbours, so that sums of them need the 1.0 (bench/merge_budget.py --kind jpeg).
+# Codes: noise of a JPEG pixel beside its quantisation. Sensor 0.5, rounding to YCbCr and of its
+# cosines 0.7; these hang together between colours and neighbours, so that sums of them need the 1.0
+# (bench/merge_budget.py --kind jpeg).
 _SIGMA_CODE = 1.0
 _Z_STEPS, _Z_TOP = 1 << 14, 1.02  # of the table over z
 _TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
@@ -49,18 +50,26 @@ def lens_crop(profile: CameraProfile) -> Crop:
         top, bottom = min(top, int(y - r)), max(bottom, int(np.ceil(y + r)))
         left, right = min(left, int(x - r)), max(right, int(np.ceil(x + r)))
     top, left = max(top, 0) // 2 * 2, max(left, 0) // 2 * 2
-    bottom, right = min(bottom + bottom % 2, body.height_px // 2 * 2), min(right + right % 2, body.width_px // 2 * 2)
+    bottom, right = (
+        min(bottom + bottom % 2, body.height_px // 2 * 2),
+        min(right + right % 2, body.width_px // 2 * 2),
+    )
     if bottom - top < 2 or right - left < 2:
-        raise InputError(body.name, "lens circles beside the sensor", "centre_px on the sensor", "mend [[lens]]")
+        raise InputError(
+            body.name, "lens circles beside the sensor", "centre_px on the sensor", "mend [[lens]]"
+        )
     return Crop(top, left, bottom - top, right - left)
 
 
-# ---------------------------------------------------------------------------------------------- which frames
+# ----------------------------------------------------------------------------------------------
+# which frames
 
 
 @dataclass(frozen=True)
 class RawSignal:
-    """A mosaic, cropped, as [rows / 2, 2, columns]; constants of the four colours are [2, columns] or scalars."""
+    """A mosaic, cropped, as [rows / 2, 2, columns]; constants of the four colours are [2,
+    columns] or scalars.
+    """
 
     counts: NDArray[np.uint16]
     black: NDArray[np.float32]
@@ -100,7 +109,9 @@ class RawSignal:
         return above, self._near_full(first, last)
 
     def _near_full(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Saturated or within two pixels of it (charge spills over, and other colours there are no better)."""
+        """Saturated or within two pixels of it (charge spills over, and other colours there are
+        no better).
+        """
         import cv2
 
         a, b = max(first - 1, 0), min(last + 1, len(self.counts))
@@ -120,7 +131,9 @@ class RawSignal:
         return counts < self.limit
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(self.noise_dn2)
+        variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
+            self.noise_dn2
+        )
         return counts < self.limit, variance.astype(np.float32)
 
     def largest_cdm2(self) -> NDArray[np.float32]:
@@ -131,16 +144,24 @@ class RawSignal:
         counts = self.counts.reshape(-1, self.counts.shape[-1])
         above = counts.astype(np.float32)
         above -= np.float32(self.black.mean())
-        return reduced(above, counts < self._any_full, _SMALL_SNR * float(np.sqrt(self.noise_dn2)), cell=2)
+        return reduced(
+            above, counts < self._any_full, _SMALL_SNR * float(np.sqrt(self.noise_dn2)), cell=2
+        )
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
         at = _spread(len(self.counts), rows)
-        step = max(1, self.counts.shape[-1] // columns) | 1  # odd, so that both columns of the mosaic are met
+        step = (
+            max(1, self.counts.shape[-1] // columns) | 1
+        )  # odd, so that both columns of the mosaic are met
         full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])[:, :, ::step]
-        constants = (c[..., ::step] if c.ndim else c for c in (self.black, self.saturation, self.per_cdm2))
+        constants = (
+            c[..., ::step] if c.ndim else c for c in (self.black, self.saturation, self.per_cdm2)
+        )
         black, saturation, per = constants
         counts = self.counts[at][:, :, ::step]
-        return RawSignal(counts, black, saturation, per, self.gain_e_per_dn, self.noise_dn2, self.through_nd), full
+        return RawSignal(
+            counts, black, saturation, per, self.gain_e_per_dn, self.noise_dn2, self.through_nd
+        ), full
 
 
 def _spread(length: int, wanted: int) -> NDArray[np.intp]:
@@ -148,12 +169,16 @@ def _spread(length: int, wanted: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
 
 
-def over_mosaic(mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]) -> NDArray[np.bool_]:
+def over_mosaic(
+    mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
     """A change of [h, w] masks applied to one of raw frames' shape, [h / 2, 2, w]."""
     return change(np.ascontiguousarray(mask.reshape(-1, mask.shape[-1]))).reshape(mask.shape)
 
 
-def over_colours(mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]) -> NDArray[np.bool_]:
+def over_colours(
+    mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
     """The same for JPEG frames, [h, w, 3]: colours go together."""
     return np.repeat(change(mask.any(axis=2))[:, :, None], 3, axis=2)
 
@@ -168,8 +193,12 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[n
     return np.tile(cell, (1, width // 2))
 
 
-def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, plateau: Plateau) -> RawSignal:
-    """plateau: of R, G1, G2, B as found in the frames. Raises InputError for a frame that is none of this camera's."""
+def load_raw(
+    shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, plateau: Plateau
+) -> RawSignal:
+    """plateau: of R, G1, G2, B as found in the frames. Raises InputError for a frame that is
+    none of this camera's.
+    """
     mosaic = read_mosaic(shot.path)
     sensor, body = profile.sensor, profile.camera
     _check_camera(shot.path, mosaic.counts.shape, mosaic.model, profile)
@@ -183,7 +212,10 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, p
     exposure = replace(shot.exposure, shutter_s=shutter_s)
     per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     red, green, blue = nd_factors(exposure, profile)
-    per_colour = [per * (sensor.white_dn - b) / f for b, f in zip(black, (red, green, green, blue), strict=True)]
+    per_colour = [
+        per * (sensor.white_dn - b) / f
+        for b, f in zip(black, (red, green, green, blue), strict=True)
+    ]
     gain = sensor.gain_e_per_dn * sensor.iso / exposure.iso
     return RawSignal(
         counts,
@@ -201,18 +233,26 @@ def _check_camera(path: Path, shape: tuple[int, ...], model: str, profile: Camer
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
         size = f"{shape[1]} x {shape[0]} pixels"
-        raise InputError(path, size, f"{body.width_px} x {body.height_px}, as {body.name} says", "use its own profile")
+        raise InputError(
+            path,
+            size,
+            f"{body.width_px} x {body.height_px}, as {body.name} says",
+            "use its own profile",
+        )
     if model and body.model and not same_model(model, body.model):
         remedy = "use its own profile; where this is its own, write that model under [camera]"
         raise InputError(path, f"taken by {model}", f"{body.model}, as {body.name} says", remedy)
 
 
-# ---------------------------------------------------------------------------------------------- JPEG
+# ----------------------------------------------------------------------------------------------
+# JPEG
 
 
 @dataclass(frozen=True)
 class JpegSignal:
-    """Codes [h, w, 3] with a table of z for each colour; weights by the predicted z from a table as well."""
+    """Codes [h, w, 3] with a table of z for each colour; weights by the predicted z from a table
+    as well.
+    """
 
     codes: NDArray[np.uint8]
     z_of_code: NDArray[np.float32]  # [256, 3]
@@ -228,14 +268,22 @@ class JpegSignal:
         return _TOP_CODE if self.bright_end else self.high_code
 
     def _rows(self, colours: NDArray[Any]) -> NDArray[Any]:
-        """[3] as [w, 3]: numpy goes through whole rows at once then, not through three values at a time."""
+        """[3] as [w, 3]: numpy goes through whole rows at once then, not through three values at
+        a time.
+        """
         return np.ascontiguousarray(np.broadcast_to(colours, self.codes.shape[1:]))
 
     @cached_property
     def _limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """z of the lowest and highest code to predict from, and of the highest that is not saturated, [w, 3]."""
+        """z of the lowest and highest code to predict from, and of the highest that is not
+        saturated, [w, 3].
+        """
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
-        return self._rows(low), self._rows(self.z_of_code[self._top]), self._rows(self.z_of_code[_TOP_CODE])
+        return (
+            self._rows(low),
+            self._rows(self.z_of_code[self._top]),
+            self._rows(self.z_of_code[_TOP_CODE]),
+        )
 
     @cached_property
     def _offsets(self) -> NDArray[np.intp]:
@@ -243,7 +291,9 @@ class JpegSignal:
 
     @cached_property
     def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Variance of z, and weight of a predicted z, over z in equal steps, one colour behind the other, [3 steps]."""
+        """Variance of z, and weight of a predicted z, over z in equal steps, one colour behind
+        the other, [3 steps].
+        """
         z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
         variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
         codes = np.arange(256.0)
@@ -257,7 +307,9 @@ class JpegSignal:
         return variance.reshape(-1), weight.reshape(-1)
 
     def _looked_up(self, table: NDArray[np.float32], z: Strip) -> Strip:
-        """Of a table over z; works in z's own memory. An unknown luminance, infinite, is above all codes."""
+        """Of a table over z; works in z's own memory. An unknown luminance, infinite, is above
+        all codes.
+        """
         z *= np.float32(_Z_STEPS / _Z_TOP)
         np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
         index = z.astype(np.intp)
@@ -272,7 +324,9 @@ class JpegSignal:
         a, b = max(first - 2, 0), min(last + 2, len(self.codes))
         if self.codes[a:b].max(initial=0) <= _TOP_CODE:
             return linear, None
-        below = cv2.inRange(self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3)  # 255 where no colour is full
+        below = cv2.inRange(
+            self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3
+        )  # 255 where no colour is full
         wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
@@ -302,10 +356,14 @@ class JpegSignal:
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
         at = _spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
-        full = np.stack([_or_none(self.strip(int(i), int(i) + 1)[1], self.codes.shape[1:]) for i in at])
+        full = np.stack(
+            [_or_none(self.strip(int(i), int(i) + 1)[1], self.codes.shape[1:]) for i in at]
+        )
         per = self._rows(self.per_cdm2)[::step]
         codes = self.codes[at][:, ::step]
-        return replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False), full[:, ::step]
+        return replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False), full[
+            :, ::step
+        ]
 
 
 def _or_none(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -323,7 +381,11 @@ def response_tables(profile: CameraProfile) -> NDArray[np.float32]:
 
 
 def load_jpeg(
-    shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, ends: tuple[bool, bool] = (False, False)
+    shot: Shot,
+    profile: CameraProfile,
+    crop: Crop,
+    shutter_s: float,
+    ends: tuple[bool, bool] = (False, False),
 ) -> JpegSignal:
     """ends: whether this is the bracket's most and least exposed frame. Raises InputError."""
     frame = read_jpeg(shot.path)
@@ -331,9 +393,14 @@ def load_jpeg(
     exposure = shot.exposure
     per = z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     return JpegSignal(
-        np.ascontiguousarray(frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]),
+        np.ascontiguousarray(
+            frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
+        ),
         response_tables(profile),
-        np.tile(np.asarray([per / f for f in nd_factors(exposure, profile)], np.float32), (crop.width, 1)),
+        np.tile(
+            np.asarray([per / f for f in nd_factors(exposure, profile)], np.float32),
+            (crop.width, 1),
+        ),
         profile.response.low_code,
         profile.response.high_code,
         *ends,

@@ -1,10 +1,11 @@
 """Frames left out of the pixels where something moved through them.
 
-The merge flags pixels whose frames disagree. Here, around such pixels only, the frames vote: starting from each frame
-in turn, which value do most of them share within their noise? A frame that saturates votes too, for anything bright
-enough to saturate it. Frames outside the consensus are left out there and for some pixels around (soft edges have no
-halo), and the rest is merged anew by the estimator itself. Where the frames that could tell two values apart are too
-few or undecided, nothing is left out and the flag stands alone. Elsewhere not one bit of the map changes.
+The merge flags pixels whose frames disagree. Here, around such pixels only, the frames vote:
+starting from each frame in turn, which value do most of them share within their noise? A frame that
+saturates votes too, for anything bright enough to saturate it. Frames outside the consensus are
+left out there and for some pixels around (soft edges have no halo), and the rest is merged anew by
+the estimator itself. Where the frames that could tell two values apart are too few or undecided,
+nothing is left out and the flag stands alone. Elsewhere not one bit of the map changes.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ _WITNESSES = 2
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """Of m pixels: the value most frames share [cd/m2], whether to act upon it, how many frames are sure of it."""
+    """Of m pixels: the value most frames share [cd/m2], whether to act upon it, how many frames
+    are sure of it.
+    """
 
     value_cdm2: NDArray[np.float32]
     clear: Mask
@@ -44,7 +47,9 @@ class Consensus:
 
 @dataclass(frozen=True, slots=True)
 class Ballot:
-    """What n frames say of m pixels, all [n, m]: own luminance where usable; largest_cdm2 where saturated."""
+    """What n frames say of m pixels, all [n, m]: own luminance where usable; largest_cdm2 where
+    saturated.
+    """
 
     value_cdm2: Strip
     variance: Strip
@@ -56,14 +61,19 @@ class Ballot:
 def vote(ballot: Ballot, u_ratio: float) -> Consensus:
     """The value that most frames share, and whether they may be believed.
 
-    Clear: every usable frame agrees, or the dissenters are outnumbered by frames that agree and would have noticed
-    (their noise is less than the gap, or they would not have saturated), at least two.
+    Clear: every usable frame agrees, or the dissenters are outnumbered by frames that agree and
+    would have noticed (their noise is less than the gap, or they would not have saturated), at
+    least two.
     """
     value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
     enough = _SATURATED * ballot.largest_cdm2
     n, m = value.shape
     spread = variance + (u_ratio * value) ** 2
-    best, most, finest = np.zeros(m, np.float32), np.full(m, -1.0, np.float32), np.zeros(m, np.float32)
+    best, most, finest = (
+        np.zeros(m, np.float32),
+        np.full(m, -1.0, np.float32),
+        np.zeros(m, np.float32),
+    )
     for start in range(n):
         centre = value[start]
         agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * (spread + spread[start]))
@@ -76,7 +86,11 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
         votes = agree.sum(axis=0) + (ballot.saturated & (centre >= enough)).sum(axis=0)
         precision = np.where(agree, 1 / spread, 0.0).sum(axis=0)
         better = usable[start] & ((votes > most) | ((votes == most) & (precision > finest)))
-        best[better], most[better], finest[better] = centre[better], votes[better], precision[better]
+        best[better], most[better], finest[better] = (
+            centre[better],
+            votes[better],
+            precision[better],
+        )
     off = value - best
     agree = usable & (off**2 <= _VOTE_SIGMA**2 * spread)
     dissent = usable & ~agree
@@ -97,7 +111,8 @@ def _around(mark: Mask) -> NDArray[np.uint16]:
 
     size, border = (_WINDOW_PX, _WINDOW_PX), cv2.BORDER_CONSTANT
     return np.asarray(
-        cv2.boxFilter(mark.view(np.uint8), cv2.CV_16U, size, normalize=False, borderType=border), np.uint16
+        cv2.boxFilter(mark.view(np.uint8), cv2.CV_16U, size, normalize=False, borderType=border),
+        np.uint16,
     )
 
 
@@ -128,7 +143,9 @@ class _Part:
         return counts, out if full is None else full | out
 
 
-def _parts(frames: Sequence[Callable[[], Signal]], first: int, left_out: Mask) -> list[Callable[[], Signal]]:
+def _parts(
+    frames: Sequence[Callable[[], Signal]], first: int, left_out: Mask
+) -> list[Callable[[], Signal]]:
     def part(load: Callable[[], Signal], out: Mask) -> Callable[[], Signal]:
         return lambda: cast(Signal, _Part(load(), first, out))
 
@@ -136,7 +153,9 @@ def _parts(frames: Sequence[Callable[[], Signal]], first: int, left_out: Mask) -
 
 
 def _own(signal: Signal, first: int, last: int) -> tuple[Strip, Mask, Mask]:
-    """Counts of some rows, which can vote (within their limits), which are saturated (their neighbours are neither)."""
+    """Counts of some rows, which can vote (within their limits), which are saturated (their
+    neighbours are neither).
+    """
     counts, full = signal.strip(first, last)
     usable = signal.usable(counts)
     if full is not None:
@@ -160,9 +179,15 @@ def _ballot(frames: Sequence[Callable[[], Signal]], near: Mask, first: int) -> B
 
 
 def _left_out(
-    frames: Sequence[Callable[[], Signal]], near: Mask, first: int, u_ratio: float, over_picture: Over
+    frames: Sequence[Callable[[], Signal]],
+    near: Mask,
+    first: int,
+    u_ratio: float,
+    over_picture: Over,
 ) -> Mask:
-    """Which pixels of the rows from `first` on each frame loses, [frames, *near.shape]; all colours of one or none."""
+    """Which pixels of the rows from `first` on each frame loses, [frames, *near.shape]; all
+    colours of one or none.
+    """
     consensus = vote(_ballot(frames, near, first), u_ratio)
     value, clear = np.zeros(near.shape, np.float32), np.zeros(near.shape, bool)
     value[near], clear[near] = consensus.value_cdm2, consensus.clear
@@ -172,7 +197,9 @@ def _left_out(
         counts, usable, full = _own(signal, first, first + len(near))
         expected = value * signal.per_cdm2
         spread = signal.readable(np.maximum(counts, expected))[1] + (u_ratio * expected) ** 2
-        used = usable | (~full & (signal.weight(value) > 0))  # the merge weighs by what it expects, not what it finds
+        used = usable | (
+            ~full & (signal.weight(value) > 0)
+        )  # the merge weighs by what it expects, not what it finds
         far[i] = near & used & ((counts - expected) ** 2 > _LEAVE_SIGMA**2 * spread)
         beyond += far[i] & ~usable
     sure = np.zeros(near.shape, np.int16)
@@ -194,11 +221,12 @@ def leave_out_moved(
     u_ratio: float,
     over_picture: Over,
 ) -> tuple[Merged, tuple[float, ...]]:
-    """The merge of the same frames without those that disagree where something moved; each frame's share left out.
+    """The merge of the same frames without those that disagree where something moved; each frame's
+    share left out.
 
-    frames, u_ratio: as for `merge_signals`; the arrays of `merged` are changed in place. over_picture(mask, change)
-    applies a change of [h, w] masks to a mask of the frames' shape. MOTION stays on every pixel that lost a frame, and
-    where nothing could be decided.
+    frames, u_ratio: as for `merge_signals`; the arrays of `merged` are changed in place.
+    over_picture(mask, change) applies a change of [h, w] masks to a mask of the frames' shape.
+    MOTION stays on every pixel that lost a frame, and where nothing could be decided.
     """
     shape = merged.value_cdm2.shape
     seeds = over_picture((merged.flags & Flag.MOTION) > 0, _supported)
@@ -218,7 +246,9 @@ def leave_out_moved(
         again = merge_signals(_parts(frames, a, out), (b - a, *shape[1:]), u_ratio=u_ratio)
         inner = slice(first - a, last - a)
         lost_any = np.any(out, axis=0)[inner]
-        changed = lost_any & ((again.flags[inner] & (Flag.CLIPPED_HIGH | Flag.BLOOM)) == 0)  # else nothing is left
+        changed = lost_any & (
+            (again.flags[inner] & (Flag.CLIPPED_HIGH | Flag.BLOOM)) == 0
+        )  # else nothing is left
         for old, new in ((value, again.value_cdm2), (variance, again.variance)):
             old[first:last][changed] = new[inner][changed]
         flags[first:last][changed] = again.flags[inner][changed] | np.uint8(Flag.MOTION)

@@ -1,8 +1,10 @@
-"""How noisy raw frames are, as neighbouring frames of the bracket show it, over what the profile says.
+"""How noisy raw frames are, as neighbouring frames of the bracket show it, over what the profile
+says.
 
-Gain and read noise of a profile are often those of another body. Too little noise said, and noise is taken for motion
-and u is too small. Two frames of one scene differ by their noise: its part that grows with the signal tells the gain,
-the rest the read noise (photon transfer; Janesick, SPIE 2007), robustly, so that what moved does not count.
+Gain and read noise of a profile are often those of another body. Too little noise said, and noise
+is taken for motion and u is too small. Two frames of one scene differ by their noise: its part that
+grows with the signal tells the gain, the rest the read noise (photon transfer; Janesick, SPIE
+2007), robustly, so that what moved does not count.
 """
 
 from __future__ import annotations
@@ -21,12 +23,15 @@ _STEPS = 12  # levels of a pair that are looked at
 _IN_A_STEP, _MOST = 200, 12_000  # pixels of a step, of a pair
 _ROUNDED_DN2 = 1 / 12  # variance that a count gets by being a whole number
 _TOLD = 1.44  # of a variance (1.2 of noise): less is not told from the profile's
-_SURE_SIGMA = 3.0  # and by so many of its own standard errors: where shot noise is all there is, read noise is a guess
+# and by so many of its own standard errors: where shot noise is all there is, read noise is a guess
+_SURE_SIGMA = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SeenNoise:
-    """Factors on the profile's variances: of shot noise and of read noise; 1 where they are no larger than said."""
+    """Factors on the profile's variances: of shot noise and of read noise; 1 where they are no
+    larger than said.
+    """
 
     shot: float = 1.0
     read: float = 1.0
@@ -37,8 +42,12 @@ class SeenNoise:
         return float(np.sqrt(max(self.shot, self.read)))
 
 
-def seen_noise(samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]) -> SeenNoise:
-    """By neighbouring frames; samples and pairs of raw frames before `correction`, which their pairs gave."""
+def seen_noise(
+    samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]
+) -> SeenNoise:
+    """By neighbouring frames; samples and pairs of raw frames before `correction`, which their
+    pairs gave.
+    """
     rows = []
     for pair in pairs:
         if pair.short == pair.long + 1:
@@ -65,7 +74,9 @@ def _factors(rows: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, float, float]]:
-    """Of steps of the signal: shot and read variance of the two frames' difference as said, and as seen [DN2]."""
+    """Of steps of the signal: shot and read variance of the two frames' difference as said, and
+    as seen [DN2].
+    """
     a, b = long.signal, short.signal
     if not (isinstance(a, RawSignal) and isinstance(b, RawSignal)):
         return []
@@ -76,7 +87,8 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
     y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
     ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape).ravel()[at]
     order = np.argsort(y_long)
-    # Where noise is about a count wide, a median of whole numbers jumps: spread evenly over a count's width first.
+    # Where noise is about a count wide, a median of whole numbers jumps: spread evenly over a
+    # count's width first.
     dither = np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
     found = []
     for step in np.array_split(order, int(np.clip(len(order) // _IN_A_STEP, 1, _STEPS))):

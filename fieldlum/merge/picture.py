@@ -23,17 +23,27 @@ def fisheye_target(profile: CameraProfile, pixels: int) -> Fisheye:
     """Along the axis of the camera's first lens, with its full angle."""
     lens = profile.lens[0]
     pose = LensGeometry(
-        lens.centre_px, lens.radius_px, lens.full_angle_deg, lens.mapping, lens.coefficients,
-        lens.azimuth_deg, lens.tilt_deg, lens.roll_deg,
-    )  # fmt: skip
+        lens.centre_px,
+        lens.radius_px,
+        lens.full_angle_deg,
+        lens.mapping,
+        lens.coefficients,
+        lens.azimuth_deg,
+        lens.tilt_deg,
+        lens.roll_deg,
+    )
     return Fisheye(pixels, lens.full_angle_deg, pose)
 
 
 def axis_illuminance_lx(result: MergeResult, target: Target) -> float:
-    """On a plane across the picture's axis: vertical illuminance for a camera that looks horizontally. [lx]"""
+    """On a plane across the picture's axis: vertical illuminance for a camera that looks
+    horizontally. [lx]
+    """
     panorama = result.panorama
     if isinstance(target, Equirect):
-        return vertical_illuminance_lx(panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg)
+        return vertical_illuminance_lx(
+            panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg
+        )
     centre = np.arange(target.size) + 0.5
     cosine = np.maximum(np.cos(target.angles(centre, centre)), 0.0)
     return float((panorama.luminance_cdm2 * cosine * target.solid_angles()).sum())
@@ -54,11 +64,18 @@ def files_to_picture(
     """Merge and write; returns the result and its illuminance. Raises InputError."""
     if out.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(out, f"suffix '{out.suffix}'", ".exr or .hdr")
-    target: Target = Equirect(pixels) if projection == "equirect" else fisheye_target(profile, pixels)
+    target: Target = (
+        Equirect(pixels) if projection == "equirect" else fisheye_target(profile, pixels)
+    )
     result = merge_shots(
-        shots_of_files(files), profile, target=target, heading_deg=heading_deg, fit=fit, drop_moved=drop_moved,
+        shots_of_files(files),
+        profile,
+        target=target,
+        heading_deg=heading_deg,
+        fit=fit,
+        drop_moved=drop_moved,
         progress=progress,
-    )  # fmt: skip
+    )
     panorama = result.panorama
     with replacing_path(out) as path:
         if out.suffix.lower() == ".exr":

@@ -19,13 +19,18 @@ if TYPE_CHECKING:
 
 RESIDUAL_WARN_PERCENT = 3.0
 SHIFT_WARN_PX = 1.0  # beyond three standard errors
-OFF_WARN, OFF_SIGMA = 0.02, 3.0  # exposures further off than both, relative and in u of the prior, are told
+OFF_WARN, OFF_SIGMA = (
+    0.02,
+    3.0,
+)  # exposures further off than both, relative and in u of the prior, are told
 BLACK_WARN_DN = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Offsets:
-    """How far each frame's exposure was found off what the profile says (logarithm), and the u of that beforehand."""
+    """How far each frame's exposure was found off what the profile says (logarithm), and the u
+    of that beforehand.
+    """
 
     found: NDArray[np.float64]
     u_prior: NDArray[np.float64]
@@ -63,11 +68,17 @@ def quality_of(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) 
             **({"dropped_percent": round(100 * part.dropped[i], 4)} if part.dropped else {}),
         }
         for part in parts
-        for i, (shot, c, u) in enumerate(zip(part.shots, part.fit.correction, part.fit.u_log, strict=True))
+        for i, (shot, c, u) in enumerate(
+            zip(part.shots, part.fit.correction, part.fit.u_log, strict=True)
+        )
     ]
     left = [n for part in parts for n in part.neighbours]
     moved = [
-        {"long": part.shots[m.long].path.name, "short": part.shots[m.short].path.name, **_rounded(m)}
+        {
+            "long": part.shots[m.long].path.name,
+            "short": part.shots[m.short].path.name,
+            **_rounded(m),
+        }
         for part in parts
         for m in part.moved
     ]
@@ -94,7 +105,10 @@ def quality_of(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) 
 
 
 def _rounded(moved: Moved) -> dict[str, Any]:
-    return {name: round(float(getattr(moved, name)), 3) for name in ("turn_deg", "shift_px", "u_px", "sure_px")}
+    return {
+        name: round(float(getattr(moved, name)), 3)
+        for name in ("turn_deg", "shift_px", "u_px", "sure_px")
+    }
 
 
 def verdict(quality: dict[str, Any]) -> str:
@@ -106,17 +120,24 @@ def verdict(quality: dict[str, Any]) -> str:
     elif worst > RESIDUAL_WARN_PERCENT:
         said.append(f"neighbouring frames disagree by {worst:.1f} %")
     said += [
-        f"exposures lie {text} % from the profile's: the light changed meanwhile, or calibrate shutter and response"
+        f"exposures lie {text} % from the profile's: the light changed meanwhile, or calibrate "
+        f"shutter and response"
         for text in quality["exposure_told"]
     ]
     if quality["held_otherwise"]:
         said.append(quality["held_otherwise"])
     if abs(quality["black_off_dn"]) > BLACK_WARN_DN:
-        said.append(f"the files' black level lies {quality['black_off_dn']:+.1f} DN from the profile's")
+        said.append(
+            f"the files' black level lies {quality['black_off_dn']:+.1f} DN from the profile's"
+        )
     if quality["noise_over_said"] > 1.0:
-        said.append(f"noise is {quality['noise_over_said']:.1f} times what the profile's gain and read noise say")
+        said.append(
+            f"noise is {quality['noise_over_said']:.1f} times what the profile's gain and read "
+            f"noise say"
+        )
     said += [
-        f"the camera turned by {m['turn_deg']:.2f} deg ({m['shift_px']:.1f} px) between {m['long']} and {m['short']}"
+        f"the camera turned by {m['turn_deg']:.2f} deg ({m['shift_px']:.1f} px) between "
+        f"{m['long']} and {m['short']}"
         for m in quality["shifts"]
         if m["sure_px"] > SHIFT_WARN_PX
     ]

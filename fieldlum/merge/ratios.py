@@ -1,4 +1,6 @@
-"""The exposure ratios of one bracket, from a sample of its pixels, and how well neighbouring frames agree."""
+"""The exposure ratios of one bracket, from a sample of its pixels, and how well neighbouring
+frames agree.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +15,8 @@ from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
 _SNR_LONG = 30.0
-# Of the short frame: bright pixels as far as there are enough; a black level that is off by a count spoils dim ones.
+# Of the short frame: bright pixels as far as there are enough; a black level that is off by a count
+# spoils dim ones.
 _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
 _REACH = 3  # frames of a bracket that are compared with each frame
 _FREE = 0.3  # relative prior of exposures that are not held to anything
@@ -42,7 +45,9 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class RatioCurve:
-    """Relative standard uncertainty that the exposures leave in a merged value, over that value [cd/m2], rising."""
+    """Relative standard uncertainty that the exposures leave in a merged value, over that value
+    [cd/m2], rising.
+    """
 
     levels_cdm2: NDArray[np.float64]
     u_rel: NDArray[np.float64]
@@ -62,18 +67,30 @@ def take_samples(store: FrameStore) -> list[Sample]:
 
 
 def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
-    """The pair's exposure ratio over the assumed one; None where too few pixels are good in both."""
+    """The pair's exposure ratio over the assumed one; None where too few pixels are good in
+    both.
+    """
     e_long, e_short = (np.broadcast_to(s.signal.per_cdm2, s.counts.shape) for s in (long, short))
     light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
     w_long, w_short = long.signal.weight(light), short.signal.weight(light)
     snr_long, snr_short = light * np.sqrt(w_long * e_long), light * np.sqrt(w_short * e_short)
     seen = (snr_long > _SNR_LONG) & ~long.full & ~short.full
-    usable = _brightest(seen, snr_short) if isinstance(long.signal, RawSignal) else seen & (snr_short > _SNR_SHORT[-1])
+    usable = (
+        _brightest(seen, snr_short)
+        if isinstance(long.signal, RawSignal)
+        else seen & (snr_short > _SNR_SHORT[-1])
+    )
     with np.errstate(divide="ignore"):
         return pair_ratio(
-            long.counts.ravel(), short.counts.ravel(), usable.ravel(), (e_long / w_long).ravel(),
-            (e_short / w_short).ravel(), (e_short / e_long).ravel(), i, j,
-        )  # fmt: skip
+            long.counts.ravel(),
+            short.counts.ravel(),
+            usable.ravel(),
+            (e_long / w_long).ravel(),
+            (e_short / w_short).ravel(),
+            (e_short / e_long).ravel(),
+            i,
+            j,
+        )
 
 
 def _brightest(seen: NDArray[np.bool_], snr: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -85,7 +102,9 @@ def _brightest(seen: NDArray[np.bool_], snr: NDArray[np.floating]) -> NDArray[np
 
 
 def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
-    """All pairs up to three frames apart that see the same pixels well; frames sorted by exposure, longest first."""
+    """All pairs up to three frames apart that see the same pixels well; frames sorted by
+    exposure, longest first.
+    """
     found = [
         compare(samples[i], samples[j], i, j)
         for i in range(len(samples))
@@ -99,7 +118,11 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
     delta = np.log(correction)
     return [
         Neighbours(
-            p.long, p.short, float(100 * (p.log_ratio - delta[p.short] + delta[p.long])), 100 * p.u_log, p.pixels
+            p.long,
+            p.short,
+            float(100 * (p.log_ratio - delta[p.short] + delta[p.long])),
+            100 * p.u_log,
+            p.pixels,
         )
         for p in pairs
         if p.short == p.long + 1
@@ -107,8 +130,10 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
 
 
 def unexplained(left: Sequence[Neighbours], explained: float) -> float:
-    """Relative u of one frame against another, from neighbours' disagreement beyond what `explained` (relative u of a
-    frame by its time and its response) and the pairs' own noise account for."""
+    """Relative u of one frame against another, from neighbours' disagreement beyond what
+    `explained` (relative u of a frame by its time and its response) and the pairs' own noise
+    account for.
+    """
     if not left:
         return 0.0
     apart = 1.4826 * float(np.median([abs(n.residual_percent) for n in left])) / 100
@@ -117,16 +142,19 @@ def unexplained(left: Sequence[Neighbours], explained: float) -> float:
 
 
 def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
-    """How far each frame's exposure seems off by its pairs alone; the corrections' mean is 1, unseen frames too.
+    """How far each frame's exposure seems off by its pairs alone; the corrections' mean is 1,
+    unseen frames too.
 
-    Neighbours that agree within 2 % may still add up to 30 % over a bracket: light that changed, or a response.
+    Neighbours that agree within 2 % may still add up to 30 % over a bracket: light that changed, or
+    a response.
     """
     return fit_ratios(pairs, np.eye(frames) * _FREE**2)
 
 
 def beyond(free: RatioFit, explained: float) -> float:
-    """Relative u that exposures which seem off leave in a value, beyond what `explained` (relative) and the noise of
-    the pairs themselves account for."""
+    """Relative u that exposures which seem off leave in a value, beyond what `explained`
+    (relative) and the noise of the pairs themselves account for.
+    """
     seen = sorted({i for p in free.pairs for i in (p.long, p.short)})
     if not seen:
         return 0.0
@@ -135,11 +163,15 @@ def beyond(free: RatioFit, explained: float) -> float:
     return float(np.sqrt(max(np.var(np.log(free.correction[seen])) - noise2 - explained**2, 0.0)))
 
 
-def ratio_curve(samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0) -> RatioCurve:
-    """What uncertain exposures leave in a value: s C s, with s the frames' shares of the information at that level.
+def ratio_curve(
+    samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0
+) -> RatioCurve:
+    """What uncertain exposures leave in a value: s C s, with s the frames' shares of the
+    information at that level.
 
-    The frames' errors hang together (pictures know ratios only), and a level rests on the few frames that see it well:
-    one figure for the whole bracket would be too small where only a poorly known frame reads.
+    The frames' errors hang together (pictures know ratios only), and a level rests on the few
+    frames that see it well: one figure for the whole bracket would be too small where only a poorly
+    known frame reads.
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
     largest = [float(np.max(s.largest_cdm2())) for s in small]
@@ -152,7 +184,9 @@ def ratio_curve(samples: Sequence[Sample], covariance: NDArray[np.floating], ext
     total = np.sum(information, axis=0)
     seen = total > 0
     if not seen.any():
-        return RatioCurve(np.ones(1), np.full(1, np.hypot(np.sqrt(np.diag(covariance).max()), extra)))
+        return RatioCurve(
+            np.ones(1), np.full(1, np.hypot(np.sqrt(np.diag(covariance).max()), extra))
+        )
     share = np.stack(information, axis=1)[seen] / total[seen, None]
     variance = np.einsum("li,ij,lj->l", share, covariance, share)
     return RatioCurve(levels[seen], np.sqrt(variance + extra**2))

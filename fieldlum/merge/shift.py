@@ -1,10 +1,11 @@
 """Did the camera turn within a bracket? Each frame against its neighbour, by what both see well.
 
-Shared edges of what is clipped or dark would hold a phase correlation at zero, and the short frames of a room show
-little but windows. So the turn is found by least squares on the pixels that both frames see (Lucas and Kanade 1981),
-from coarse to fine, with an offset and a slope for what exposures and response do not explain, and Huber weights for
-what moves. A fisheye's picture does not shift evenly when its camera turns, and two lenses back to back shift against
-each other: the unknowns are the three angles of the turn, through the lens's own mapping.
+Shared edges of what is clipped or dark would hold a phase correlation at zero, and the short frames
+of a room show little but windows. So the turn is found by least squares on the pixels that both
+frames see (Lucas and Kanade 1981), from coarse to fine, with an offset and a slope for what
+exposures and response do not explain, and Huber weights for what moves. A fisheye's picture does
+not shift evenly when its camera turns, and two lenses back to back shift against each other: the
+unknowns are the three angles of the turn, through the lens's own mapping.
 """
 
 from __future__ import annotations
@@ -26,14 +27,18 @@ _MOST = 30_000  # pixels of a fit
 _BLOCKS = 6  # a side, for the standard error
 _LEAST = 300  # pixels with an edge in them
 _FLAT = 0.02  # of ln light: less than that between neighbours is no edge
-_SMOOTH_PER_RAD = 4.0  # of ln light: a smooth room's shading changes by less, and says nothing of a turn
+_SMOOTH_PER_RAD = (
+    4.0  # of ln light: a smooth room's shading changes by less, and says nothing of a turn
+)
 _RIM = 0.97  # of a lens's circle: its edge stays where it is
 _TINY_RAD = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Small:
-    """A frame reduced to ln light [h, w] in any unit, `step` sensor pixels a pixel; seen: not clipped or dark."""
+    """A frame reduced to ln light [h, w] in any unit, `step` sensor pixels a pixel; seen: not
+    clipped or dark.
+    """
 
     log_light: Array
     seen: NDArray[np.bool_]
@@ -42,7 +47,9 @@ class Small:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """Turn of frame `short` against frame `long`, its neighbour of more exposure; in pixels at the lens's axis."""
+    """Turn of frame `short` against frame `long`, its neighbour of more exposure; in pixels at
+    the lens's axis.
+    """
 
     long: int
     short: int
@@ -57,9 +64,11 @@ class Moved:
 
 
 def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1) -> Small:
-    """Means of blocks of whole cells, at most LONGEST a side. Seen: all of a block, its mean above `least` (over 0).
+    """Means of blocks of whole cells, at most LONGEST a side. Seen: all of a block, its mean above
+    `least` (over 0).
 
-    signal [h, w] linear in light, black at 0, in any unit; cell: pixels a side that belong together (2: a mosaic).
+    signal [h, w] linear in light, black at 0, in any unit; cell: pixels a side that belong together
+    (2: a mosaic).
     """
     import cv2
 
@@ -68,13 +77,17 @@ def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1)
     size = (w // by, h // by)
     part = np.s_[: size[1] * by, : size[0] * by]
     mean = cv2.resize(signal[part], size, interpolation=cv2.INTER_AREA)
-    share = cv2.resize(seen[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    share = cv2.resize(
+        seen[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA
+    )
     whole = (share == 255) & (mean > least)
     return Small(np.log(np.where(whole, mean, 1.0)).astype(np.float32), whole, by)
 
 
 def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Moved]:
-    """Of neighbours in a bracket that share enough edges to tell. lenses: centres in the frames' own sensor pixels."""
+    """Of neighbours in a bracket that share enough edges to tell. lenses: centres in the frames'
+    own sensor pixels.
+    """
     if len(frames) < 2 or min(frames[0].log_light.shape) < 16:
         return []
     flow, inside = _flow(tuple(lenses), frames[0].step, frames[0].log_light.shape)
@@ -89,17 +102,25 @@ def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Move
         turn = _turn(pyramids[i], pyramids[i + 1], flows)
         if turn is not None:
             angle, u = turn
-            found.append(Moved(i, i + 1, float(np.degrees(angle)), angle * px_per_rad, u * px_per_rad))
+            found.append(
+                Moved(i, i + 1, float(np.degrees(angle)), angle * px_per_rad, u * px_per_rad)
+            )
     return found
 
 
 @lru_cache(maxsize=2)
-def _flow(lenses: tuple[LensGeometry, ...], step: int, shape: tuple[int, int]) -> tuple[Array, NDArray[np.bool_]]:
-    """Where reduced pixels go, [6, h, w]: x and y for a turn about each of three axes [px/rad]; inside a lens's rim."""
+def _flow(
+    lenses: tuple[LensGeometry, ...], step: int, shape: tuple[int, int]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Where reduced pixels go, [6, h, w]: x and y for a turn about each of three axes [px/rad];
+    inside a lens's rim.
+    """
     y, x = ((np.arange(n) + 0.5) * step for n in shape)
     flow, inside = np.zeros((6, *shape), np.float32), np.zeros(shape, bool)
     for lens in lenses:
-        within = np.hypot(x - lens.centre_px[0], y[:, None] - lens.centre_px[1]) < _RIM * lens.radius_px
+        within = (
+            np.hypot(x - lens.centre_px[0], y[:, None] - lens.centre_px[1]) < _RIM * lens.radius_px
+        )
         rows, columns = np.nonzero(within & ~inside)
         rays = lens_rays(lens, x[columns], y[rows])
         for axis, unit in enumerate(np.eye(3)):
@@ -119,13 +140,19 @@ def _pyramid(small: Small) -> list[tuple[Array, NDArray[np.bool_]]]:
         size = (light.shape[1] // 2, light.shape[0] // 2)
         part = np.s_[: 2 * size[1], : 2 * size[0]]
         weight = cv2.resize(seen[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        mean = cv2.resize(np.where(seen, light, 0.0)[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        levels.append((np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0), weight > 0.99))
+        mean = cv2.resize(
+            np.where(seen, light, 0.0)[part].astype(np.float32), size, interpolation=cv2.INTER_AREA
+        )
+        levels.append(
+            (np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0), weight > 0.99)
+        )
     return levels
 
 
 def _turn(
-    first: list[tuple[Array, NDArray[np.bool_]]], second: list[tuple[Array, NDArray[np.bool_]]], flows: list[Array]
+    first: list[tuple[Array, NDArray[np.bool_]]],
+    second: list[tuple[Array, NDArray[np.bool_]]],
+    flows: list[Array],
 ) -> tuple[float, float] | None:
     """Angle [rad] and its standard error. None where the two share too few edges."""
     turn, covariance = np.zeros(3), None
@@ -145,7 +172,10 @@ def _turn(
 
 
 def _step(
-    a: tuple[Array, NDArray[np.bool_]], b: tuple[Array, NDArray[np.bool_]], flow: Array, turn: NDArray[np.float64]
+    a: tuple[Array, NDArray[np.bool_]],
+    b: tuple[Array, NDArray[np.bool_]],
+    flow: Array,
+    turn: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """What is to be added to `turn` [3], and its covariance. [rad]"""
     import cv2
@@ -171,7 +201,9 @@ def _step(
     at = rows, columns = rows[::thin], columns[::thin]
     level = mean[at].astype(np.float64)
     slopes = [right[at] * flow[2 * k][at] + down[at] * flow[2 * k + 1][at] for k in range(3)]
-    design = np.stack([*slopes, np.ones_like(level), level - level.mean()], axis=1, dtype=np.float64)
+    design = np.stack(
+        [*slopes, np.ones_like(level), level - level.mean()], axis=1, dtype=np.float64
+    )
     block = rows * _BLOCKS // h * _BLOCKS + columns * _BLOCKS // w
     return _solve(design, (one - other)[at].astype(np.float64), block)
 
@@ -179,7 +211,9 @@ def _step(
 def _solve(
     design: NDArray[np.float64], target: NDArray[np.float64], block: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Huber-weighted least squares; covariance of the first three unknowns by leaving out block by block."""
+    """Huber-weighted least squares; covariance of the first three unknowns by leaving out block
+    by block.
+    """
     design = design / (scale := np.sqrt((design**2).mean(axis=0)) + 1e-30)
     weight, x = np.ones(len(target)), np.zeros(design.shape[1])
     for _ in range(4):

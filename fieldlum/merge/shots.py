@@ -19,13 +19,16 @@ from fieldlum.raw import JPEG_SUFFIXES, read_exif
 from fieldlum.records import Exposure, parse_utc
 
 U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame
-U_ISO = 0.03  # relative, of an ISO that is not the one that the profile was made at: amplifiers are not exact
+# relative, of an ISO that is not the one that the profile was made at: amplifiers are not exact
+U_ISO = 0.03
 _ONE_APERTURE = 0.02  # relative
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One frame of a bracket: the file and the exposure it was meant to have. heading_deg None: the camera's own."""
+    """One frame of a bracket: the file and the exposure it was meant to have. heading_deg None:
+    the camera's own.
+    """
 
     path: Path
     exposure: Exposure
@@ -35,7 +38,9 @@ class Shot:
 
 
 def shots_of_slot(folder: Path) -> list[Shot]:
-    """Frames of raw/<slot>/: by its capture.json where there is one, else by EXIF. Raises InputError."""
+    """Frames of raw/<slot>/: by its capture.json where there is one, else by EXIF. Raises
+    InputError.
+    """
     note = folder / "capture.json"
     if not note.is_file():
         return shots_of_files(frame_files(folder))
@@ -43,14 +48,19 @@ def shots_of_slot(folder: Path) -> list[Shot]:
         table = json.loads(note.read_text(encoding="utf-8"))
         return [_shot_of_note(folder, row) for row in table["frames"]]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(note, f"{type(error).__name__}: {error}", "frames with file and exposure") from None
+        raise InputError(
+            note, f"{type(error).__name__}: {error}", "frames with file and exposure"
+        ) from None
 
 
 def _shot_of_note(folder: Path, row: dict[str, Any]) -> Shot:
     heading, when = row.get("heading_deg"), row.get("t_utc")
     known = row["exposure"]
     exposure = Exposure(
-        float(known["shutter_s"]), float(known["f_number"]), float(known["iso"]), str(known.get("nd") or "")
+        float(known["shutter_s"]),
+        float(known["f_number"]),
+        float(known["iso"]),
+        str(known.get("nd") or ""),
     )
     return Shot(
         folder / row["file"],
@@ -62,11 +72,19 @@ def _shot_of_note(folder: Path, row: dict[str, Any]) -> Shot:
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """Everything in a slot's folder that may be a frame. Raises InputError for a folder without any."""
+    """Everything in a slot's folder that may be a frame. Raises InputError for a folder without
+    any.
+    """
     skipped = {".json", ".tmp", ".txt", ".xmp", ".csv", ".part"}
-    files = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() not in skipped and p.name[0] != ".")
+    files = sorted(
+        p
+        for p in folder.iterdir()
+        if p.is_file() and p.suffix.lower() not in skipped and p.name[0] != "."
+    )
     if not files:
-        raise InputError(folder, "no frames in it", "raw or JPEG frames", "capture or import the slot again")
+        raise InputError(
+            folder, "no frames in it", "raw or JPEG frames", "capture or import the slot again"
+        )
     return files
 
 
@@ -79,34 +97,54 @@ def shots_of_files(files: Sequence[Path]) -> list[Shot]:
         if not path.is_file():
             raise InputError(path, "no such file", "a raw or JPEG frame")
         if (real := path.resolve()) in known:
-            raise InputError(path, "the same frame twice: it would count for two", "each frame once")
+            raise InputError(
+                path, "the same frame twice: it would count for two", "each frame once"
+            )
         known.add(real)
         found.append(Shot(path, read_exif(path).exposure))
     return found
 
 
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
-    """Longest exposure first and by name: one order whatever the caller's. Raises InputError for a mixed bracket."""
+    """Longest exposure first and by name: one order whatever the caller's. Raises InputError for
+    a mixed bracket.
+    """
     known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
     for shot in shots:
         if shot.exposure.nd and shot.exposure.nd not in known:
-            raise InputError(shot.path, f"filter '{shot.exposure.nd}'", f"one of the profile's: {', '.join(known)}")
+            raise InputError(
+                shot.path,
+                f"filter '{shot.exposure.nd}'",
+                f"one of the profile's: {', '.join(known)}",
+            )
     kinds = {is_jpeg(s.path) for s in shots}
     if kinds != {profile.camera.kind == "jpeg"}:
         got = "JPEG" if True in kinds else "raw"
         odd = next(s.path for s in shots if is_jpeg(s.path) != (profile.camera.kind == "jpeg"))
-        raise InputError(odd, f"a {got} frame", f"{profile.camera.kind} frames, as {profile.camera.name} says")
+        raise InputError(
+            odd, f"a {got} frame", f"{profile.camera.kind} frames, as {profile.camera.name} says"
+        )
     apertures = profile.scale.f_numbers
     for shot in shots:
         if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
-            raise InputError(shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k holds for nothing else")
+            raise InputError(
+                shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k holds for nothing else"
+            )
 
     first = shots[0].exposure.f_number
     for shot in shots:
         if abs(shot.exposure.f_number / first - 1) > _ONE_APERTURE:
-            remedy = "merge them apart: each aperture has its own light, and its own loss towards the edge"
-            raise InputError(shot.path, f"f/{shot.exposure.f_number:g} beside f/{first:g}", "one aperture", remedy)
+            remedy = (
+                "merge them apart: each aperture has its own light, and its own loss towards "
+                "the edge"
+            )
+            raise InputError(
+                shot.path,
+                f"f/{shot.exposure.f_number:g} beside f/{first:g}",
+                "one aperture",
+                remedy,
+            )
 
     def collected(shot: Shot) -> float:
         e = shot.exposure
@@ -120,7 +158,9 @@ def is_jpeg(path: Path) -> bool:
 
 
 def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, float]:
-    """The profile's measured time where it has one, else the snapped one; and its relative u before any fit."""
+    """The profile's measured time where it has one, else the snapped one; and its relative u
+    before any fit.
+    """
     for known in profile.shutter:
         if abs(known.nominal_s / exposure.shutter_s - 1) < 0.02:
             return known.true_s, known.u_rel
@@ -128,16 +168,26 @@ def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, f
     return snapped, float(prior_u_log(np.asarray(snapped)))
 
 
-def exposure_covariance(exposures: Sequence[Exposure], profile: CameraProfile) -> NDArray[np.float64]:
+def exposure_covariance(
+    exposures: Sequence[Exposure], profile: CameraProfile
+) -> NDArray[np.float64]:
     """Relative covariance of what frames collected, before any fit, [frames, frames].
 
-    Frames of one shutter time err together, and so do frames through one filter and frames of one ISO other than the
-    profile's; beside that each frame for itself.
+    Frames of one shutter time err together, and so do frames through one filter and frames of one
+    ISO other than the profile's; beside that each frame for itself.
     """
-    times, filters, isos = [e.shutter_s for e in exposures], [e.nd for e in exposures], [e.iso for e in exposures]
+    times, filters, isos = (
+        [e.shutter_s for e in exposures],
+        [e.nd for e in exposures],
+        [e.iso for e in exposures],
+    )
     u_time = np.array([true_shutter_s(e, profile)[1] for e in exposures])
-    u_nd = np.array([next((nd.u_rel for nd in profile.nd if nd.name == e.nd), 0.0) for e in exposures])
-    u_iso = np.array([0.0 if abs(e.iso / profile.bracket.iso - 1) < 0.01 else U_ISO for e in exposures])
+    u_nd = np.array(
+        [next((nd.u_rel for nd in profile.nd if nd.name == e.nd), 0.0) for e in exposures]
+    )
+    u_iso = np.array(
+        [0.0 if abs(e.iso / profile.bracket.iso - 1) < 0.01 else U_ISO for e in exposures]
+    )
     kinds = (times, u_time), (filters, u_nd), (isos, u_iso)
     shared = [np.equal.outer(np.array(k), np.array(k)) * np.outer(u, u) for k, u in kinds]
     return np.sum(shared, axis=0) + np.diag(np.full(len(exposures), U_REPEAT**2))

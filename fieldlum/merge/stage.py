@@ -1,4 +1,6 @@
-"""`fieldlum merge SESSION`: every captured slot to panoramas/<slot>.exr, resumably and by several processes."""
+"""`fieldlum merge SESSION`: every captured slot to panoramas/<slot>.exr, resumably and by
+several processes.
+"""
 
 from __future__ import annotations
 
@@ -64,10 +66,14 @@ def captured_slots(session: Session) -> list[str]:
 def _recipe(job: _Job, shots: list[Shot]) -> dict[str, Any]:
     """What a panorama depends on; two equal recipes give the same picture."""
     frames = [
-        {"file": s.path.name, "size": s.path.stat().st_size, "sha256": s.sha256 or sha256(s.path),
-         "heading_deg": s.heading_deg}
+        {
+            "file": s.path.name,
+            "size": s.path.stat().st_size,
+            "sha256": s.sha256 or sha256(s.path),
+            "heading_deg": s.heading_deg,
+        }
         for s in shots
-    ]  # fmt: skip
+    ]
     text = {
         "recipe": _RECIPE,
         "frames": frames,
@@ -101,7 +107,9 @@ def _capture_note(session: Session, slot: str) -> dict[str, Any]:
 
 
 def _slot_time(note: dict[str, Any], slot: str, shots: list[Shot]) -> datetime:
-    """The middle of the bracket: capture.json's interval, else the frames' times, else the slot's own."""
+    """The middle of the bracket: capture.json's interval, else the frames' times, else the
+    slot's own.
+    """
     try:
         opened, closed = parse_utc(note["t_open_utc"]), parse_utc(note["t_close_utc"])
         return opened + (closed - opened) / 2
@@ -111,7 +119,9 @@ def _slot_time(note: dict[str, Any], slot: str, shots: list[Shot]) -> datetime:
 
 
 def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
-    """One bracket, from frames to files. A failure is a verdict too: one bad bracket stops nothing."""
+    """One bracket, from frames to files. A failure is a verdict too: one bad bracket stops
+    nothing.
+    """
     try:
         shots = shots_of_slot(job.session.raw / job.slot)
         recipe = _recipe(job, shots)
@@ -122,12 +132,17 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
         note = _capture_note(job.session, job.slot)
         panorama = replace(result.panorama, t_utc=_slot_time(note, job.slot, shots))
         panorama = take_out_sun(panorama, job.site)
-        ev = vertical_illuminance_lx(panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun)
+        ev = vertical_illuminance_lx(
+            panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
+        )
         quality = {**result.quality, "vertical_illuminance_lx": ev}
         whole = note.get("complete", True)
         said = result.verdict if whole else f"incomplete bracket; {result.verdict}"
         if lost:  # the digest never matches then: once the frames are whole again, so is the map
-            said = f"without {', '.join(lost)}, whose pixels cannot be read: copy from the card again; {said}"
+            said = (
+                f"without {', '.join(lost)}, whose pixels cannot be read: copy from the card "
+                f"again; {said}"
+            )
             quality, recipe = {**quality, "lost": lost}, {**recipe, "digest": ""}
         said += _sun_note(panorama.sun, job.profile)
         _write(job, replace(result, panorama=panorama, quality=quality, verdict=said), recipe)
@@ -136,14 +151,24 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
         return Verdict(job.slot, "failed", str(error), {})
 
 
-def _merged_without_lost(job: _Job, shots: list[Shot], progress: Progress) -> tuple[MergeResult, list[str]]:
-    """The bracket, and which frames it had to do without: a few that cannot be read are no reason to lose an hour."""
+def _merged_without_lost(
+    job: _Job, shots: list[Shot], progress: Progress
+) -> tuple[MergeResult, list[str]]:
+    """The bracket, and which frames it had to do without: a few that cannot be read are no
+    reason to lose an hour.
+    """
 
     def merged(some: list[Shot]) -> MergeResult:
         return merge_frames(
-            [s.path for s in some], job.profile, height=job.height, heading_deg=job.setup.heading_deg,
-            shots=some, fit=job.fit, drop_moved=job.drop_moved, progress=progress,
-        )  # fmt: skip
+            [s.path for s in some],
+            job.profile,
+            height=job.height,
+            heading_deg=job.setup.heading_deg,
+            shots=some,
+            fit=job.fit,
+            drop_moved=job.drop_moved,
+            progress=progress,
+        )
 
     try:
         return merged(shots), []
@@ -207,14 +232,20 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
     if sun is None or sun.origin == CLIPPED or u_rel < _SUN_WARN:
         return ""
     wide_px = disc_px(profile.lens)
-    return f"; the sun is {wide_px:.1f} px wide on the sensor: its illuminance is good to {100 * u_rel:.0f} % only"
+    return (
+        f"; the sun is {wide_px:.1f} px wide on the sensor: its illuminance is good to "
+        f"{100 * u_rel:.0f} % only"
+    )
 
 
-# ---------------------------------------------------------------------------------------------- many brackets
+# ----------------------------------------------------------------------------------------------
+# many brackets
 
 
 def _start_worker() -> None:
-    """One thread a worker (OpenCV would take every core); end when the parent is killed, not wait for work for ever."""
+    """One thread a worker (OpenCV would take every core); end when the parent is killed, not
+    wait for work for ever.
+    """
     import cv2
 
     cv2.setNumThreads(1)
@@ -235,13 +266,21 @@ def _merged(jobs: list[_Job], workers: int, progress: Progress) -> Iterator[Verd
 
 
 def _jobs(
-    session: Session, slots: Iterable[str], height: int, fit: bool | None, drop_moved: bool, force: bool
+    session: Session,
+    slots: Iterable[str],
+    height: int,
+    fit: bool | None,
+    drop_moved: bool,
+    force: bool,
 ) -> list[_Job]:
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
     profile = load_camera_profile(path)
     digest = sha256(path)
-    return [_Job(session, s, profile, digest, setup.camera, setup.site, height, fit, drop_moved, force) for s in slots]
+    return [
+        _Job(session, s, profile, digest, setup.camera, setup.site, height, fit, drop_moved, force)
+        for s in slots
+    ]
 
 
 def run(
@@ -254,7 +293,8 @@ def run(
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
-    """Merge every slot of the session that is not merged yet from the same frames and profile; then survey them all.
+    """Merge every slot of the session that is not merged yet from the same frames and profile; then
+    survey them all.
 
     Raises NotEnoughDataError when nothing was captured; InputError when every bracket failed.
     """
@@ -274,12 +314,18 @@ def run(
     if survey_owed(session):
         write_survey(session)
     if all(v.state == "failed" for v in verdicts):
-        raise InputError(session.raw, f"no bracket could be merged; {verdicts[0].text}", remedy="see each bracket")
+        raise InputError(
+            session.raw,
+            f"no bracket could be merged; {verdicts[0].text}",
+            remedy="see each bracket",
+        )
     return verdicts
 
 
 def _alive(scrap: Path) -> bool:
-    """Whether the process that writes this temporary file (its number is in the name) still runs."""
+    """Whether the process that writes this temporary file (its number is in the name) still
+    runs.
+    """
     numbers = [part for part in scrap.name.split(".") if part.isdigit()]
     try:
         os.kill(int(numbers[0]), 0)

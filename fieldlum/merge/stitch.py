@@ -1,4 +1,6 @@
-"""Merged sensors to one map: resampling, vignetting, colour, the blend of lenses, and the uncertainty of the result."""
+"""Merged sensors to one map: resampling, vignetting, colour, the blend of lenses, and the
+uncertainty of the result.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +23,22 @@ from fieldlum.projection import Equirect, LensGeometry, Resampler, resampler
 from fieldlum.projection.resample import Target
 from fieldlum.records import Flag
 
-# Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it makes a lower bound.
+# Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it
+# makes a lower bound.
 _SHARE = {Flag.CLIPPED_HIGH: 1e-3, Flag.BLOOM: 0.05, Flag.MOTION: 0.25, Flag.ND: 0.25}
 _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
-# Sensor pixels of light that leak over an edge, at most: mean half-width of a pixel's square and of bilinear shares,
-# which reach two pixels where each colour has its own, one where every pixel sees all colours.
+# Sensor pixels of light that leak over an edge, at most: mean half-width of a pixel's square and of
+# bilinear shares, which reach two pixels where each colour has its own, one where every pixel sees
+# all colours.
 _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
 _TAPER_RAD = 0.06  # over which a lens fades in from its edge, where another lens sees the same
 
 
 @dataclass(frozen=True, slots=True)
 class SensorMap:
-    """A merged sensor and where it looked: heading offset from the target's heading, aperture, crop."""
+    """A merged sensor and where it looked: heading offset from the target's heading, aperture,
+    crop.
+    """
 
     merged: Merged
     crop: Crop
@@ -44,7 +50,9 @@ class SensorMap:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Flat arrays [n] of the target: luminance, random variance, share covered, flags, camera RGB, relative u's."""
+    """Flat arrays [n] of the target: luminance, random variance, share covered, flags, camera
+    RGB, relative u's.
+    """
 
     luminance: NDArray[np.float64]
     variance: NDArray[np.float64]
@@ -59,7 +67,9 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Map:
-    """[H, W]: luminance, standard uncertainty (all sources), flags; rgb in Radiance's primaries or None."""
+    """[H, W]: luminance, standard uncertainty (all sources), flags; rgb in Radiance's primaries
+    or None.
+    """
 
     luminance_cdm2: NDArray[np.float32]
     u_cdm2: NDArray[np.float32]
@@ -76,27 +86,40 @@ def lens_geometry(lens: Lens, crop: Crop, turn_deg: float) -> LensGeometry:
 
 
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
-    """Coefficients and relative uncertainty at the edge. Raises InputError for a curve that cannot be one.
+    """Coefficients and relative uncertainty at the edge. Raises InputError for a curve that cannot
+    be one.
 
-    An aperture without a curve takes the nearest one, at most a third of a stop away; a lens without any has V = 1.
+    An aperture without a curve takes the nearest one, at most a third of a stop away; a lens
+    without any has V = 1.
     """
     if not lens.vignetting:
         return (1.0,), 0.0
     nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
     if abs(2 * np.log2(nearest.f_number / f_number)) > 0.4:
         known = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
-        raise InputError(lens.name, f"no vignetting for f/{f_number:g}", f"one of {known}", "calibrate this aperture")
+        raise InputError(
+            lens.name,
+            f"no vignetting for f/{f_number:g}",
+            f"one of {known}",
+            "calibrate this aperture",
+        )
     wrong = check_vignetting(nearest.coefficients)
     if wrong:
-        raise InputError(lens.name, f"vignetting at f/{nearest.f_number:g}: {wrong}", "a loss towards the edge")
+        raise InputError(
+            lens.name, f"vignetting at f/{nearest.f_number:g}: {wrong}", "a loss towards the edge"
+        )
     return nearest.coefficients, nearest.u_rel
 
 
-def _project(sensor: SensorMap, r: Resampler) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
+def _project(
+    sensor: SensorMap, r: Resampler
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
     """Camera RGB [n, 3], its random variance [n, 3] and flags [n] of one lens."""
     m = sensor.merged
     colours = list("RGB") if len(r.matrices) > 1 else [""]
-    values, variance = (np.reshape(a, (-1, 3) if colours == [""] else -1) for a in (m.value_cdm2, m.variance))
+    values, variance = (
+        np.reshape(a, (-1, 3) if colours == [""] else -1) for a in (m.value_cdm2, m.variance)
+    )
     valid = None if sensor.valid is None else sensor.valid.ravel().astype(np.float32)
     if valid is not None and colours == [""]:
         valid = valid[:, None]
@@ -112,7 +135,9 @@ def _project(sensor: SensorMap, r: Resampler) -> tuple[NDArray[np.float64], NDAr
             share = np.maximum(matrix @ valid, 1e-6)
             rgb.append(matrix @ (values * valid) / share)
             var.append(square @ (variance * valid) / share**2)
-    flags = np.zeros(len(r.coverage), np.uint8)  # bad pixels may raise theirs too: it only asks for care
+    flags = np.zeros(
+        len(r.coverage), np.uint8
+    )  # bad pixels may raise theirs too: it only asks for care
     if valid is not None:  # nothing good is left in one colour: no value
         left = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
         flags[(left < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
@@ -145,25 +170,33 @@ def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: 
     edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
-    return View(rgb @ weights, var @ weights**2, coverage, edge, u_vignetting, u_ratio, flags, rgb, lens)
+    return View(
+        rgb @ weights, var @ weights**2, coverage, edge, u_vignetting, u_ratio, flags, rgb, lens
+    )
 
 
 def blend(views: Sequence[View]) -> View:
     """Inverse-variance mean of all lenses and headings that see a pixel.
 
-    The variance is that of the common luminance (of the noisy one it would pull towards the darker lens), and a lens
-    fades out towards its edge. Pixels that are clipped, bloomed or moving in one lens give way to the others.
+    The variance is that of the common luminance (of the noisy one it would pull towards the darker
+    lens), and a lens fades out towards its edge. Pixels that are clipped, bloomed or moving in one
+    lens give way to the others.
     """
     coverage = np.stack([v.coverage for v in views])
     luminance = np.stack([v.luminance for v in views])
     seen = coverage > 0
     common = np.divide(
-        (coverage * luminance).sum(0), coverage.sum(0), out=np.zeros(coverage.shape[1]), where=seen.any(0)
+        (coverage * luminance).sum(0),
+        coverage.sum(0),
+        out=np.zeros(coverage.shape[1]),
+        where=seen.any(0),
     )
     variance = np.stack([v.variance for v in views])
     spread = np.stack([v.u_vignetting for v in views]) * common
     edge = np.stack([v.edge for v in views])
-    weight = np.where(seen, coverage * edge / (variance + spread**2 + (1e-4 * common) ** 2 + 1e-12), 0.0)
+    weight = np.where(
+        seen, coverage * edge / (variance + spread**2 + (1e-4 * common) ** 2 + 1e-12), 0.0
+    )
     spoilt = np.stack([(v.flags & _SPOILT) > 0 for v in views])
     weight = np.where(spoilt, weight * 1e-6, weight)
     total = weight.sum(0)
@@ -173,33 +206,45 @@ def blend(views: Sequence[View]) -> View:
         flags |= np.where(part > 0.05, view.flags, 0).astype(np.uint8)
     flags[coverage.sum(0) < 1e-3] = Flag.OUTSIDE_LENS
     rgb = sum(part[:, None] * view.rgb for view, part in zip(views, share, strict=True))
-    by_lens: dict[Lens | int, NDArray[np.float64]] = {}  # one lens has one curve, wherever it is turned
+    by_lens: dict[
+        Lens | int, NDArray[np.float64]
+    ] = {}  # one lens has one curve, wherever it is turned
     for i, (view, part) in enumerate(zip(views, share, strict=True)):
         key = i if view.lens is None else view.lens
         by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
     u_vignetting = np.sqrt(sum(u**2 for u in by_lens.values()))
     u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)  # one shutter
     return View(
-        (share * luminance).sum(0), (share**2 * variance).sum(0), coverage.max(0), edge.max(0), u_vignetting, u_ratio,
-        flags, np.asarray(rgb, np.float64),
-    )  # fmt: skip
+        (share * luminance).sum(0),
+        (share**2 * variance).sum(0),
+        coverage.max(0),
+        edge.max(0),
+        u_vignetting,
+        u_ratio,
+        flags,
+        np.asarray(rgb, np.float64),
+    )
 
 
 def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     """The GUM budget and the flags of the finished map.
 
-    u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2 + edges^2; a
-    filter is part of its frames' exposure; the glare floor is a share of the mean luminance seen. A clipped pixel is a
-    lower bound: its u is 100 %. bench/merge_budget.py holds it against whole simulated cameras,
-    bench/merge_scene.py the part for edges against a scene.
+    u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
+    + edges^2; a filter is part of its frames' exposure; the glare floor is a share of the mean
+    luminance seen. A clipped pixel is a lower bound: its u is 100 %. bench/merge_budget.py holds it
+    against whole simulated cameras, bench/merge_scene.py the part for edges against a scene.
     """
     p, light = profile, view.luminance
     seen = (view.flags & Flag.OUTSIDE_LENS) == 0
     response = p.response.u_rel if p.camera.kind == "jpeg" else 0.0
-    relative = view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
+    relative = (
+        view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
+    )
     solid = target.solid_angles().ravel() * seen
     floor = p.glare_floor_rel * float((light * solid).sum() / max(solid.sum(), 1e-12))
-    edges = u_of_edges(light.reshape(target.shape), seen.reshape(target.shape), target, profile).ravel()
+    edges = u_of_edges(
+        light.reshape(target.shape), seen.reshape(target.shape), target, profile
+    ).ravel()
     u = np.sqrt(view.variance + light**2 * relative + floor**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
@@ -209,19 +254,24 @@ def finish(view: View, profile: CameraProfile, target: Target) -> Map:
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
     shape = target.shape
     return Map(
-        light.reshape(shape).astype(np.float32), u.reshape(shape).astype(np.float32), flags.reshape(shape),
-        None if rgb is None else rgb.reshape(*shape, 3), np.sqrt(view.variance).reshape(shape).astype(np.float32),
-    )  # fmt: skip
+        light.reshape(shape).astype(np.float32),
+        u.reshape(shape).astype(np.float32),
+        flags.reshape(shape),
+        None if rgb is None else rgb.reshape(*shape, 3),
+        np.sqrt(view.variance).reshape(shape).astype(np.float32),
+    )
 
 
 def u_of_edges(
     light: NDArray[np.float64], seen: NDArray[np.bool_], target: Target, profile: CameraProfile
 ) -> NDArray[np.float64]:
-    """What a pixel may have of its neighbours' light, for the sensor's pixels are not small, [H, W].
+    """What a pixel may have of its neighbours' light, for the sensor's pixels are not small, [H,
+    W].
 
-    An edge on the border of two target pixels leaks at most `_LEAK_PX` over the pixel's width of the difference, one
-    that lies elsewhere less: a rectangular distribution (GUM 4.3.7). On a slope what comes from one side goes to the
-    other, so that the second difference tells. Towards pixels that no lens sees nothing is told.
+    An edge on the border of two target pixels leaks at most `_LEAK_PX` over the pixel's width of
+    the difference, one that lies elsewhere less: a rectangular distribution (GUM 4.3.7). On a slope
+    what comes from one side goes to the other, so that the second difference tells. Towards pixels
+    that no lens sees nothing is told.
     """
     width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
     share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)
@@ -229,7 +279,9 @@ def u_of_edges(
     if not isinstance(target, Equirect):
         return share * np.hypot(down, _second_difference(light.T, seen.T).T)
     rows = (np.arange(target.height) + 0.5) / target.height * np.pi
-    narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]  # meridians draw together
+    narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[
+        :, None
+    ]  # meridians draw together
     around = _second_difference(_wrapped(light).T, _wrapped(seen).T).T[:, 1:-1]
     return np.hypot(share * down, narrow * around)
 
@@ -245,9 +297,13 @@ def _second_difference(light: NDArray[np.float64], seen: NDArray[np.bool_]) -> N
 
 
 def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float32]:
-    """RGB scaled pixel by pixel so that 179 (.265 .670 .065) gives the luminance; grey where it cannot."""
+    """RGB scaled pixel by pixel so that 179 (.265 .670 .065) gives the luminance; grey where it
+    cannot.
+    """
     own = np.maximum(colour, 0.0)
     y = own @ np.asarray(RADIANCE_Y)
     scale = np.divide(light, y, out=np.zeros_like(y), where=y > 1e-12)
     grey = np.repeat(light[:, None], 3, axis=1)
-    return (np.where((y > 1e-12)[:, None], own * scale[:, None], grey) / RADIANCE_LM_PER_W).astype(np.float32)
+    return (np.where((y > 1e-12)[:, None], own * scale[:, None], grey) / RADIANCE_LM_PER_W).astype(
+        np.float32
+    )

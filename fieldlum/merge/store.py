@@ -13,13 +13,19 @@ from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frames import JpegSignal, RawSignal
 from fieldlum.merge.shift import Small
 
-FRAMES_BYTES = 800_000_000  # 18 JPEG of a fisheye's 13 megapixels, 16 raw of 24: with the sums about 1.5 GB
+FRAMES_BYTES = (
+    800_000_000  # 18 JPEG of a fisheye's 13 megapixels, 16 raw of 24: with the sums about 1.5 GB
+)
 
 
 class FrameStore:
-    """Loads frames on demand and keeps them while they fit in `budget_bytes`; the rest are read again each pass."""
+    """Loads frames on demand and keeps them while they fit in `budget_bytes`; the rest are read
+    again each pass.
+    """
 
-    def __init__(self, loaders: Sequence[Callable[[], Signal]], budget_bytes: int = FRAMES_BYTES) -> None:
+    def __init__(
+        self, loaders: Sequence[Callable[[], Signal]], budget_bytes: int = FRAMES_BYTES
+    ) -> None:
         self._loaders, self._left = loaders, budget_bytes
         self._kept: dict[int, Signal] = {}
         self._scale, self._noise = np.ones(len(loaders)), (1.0, 1.0)
@@ -38,7 +44,9 @@ class FrameStore:
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
 
     def noisier(self, shot: float, read: float) -> None:
-        """Multiply the variances of raw frames' shot and read noise, once, now and for all later reads."""
+        """Multiply the variances of raw frames' shot and read noise, once, now and for all later
+        reads.
+        """
         self._noise = shot, read
         self._kept = {i: _with_noise(signal, shot, read) for i, signal in self._kept.items()}
 
@@ -51,7 +59,9 @@ class FrameStore:
     def __getitem__(self, number: int) -> Signal:
         if number in self._kept:
             return self._kept[number]
-        signal = _with_noise(_scaled(self._loaders[number](), float(self._scale[number])), *self._noise)
+        signal = _with_noise(
+            _scaled(self._loaders[number](), float(self._scale[number])), *self._noise
+        )
         size = getattr(signal, "counts", getattr(signal, "codes", np.empty(0))).nbytes
         if size <= self._left:
             self._left -= size
@@ -66,4 +76,6 @@ def _scaled(signal: Any, factor: float) -> Any:
 def _with_noise(signal: Any, shot: float, read: float) -> Any:
     if shot == read == 1.0:
         return signal
-    return replace(signal, gain_e_per_dn=signal.gain_e_per_dn / shot, noise_dn2=signal.noise_dn2 * read)
+    return replace(
+        signal, gain_e_per_dn=signal.gain_e_per_dn / shot, noise_dn2=signal.noise_dn2 * read
+    )

@@ -1,8 +1,9 @@
 """Models of a room: a registry, and what a fitted model must be able to do.
 
-A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) -> Fitted``, and one that
-loads, ``from_state(config, arrays) -> Fitted``. Model folders hold `config.json` and `weights.npz`: plain arrays, no
-pickle, so that a stranger's model cannot run code.
+A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) ->
+Fitted``, and one that loads, ``from_state(config, arrays) -> Fitted``. Model folders hold
+`config.json` and `weights.npz`: plain arrays, no pickle, so that a stranger's model cannot run
+code.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ Patch = Literal["absolute", "gain", "none"]
 class Prediction:
     """Maps without the sun's disc, and how far to believe them.
 
-    luminance_cdm2 [n, H, W] float32; log10_sd [n, H, W] standard deviation of log10 L where the model gives one;
-    expected_mse [n] the model's own guess of each map's weighted log10 MSE (NaN: it cannot say); trusted [n].
+    luminance_cdm2 [n, H, W] float32; log10_sd [n, H, W] standard deviation of log10 L where the
+    model gives one; expected_mse [n] the model's own guess of each map's weighted log10 MSE (NaN:
+    it cannot say); trusted [n].
     """
 
     luminance_cdm2: NDArray[np.float32]
@@ -49,10 +51,14 @@ class Fitted(Protocol):
 
     name: str
     parameters: int  # numbers the model holds: smaller is tried first
-    held_out_mse: NDArray[np.float64] | None  # [n] weighted log10 MSE of each training map, its day left out; or None
+    held_out_mse: (
+        NDArray[np.float64] | None
+    )  # [n] weighted log10 MSE of each training map, its day left out; or None
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Maps of the hours of `light`; memory grows with the number of hours asked for, so ask in chunks."""
+        """Maps of the hours of `light`; memory grows with the number of hours asked for, so ask
+        in chunks.
+        """
         ...
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -62,7 +68,9 @@ class Fitted(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """Where a model lives. size orders the models from small to large for the one-standard-error rule."""
+    """Where a model lives. size orders the models from small to large for the one-standard-error
+    rule.
+    """
 
     module: str
     size: int
@@ -90,9 +98,17 @@ def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
     config, arrays = fitted.state()
     with replacing(folder / "weights.npz") as file:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
-    everything = {"model": fitted.name, "software": {"fieldlum": __version__}, **data.about(), **more, **config}
+    everything = {
+        "model": fitted.name,
+        "software": {"fieldlum": __version__},
+        **data.about(),
+        **more,
+        **config,
+    }
     with replacing(folder / "config.json", "w", encoding="utf-8") as file:
-        json.dump(everything, file, indent=1, ensure_ascii=False, default=lambda value: value.tolist())
+        json.dump(
+            everything, file, indent=1, ensure_ascii=False, default=lambda value: value.tolist()
+        )
 
 
 def read_config(folder: Path) -> dict[str, Any]:
@@ -101,11 +117,15 @@ def read_config(folder: Path) -> dict[str, Any]:
     try:
         config = json.loads(path.read_text(encoding="utf-8"))
     except OSError:
-        raise InputError(folder, "no config.json in it", "a model folder", "make one with: fieldlum train") from None
+        raise InputError(
+            folder, "no config.json in it", "a model folder", "make one with: fieldlum train"
+        ) from None
     except ValueError as error:
         raise InputError(path, str(error), "JSON", "train the model again") from None
     if not isinstance(config, dict) or config.get("model") not in MODELS:
-        raise InputError(path, "an unknown model", f"one of {', '.join(MODELS)}", "train the model again")
+        raise InputError(
+            path, "an unknown model", f"one of {', '.join(MODELS)}", "train the model again"
+        )
     return config
 
 
@@ -119,4 +139,6 @@ def load(folder: Path) -> Fitted:
         return importlib.import_module(MODELS[config["model"]].module).from_state(config, arrays)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         found = f"weights that cannot be used ({error})".replace("\n", " ")
-        raise InputError(path, found, "the arrays of config.json", "train the model again") from None
+        raise InputError(
+            path, found, "the arrays of config.json", "train the model again"
+        ) from None

@@ -1,4 +1,6 @@
-"""What any model must beat: the mean map, and the nearest captured hour scaled by the light outside."""
+"""What any model must beat: the mean map, and the nearest captured hour scaled by the light
+outside.
+"""
 
 from __future__ import annotations
 
@@ -53,15 +55,21 @@ def fit_mean(
 
 
 class NearestFitted:
-    """The captured hour of the most alike sun and sky, scaled by horizontal illuminance; its sun patch swapped."""
+    """The captured hour of the most alike sun and sky, scaled by horizontal illuminance; its sun
+    patch swapped.
+    """
 
     name = "nearest"
     held_out_mse: NDArray[np.float64] | None = None
 
     def __init__(
-        self, rest_cdm2: NDArray[np.float32], features: NDArray[np.float64], scale: NDArray[np.float64],
-        with_patch: bool, domain: Domain,
-    ) -> None:  # fmt: skip
+        self,
+        rest_cdm2: NDArray[np.float32],
+        features: NDArray[np.float64],
+        scale: NDArray[np.float64],
+        with_patch: bool,
+        domain: Domain,
+    ) -> None:
         self.rest_cdm2, self.features, self.scale = rest_cdm2, features, scale
         self.with_patch, self.domain = with_patch, domain
         self.parameters = rest_cdm2.size
@@ -83,9 +91,13 @@ class NearestFitted:
 
 
 def light_features(light: Light) -> NDArray[np.float64]:
-    """[n, 5] sun direction (weighted by how much it shines), share of the sun, clearness of the sky."""
+    """[n, 5] sun direction (weighted by how much it shines), share of the sun, clearness of the
+    sky.
+    """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
-    return np.column_stack([light.sun_direction * (0.3 + share[:, None]), share, 0.3 * np.log10(light.dhi_wm2 + 10.0)])
+    return np.column_stack(
+        [light.sun_direction * (0.3 + share[:, None]), share, 0.3 * np.log10(light.dhi_wm2 + 10.0)]
+    )
 
 
 def outside(light: Light) -> NDArray[np.float64]:
@@ -106,11 +118,15 @@ def fit_nearest(
     rest = data.luminance_cdm2
     if with_patch and data.patch_cdm2 is not None:
         rest = np.maximum(rest - data.patch_cdm2, np.float32(LEAST_SHARE) * rest)
-    return NearestFitted(rest, light_features(data.light), outside(data.light), with_patch, captured(data.light))
+    return NearestFitted(
+        rest, light_features(data.light), outside(data.light), with_patch, captured(data.light)
+    )
 
 
 def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Fitted:
     domain = Domain.from_state(config["domain"])
     if config["model"] == "mean":
         return MeanFitted(arrays["log10_mean"], domain)
-    return NearestFitted(arrays["rest_cdm2"], arrays["features"], arrays["scale"], config["with_patch"], domain)
+    return NearestFitted(
+        arrays["rest_cdm2"], arrays["features"], arrays["scale"], config["with_patch"], domain
+    )

@@ -1,4 +1,6 @@
-"""Training data: pairs.csv and its pictures, read strictly, with the sun's disc taken out of the maps."""
+"""Training data: pairs.csv and its pictures, read strictly, with the sun's disc taken out of the
+maps.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ if TYPE_CHECKING:
 NEEDED = ("t_utc", "panorama", "dni_wm2", "dhi_wm2")
 MOST_IRRADIANCE_WM2 = 1600.0  # above the solar constant with cloud enhancement
 LEAST_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
-LEAST_DISC_CDM2 = 2e4  # a window's edge under a grey sky is far brighter than the frame, and no disc
+LEAST_DISC_CDM2 = (
+    2e4  # a window's edge under a grey sky is far brighter than the frame, and no disc
+)
 _MERGE_ALIKE = "render or merge all brackets at one size and heading"
 _PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again"
 LUMENS_PER_WATT = 93.0  # rough, and only used to tell a disc from a sunlit wall
@@ -38,9 +42,10 @@ LUMENS_PER_WATT = 93.0  # rough, and only used to tell a disc from a sunlit wall
 class Dataset:
     """Captured hours with their light. Maps hold no sun disc; its energy is in disc_lx.
 
-    luminance_cdm2 [n, H, W]; patch_cdm2 [n, H, W] direct sun only, or None; disc_lx [n] illuminance at the lens, normal
-    to the sun, of the visible disc; days [n] local standard dates; slots [n] ids; seen [H, W] pixels that the camera
-    saw; steadiness [n] relative change of the light during the bracket (0 where unknown); notes for the person.
+    luminance_cdm2 [n, H, W]; patch_cdm2 [n, H, W] direct sun only, or None; disc_lx [n] illuminance
+    at the lens, normal to the sun, of the visible disc; days [n] local standard dates; slots [n]
+    ids; seen [H, W] pixels that the camera saw; steadiness [n] relative change of the light during
+    the bracket (0 where unknown); notes for the person.
     """
 
     light: Light
@@ -86,9 +91,17 @@ class Dataset:
         )
 
     def thin(self, height: int) -> Dataset:
-        """The same hours at every f-th pixel, f odd, of at least that height: noise and sharp edges stay."""
-        odd = [f for f in range(1, self.shape[0] + 1, 2) if self.shape[0] % f == 0 and self.shape[0] // f >= height]
-        pick = slice((odd[-1] if odd else 1) // 2, None, odd[-1] if odd else 1)  # centres of blocks: centres of pixels
+        """The same hours at every f-th pixel, f odd, of at least that height: noise and sharp
+        edges stay.
+        """
+        odd = [
+            f
+            for f in range(1, self.shape[0] + 1, 2)
+            if self.shape[0] % f == 0 and self.shape[0] // f >= height
+        ]
+        pick = slice(
+            (odd[-1] if odd else 1) // 2, None, odd[-1] if odd else 1
+        )  # centres of blocks: centres of pixels
         return replace(
             self,
             luminance_cdm2=self.luminance_cdm2[:, pick, pick],
@@ -103,34 +116,52 @@ class Dataset:
             "heading_deg": self.heading_deg,
             "height": self.shape[0],
             "width": self.shape[1],
-            "training": {"source": self.source, "slots": list(self.slots), "days": sorted({str(d) for d in self.days})},
+            "training": {
+                "source": self.source,
+                "slots": list(self.slots),
+                "days": sorted({str(d) for d in self.days}),
+            },
         }
 
 
-# ---------------------------------------------------------------------------------------------- the sun's disc
+# ---------------------------------------------------------------------------------------------- the
+# sun's disc
 
 
 def add_disc(
-    luminance_cdm2: NDArray[np.float32], light: Light, disc_lx: NDArray[np.float64], heading_deg: float
+    luminance_cdm2: NDArray[np.float32],
+    light: Light,
+    disc_lx: NDArray[np.float64],
+    heading_deg: float,
 ) -> NDArray[np.float32]:
     """Maps with the disc's energy put back on the pixel that holds the sun, [n, H, W]."""
     height, width = luminance_cdm2.shape[1:]
-    row, column = equirect_pixel(light.sun_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg)
+    row, column = equirect_pixel(
+        light.sun_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg
+    )
     i = np.clip(row.astype(int), 0, height - 1)
     j = column.astype(int) % width
     whole = luminance_cdm2.copy()
-    whole[np.arange(len(whole)), i, j] += (disc_lx / equirect_solid_angles(height, width)[i, j]).astype(np.float32)
+    whole[np.arange(len(whole)), i, j] += (
+        disc_lx / equirect_solid_angles(height, width)[i, j]
+    ).astype(np.float32)
     return whole
 
 
 def split_disc(
-    luminance_cdm2: NDArray[np.float32], altitude_deg: float, azimuth_deg: float, dni_wm2: float, heading_deg: float
+    luminance_cdm2: NDArray[np.float32],
+    altitude_deg: float,
+    azimuth_deg: float,
+    dni_wm2: float,
+    heading_deg: float,
 ) -> tuple[NDArray[np.float32], float]:
-    """Take the disc out of one map [H, W]: the map without it, and its illuminance [lx] on a plane normal to the sun.
+    """Take the disc out of one map [H, W]: the map without it, and its illuminance [lx] on a plane
+    normal to the sun.
 
-    Disc pixels stand within two pixels of the sun and are brighter than any matt surface or sky could be: over ten
-    times a white wall in that sun, a fiftieth of the whole disc, three times their surroundings, and brighter than any
-    grey sky. They are given the median of the pixels around.
+    Disc pixels stand within two pixels of the sun and are brighter than any matt surface or sky
+    could be: over ten times a white wall in that sun, a fiftieth of the whole disc, three times
+    their surroundings, and brighter than any grey sky. They are given the median of the pixels
+    around.
     """
     height, width = luminance_cdm2.shape
     row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, heading_deg)
@@ -140,7 +171,8 @@ def split_disc(
     omega = equirect_solid_angles(height, width)[rows, columns + 0 * rows]
     full_lx = LUMENS_PER_WATT * dni_wm2
     disc = near > np.maximum(
-        0.02 * full_lx / omega, max(10.0 * full_lx / math.pi, 3.0 * float(np.median(near)), LEAST_DISC_CDM2)
+        0.02 * full_lx / omega,
+        max(10.0 * full_lx / math.pi, 3.0 * float(np.median(near)), LEAST_DISC_CDM2),
     )
     if not disc.any() or disc.sum() > 9:
         return luminance_cdm2, 0.0
@@ -151,7 +183,8 @@ def split_disc(
     return out, illuminance
 
 
-# ---------------------------------------------------------------------------------------------- pairs.csv
+# ----------------------------------------------------------------------------------------------
+# pairs.csv
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +207,13 @@ def _number(path: Path, line: int, name: str, text: str, *, default: float = mat
     try:
         value = float(text)
     except ValueError:
-        raise InputError(path, f"line {line}: {name} is '{text}'", "a number", "mend that row") from None
+        raise InputError(
+            path, f"line {line}: {name} is '{text}'", "a number", "mend that row"
+        ) from None
     if not math.isfinite(value):
-        raise InputError(path, f"line {line}: {name} is {text}", "a finite number", "mend that row or set ok = 0")
+        raise InputError(
+            path, f"line {line}: {name} is {text}", "a finite number", "mend that row or set ok = 0"
+        )
     return value
 
 
@@ -184,7 +221,9 @@ def _irradiance(path: Path, line: int, name: str, text: str) -> float:
     value = _number(path, line, name, text)
     if not LEAST_IRRADIANCE_WM2 <= value <= MOST_IRRADIANCE_WM2:
         found = f"line {line}: {name} is '{text}'"
-        raise InputError(path, found, f"{LEAST_IRRADIANCE_WM2:g} to {MOST_IRRADIANCE_WM2:g} W/m2", "set ok = 0")
+        raise InputError(
+            path, found, f"{LEAST_IRRADIANCE_WM2:g} to {MOST_IRRADIANCE_WM2:g} W/m2", "set ok = 0"
+        )
     return max(value, 0.0)
 
 
@@ -192,13 +231,21 @@ def _read_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
     try:
         t_utc = parse_utc(cells["t_utc"])
     except ValueError as error:
-        raise InputError(path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z") from None
-    pictures = [path.parent / cells[name] if cells.get(name) else None for name in ("panorama", "sunpatch")]
+        raise InputError(
+            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
+        ) from None
+    pictures = [
+        path.parent / cells[name] if cells.get(name) else None for name in ("panorama", "sunpatch")
+    ]
     for picture in pictures:
         if picture is not None and not picture.is_file():
-            raise InputError(path, f"line {line}: no file {picture}", "a picture there", "copy it, or set ok = 0")
+            raise InputError(
+                path, f"line {line}: no file {picture}", "a picture there", "copy it, or set ok = 0"
+            )
     if pictures[0] is None:
-        raise InputError(path, f"line {line}: panorama is empty", "a picture's path", "fill it, or set ok = 0")
+        raise InputError(
+            path, f"line {line}: panorama is empty", "a picture's path", "fill it, or set ok = 0"
+        )
     return _Row(
         line,
         t_utc,
@@ -223,13 +270,23 @@ def _read_rows(path: Path) -> tuple[list[_Row], int]:
     missing = [name for name in NEEDED if name not in (reader.fieldnames or ())]
     if missing:
         parted = next((mark for mark in (";", "\t") if mark in (reader.fieldnames or ("",))[0]), "")
-        remedy = f"it is parted by {parted!r}: save it with commas, and points in numbers" if parted else ""
-        raise InputError(path, f"no column {', '.join(missing)}", f"a csv with {', '.join(NEEDED)}", remedy)
+        remedy = (
+            f"it is parted by {parted!r}: save it with commas, and points in numbers"
+            if parted
+            else ""
+        )
+        raise InputError(
+            path, f"no column {', '.join(missing)}", f"a csv with {', '.join(NEEDED)}", remedy
+        )
     rows: list[_Row] = []
     refused = 0
     for cells in reader:
         if None in cells or any(value is None for value in cells.values()):
-            raise InputError(path, f"line {reader.line_num}: another number of cells than the header", "one a column")
+            raise InputError(
+                path,
+                f"line {reader.line_num}: another number of cells than the header",
+                "one a column",
+            )
         if _number(path, reader.line_num, "ok", cells.get("ok") or "", default=1.0) == 0.0:
             refused += 1
             continue
@@ -245,20 +302,29 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
         return open_session(path.parent).site_file()
     if (path.parent / "site.toml").is_file():
         return load_site(path.parent / "site.toml")
-    raise InputError(path, "no site known for it", "site.toml beside it or --site SITE.toml", "write one with [site]")
+    raise InputError(
+        path,
+        "no site known for it",
+        "site.toml beside it or --site SITE.toml",
+        "write one with [site]",
+    )
 
 
-def load_pairs(where: Path | Session, site: Path | None = None, *, progress: Progress = quiet) -> Dataset:
+def load_pairs(
+    where: Path | Session, site: Path | None = None, *, progress: Progress = quiet
+) -> Dataset:
     """Read a pairs.csv (or a session's) with all its pictures, in the order of time.
 
-    Rows with ok = 0 are left out; a cell that cannot be read raises InputError naming its line. Sun columns are used as
-    they stand. Raises NotEnoughDataError when no row is left.
+    Rows with ok = 0 are left out; a cell that cannot be read raises InputError naming its line. Sun
+    columns are used as they stand. Raises NotEnoughDataError when no row is left.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():
         path = open_session(path).pairs
     if not path.is_file():
-        raise InputError(path, "no such file", "a pairs.csv", "make one with: fieldlum pair SESSION")
+        raise InputError(
+            path, "no such file", "a pairs.csv", "make one with: fieldlum pair SESSION"
+        )
     setup = _find_setup(path, site)
     rows, refused = _read_rows(path)
     notes = [f"{refused} rows with ok = 0 left out"] if refused else []
@@ -271,13 +337,17 @@ def load_pairs(where: Path | Session, site: Path | None = None, *, progress: Pro
     return _assemble(path, rows, setup, notes, progress)
 
 
-def _assemble(path: Path, rows: list[_Row], setup: SiteFile, notes: list[str], progress: Progress) -> Dataset:
+def _assemble(
+    path: Path, rows: list[_Row], setup: SiteFile, notes: list[str], progress: Progress
+) -> Dataset:
     from fieldlum.light import Light
 
     check_plausible(path, _stated(rows), setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
     dni = np.array([row.dni_wm2 for row in rows])
-    maps, patches, disc, masks, heading = _read_pictures(path, rows, altitude, azimuth, setup, progress)
+    maps, patches, disc, masks, heading = _read_pictures(
+        path, rows, altitude, azimuth, setup, progress
+    )
     seen, filled = _fill_gaps(maps, masks)
     if filled:
         notes.append(f"{filled} single pixels without a value given their own median")
@@ -286,28 +356,49 @@ def _assemble(path: Path, rows: list[_Row], setup: SiteFile, notes: list[str], p
     times = [row.t_utc for row in rows]
     return Dataset(
         light=Light(
-            t_utc=tuple(times), dni_wm2=dni, dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
-            sun_altitude_deg=altitude, sun_azimuth_deg=azimuth,
+            t_utc=tuple(times),
+            dni_wm2=dni,
+            dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
+            sun_altitude_deg=altitude,
+            sun_azimuth_deg=azimuth,
         ),
-        luminance_cdm2=maps, patch_cdm2=patches, disc_lx=disc, heading_deg=heading,
+        luminance_cdm2=maps,
+        patch_cdm2=patches,
+        disc_lx=disc,
+        heading_deg=heading,
         days=np.array([sun.standard_date(t, setup.site.timezone) for t in times], "datetime64[D]"),
-        slots=tuple(slot_id(t) for t in times), setup=setup, seen=seen,
-        steadiness=np.array([row.steadiness for row in rows]), source=str(path), notes=tuple(notes),
-    )  # fmt: skip
+        slots=tuple(slot_id(t) for t in times),
+        setup=setup,
+        seen=seen,
+        steadiness=np.array([row.steadiness for row in rows]),
+        source=str(path),
+        notes=tuple(notes),
+    )
 
 
 def _stated(rows: list[_Row]) -> Stated:
-    numbers = np.array([(row.dni_wm2, row.dhi_wm2, row.altitude_deg, row.azimuth_deg) for row in rows]).T
-    return Stated([row.line for row in rows], [row.t_utc for row in rows], [row.panorama for row in rows], *numbers)
+    numbers = np.array(
+        [(row.dni_wm2, row.dhi_wm2, row.altitude_deg, row.azimuth_deg) for row in rows]
+    ).T
+    return Stated(
+        [row.line for row in rows],
+        [row.t_utc for row in rows],
+        [row.panorama for row in rows],
+        *numbers,
+    )
 
 
-def _sun_columns(rows: list[_Row], setup: SiteFile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sun_columns(
+    rows: list[_Row], setup: SiteFile
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Altitude and azimuth as the csv gives them; where it does not, by SPA. [deg]"""
     altitude = np.array([row.altitude_deg for row in rows])
     azimuth = np.array([row.azimuth_deg for row in rows])
     blank = np.isnan(altitude) | np.isnan(azimuth)
     if blank.any():
-        found = sun.position([row.t_utc for row, b in zip(rows, blank, strict=True) if b], setup.site)
+        found = sun.position(
+            [row.t_utc for row, b in zip(rows, blank, strict=True) if b], setup.site
+        )
         altitude[blank], azimuth[blank] = found.altitude_deg, found.azimuth_deg
     return altitude, azimuth
 
@@ -319,30 +410,42 @@ def _read_pictures(
     azimuth: NDArray[np.float64],
     setup: SiteFile,
     progress: Progress,
-) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float64], NDArray[np.bool_], float]:
+) -> tuple[
+    NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float64], NDArray[np.bool_], float
+]:
     """Maps, patches, disc [lx], which pixels carry a value, heading [deg]."""
     first = read_panorama(rows[0].panorama)
     shape, heading = first.luminance_cdm2.shape, _heading(first, rows[0].panorama, setup)
     with_patch = sum(row.sunpatch is not None for row in rows)
     if 0 < with_patch < len(rows):
         bare = next(row.line for row in rows if row.sunpatch is None)
-        raise InputError(path, f"line {bare}: no sunpatch, but other rows have one", "all rows or none with a sunpatch")
+        raise InputError(
+            path,
+            f"line {bare}: no sunpatch, but other rows have one",
+            "all rows or none with a sunpatch",
+        )
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
     disc = np.zeros(len(rows))
     masks = np.empty(maps.shape, bool)
     for k, row in enumerate(rows):
         progress(k, len(rows), row.panorama.name)
-        panorama = _checked(read_panorama(row.panorama), row.panorama, shape, heading, setup, _MERGE_ALIKE)
+        panorama = _checked(
+            read_panorama(row.panorama), row.panorama, shape, heading, setup, _MERGE_ALIKE
+        )
         sun_at = (float(altitude[k]), float(azimuth[k]), row.dni_wm2, heading)
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if row.sun_in_map:
             maps[k], disc[k] = split_disc(maps[k], *sun_at)
         if patches is not None and row.sunpatch is not None:
-            patch = _checked(read_panorama(row.sunpatch), row.sunpatch, shape, heading, setup, _PAIR_AGAIN)
+            patch = _checked(
+                read_panorama(row.sunpatch), row.sunpatch, shape, heading, setup, _PAIR_AGAIN
+            )
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
-            if row.sun_in_map:  # the patch holds the disc alone, without the sky around it: the better measure
+            if (
+                row.sun_in_map
+            ):  # the patch holds the disc alone, without the sky around it: the better measure
                 patches[k], disc[k] = split_disc(patches[k], *sun_at)
             elif patch.sun and not panorama.sun:
                 disc[k] = patch.sun.normal_illuminance_lx
@@ -352,7 +455,11 @@ def _read_pictures(
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
     """Of the picture where it says so (.exr, or a .hdr with a heading line), else of the site."""
-    return panorama.heading_deg if path.suffix.lower() == ".exr" or _says_heading(path) else setup.camera.heading_deg
+    return (
+        panorama.heading_deg
+        if path.suffix.lower() == ".exr" or _says_heading(path)
+        else setup.camera.heading_deg
+    )
 
 
 def _says_heading(path: Path) -> bool:
@@ -361,7 +468,12 @@ def _says_heading(path: Path) -> bool:
 
 
 def _checked(
-    panorama: Panorama, path: Path, shape: tuple[int, ...], heading: float, setup: SiteFile, remedy: str
+    panorama: Panorama,
+    path: Path,
+    shape: tuple[int, ...],
+    heading: float,
+    setup: SiteFile,
+    remedy: str,
 ) -> Panorama:
     found = panorama.luminance_cdm2.shape
     if found != shape:
@@ -378,8 +490,12 @@ def _has_value(panorama: Panorama) -> NDArray[np.bool_]:
     return good if panorama.flags is None else good & ((panorama.flags & Flag.OUTSIDE_LENS) == 0)
 
 
-def _fill_gaps(maps: NDArray[np.float32], has_value: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], int]:
-    """Fill single missing values (in place) with the pixel's median; missing in a fifth of the maps: not seen."""
+def _fill_gaps(
+    maps: NDArray[np.float32], has_value: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], int]:
+    """Fill single missing values (in place) with the pixel's median; missing in a fifth of the
+    maps: not seen.
+    """
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():
         raise NotEnoughDataError("no pixel has a value in most of the panoramas")

@@ -1,9 +1,10 @@
-"""The paper's network: two dense branches over pixel position, sun, irradiance, sky map and sun patch.
+"""The paper's network: two dense branches over pixel position, sun, irradiance, sky map and sun
+patch.
 
-Liu, Colburn, Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building Performance
-Simulation 13(5), 2020. Inputs, sizes, loss and schedule as in the paper; where the authors' code differs from their
-text, the text.
-This file holds the network and what goes in and out; `dense_training` holds the loop.
+Liu, Colburn, Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building
+Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule as in the paper; where the
+authors' code differs from their text, the text. This file holds the network and what goes in and
+out; `dense_training` holds the loop.
 """
 
 from __future__ import annotations
@@ -38,17 +39,22 @@ PREDICT_PIXELS = 16384  # a chunk that stays in the processor's cache
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The network's form. The defaults are the paper's final one; the rest are its ablations (Table 1, Figure 8)."""
+    """The network's form. The defaults are the paper's final one; the rest are its ablations
+    (Table 1, Figure 8).
+    """
 
     width: int = 600
     depth: int = 4  # layers of branch one
     patch_width: int = 400  # branch two; the CNN form has 200
     sky_map: bool = True
-    form: Literal["dense", "cnn"] = "dense"  # cnn: kernel-1 convolutions, so whole images are the batches
+    form: Literal["dense", "cnn"] = (
+        "dense"  # cnn: kernel-1 convolutions, so whole images are the batches
+    )
     curve: Literal["log", "gamma"] = "log"
 
 
-# ---------------------------------------------------------------------------------------------- normalisation
+# ----------------------------------------------------------------------------------------------
+# normalisation
 
 
 def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
@@ -60,14 +66,17 @@ def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float
 
 
 def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Inverse of `encode`; what the network says outside [0, 1] is cut there, so no prediction is wild."""
+    """Inverse of `encode`; what the network says outside [0, 1] is cut there, so no prediction
+    is wild.
+    """
     inside = np.clip(encoded, 0.0, 1.0)
     if curve == "gamma":
         return np.maximum(10.0**LOG_TOP * inside**GAMMA, 1.0).astype(np.float32)
     return (10.0 ** (LOG_TOP * inside ** (1.0 / POWER))).astype(np.float32)
 
 
-# ---------------------------------------------------------------------------------------------- network
+# ----------------------------------------------------------------------------------------------
+# network
 
 
 class Net(nn.Module):
@@ -88,7 +97,9 @@ class Net(nn.Module):
             x = F.relu(layer(x))
         x = torch.cat([x, F.relu(self.patch(patch)).to(x.dtype)], dim=1)
         x = F.relu(self.merge(x))
-        with torch.autocast(x.device.type, enabled=False):  # the last sum in full precision: it is the answer
+        with torch.autocast(
+            x.device.type, enabled=False
+        ):  # the last sum in full precision: it is the answer
             return self.out(x.float()).squeeze(1)
 
 
@@ -96,12 +107,15 @@ def parameter_count(net: nn.Module) -> int:
     return sum(p.numel() for p in net.parameters())
 
 
-# ---------------------------------------------------------------------------------------------- inputs
+# ----------------------------------------------------------------------------------------------
+# inputs
 
 
 @dataclass(frozen=True, slots=True)
 class Canvas:
-    """What belongs to a pixel and not to an hour: [P, 3] px, py, avg; [P] nearest sky patch, -1 under the horizon."""
+    """What belongs to a pixel and not to an hour: [P, 3] px, py, avg; [P] nearest sky patch, -1
+    under the horizon.
+    """
 
     fixed: Tensor
     sky_patch: Tensor
@@ -129,7 +143,8 @@ def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
 
 @dataclass(frozen=True, slots=True)
 class Hours:
-    """What belongs to an hour and not to a pixel: [n, 4] altitude, azimuth, DNI, DHI; encoded sky [n, 2306].
+    """What belongs to an hour and not to a pixel: [n, 4] altitude, azimuth, DNI, DHI; encoded sky
+    [n, 2306].
 
     The last sky column is 0 and stands for directions under the horizon.
     """
@@ -164,7 +179,8 @@ def scene_inputs(canvas: Canvas, hours: Hours, hour: Tensor, pixel: Tensor) -> T
     return torch.cat(columns, dim=1)
 
 
-# ---------------------------------------------------------------------------------------------- fitted
+# ----------------------------------------------------------------------------------------------
+# fitted
 
 
 def pick_device() -> torch.device:
@@ -190,38 +206,57 @@ class DenseFitted:
         domain: Domain,
         training: dict[str, Any],
     ) -> None:
-        self.net, self.shape, self.patch, self.domain, self.training = net.eval(), shape, patch, domain, training
+        self.net, self.shape, self.patch, self.domain, self.training = (
+            net.eval(),
+            shape,
+            patch,
+            domain,
+            training,
+        )
         self.average_log10, self.heading_deg = average_log10, heading_deg
         self.parameters = parameter_count(net)
         self._device = pick_device()
         self._canvas = canvas(average_log10, heading_deg).to(self._device)
         self.net.to(self._device)
 
-    def _encoded(self, light: Light, patch_cdm2: NDArray[np.float32] | None) -> Iterator[NDArray[np.float32]]:
+    def _encoded(
+        self, light: Light, patch_cdm2: NDArray[np.float32] | None
+    ) -> Iterator[NDArray[np.float32]]:
         """Encoded map [H W] of one hour after the other."""
         at = hours(light, self.shape).to(self._device)
         pixels = self._canvas.fixed.shape[0]
         for k in range(len(light.dni_wm2)):
             parts = []
             for start in range(0, pixels, PREDICT_PIXELS):
-                pixel = torch.arange(start, min(start + PREDICT_PIXELS, pixels), device=self._device)
+                pixel = torch.arange(
+                    start, min(start + PREDICT_PIXELS, pixels), device=self._device
+                )
                 scene = scene_inputs(self._canvas, at, torch.full_like(pixel, k), pixel)
                 if patch_cdm2 is None or self.patch == "none":
                     direct = torch.zeros(len(pixel), 1, device=self._device)
                 else:
                     part = patch_cdm2[k].reshape(-1)[start : start + len(pixel)]
-                    direct = torch.from_numpy(encode(part, self.shape.curve)).to(self._device).unsqueeze(1)
+                    direct = (
+                        torch.from_numpy(encode(part, self.shape.curve))
+                        .to(self._device)
+                        .unsqueeze(1)
+                    )
                 parts.append(self.net(scene, direct))
             yield torch.cat(parts).float().cpu().numpy()
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """The network itself has no variance: trusted says whether the hour's light was captured."""
+        """The network itself has no variance: trusted says whether the hour's light was
+        captured.
+        """
         if self.patch != "none" and patch_cdm2 is None:
             raise ValueError("this network was trained with sun patches: give it patch_cdm2")
         height, width = self.average_log10.shape
         out = np.empty((len(light.dni_wm2), height, width), np.float32)
         fast = bfloat16_pays(self._device)
-        with torch.inference_mode(), torch.autocast(self._device.type, torch.bfloat16, enabled=fast):
+        with (
+            torch.inference_mode(),
+            torch.autocast(self._device.type, torch.bfloat16, enabled=fast),
+        ):
             for k, encoded in enumerate(self._encoded(light, patch_cdm2)):
                 out[k] = decode(encoded, self.shape.curve).reshape(height, width)
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
@@ -230,29 +265,42 @@ class DenseFitted:
         config = {
             "shape": asdict(self.shape),
             "patch": self.patch,
-            "inputs": ["px", "py", "altitude", "azimuth", "dni", "dhi", "average"] + ["sky"] * self.shape.sky_map,
+            "inputs": ["px", "py", "altitude", "azimuth", "dni", "dhi", "average"]
+            + ["sky"] * self.shape.sky_map,
             "normalisation": {
-                "floor_cdm2": 1.0, "log10_top": LOG_TOP, "power": POWER,
-                "dni_top_wm2": DNI_TOP_WM2, "dhi_top_wm2": DHI_TOP_WM2,
+                "floor_cdm2": 1.0,
+                "log10_top": LOG_TOP,
+                "power": POWER,
+                "dni_top_wm2": DNI_TOP_WM2,
+                "dhi_top_wm2": DHI_TOP_WM2,
             },
             "domain": self.domain.state(),
             "dense_training": self.training,
-        }  # fmt: skip
-        weights = {f"net.{name}": value.detach().cpu().numpy() for name, value in self.net.state_dict().items()}
+        }
+        weights = {
+            f"net.{name}": value.detach().cpu().numpy()
+            for name, value in self.net.state_dict().items()
+        }
         return config, {"average_log10": self.average_log10, **weights}
 
 
 def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> DenseFitted:
     shape = Shape(**config["shape"])
     net = Net(shape)
-    weights = {k.removeprefix("net."): torch.from_numpy(v.copy()) for k, v in arrays.items() if k.startswith("net.")}
+    weights = {
+        k.removeprefix("net."): torch.from_numpy(v.copy())
+        for k, v in arrays.items()
+        if k.startswith("net.")
+    }
     try:
         net.load_state_dict(weights)
     except RuntimeError as error:
         raise ValueError(str(error).splitlines()[0]) from None
     domain = Domain.from_state(config["domain"])
     about = config["dense_training"]
-    return DenseFitted(net, shape, arrays["average_log10"], config["heading_deg"], config["patch"], domain, about)
+    return DenseFitted(
+        net, shape, arrays["average_log10"], config["heading_deg"], config["patch"], domain, about
+    )
 
 
 def bfloat16_pays(device: torch.device) -> bool:
@@ -280,9 +328,15 @@ def fit(
     progress: Progress = quiet,
     **options: Any,
 ) -> DenseFitted:
-    """Train on `data`; options are fields of `Shape` and of `dense_training.Plan`, and a checkpoint path."""
+    """Train on `data`; options are fields of `Shape` and of `dense_training.Plan`, and a
+    checkpoint path.
+    """
     from fieldlum.models.dense_training import train
 
-    shape = Shape(**{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__})
-    net, average, about = train(data, shape, patch=patch, seed=seed, budget_s=budget_s, progress=progress, **options)
+    shape = Shape(
+        **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}
+    )
+    net, average, about = train(
+        data, shape, patch=patch, seed=seed, budget_s=budget_s, progress=progress, **options
+    )
     return DenseFitted(net, shape, average, data.heading_deg, patch, captured(data.light), about)

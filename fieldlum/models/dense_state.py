@@ -1,4 +1,6 @@
-"""What a training is at a moment: its plan, how far it has come, and both on disk with the weights."""
+"""What a training is at a moment: its plan, how far it has come, and both on disk with the
+weights.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ STAGE_EPOCHS = 30
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, the rate falling to 0."""
+    """paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, the
+    rate falling to 0.
+    """
 
     schedule: Literal["paper", "short"] = "paper"
     epochs: int = STAGE_EPOCHS * len(STAGES)
@@ -54,14 +58,25 @@ class Run:
     skipped: int = 0
 
 
-# ---------------------------------------------------------------------------------------------- checkpoints
+# ----------------------------------------------------------------------------------------------
+# checkpoints
 
 
 def fingerprint(data: Dataset, patch: Patch, seed: int) -> str:
-    """Of what is trained on: hours, light, and each picture's mean. Pictures merged anew are another training."""
+    """Of what is trained on: hours, light, and each picture's mean. Pictures merged anew are
+    another training.
+    """
     light = data.light
-    parts = [light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, light.sun_azimuth_deg, np.array(data.shape, float)]
-    maps = [data.luminance_cdm2] + ([data.patch_cdm2] if patch != "none" and data.patch_cdm2 is not None else [])
+    parts = [
+        light.dni_wm2,
+        light.dhi_wm2,
+        light.sun_altitude_deg,
+        light.sun_azimuth_deg,
+        np.array(data.shape, float),
+    ]
+    maps = [data.luminance_cdm2] + (
+        [data.patch_cdm2] if patch != "none" and data.patch_cdm2 is not None else []
+    )
     parts += [np.array([m.mean(dtype=np.float64) for m in series]) for series in maps]
     figures = " ".join(f"{value:.6g}" for part in parts for value in part)
     return hashlib.sha256(
@@ -81,10 +96,14 @@ def keep(
 ) -> None:
     """Write a checkpoint, whole or not at all; mark: the fingerprint of the data."""
     state = {
-        "net": net.state_dict(), "best": best, "optimiser": optimiser.state_dict(),
-        "run": asdict(run), "plan": asdict(plan), "shape": asdict(shape),
+        "net": net.state_dict(),
+        "best": best,
+        "optimiser": optimiser.state_dict(),
+        "run": asdict(run),
+        "plan": asdict(plan),
+        "shape": asdict(shape),
         "data": mark,
-    }  # fmt: skip
+    }
     with replacing(path) as file:
         torch.save(state, file)
 
@@ -92,7 +111,9 @@ def keep(
 def restore(
     path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape, mark: str
 ) -> tuple[Plan, dict[str, Tensor]]:
-    """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but tensors and numbers."""
+    """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but
+    tensors and numbers.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # torch warns before it refuses what no torch.save wrote
@@ -106,6 +127,14 @@ def restore(
         for name, value in state["run"].items():
             setattr(run, name, value)
         return Plan(**state["plan"]), state["best"]
-    except (pickle.UnpicklingError, Warning, RuntimeError, KeyError, TypeError, EOFError, AttributeError) as error:
+    except (
+        pickle.UnpicklingError,
+        Warning,
+        RuntimeError,
+        KeyError,
+        TypeError,
+        EOFError,
+        AttributeError,
+    ) as error:
         found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
         raise InputError(path, found, "one of this training", "remove it to start anew") from None

@@ -1,8 +1,10 @@
-"""How the dense network is trained: the paper's schedule when there is time for it, a short one when there is not.
+"""How the dense network is trained: the paper's schedule when there is time for it, a short one
+when there is not.
 
-The loss of a batch is ``sum(w e^2) / b + 10 sqrt(sum(w e^2) / sum(w t^2))``: both parts depend on the network through
-S = sum(w e^2) alone, so micro-batches (and the ranks of torchrun) add up the gradient of S, and one factor at the end
-makes it the exact gradient of the whole batch's loss. Memory is that of one micro-batch.
+The loss of a batch is ``sum(w e^2) / b + 10 sqrt(sum(w e^2) / sum(w t^2))``: both parts depend on
+the network through S = sum(w e^2) alone, so micro-batches (and the ranks of torchrun) add up the
+gradient of S, and one factor at the end makes it the exact gradient of the whole batch's loss.
+Memory is that of one micro-batch.
 """
 
 from __future__ import annotations
@@ -49,12 +51,15 @@ SHORT_STEPS = 3000  # what a short schedule tries to reach before it lets its ba
 SHORT_BATCH = (512, 8192)
 
 
-# ---------------------------------------------------------------------------------------------- pixels
+# ----------------------------------------------------------------------------------------------
+# pixels
 
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """All (hour, seen pixel) pairs of some hours, on the device. A pair's number is hour * P + place in `seen`."""
+    """All (hour, seen pixel) pairs of some hours, on the device. A pair's number is hour * P +
+    place in `seen`.
+    """
 
     canvas: Canvas
     hours: Hours
@@ -75,7 +80,9 @@ class Pixels:
         return scene, direct.unsqueeze(1), self.target[hour, place], self.weight[place]
 
 
-def _pixels(data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: torch.device) -> Pixels:
+def _pixels(
+    data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: torch.device
+) -> Pixels:
     seen = np.flatnonzero(data.seen)
 
     def flat(maps: NDArray[np.float32]) -> Tensor:
@@ -94,11 +101,16 @@ def _pixels(data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: tor
     )
 
 
-# ---------------------------------------------------------------------------------------------- one batch
+# ---------------------------------------------------------------------------------------------- one
+# batch
 
 
-def _loss_parts(net: Net, pixels: Pixels, numbers: Tensor, micro: int, half: bool, learn: bool) -> Tensor:
-    """[S_error, S_target, count] summed over the batch and all ranks; with `learn`, gradients of S_error are added."""
+def _loss_parts(
+    net: Net, pixels: Pixels, numbers: Tensor, micro: int, half: bool, learn: bool
+) -> Tensor:
+    """[S_error, S_target, count] summed over the batch and all ranks; with `learn`, gradients of
+    S_error are added.
+    """
     parts = torch.zeros(3, dtype=torch.float64)
     for mine in numbers[ranks.rank() :: ranks.world()].split(micro):
         scene, direct, target, weight = pixels.batch(mine)
@@ -119,8 +131,17 @@ def loss_value(parts: Tensor) -> float:
     return error / count + RER_SHARE * math.sqrt(error / max(target, 1e-12))
 
 
-def _step(net: Net, optimiser: torch.optim.Optimizer, pixels: Pixels, numbers: Tensor, micro: int, half: bool) -> float:
-    """One update with the exact gradient of the batch's loss. Returns the loss (NaN: the update was not made)."""
+def _step(
+    net: Net,
+    optimiser: torch.optim.Optimizer,
+    pixels: Pixels,
+    numbers: Tensor,
+    micro: int,
+    half: bool,
+) -> float:
+    """One update with the exact gradient of the batch's loss. Returns the loss (NaN: the update
+    was not made).
+    """
     optimiser.zero_grad(set_to_none=False)
     parts = _loss_parts(net, pixels, numbers, micro, half, learn=True)
     error, target, count = parts.tolist()
@@ -134,11 +155,16 @@ def _step(net: Net, optimiser: torch.optim.Optimizer, pixels: Pixels, numbers: T
     return loss_value(parts)
 
 
-# ---------------------------------------------------------------------------------------------- the loop
+# ---------------------------------------------------------------------------------------------- the
+# loop
 
 
-def _epoch_batches(pixels: Pixels, plan: Plan, run: Run, shape: Shape, seed: int) -> Iterator[Tensor]:
-    """The epoch's batches of pair numbers; they follow from (seed, epoch) alone, so that resuming repeats nothing."""
+def _epoch_batches(
+    pixels: Pixels, plan: Plan, run: Run, shape: Shape, seed: int
+) -> Iterator[Tensor]:
+    """The epoch's batches of pair numbers; they follow from (seed, epoch) alone, so that
+    resuming repeats nothing.
+    """
     generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
     device, per_image = pixels.target.device, len(pixels.seen)
     if plan.schedule == "short":
@@ -148,7 +174,9 @@ def _epoch_batches(pixels: Pixels, plan: Plan, run: Run, shape: Shape, seed: int
                 group = torch.randint(pixels.target.shape[0], (images,), generator=generator)
                 yield _whole_images(group, per_image).to(device)
             else:
-                yield torch.randint(len(pixels), (plan.batch_pixels,), generator=generator).to(device)
+                yield torch.randint(len(pixels), (plan.batch_pixels,), generator=generator).to(
+                    device
+                )
         return
     images = STAGES[run.stage]
     if shape.form == "cnn":
@@ -165,7 +193,9 @@ def _whole_images(group: Tensor, per_image: int) -> Tensor:
 
 
 def _short_rate(plan: Plan, run: Run, budget_s: float | None) -> float:
-    """A short warm-up, then a cosine to zero over the steps, or over the time when that runs out first."""
+    """A short warm-up, then a cosine to zero over the steps, or over the time when that runs out
+    first.
+    """
     done = run.step / max(plan.steps, 1)
     if budget_s:
         done = max(done, run.elapsed_s / budget_s)
@@ -174,7 +204,9 @@ def _short_rate(plan: Plan, run: Run, budget_s: float | None) -> float:
 
 
 def _paper_rate(run: Run, improved: bool) -> None:
-    """Halve the rate after two epochs without gain, the batch after 30 epochs or when the rate has vanished."""
+    """Halve the rate after two epochs without gain, the batch after 30 epochs or when the rate
+    has vanished.
+    """
     run.stale = 0 if improved else run.stale + 1
     run.stage_epoch += 1
     if run.stale >= PATIENCE_EPOCHS:
@@ -197,10 +229,12 @@ def train(
     bfloat16: bool | None = None,
     progress: Progress = quiet,
 ) -> tuple[Net, NDArray[np.float64], dict[str, Any]]:
-    """Train, and return the network with its best validation weights, the average image and a record of the training.
+    """Train, and return the network with its best validation weights, the average image and a
+    record of the training.
 
-    plan None: the paper's schedule when it fits in the budget, else a short one measured to fit. checkpoint: written
-    after each epoch; when it is there already, training goes on from it. stop_after_epochs ends early as a kill would.
+    plan None: the paper's schedule when it fits in the budget, else a short one measured to fit.
+    checkpoint: written after each epoch; when it is there already, training goes on from it.
+    stop_after_epochs ends early as a kill would.
     """
     clock = _Clock(time.monotonic(), time.process_time())
     device = pick_device()
@@ -221,12 +255,16 @@ def train(
     run, mark = Run(rate=plan.rate), fingerprint(data, patch, seed)
     if checkpoint is not None and checkpoint.is_file():
         plan, best = restore(checkpoint, net, optimiser, run, shape, mark)
-    loop = _Loop(net, optimiser, pixels, plan, run, shape, seed, half, budget_s, clock.resumed(run), progress)
+    loop = _Loop(
+        net, optimiser, pixels, plan, run, shape, seed, half, budget_s, clock.resumed(run), progress
+    )
     numbers = _exam_numbers(len(exam), plan, seed).to(device)
     first_epoch = run.epoch
     while not _finished(run, plan, budget_s):
         loop.epoch(best)
-        score = loss_value(_loss_parts(net, exam, numbers, 4 * plan.micro_pixels, half, learn=False))
+        score = loss_value(
+            _loss_parts(net, exam, numbers, 4 * plan.micro_pixels, half, learn=False)
+        )
         if improved := math.isfinite(score) and score < run.best:
             run.best = score
             best = {name: value.clone() for name, value in net.state_dict().items()}
@@ -246,12 +284,20 @@ def _record(loop: _Loop, validation_slots: list[str]) -> dict[str, Any]:
     """What config.json keeps of a training."""
     run, plan = loop.run, loop.plan
     return {
-        "schedule": plan.schedule, "epochs": run.epoch, "steps": run.step, "seconds": round(run.elapsed_s, 1),
+        "schedule": plan.schedule,
+        "epochs": run.epoch,
+        "steps": run.step,
+        "seconds": round(run.elapsed_s, 1),
         "cpu_seconds": round(run.cpu_s, 1),
-        "pixels_seen_per_pixel": round(_passes(run, plan, loop.pixels), 2), "best_validation_loss": run.best,
-        "skipped_updates": run.skipped, "seed": loop.seed, "device": loop.pixels.target.device.type,
-        "bfloat16": loop.half, "plan": asdict(plan), "validation_slots": validation_slots,
-    }  # fmt: skip
+        "pixels_seen_per_pixel": round(_passes(run, plan, loop.pixels), 2),
+        "best_validation_loss": run.best,
+        "skipped_updates": run.skipped,
+        "seed": loop.seed,
+        "device": loop.pixels.target.device.type,
+        "bfloat16": loop.half,
+        "plan": asdict(plan),
+        "validation_slots": validation_slots,
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +336,9 @@ class _Loop:
     progress: Progress
 
     def epoch(self, best: dict[str, Tensor]) -> None:
-        """One epoch's updates, or as many as the budget allows. A loss that is no number takes up `best` again."""
+        """One epoch's updates, or as many as the budget allows. A loss that is no number takes
+        up `best` again.
+        """
         run, plan = self.run, self.plan
         for batch in _epoch_batches(self.pixels, plan, run, self.shape, self.seed):
             rate = _short_rate(plan, run, self.budget_s) if plan.schedule == "short" else run.rate
@@ -298,7 +346,9 @@ class _Loop:
             loss = _step(self.net, self.optimiser, self.pixels, batch, plan.micro_pixels, self.half)
             run.step += 1
             run.elapsed_s = ranks.agreed(self.clock.elapsed_s(), self.pixels.target.device)
-            self.progress(*_how_far(run, plan, self.budget_s), f"loss {loss:.4f}  best {run.best:.4f}")
+            self.progress(
+                *_how_far(run, plan, self.budget_s), f"loss {loss:.4f}  best {run.best:.4f}"
+            )
             if not math.isfinite(loss):
                 run.skipped += 1
                 self.net.load_state_dict(best)
@@ -309,7 +359,9 @@ class _Loop:
 
 def _passes(run: Run, plan: Plan, pixels: Pixels) -> float:
     """How often each training pixel was seen on average: the epochs in the paper's sense."""
-    return run.step * plan.batch_pixels / len(pixels) if plan.schedule == "short" else float(run.epoch)
+    return (
+        run.step * plan.batch_pixels / len(pixels) if plan.schedule == "short" else float(run.epoch)
+    )
 
 
 def _validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -323,7 +375,9 @@ def _exam_numbers(total: int, plan: Plan, seed: int) -> Tensor:
     """All validation pixels; a fixed random part of them in the short schedule."""
     numbers = torch.arange(total)
     if plan.schedule == "short" and total > SHORT_VALIDATION_PIXELS:
-        numbers = torch.randperm(total, generator=torch.Generator().manual_seed(seed))[:SHORT_VALIDATION_PIXELS]
+        numbers = torch.randperm(total, generator=torch.Generator().manual_seed(seed))[
+            :SHORT_VALIDATION_PIXELS
+        ]
     return numbers
 
 
@@ -337,14 +391,20 @@ def _finished(run: Run, plan: Plan, budget_s: float | None) -> bool:
 
 def _how_far(run: Run, plan: Plan, budget_s: float | None) -> tuple[int, int]:
     """Thousandths of the training: by steps or epochs, or by time when that ends it."""
-    done = run.step / max(plan.steps, 1) if plan.schedule == "short" else run.epoch / max(plan.epochs, 1)
+    done = (
+        run.step / max(plan.steps, 1)
+        if plan.schedule == "short"
+        else run.epoch / max(plan.epochs, 1)
+    )
     if budget_s:
         done = max(done, run.elapsed_s / budget_s)
     return min(1000, int(1000 * done)), 1000
 
 
 def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> Plan:
-    """The paper's schedule without a budget or when it fits in; else as many steps as the measured speed allows."""
+    """The paper's schedule without a budget or when it fits in; else as many steps as the
+    measured speed allows.
+    """
     micro = 8192 if pixels.target.device.type == "cpu" else 131_072
     if budget_s is None:
         return Plan(micro_pixels=micro)
@@ -358,8 +418,12 @@ def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> 
 
 
 def _pixels_per_second(net: Net, pixels: Pixels, micro: int, half: bool) -> float:
-    numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device).repeat(ranks.world())
-    _loss_parts(net, pixels, numbers, micro, half, learn=True)  # the first call also compiles and allocates
+    numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device).repeat(
+        ranks.world()
+    )
+    _loss_parts(
+        net, pixels, numbers, micro, half, learn=True
+    )  # the first call also compiles and allocates
     start = time.monotonic()
     for _ in range(3):
         _loss_parts(net, pixels, numbers, micro, half, learn=True)

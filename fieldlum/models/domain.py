@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
 
 SUNNY_WM2 = 60.0  # under it the sun lights a room less than the sky does
-SUN_GAP_DEG = 12.0  # about 50 minutes of the sun's way, or three weeks of its declination near an equinox
+SUN_GAP_DEG = (
+    12.0  # about 50 minutes of the sun's way, or three weeks of its declination near an equinox
+)
 RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance
 
 
@@ -25,12 +27,17 @@ class Domain:
     dni_wm2: tuple[float, float]
 
     def holds(self, light: Light) -> NDArray[np.bool_]:
-        """[n] the hour's sun stands near a captured one (or does not shine), and its sky is of a captured kind."""
+        """[n] the hour's sun stands near a captured one (or does not shine), and its sky is of a
+        captured kind.
+        """
         low, high = self.dhi_wm2
         slack = RANGE_SLACK * (high - low) + 10.0
         sky_known = (light.dhi_wm2 >= low - slack) & (light.dhi_wm2 <= high + slack)
         beam_known = light.dni_wm2 <= self.dni_wm2[1] + RANGE_SLACK * self.dni_wm2[1] + 10.0
-        return sky_known & (self._sun_known(light) & beam_known | (light.dni_wm2 < SUNNY_WM2) & self._has_dull(light))
+        return sky_known & (
+            self._sun_known(light) & beam_known
+            | (light.dni_wm2 < SUNNY_WM2) & self._has_dull(light)
+        )
 
     def _sun_known(self, light: Light) -> NDArray[np.bool_]:
         if len(self.sun_directions) == 0:

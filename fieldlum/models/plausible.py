@@ -1,4 +1,6 @@
-"""Whether the rows of a pairs.csv can be of one room under one sun: what an edited or a joined table gets wrong."""
+"""Whether the rows of a pairs.csv can be of one room under one sun: what an edited or a joined
+table gets wrong.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,16 @@ from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.records import Site
 
-MOST_SUN_DEG = 2.5  # Radiance's own sun stands up to 1.1 from SPA; a wrong hour is 15, a wrong half hour 7
+MOST_SUN_DEG = (
+    2.5  # Radiance's own sun stands up to 1.1 from SPA; a wrong hour is 15, a wrong half hour 7
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Columns of the usable rows, [n]; angles are NaN where the table leaves them to be computed."""
+    """Columns of the usable rows, [n]; angles are NaN where the table leaves them to be
+    computed.
+    """
 
     lines: Sequence[int]
     t_utc: Sequence[datetime]
@@ -31,34 +37,49 @@ class Stated:
 
 
 def check_plausible(path: Path, rows: Stated, site: Site) -> None:
-    """Raises InputError naming the line: a moment or a picture twice, a sun that did not stand there, other units."""
+    """Raises InputError naming the line: a moment or a picture twice, a sun that did not stand
+    there, other units.
+    """
     _check_once(path, rows.lines, rows.t_utc, "the same t_utc")
-    _check_once(path, rows.lines, [picture.resolve() for picture in rows.panorama], "the same panorama")
+    _check_once(
+        path, rows.lines, [picture.resolve() for picture in rows.panorama], "the same panorama"
+    )
     found = sun.position(rows.t_utc, site)
     _check_sun(path, rows, found, site)
     _check_irradiance(path, rows, found.altitude_deg)
 
 
-def _check_once(path: Path, lines: Sequence[int], values: Sequence[datetime] | Sequence[Path], said: str) -> None:
+def _check_once(
+    path: Path, lines: Sequence[int], values: Sequence[datetime] | Sequence[Path], said: str
+) -> None:
     first: dict[datetime | Path, int] = {}
     for line, value in zip(lines, values, strict=True):
         if value in first:
             found = f"lines {first[value]} and {line}: {said}"
-            raise InputError(path, found, "every bracket once", "take one of them out, or set ok = 0")
+            raise InputError(
+                path, found, "every bracket once", "take one of them out, or set ok = 0"
+            )
         first[value] = line
 
 
 def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> None:
     cosine = (
-        sun.direction(rows.altitude_deg, rows.azimuth_deg) * sun.direction(found.altitude_deg, found.azimuth_deg)
+        sun.direction(rows.altitude_deg, rows.azimuth_deg)
+        * sun.direction(found.altitude_deg, found.azimuth_deg)
     ).sum(axis=1)
     apart = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     if not (apart > MOST_SUN_DEG).any():  # NaN, where angles are left to be computed, is not above
         return
     k = int(np.nanargmax(apart))
-    said = f"line {rows.lines[k]}: sun at altitude {rows.altitude_deg[k]:.1f}, azimuth {rows.azimuth_deg[k]:.1f}"
+    said = (
+        f"line {rows.lines[k]}: sun at altitude {rows.altitude_deg[k]:.1f}, azimuth "
+        f"{rows.azimuth_deg[k]:.1f}"
+    )
     expected = f"{found.altitude_deg[k]:.1f}, {found.azimuth_deg[k]:.1f} at t_utc in {site.name}"
-    remedy = "check t_utc, the sign of the longitude and the order of the rows, or empty both sun columns"
+    remedy = (
+        "check t_utc, the sign of the longitude and the order of the rows, or empty both sun "
+        "columns"
+    )
     raise InputError(path, said, expected, remedy)
 
 
@@ -69,12 +90,23 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
     limits = sun.bsrn_limits(altitude_deg, top)
     weak = sun.too_weak(rows.dhi_wm2 + rows.dni_wm2 * sine, altitude_deg, top)
     for wrong, said, remedy in (
-        (rows.dhi_wm2 > limits.dhi_wm2[1], "more diffuse light than any sky gives", "is it the global irradiance?"),
-        (rows.dni_wm2 > limits.dni_wm2[1], "more direct light than there is above the air", "mend that row"),
+        (
+            rows.dhi_wm2 > limits.dhi_wm2[1],
+            "more diffuse light than any sky gives",
+            "is it the global irradiance?",
+        ),
+        (
+            rows.dni_wm2 > limits.dni_wm2[1],
+            "more direct light than there is above the air",
+            "mend that row",
+        ),
         (weak, "less light than any storm lets through", "is it in kW/m2? Else set ok = 0"),
     ):
         if (wrong & up).any():
             k = int(np.argmax(wrong & up))
-            found = f"line {rows.lines[k]}: DNI {rows.dni_wm2[k]:g}, DHI {rows.dhi_wm2[k]:g} with the sun at "
+            found = (
+                f"line {rows.lines[k]}: DNI {rows.dni_wm2[k]:g}, DHI {rows.dhi_wm2[k]:g} with "
+                f"the sun at "
+            )
             found += f"{altitude_deg[k]:.0f} deg, {said}"
             raise InputError(path, found, "W/m2", remedy)

@@ -1,4 +1,6 @@
-"""The processes of torchrun: which one this is, and what all of them agree on. Alone, everything is as it stands."""
+"""The processes of torchrun: which one this is, and what all of them agree on. Alone, everything
+is as it stands.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def total(tensor: Tensor) -> Tensor:
 
 
 def agreed(value: float, device: torch.device) -> float:
-    """Rank 0's clock and speed hold for all: ranks that disagree about the end would wait for each other for ever."""
+    """Rank 0's clock and speed hold for all: ranks that disagree about the end would wait for
+    each other for ever.
+    """
     if world() == 1:
         return value
     shared = torch.tensor([value], dtype=torch.float64, device=device)

@@ -1,8 +1,10 @@
-"""How far predicted maps are from the truth, in the paper's way and in an honest one; both on maps with the disc in.
+"""How far predicted maps are from the truth, in the paper's way and in an honest one; both on maps
+with the disc in.
 
-paper: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum e^2 / sum t^2) of log10 L over
-the whole test; DGP of ten views; RAMMG in cd/m2 of five pyramid levels, with and without the authors' cut at 500.
-honest: weights of the solid angle, mean 1; beside the mean the median, 90th percentile and worst image.
+paper: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum e^2 / sum
+t^2) of log10 L over the whole test; DGP of ten views; RAMMG in cd/m2 of five pyramid levels, with
+and without the authors' cut at 500. honest: weights of the solid angle, mean 1; beside the mean the
+median, 90th percentile and worst image.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ BAND_90 = 1.6449  # standard deviations of a 90 % interval
 
 @dataclass(slots=True)
 class Scores:
-    """One value a map; NaN for what was not computed. error2, truth2: sums over pixels of e^2 and t^2 of log10 L."""
+    """One value a map; NaN for what was not computed. error2, truth2: sums over pixels of e^2
+    and t^2 of log10 L.
+    """
 
     mse_weighted: NDArray[np.float64]
     mse: NDArray[np.float64]
@@ -64,16 +68,22 @@ def join(parts: Sequence[Scores]) -> Scores:
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     slots = tuple(slot for part in parts for slot in part.slots)
     return Scores(
-        **joined, seconds=sum(part.seconds for part in parts), cpu_s=sum(part.cpu_s for part in parts), slots=slots
+        **joined,
+        seconds=sum(part.seconds for part in parts),
+        cpu_s=sum(part.cpu_s for part in parts),
+        slots=slots,
     )
 
 
-# ---------------------------------------------------------------------------------------------- comparing
+# ----------------------------------------------------------------------------------------------
+# comparing
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a test needs once, whatever the model: weights, views, which maps are asked for glare, their answers."""
+    """What a test needs once, whatever the model: weights, views, which maps are asked for
+    glare, their answers.
+    """
 
     data: Dataset
     weights: NDArray[np.float64]
@@ -105,7 +115,12 @@ def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 
 def _dgp(maps: NDArray[np.float32], data: Dataset, views: Views) -> NDArray[np.float64]:
     found = glare_directions(
-        maps, data.heading_deg, views.azimuths_deg, data.light.sun_direction, data.disc_lx, views=views
+        maps,
+        data.heading_deg,
+        views.azimuths_deg,
+        data.light.sun_direction,
+        data.disc_lx,
+        views=views,
     )
     return found["dgp"]
 
@@ -137,7 +152,9 @@ def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
 
 
 def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
-    """Errors of log10 luminance, map by map. A value that is no number raises FloatingPointError: never unseen."""
+    """Errors of log10 luminance, map by map. A value that is no number raises
+    FloatingPointError: never unseen.
+    """
     if not np.isfinite(prediction.luminance_cdm2).all():
         raise FloatingPointError("a predicted map holds values that are no numbers")
     seen = data.seen
@@ -149,14 +166,28 @@ def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64])
     if prediction.log10_sd is not None:
         in_band = (np.abs(error) <= BAND_90 * prediction.log10_sd[:, seen]).mean(axis=1)
     return Scores(
-        mse_weighted=e2 @ w / w.sum(), mse=e2.mean(axis=1), error2=e2.sum(axis=1), truth2=t2.sum(axis=1),
-        error2_weighted=e2 @ w, truth2_weighted=t2 @ w, dgp_mse=blank.copy(), dgp_mae=blank.copy(),
-        dgp_mean=blank.copy(), dgp_square=blank.copy(), rammg_error=blank.copy(), rammg_truth=blank.copy(),
-        expected_mse=prediction.expected_mse, trusted=prediction.trusted, in_band=in_band, slots=data.slots,
-    )  # fmt: skip
+        mse_weighted=e2 @ w / w.sum(),
+        mse=e2.mean(axis=1),
+        error2=e2.sum(axis=1),
+        truth2=t2.sum(axis=1),
+        error2_weighted=e2 @ w,
+        truth2_weighted=t2 @ w,
+        dgp_mse=blank.copy(),
+        dgp_mae=blank.copy(),
+        dgp_mean=blank.copy(),
+        dgp_square=blank.copy(),
+        rammg_error=blank.copy(),
+        rammg_truth=blank.copy(),
+        expected_mse=prediction.expected_mse,
+        trusted=prediction.trusted,
+        in_band=in_band,
+        slots=data.slots,
+    )
 
 
-def _glare_errors(scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: NDArray[Any]) -> None:
+def _glare_errors(
+    scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: NDArray[Any]
+) -> None:
     asked = test.glare_maps[rows]
     if not asked.any():
         return
@@ -170,10 +201,13 @@ def _glare_errors(scores: Scores, prediction: Prediction, part: Dataset, test: T
     scores.rammg_error[asked] = _rammg(maps, some) - test.rammg[rows[asked]]
 
 
-# ---------------------------------------------------------------------------------------------- summing up
+# ----------------------------------------------------------------------------------------------
+# summing up
 
 
-def by_day(values: NDArray[np.float64], days: NDArray[np.datetime64]) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def by_day(
+    values: NDArray[np.float64], days: NDArray[np.datetime64]
+) -> tuple[NDArray[Any], NDArray[np.float64]]:
     """Days and the mean of their maps' values."""
     unique, which = np.unique(days, return_inverse=True)
     return unique, np.bincount(which, weights=values) / np.bincount(which)
@@ -181,7 +215,11 @@ def by_day(values: NDArray[np.float64], days: NDArray[np.datetime64]) -> tuple[N
 
 def standard_error(day_means: NDArray[np.float64]) -> float:
     """Of the mean over days; NaN for a single day."""
-    return float(day_means.std(ddof=1) / np.sqrt(len(day_means))) if len(day_means) > 1 else float("nan")
+    return (
+        float(day_means.std(ddof=1) / np.sqrt(len(day_means)))
+        if len(day_means) > 1
+        else float("nan")
+    )
 
 
 def _mean(values: NDArray[np.float64]) -> float | None:
@@ -190,11 +228,15 @@ def _mean(values: NDArray[np.float64]) -> float | None:
 
 
 def summary(scores: Scores) -> dict[str, Any]:
-    """The figures of DESIGN section 4 and the spread beside them; None for what was not computed."""
+    """The figures of DESIGN section 4 and the spread beside them; None for what was not
+    computed.
+    """
     kept = scores.rammg_truth < RAMMG_CUT
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),
-        "rer_weighted": float(np.sqrt(scores.error2_weighted.sum() / max(scores.truth2_weighted.sum(), 1e-12))),
+        "rer_weighted": float(
+            np.sqrt(scores.error2_weighted.sum() / max(scores.truth2_weighted.sum(), 1e-12))
+        ),
         "median": float(np.median(scores.mse_weighted)),
         "p90": float(np.quantile(scores.mse_weighted, 0.9)),
         "worst": float(scores.mse_weighted.max()),

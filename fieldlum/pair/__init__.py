@@ -1,7 +1,7 @@
 """Pair every panorama with the irradiance of its own seconds, its sun and its sun patch: pairs.csv.
 
-`interval` is about the light outside, `source` about the sun's strength at the lens, `patches` about the room;
-this file is the stage.
+`interval` is about the light outside, `source` about the sun's strength at the lens, `patches`
+about the room; this file is the stage.
 """
 
 from __future__ import annotations
@@ -21,14 +21,34 @@ from fieldlum.light_clock import lit_at_night
 from fieldlum.pair.interval import Log, Outside, outside, read_clean
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.source import Seen, complete_sun
-from fieldlum.records import Panorama, Progress, Site, SiteFile, SunSource, parse_utc, quiet, utc_text
+from fieldlum.records import (
+    Panorama,
+    Progress,
+    Site,
+    SiteFile,
+    SunSource,
+    parse_utc,
+    quiet,
+    utc_text,
+)
 from fieldlum.session import Session, replacing, replacing_path
 from fieldlum.sky import direct_normal_illuminance_lx
 
 COLUMNS = (
-    "t_utc", "panorama", "dni_wm2", "dhi_wm2", "ghi_wm2", "source", "sun_altitude_deg", "sun_azimuth_deg",
-    "steadiness", "sunpatch", "sun_in_map", "ok", "why",
-)  # fmt: skip
+    "t_utc",
+    "panorama",
+    "dni_wm2",
+    "dhi_wm2",
+    "ghi_wm2",
+    "source",
+    "sun_altitude_deg",
+    "sun_azimuth_deg",
+    "steadiness",
+    "sunpatch",
+    "sun_in_map",
+    "ok",
+    "why",
+)
 POOR_SUN_PERCENT = 5.0  # of a sun's illuminance in the picture, from which its pair says so
 NIGHT_MINUTES = 5  # of light with the sun well down, that a lamp may make
 _REJECTED = ("reject", "rejected", "failed")
@@ -87,7 +107,10 @@ def taken_brackets(session: Session) -> list[Taken]:
     for path in sorted(session.panoramas.glob("*.exr")):
         if path.name.startswith("."):
             continue
-        note, capture = _json(path.with_suffix(".json")), _json(session.raw / path.stem / "capture.json")
+        note, capture = (
+            _json(path.with_suffix(".json")),
+            _json(session.raw / path.stem / "capture.json"),
+        )
         try:
             if "t_open_utc" in capture:
                 opened, closed = parse_utc(capture["t_open_utc"]), parse_utc(capture["t_close_utc"])
@@ -95,7 +118,9 @@ def taken_brackets(session: Session) -> list[Taken]:
                 middle = parse_utc(note["t_utc"]) if note.get("t_utc") else parse_utc(path.stem)
                 opened, closed = middle - timedelta(seconds=15), middle + timedelta(seconds=15)
         except (KeyError, ValueError) as error:
-            raise InputError(path.with_suffix(".json"), f"{error}", "times in UTC", "merge it again") from None
+            raise InputError(
+                path.with_suffix(".json"), f"{error}", "times in UTC", "merge it again"
+            ) from None
         meter = capture.get("illuminance_lx")
         found.append(
             Taken(
@@ -106,7 +131,9 @@ def taken_brackets(session: Session) -> list[Taken]:
                 str(note.get("verdict", "")),
                 None if meter is None else float(meter),
                 bool(capture.get("complete", True)) and not (note.get("quality") or {}).get("lost"),
-                frozenset(str(frame["sha256"]) for frame in capture.get("frames", ()) if "sha256" in frame),
+                frozenset(
+                    str(frame["sha256"]) for frame in capture.get("frames", ()) if "sha256" in frame
+                ),
                 sun_u_percent=float((note.get("sun") or {}).get("u_mosaic_percent", 0.0)),
             )
         )
@@ -114,7 +141,9 @@ def taken_brackets(session: Session) -> list[Taken]:
 
 
 def _doubles_named(brackets: list[Taken]) -> list[Taken]:
-    """A card that was imported twice, with two clock offsets, stands in two slots: one of them is wrong, or both."""
+    """A card that was imported twice, with two clock offsets, stands in two slots: one of them
+    is wrong, or both.
+    """
     at: dict[str, list[str]] = {}
     for taken in brackets:
         for frame in taken.frames:
@@ -132,12 +161,21 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
         why = f"the same frames as {taken.double_of}: imported with two clock offsets"
     elif not why and altitude_deg < 0.0:
         why = "the sun is down"
-    elif not why and sun.too_weak(light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]):
+    elif not why and sun.too_weak(
+        light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]
+    ):
         why = "less light than any sky lets through: instrument covered or dead, or kW/m2"
     whole = "" if taken.complete else "bracket incomplete"
     poor = f"sun measured on few pixels, to {taken.sun_u_percent:.0f} %"
     poor = poor if taken.sun_u_percent >= POOR_SUN_PERCENT else ""
-    return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=_joined(whole, poor, light.caution))
+    return Pair(
+        taken,
+        light,
+        altitude_deg,
+        azimuth_deg,
+        why=why,
+        caution=_joined(whole, poor, light.caution),
+    )
 
 
 def _joined(*texts: str) -> str:
@@ -149,32 +187,43 @@ def check_night(path: Path, log: Log, site: Site) -> None:
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > NIGHT_MINUTES:
         raise InputError(
-            path, f"light in {len(lit)} minutes with the sun well down, first {utc_text(lit[0])}", "darkness",
-            "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's longitude",
-        )  # fmt: skip
+            path,
+            f"light in {len(lit)} minutes with the sun well down, first {utc_text(lit[0])}",
+            "darkness",
+            "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's "
+            "longitude",
+        )
 
 
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> list[Pair]:
-    """Write pairs.csv (and sunpatches/, and complete the sun of each panorama). Needs irradiance/clean.csv.
+    """Write pairs.csv (and sunpatches/, and complete the sun of each panorama). Needs
+    irradiance/clean.csv.
 
-    Raises NotEnoughDataError when nothing is merged, InputError for irradiance that is light at night.
+    Raises NotEnoughDataError when nothing is merged, InputError for irradiance that is light at
+    night.
     """
     brackets = taken_brackets(session)
     if not brackets:
-        raise NotEnoughDataError(f"{session.panoramas}: no panorama yet, run: fieldlum merge {session.root}")
+        raise NotEnoughDataError(
+            f"{session.panoramas}: no panorama yet, run: fieldlum merge {session.root}"
+        )
     setup, log = session.site_file(), read_clean(session.irradiance / "clean.csv")
     check_night(session.irradiance / "clean.csv", log, setup.site)
     places = sun.position([b.t_utc for b in brackets], setup.site)
     pairs = [
         judge(b, outside(log, b.t_open_utc, b.t_close_utc), float(altitude), float(azimuth))
-        for b, altitude, azimuth in zip(brackets, places.altitude_deg, places.azimuth_deg, strict=True)
+        for b, altitude, azimuth in zip(
+            brackets, places.altitude_deg, places.azimuth_deg, strict=True
+        )
     ]
     pairs = _with_suns(session, setup, pairs, force, progress)
     write_pairs(session.pairs, pairs)
     return pairs
 
 
-def _with_suns(session: Session, setup: SiteFile, pairs: Sequence[Pair], force: bool, progress: Progress) -> list[Pair]:
+def _with_suns(
+    session: Session, setup: SiteFile, pairs: Sequence[Pair], force: bool, progress: Progress
+) -> list[Pair]:
     """Complete the sources, and write the patches of the usable rows where a room is given."""
     usable = [p for p in pairs if p.ok]
     full_lx = direct_normal_illuminance_lx(
@@ -184,13 +233,19 @@ def _with_suns(session: Session, setup: SiteFile, pairs: Sequence[Pair], force: 
         [p.taken.t_utc for p in usable],
     )
     seen = seen_and_patches(
-        session, setup, [(p.taken.slot, p.taken.panorama, p.taken.t_utc) for p in usable], full_lx,
-        force=force, progress=progress,
-    )  # fmt: skip
+        session,
+        setup,
+        [(p.taken.slot, p.taken.panorama, p.taken.t_utc) for p in usable],
+        full_lx,
+        force=force,
+        progress=progress,
+    )
     done: dict[str, Pair] = {}
     for pair, normal_lx, (glimpse, patch) in zip(usable, full_lx, seen, strict=True):
         done[pair.taken.slot] = replace(
-            pair, sunpatch=patch, caution=_joined(pair.caution, _complete(pair.taken, float(normal_lx), glimpse))
+            pair,
+            sunpatch=patch,
+            caution=_joined(pair.caution, _complete(pair.taken, float(normal_lx), glimpse)),
         )
     return [done.get(p.taken.slot, p) for p in pairs]
 
@@ -212,11 +267,16 @@ def _same(a: SunSource, b: SunSource | None) -> bool:
     if b is None or a.origin != b.origin:
         return False
     off = abs(a.normal_illuminance_lx - b.normal_illuminance_lx)
-    return off <= 1e-4 * a.normal_illuminance_lx and abs(a.visible_fraction - b.visible_fraction) < 1e-3
+    return (
+        off <= 1e-4 * a.normal_illuminance_lx
+        and abs(a.visible_fraction - b.visible_fraction) < 1e-3
+    )
 
 
 def _rewrite(taken: Taken, panorama: Panorama) -> None:
-    """The picture first, then its sidecar: a kill in between only makes `merge` and `pair` do it again."""
+    """The picture first, then its sidecar: a kill in between only makes `merge` and `pair` do it
+    again.
+    """
     with replacing_path(taken.panorama) as path:
         write_panorama(path, panorama)
     note = taken.panorama.with_suffix(".json")
@@ -227,9 +287,13 @@ def _rewrite(taken: Taken, panorama: Panorama) -> None:
     if panorama.sun is not None:
         s = panorama.sun
         sun_table |= {
-            "altitude_deg": s.altitude_deg, "azimuth_deg": s.azimuth_deg, "origin": s.origin, "lower_bound": False,
-            "normal_illuminance_lx": s.normal_illuminance_lx, "visible_fraction": s.visible_fraction,
-        }  # fmt: skip
+            "altitude_deg": s.altitude_deg,
+            "azimuth_deg": s.azimuth_deg,
+            "origin": s.origin,
+            "lower_bound": False,
+            "normal_illuminance_lx": s.normal_illuminance_lx,
+            "visible_fraction": s.visible_fraction,
+        }
     table |= {"sun": sun_table, "size_bytes": taken.panorama.stat().st_size}
     with replacing(note, "w", encoding="utf-8") as file:
         json.dump(table, file, indent=1)
@@ -244,12 +308,21 @@ def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
             light = p.light
             writer.writerow(
                 (
-                    utc_text(p.taken.t_utc), p.taken.panorama.relative_to(path.parent).as_posix(),
-                    _figure(light.dni_wm2), _figure(light.dhi_wm2), _figure(light.ghi_wm2), light.source,
-                    f"{p.sun_altitude_deg:.4f}", f"{p.sun_azimuth_deg:.4f}", f"{light.steadiness:.4f}",
-                    p.sunpatch, 0, int(p.ok), p.why or p.caution,
+                    utc_text(p.taken.t_utc),
+                    p.taken.panorama.relative_to(path.parent).as_posix(),
+                    _figure(light.dni_wm2),
+                    _figure(light.dhi_wm2),
+                    _figure(light.ghi_wm2),
+                    light.source,
+                    f"{p.sun_altitude_deg:.4f}",
+                    f"{p.sun_azimuth_deg:.4f}",
+                    f"{light.steadiness:.4f}",
+                    p.sunpatch,
+                    0,
+                    int(p.ok),
+                    p.why or p.caution,
                 )
-            )  # fmt: skip
+            )
 
 
 def _figure(value: float) -> str:

@@ -1,4 +1,6 @@
-"""Irradiance over a bracket's own interval: means, steadiness, and whether the data may be used at all."""
+"""Irradiance over a bracket's own interval: means, steadiness, and whether the data may be used
+at all.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ class Log:
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """The light outside while a bracket was taken. NaN: not known. why: refused; caution: read with care."""
+    """The light outside while a bracket was taken. NaN: not known. why: refused; caution: read
+    with care.
+    """
 
     ghi_wm2: float = np.nan
     dhi_wm2: float = np.nan
@@ -57,23 +61,31 @@ def read_clean(path: Path) -> Log:
     import pandas as pd
 
     if not path.is_file():
-        raise InputError(path, "no such file", "quality-checked irradiance", "log or import irradiance, then pair")
+        raise InputError(
+            path,
+            "no such file",
+            "quality-checked irradiance",
+            "log or import irradiance, then pair",
+        )
     try:
         table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
         when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
         t = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
         ghi, dhi, dni = (table[f"{name}_wm2"].to_numpy(float) for name in ("ghi", "dhi", "dni"))
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(path, f"{error}", "what fieldlum pair writes", "delete it, it is made again") from None
+        raise InputError(
+            path, f"{error}", "what fieldlum pair writes", "delete it, it is made again"
+        ) from None
     source, flags = (table[name].fillna("").to_numpy(object) for name in ("source", "flags"))
     return Log(t, ghi, dhi, dni, source, flags)
 
 
 def outside(log: Log, opened: datetime, closed: datetime) -> Outside:
-    """Statistics over [opened, closed]; a bracket shorter than three rows takes in one row more on either side.
+    """Statistics over [opened, closed]; a bracket shorter than three rows takes in one row more on
+    either side.
 
-    Refused (`why`) when any stretch of the interval is further than two poll periods from a usable row: the last value
-    is never carried on.
+    Refused (`why`) when any stretch of the interval is further than two poll periods from a usable
+    row: the last value is never carried on.
     """
     start, end = opened.timestamp(), closed.timestamp()
     every = max(log.every_s(start), 1.0)
@@ -105,7 +117,10 @@ def _worst_distance_s(t_unix_s: Array, start: float, end: float) -> float:
 
 def _stale_text(log: Log, near: slice, start: float, end: float, stale: float) -> str:
     within = (log.t_unix_s[near] >= start - 60.0) & (log.t_unix_s[near] <= end + 60.0)
-    flags = sorted({word for text in log.flags[near][within] for word in str(text).split()} - {"gap", "low-sun"})
+    flags = sorted(
+        {word for text in log.flags[near][within] for word in str(text).split()}
+        - {"gap", "low-sun"}
+    )
     if within.any() and flags:
         return f"irradiance unusable: {' '.join(flags)}"
     return "no irradiance" if not np.isfinite(stale) else f"no irradiance within {stale:.0f} s"
@@ -127,9 +142,15 @@ def _statistics(log: Log, rows: NDArray[np.bool_]) -> Outside:
     caution += [text for word, text in _CAUTIONS.items() if word in words]
     derived = [text for text in log.source[rows] if text != MEASURED]
     return Outside(
-        mean, max(float(dhi.mean()), 0.0), max(float(dni.mean()), 0.0), steadiness, derived[0] if derived else MEASURED,
-        int(rows.sum()), why, "; ".join(caution),
-    )  # fmt: skip
+        mean,
+        max(float(dhi.mean()), 0.0),
+        max(float(dni.mean()), 0.0),
+        steadiness,
+        derived[0] if derived else MEASURED,
+        int(rows.sum()),
+        why,
+        "; ".join(caution),
+    )
 
 
 _CAUTIONS = {

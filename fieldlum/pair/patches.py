@@ -1,4 +1,6 @@
-"""Direct sun in the room, for the hours that were captured: sunpatches/<slot>.exr, and what the lens sees of it."""
+"""Direct sun in the room, for the hours that were captured: sunpatches/<slot>.exr, and what the
+lens sees of it.
+"""
 
 from __future__ import annotations
 
@@ -22,30 +24,63 @@ Item = tuple[str, Path, datetime]  # slot, its panorama, its time
 
 
 def seen_and_patches(
-    session: Session, setup: SiteFile, items: Sequence[Item], full_normal_lx: Float, *, force: bool, progress: Progress
+    session: Session,
+    setup: SiteFile,
+    items: Sequence[Item],
+    full_normal_lx: Float,
+    *,
+    force: bool,
+    progress: Progress,
 ) -> list[tuple[Seen, str]]:
-    """What each slot's lens sees of the sun, and its patch's path relative to the session ("" without a room)."""
+    """What each slot's lens sees of the sun, and its patch's path relative to the session (""
+    without a room).
+    """
     if setup.room is None or not items:
         return [(Seen(), "")] * len(items)
     first = read_panorama(items[0][1])
     height, heading = first.luminance_cdm2.shape[0], first.heading_deg
     places = sun.position([t for _, _, t in items], setup.site)
-    angles = list(zip(places.apparent_altitude_deg.tolist(), places.azimuth_deg.tolist(), strict=True))
+    angles = list(
+        zip(places.apparent_altitude_deg.tolist(), places.azimuth_deg.tolist(), strict=True)
+    )
     recipes = [
         _recipe(setup.room, setup, height, heading, *at, float(lx))
         for at, lx in zip(angles, full_normal_lx, strict=True)
     ]
-    known = [None if force else _known(session, item[0], r) for item, r in zip(items, recipes, strict=True)]
+    known = [
+        None if force else _known(session, item[0], r)
+        for item, r in zip(items, recipes, strict=True)
+    ]
     owed = [i for i, seen in enumerate(known) if seen is None]
     if owed:
-        _make(session, setup, [items[i] for i in owed], [angles[i] for i in owed],
-              np.asarray(full_normal_lx)[owed], [recipes[i] for i in owed], height, heading, progress)  # fmt: skip
-    seen = [s or _known(session, item[0], r) or Seen() for s, item, r in zip(known, items, recipes, strict=True)]
-    return [(s, f"{session.sunpatches.name}/{item[0]}.exr") for s, item in zip(seen, items, strict=True)]
+        _make(
+            session,
+            setup,
+            [items[i] for i in owed],
+            [angles[i] for i in owed],
+            np.asarray(full_normal_lx)[owed],
+            [recipes[i] for i in owed],
+            height,
+            heading,
+            progress,
+        )
+    seen = [
+        s or _known(session, item[0], r) or Seen()
+        for s, item, r in zip(known, items, recipes, strict=True)
+    ]
+    return [
+        (s, f"{session.sunpatches.name}/{item[0]}.exr") for s, item in zip(seen, items, strict=True)
+    ]
 
 
 def _recipe(
-    room: Room, setup: SiteFile, height: int, heading: float, altitude: float, azimuth: float, normal_lx: float
+    room: Room,
+    setup: SiteFile,
+    height: int,
+    heading: float,
+    altitude: float,
+    azimuth: float,
+    normal_lx: float,
 ) -> str:
     """What a patch depends on, as a digest."""
     text = [
@@ -73,30 +108,49 @@ def _known(session: Session, slot: str, recipe: str) -> Seen | None:
 
 
 def _make(
-    session: Session, setup: SiteFile, items: Sequence[Item], angles: Sequence[tuple[float, float]],
-    full_normal_lx: Float, recipes: Sequence[str], height: int, heading: float, progress: Progress,
-) -> None:  # fmt: skip
+    session: Session,
+    setup: SiteFile,
+    items: Sequence[Item],
+    angles: Sequence[tuple[float, float]],
+    full_normal_lx: Float,
+    recipes: Sequence[str],
+    height: int,
+    heading: float,
+    progress: Progress,
+) -> None:
     from fieldlum.scene import iter_sun_patches
 
     assert setup.room is not None
     altitude, azimuth = np.array(angles).T
     done = 0
     for part in iter_sun_patches(
-        setup.room, setup, sun.direction(altitude, azimuth), np.asarray(full_normal_lx, float),
-        height=height, heading_deg=heading,
-    ):  # fmt: skip
+        setup.room,
+        setup,
+        sun.direction(altitude, azimuth),
+        np.asarray(full_normal_lx, float),
+        height=height,
+        heading_deg=heading,
+    ):
         for k in range(len(part.luminance_cdm2)):
             slot, _, t_utc = items[done]
             sight = {
                 "visible_fraction": float(part.visible_fraction[k]),
                 "disc_transmittance": float(part.disc_transmittance[k]),
             }
-            _write(session, slot, Panorama(part.luminance_cdm2[k], heading, t_utc=t_utc), recipes[done], sight)
+            _write(
+                session,
+                slot,
+                Panorama(part.luminance_cdm2[k], heading, t_utc=t_utc),
+                recipes[done],
+                sight,
+            )
             done += 1
             progress(done, len(items), f"sun patch {slot}")
 
 
-def _write(session: Session, slot: str, patch: Panorama, recipe: str, sight: dict[str, Any]) -> None:
+def _write(
+    session: Session, slot: str, patch: Panorama, recipe: str, sight: dict[str, Any]
+) -> None:
     picture = session.sunpatches / f"{slot}.exr"
     with replacing_path(picture) as path:
         write_panorama(path, patch)

@@ -12,7 +12,10 @@ from fieldlum.records import Panorama, SunSource
 
 OWN = ("nd-frames", "merge", "rendering")  # the picture itself measured the disc
 CLIPPED, METER, DNI = "clipped", "meter", "dni"
-MOST_OVER_DNI, FAINT_SUN_LX = 1.5, 10_000.0  # a picture's sun above both: clock, units or columns are wrong
+MOST_OVER_DNI, FAINT_SUN_LX = (
+    1.5,
+    10_000.0,
+)  # a picture's sun above both: clock, units or columns are wrong
 _LEAST_COSINE = 0.2  # a meter that sees the sun more aslant tells little about it
 
 
@@ -30,9 +33,9 @@ def complete_sun(
 ) -> tuple[SunSource | None, str]:
     """The source beside the map, and a caution when picture and room disagree.
 
-    full_normal_lx: DNI times Perez's direct luminous efficacy, outside the glass. A sun that the picture measured is
-    kept; one that clipped is completed from the meter, else from DNI and the room; one that the picture does not show
-    is never added.
+    full_normal_lx: DNI times Perez's direct luminous efficacy, outside the glass. A sun that the
+    picture measured is kept; one that clipped is completed from the meter, else from DNI and the
+    room; one that the picture does not show is never added.
     """
     found = panorama.sun
     if found is None:
@@ -52,18 +55,31 @@ def complete_sun(
         normal_lx, origin = expected_lx, DNI
     else:
         return found, "DNI gives less sun than the clipped picture"
-    caution = "" if seen.known or origin == METER else "sun from DNI without the glazing: no [room] is given"
-    source = replace(found, normal_illuminance_lx=normal_lx, visible_fraction=seen.visible_fraction, origin=origin)
+    caution = (
+        ""
+        if seen.known or origin == METER
+        else "sun from DNI without the glazing: no [room] is given"
+    )
+    source = replace(
+        found,
+        normal_illuminance_lx=normal_lx,
+        visible_fraction=seen.visible_fraction,
+        origin=origin,
+    )
     return source, caution
 
 
 def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> float | None:
-    """(measured - image) vertical illuminance at the lens over the cosine of the sun's incidence there. [lx]"""
+    """(measured - image) vertical illuminance at the lens over the cosine of the sun's incidence
+    there. [lx]
+    """
     if meter_lx is None:
         return None
     ahead = direction(0.0, panorama.heading_deg)
     cosine = float(np.dot(direction(sun.altitude_deg, sun.azimuth_deg), ahead))
     if cosine < _LEAST_COSINE:
         return None
-    image_lx = vertical_illuminance_lx(panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg)
+    image_lx = vertical_illuminance_lx(
+        panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg
+    )
     return (meter_lx - image_lx) / cosine

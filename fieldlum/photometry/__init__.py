@@ -1,4 +1,6 @@
-"""Exposure and luminance arithmetic: shutter times, response curves, exposure ratios, vignetting, illuminance."""
+"""Exposure and luminance arithmetic: shutter times, response curves, exposure ratios,
+vignetting, illuminance.
+"""
 
 from fieldlum.photometry.exposure import (
     STONITS,
@@ -6,7 +8,11 @@ from fieldlum.photometry.exposure import (
     snap_shutter_s,
     z_per_cdm2,
 )
-from fieldlum.photometry.illuminance import illuminance_lx, illuminance_verdict, vertical_illuminance_lx
+from fieldlum.photometry.illuminance import (
+    illuminance_lx,
+    illuminance_verdict,
+    vertical_illuminance_lx,
+)
 from fieldlum.photometry.ratios import PairRatio, RatioFit, fit_ratios, pair_ratio, prior_u_log
 from fieldlum.photometry.response import (
     dark_floor,

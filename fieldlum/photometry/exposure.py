@@ -5,7 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-STONITS = 87.0  # cd/m2 at z = 1, f/1, 1 s, ISO 100 is STONITS / 100 * 100: hdrgen's empirical constant (Ward, panlib)
+# cd/m2 at z = 1, f/1, 1 s, ISO 100 is STONITS / 100 * 100: hdrgen's empirical constant (Ward,
+# panlib)
+STONITS = 87.0
 _OFF_GRID = 0.07  # a nominal time further than this from every grid is taken as it stands
 
 
@@ -15,10 +17,12 @@ def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) ->
 
 
 def snap_shutter_s(nominal_s: float) -> float:
-    """The time behind a nominal one: shutters run in powers of 2^(1/3), or of 2^(1/2) in half-stop cameras. [s]
+    """The time behind a nominal one: shutters run in powers of 2^(1/3), or of 2^(1/2) in half-stop
+    cameras. [s]
 
-    1/60 is 1/64 and 13 s is 12.7 s; the dial's own figures are off by up to 6.3 %. A time off both grids by more than
-    7 % is no dial figure and is kept. Source: linearhdr (Wasilewski), hdrmerge (Jakob); measured on simulated brackets.
+    1/60 is 1/64 and 13 s is 12.7 s; the dial's own figures are off by up to 6.3 %. A time off both
+    grids by more than 7 % is no dial figure and is kept. Source: linearhdr (Wasilewski), hdrmerge
+    (Jakob); measured on simulated brackets.
     """
     exact = math.log2(nominal_s)
     grids = (round(exact * 3) / 3, round(exact * 2) / 2)
@@ -26,11 +30,14 @@ def snap_shutter_s(nominal_s: float) -> float:
     return snapped if abs(snapped / nominal_s - 1) <= _OFF_GRID else nominal_s
 
 
-def saturation_plateau(counts: NDArray[np.integer], white_dn: float, *, share: float = 2e-4) -> float | None:
-    """The count at which a sensor is full, from the spike at the top of its histogram; None without a spike. [DN]
+def saturation_plateau(
+    counts: NDArray[np.integer], white_dn: float, *, share: float = 2e-4
+) -> float | None:
+    """The count at which a sensor is full, from the spike at the top of its histogram; None without
+    a spike. [DN]
 
-    Many sensors stop below the white level of their file. The spike is the highest short run of counts that holds at
-    least `share` of all pixels and stands ten times above the counts below it.
+    Many sensors stop below the white level of their file. The spike is the highest short run of
+    counts that holds at least `share` of all pixels and stands ten times above the counts below it.
     """
     top = int(counts.max(initial=0))
     if top < 0.5 * white_dn:

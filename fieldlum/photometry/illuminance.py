@@ -18,11 +18,17 @@ def _ray_integrals(height: int, width: int, heading_deg: float) -> NDArray[np.fl
     upward = np.diff(np.sin(edges) ** 2 / 2)  # of sin cos
     turn = np.radians(heading_deg) + (np.linspace(0.0, 1.0, width + 1) - 0.5) * 2 * np.pi
     east, north, step = np.diff(-np.cos(turn)), np.diff(np.sin(turn)), 2 * np.pi / width
-    parts = (level[:, None] * east, level[:, None] * north, np.repeat(upward[:, None] * step, width, axis=1))
+    parts = (
+        level[:, None] * east,
+        level[:, None] * north,
+        np.repeat(upward[:, None] * step, width, axis=1),
+    )
     return np.stack(parts, axis=-1)
 
 
-def _cosine_weights(height: int, width: int, heading_deg: float, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cosine_weights(
+    height: int, width: int, heading_deg: float, normal: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Integral of cos(angle to the normal) in front of the plane over each pixel, [H, W]. [sr]
 
     Exact but for the sub-pixels that the plane cuts, which count as their mean, or not at all.
@@ -39,9 +45,11 @@ def illuminance_lx(
     normal_azimuth_deg: float,
     sun: SunSource | None = None,
 ) -> float:
-    """Illuminance of a plane that looks towards (altitude, azimuth), from a panorama [H, W] and the sun beside it. [lx]
+    """Illuminance of a plane that looks towards (altitude, azimuth), from a panorama [H, W] and the
+    sun beside it. [lx]
 
-    E = sum L cos(angle) solid angle over the hemisphere in front of the plane. Non-finite pixels count as 0.
+    E = sum L cos(angle) solid angle over the hemisphere in front of the plane. Non-finite pixels
+    count as 0.
     """
     values = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
     height, width = values.shape
@@ -61,6 +69,8 @@ def vertical_illuminance_lx(
 
 
 def illuminance_verdict(image_lx: float, meter_lx: float) -> Literal["pass", "warn", "reject"]:
-    """Image against meter: 10 % pass, 25 % warn, above reject (Pierson et al., LEUKOS 2021, step 11)."""
+    """Image against meter: 10 % pass, 25 % warn, above reject (Pierson et al., LEUKOS 2021, step
+    11).
+    """
     off = abs(image_lx / meter_lx - 1.0) if meter_lx > 0 else np.inf
     return "pass" if off <= 0.10 else "warn" if off <= 0.25 else "reject"

@@ -1,4 +1,6 @@
-"""From a JPEG's codes to linear z in [0, 1]: tables of 256 values, their shapes, and the fit from a bracket."""
+"""From a JPEG's codes to linear z in [0, 1]: tables of 256 values, their shapes, and the fit
+from a bracket.
+"""
 
 from collections.abc import Sequence
 
@@ -13,7 +15,9 @@ def srgb_table() -> NDArray[np.float64]:
 
 
 def polynomial_table(coefficients: Sequence[float]) -> NDArray[np.float64]:
-    """z = sum c_k (code / 255)^k, c_0 first, made monotone and kept above 0, [256]. hdrgen's .rsp has c_0 last."""
+    """z = sum c_k (code / 255)^k, c_0 first, made monotone and kept above 0, [256]. hdrgen's
+    .rsp has c_0 last.
+    """
     z = np.polynomial.polynomial.polyval(np.arange(256) / 255.0, np.asarray(coefficients, float))
     return monotone(np.asarray(z, np.float64))
 
@@ -42,16 +46,21 @@ def monotone(z: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.maximum(isotonic_regression(np.asarray(z, float)).x, 0.0)
 
 
-LOWEST, HIGHEST = 3, 252  # codes a response is fitted to; a black level (`dark_floor`) raises the lowest
+LOWEST, HIGHEST = (
+    3,
+    252,
+)  # codes a response is fitted to; a black level (`dark_floor`) raises the lowest
 _FOLLOWS = 1.5  # codes a code must fall when the exposure halves
 _FLOOR_SEEN, _FLOOR_SEARCHED = 10, 64
 
 
 def dark_floor(codes: NDArray[np.uint8], log_exposure: NDArray[np.floating]) -> int:
-    """The lowest code that still follows the light: those below are black level, stray light, a scan's fog.
+    """The lowest code that still follows the light: those below are black level, stray light, a
+    scan's fog.
 
-    codes [places, frames], 0 where a frame has none; log_exposure [frames] natural log. A code is looked at in every
-    frame beside its successor in the longest frame of at most half the exposure: over a black level it hardly falls.
+    codes [places, frames], 0 where a frame has none; log_exposure [frames] natural log. A code is
+    looked at in every frame beside its successor in the longest frame of at most half the exposure:
+    over a black level it hardly falls.
     """
     order = np.argsort(-np.asarray(log_exposure, float))
     log_e = np.asarray(log_exposure, float)[order]
@@ -84,12 +93,13 @@ def fit_response(
 ) -> tuple[NDArray[np.float64], float]:
     """A monotone response from the same places in all frames, with the exposures held fixed.
 
-    codes [places, frames]; log_exposure [frames] natural log. Debevec and Malik's least squares in the log domain
-    (SIGGRAPH 1997, eq. 3) with hat weights and a second-difference prior, then made monotone. Codes under `low` (the
-    `dark_floor` of these codes unless given) are left out: a black level counted as light bends the whole curve.
-    Returns z [256] with z(255) = 1 and the rms residual of ln z over the codes of 27 to 228. Response and exposure
-    ratios cannot both be free (Grossberg and Nayar 2003): fit the ratios elsewhere.
-    Raises ValueError with fewer than two frames or 20 places.
+    codes [places, frames]; log_exposure [frames] natural log. Debevec and Malik's least squares in
+    the log domain (SIGGRAPH 1997, eq. 3) with hat weights and a second-difference prior, then made
+    monotone. Codes under `low` (the `dark_floor` of these codes unless given) are left out: a black
+    level counted as light bends the whole curve. Returns z [256] with z(255) = 1 and the rms
+    residual of ln z over the codes of 27 to 228. Response and exposure ratios cannot both be free
+    (Grossberg and Nayar 2003): fit the ratios elsewhere. Raises ValueError with fewer than two
+    frames or 20 places.
     """
     from scipy import sparse
     from scipy.sparse.linalg import spsolve
@@ -105,7 +115,8 @@ def fit_response(
     n = value.size
     rows = np.arange(n)
     data = sparse.csr_matrix(
-        (np.r_[weight, -weight], (np.r_[rows, rows], np.r_[value, 256 + place])), shape=(n, 256 + places)
+        (np.r_[weight, -weight], (np.r_[rows, rows], np.r_[value, 256 + place])),
+        shape=(n, 256 + places),
     )
     curve = np.arange(1, 255)
     hat = np.minimum(curve, 255 - curve) / 127.0 + 0.05
@@ -128,16 +139,24 @@ def fit_response(
 
 
 def pick_places(
-    means: NDArray[np.floating], spreads: NDArray[np.floating], rng: np.random.Generator, *, each: int = 150
+    means: NDArray[np.floating],
+    spreads: NDArray[np.floating],
+    rng: np.random.Generator,
+    *,
+    each: int = 150,
 ) -> NDArray[np.intp]:
-    """Places for `fit_response`: even over the steps of a bracket, so that the few bright ones count as the many dark.
+    """Places for `fit_response`: even over the steps of a bracket, so that the few bright ones
+    count as the many dark.
 
-    means, spreads [places, frames] of a small neighbourhood's codes, most exposed frame first; flat ones are taken.
+    means, spreads [places, frames] of a small neighbourhood's codes, most exposed frame first; flat
+    ones are taken.
     """
     chosen = []
     for j in range(means.shape[1] - 1):
         longer, shorter = means[:, j], means[:, j + 1]
         flat = (spreads[:, j] < 4) & (spreads[:, j + 1] < 4)
-        good = np.flatnonzero(flat & (longer > 27) & (longer < 245) & (shorter > 12) & (shorter < 235))
+        good = np.flatnonzero(
+            flat & (longer > 27) & (longer < 245) & (shorter > 12) & (shorter < 235)
+        )
         chosen.append(rng.choice(good, min(each, good.size), replace=False) if good.size else good)
     return np.unique(np.concatenate(chosen)) if chosen else np.empty(0, np.intp)

@@ -1,17 +1,24 @@
-"""Loss of light towards the edge of a lens, V(r) = sum c_k r^k with r = angle / half of the full angle, V(0) = 1."""
+"""Loss of light towards the edge of a lens, V(r) = sum c_k r^k with r = angle / half of the full
+angle, V(0) = 1.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
 def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray[np.float64]:
-    """V at relative radii (1 at the edge of the full angle); beyond the edge the edge's value. Empty: no loss."""
+    """V at relative radii (1 at the edge of the full angle); beyond the edge the edge's value.
+    Empty: no loss.
+    """
     r = np.clip(np.asarray(radius, float), 0.0, 1.0)
-    return np.asarray(np.polynomial.polynomial.polyval(r, np.asarray(coefficients or (1.0,), float)), np.float64)
+    return np.asarray(
+        np.polynomial.polynomial.polyval(r, np.asarray(coefficients or (1.0,), float)), np.float64
+    )
 
 
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
-    """What is wrong with a curve, or "": V(0) must be 1, 0 < V <= 1.05, and the loss must grow towards the edge.
+    """What is wrong with a curve, or "": V(0) must be 1, 0 < V <= 1.05, and the loss must grow
+    towards the edge.
 
     A curve that rises to the edge is the classic wrong sign (it darkens where it should brighten).
     """
@@ -21,5 +28,8 @@ def check_vignetting(coefficients: tuple[float, ...]) -> str:
     if v.min() <= 0 or v.max() > 1.05:
         return f"V runs from {v.min():.3g} to {v.max():.3g}, expected within 0 to 1.05"
     if v[-1] > 1.0:
-        return f"V rises to {v[-1]:.3g} at the edge: its sign is wrong, or it is the correction instead of the loss"
+        return (
+            f"V rises to {v[-1]:.3g} at the edge: its sign is wrong, or it is the correction "
+            f"instead of the loss"
+        )
     return ""

@@ -1,4 +1,6 @@
-"""Plan captures: which hours, which exposures, how long, how much storage, and how much of the year they cover."""
+"""Plan captures: which hours, which exposures, how long, how much storage, and how much of the
+year they cover.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Months:
-    """Expected error of a capture month, as variance left in the kernel, against the best calendar month."""
+    """Expected error of a capture month, as variance left in the kernel, against the best
+    calendar month.
+    """
 
     best: str  # its name
     times_best: float  # of the month planned
@@ -56,7 +60,9 @@ class Plan:
     seconds_per_slot: float
     megabytes_per_slot: float
     coverage: Coverage
-    variance_left: float | None  # of the model's prior uncertainty over the year; None without weather
+    variance_left: (
+        float | None
+    )  # of the model's prior uncertainty over the year; None without weather
     months: Months | None  # for a month with weather
     warnings: tuple[str, ...]
 
@@ -66,7 +72,12 @@ class Plan:
 
     def about(self, request: Request) -> dict[str, Any]:
         """What session.toml keeps under [plan]."""
-        asked = {"set": request.set, "start": request.start, "year": request.year, "count": request.count}
+        asked = {
+            "set": request.set,
+            "start": request.start,
+            "year": request.year,
+            "count": request.count,
+        }
         return {
             **{key: value for key, value in asked.items() if value is not None},
             "revision": 0,
@@ -79,10 +90,13 @@ class Plan:
         }
 
 
-def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet) -> Plan:
+def make_plan(
+    setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet
+) -> Plan:
     """The slots of a set. Pure: nothing is written.
 
-    Raises NotEnoughDataError when no hour of the window has the sun above the horizon, or when `best` has no weather.
+    Raises NotEnoughDataError when no hour of the window has the sun above the horizon, or when
+    `best` has no weather.
     """
     site = setup.site
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -90,7 +104,8 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None,
     if not len(hours):
         raise NotEnoughDataError(
             f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) "
-            f"from {days[0]} to {days[-1]}, so there is nothing to plan; choose another --start or --set"
+            f"from {days[0]} to {days[-1]}, so there is nothing to plan; choose another --start "
+            f"or --set"
         )
     task = choose.learning(site, setup.room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)
@@ -102,19 +117,31 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None,
         *cost_of(bracket, setup),
         coverage(chosen, site, weather),
         left,
-        _months(task, len(days), days[0].year, left) if task and left and request.set == "month" else None,
+        _months(task, len(days), days[0].year, left)
+        if task and left and request.set == "month"
+        else None,
         (*_warnings(days, chosen, site, request), *(weather.repairs if weather else ())),
     )
 
 
 def _chosen(
-    request: Request, hours: Hours, weather: Weather | None, task: choose.Learning | None, progress: Progress
+    request: Request,
+    hours: Hours,
+    weather: Weather | None,
+    task: choose.Learning | None,
+    progress: Progress,
 ) -> Hours:
     if request.set == "even":
-        return hours[choose.even(hours, weather, request.count or EVEN_COUNT, np.random.default_rng(request.seed))]
+        return hours[
+            choose.even(
+                hours, weather, request.count or EVEN_COUNT, np.random.default_rng(request.seed)
+            )
+        ]
     if request.set == "best":
         if task is None:
-            raise NotEnoughDataError("the best hours depend on the climate: give a weather year with --weather FILE")
+            raise NotEnoughDataError(
+                "the best hours depend on the climate: give a weather year with --weather FILE"
+            )
         return hours[choose.best(hours, task, request.count or BEST_COUNT, progress)]
     return hours
 
@@ -127,23 +154,39 @@ def _months(task: choose.Learning, days: int, year: int, left: float) -> Months:
     return Months(best, left / least, tuple(cost / least for cost in costs))
 
 
-# ---------------------------------------------------------------------------------------------- slots
+# ----------------------------------------------------------------------------------------------
+# slots
 
 
 def make_slots(hours: Hours, setup: SiteFile, exposures: Sequence[Exposure]) -> tuple[Slot, ...]:
-    """Hours to slots, in time order, tagged: season, low-sun, sun-enters (a window), sun-in-view (of the camera)."""
+    """Hours to slots, in time order, tagged: season, low-sun, sun-enters (a window), sun-in-view
+    (of the camera).
+    """
     zone = setup.site.timezone
-    tags = {day: season_tag(day, setup.site) for day in {sun.standard_date(t, zone) for t in hours.t_utc}}
+    tags = {
+        day: season_tag(day, setup.site)
+        for day in {sun.standard_date(t, zone) for t in hours.t_utc}
+    }
     enters, in_view = _at_the_window(hours, setup)
     slots = []
-    for i, (t, altitude, azimuth) in enumerate(zip(hours.t_utc, hours.altitude_deg, hours.azimuth_deg, strict=True)):
+    for i, (t, altitude, azimuth) in enumerate(
+        zip(hours.t_utc, hours.altitude_deg, hours.azimuth_deg, strict=True)
+    ):
         said = (
             tags[sun.standard_date(t, zone)],
             "low-sun" if altitude < sun.LOW_SUN_DEG else "",
             "sun-enters" if enters[i] else "",
             "sun-in-view" if in_view[i] else "",
         )
-        slots.append(Slot(t, float(altitude), float(azimuth), tuple(exposures), tuple(tag for tag in said if tag)))
+        slots.append(
+            Slot(
+                t,
+                float(altitude),
+                float(azimuth),
+                tuple(exposures),
+                tuple(tag for tag in said if tag),
+            )
+        )
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
 
 
@@ -156,13 +199,16 @@ def _at_the_window(hours: Hours, setup: SiteFile) -> tuple[NDArray[np.bool_], ND
 
 
 def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
-    """Seconds and megabytes of one slot: every exposure at every heading, and the time the shutter is open."""
+    """Seconds and megabytes of one slot: every exposure at every heading, and the time the
+    shutter is open.
+    """
     exposures, turns = bracket_exposures(bracket), max(len(setup.camera.headings), 1)
     seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
     return round(turns * seconds, 1), round(turns * len(exposures) * bracket.megabytes_per_frame, 1)
 
 
-# ---------------------------------------------------------------------------------------------- what to say
+# ----------------------------------------------------------------------------------------------
+# what to say
 
 
 def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) -> list[str]:
@@ -171,14 +217,24 @@ def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) 
     if dark:
         said.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
     if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
-        said.append(f"midnight sun: a slot every hour of {len(midnight)} of {len(days)} days ({_from_to(midnight)})")
+        said.append(
+            f"midnight sun: a slot every hour of {len(midnight)} of {len(days)} days "
+            f"({_from_to(midnight)})"
+        )
     if request.count and len(hours) < request.count:
-        said.append(f"{request.count} hours were asked for, the window has {len(hours)} that can be had")
+        said.append(
+            f"{request.count} hours were asked for, the window has {len(hours)} that can be had"
+        )
     said += clock_texts(days, site)
     if site.timezone == "UTC" and abs(site.longitude_deg) > 30:
-        said.append(f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours are UTC's, not the place's")
+        said.append(
+            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours are UTC's, not "
+            f"the place's"
+        )
     if days[0] < request.today:
-        said.append(f"the plan starts on {days[0]}, which is past: its slots before now can only be missed")
+        said.append(
+            f"the plan starts on {days[0]}, which is past: its slots before now can only be missed"
+        )
     return said
 
 
@@ -226,7 +282,10 @@ def summary(session: Session, plan: Plan) -> dict[str, Any]:
         "frames": sum(len(slot.exposures) for slot in slots),
         "seconds_per_slot": plan.seconds_per_slot,
         "megabytes": round(plan.megabytes_per_slot * len(slots), 1),
-        "tags": {tag: sum(tag in s.tags for s in slots) for tag in sorted({t for s in slots for t in s.tags})},
+        "tags": {
+            tag: sum(tag in s.tags for s in slots)
+            for tag in sorted({t for s in slots for t in s.tags})
+        },
         "coverage": asdict(plan.coverage),
         "variance_left_percent": None if plan.variance_left is None else 100 * plan.variance_left,
         "month": None if plan.months is None else asdict(plan.months),
@@ -238,32 +297,48 @@ def sentences(summary: dict[str, Any]) -> list[str]:
     """The same for a person."""
     slots, found, tags = summary["slots"], summary["coverage"], summary["tags"]
     said = [
-        f"{slots} slots on {summary['days']} days, {summary['first']} to {summary['last']}, in {summary['session']}",
-        f"{summary['frames']} frames, {summary['seconds_per_slot']:g} s and {summary['megabytes'] / slots:.0f} MB "
+        f"{slots} slots on {summary['days']} days, {summary['first']} to {summary['last']}, in "
+        f"{summary['session']}",
+        f"{summary['frames']} frames, {summary['seconds_per_slot']:g} s and "
+        f"{summary['megabytes'] / slots:.0f} MB "
         f"a slot, {summary['megabytes'] / 1000:.1f} GB in all",
         f"covers {found['sun_band_percent']:.0f} % of the year's sun band"
-        + ("" if found["irradiance_percent"] is None else
-           f", {found['irradiance_percent']:.0f} % of the weather year's skies, {found['both_percent']:.0f} % in both"),
-    ]  # fmt: skip
+        + (
+            ""
+            if found["irradiance_percent"] is None
+            else f", {found['irradiance_percent']:.0f} % of the weather year's skies, "
+            f"{found['both_percent']:.0f} % in both"
+        ),
+    ]
     if "sun-enters" in tags:
         said.append(
-            f"the sun can enter a window in {tags['sun-enters']} slots and is in view in {tags.get('sun-in-view', 0)}"
+            f"the sun can enter a window in {tags['sun-enters']} slots and is in view in "
+            f"{tags.get('sun-in-view', 0)}"
         )
     if summary["variance_left_percent"] is not None:
         left = f"{summary['variance_left_percent']:.2g} %"
         said.append(
-            f"leaves {left} of the model's uncertainty about the year, if the skies come as in the weather file"
+            f"leaves {left} of the model's uncertainty about the year, if the skies come as in "
+            f"the weather file"
         )
     if month := summary["month"]:
-        said.append(f"expected squared error {month['times_best']:.2f} times that of the best month, {month['best']}")
+        said.append(
+            f"expected squared error {month['times_best']:.2f} times that of the best month, "
+            f"{month['best']}"
+        )
     return said
 
 
-# ---------------------------------------------------------------------------------------------- doing it
+# ----------------------------------------------------------------------------------------------
+# doing it
 
 
 def run(
-    setup: SiteFile, request: Request, out: Path, weather: Weather | None = None, progress: Progress = quiet
+    setup: SiteFile,
+    request: Request,
+    out: Path,
+    weather: Weather | None = None,
+    progress: Progress = quiet,
 ) -> tuple[Session, Plan]:
     """Plan and create the session folder. Raises InputError when `out` is a session already."""
     plan = make_plan(setup, request, weather, progress)
@@ -275,13 +350,21 @@ def write_calendar(session: Session, made_utc: datetime) -> Path:
     from fieldlum.plan.calendar import ics
 
     about = session.table()["plan"]
-    data = ics(session.slots(), session.site_file().site, about["seconds_per_slot"], made_utc, about["revision"])
+    data = ics(
+        session.slots(),
+        session.site_file().site,
+        about["seconds_per_slot"],
+        made_utc,
+        about["revision"],
+    )
     with replacing(session.root / "plan.ics") as file:
         file.write(data)
     return session.root / "plan.ics"
 
 
-def write_sheets(session: Session, weather: Weather | None = None, notes: Sequence[str] = ()) -> Path:
+def write_sheets(
+    session: Session, weather: Weather | None = None, notes: Sequence[str] = ()
+) -> Path:
     """plan.html beside plan.csv: an overview with the coverage plots, then a sheet a day."""
     from fieldlum.plan.sheet import Cost, html
 

@@ -1,4 +1,6 @@
-"""A plan as a calendar: one event a day, in UTC, with stable names so that a phone updates instead of doubling."""
+"""A plan as a calendar: one event a day, in UTC, with stable names so that a phone updates
+instead of doubling.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +23,41 @@ def by_day(slots: Sequence[Slot], site: Site) -> list[tuple[date, list[Slot]]]:
     return [(day, list(group)) for day, group in groups]
 
 
-def ics(slots: Sequence[Slot], site: Site, seconds_per_slot: float, made_utc: datetime, sequence: int = 0) -> bytes:
-    """An iCalendar file (RFC 5545). `sequence` counts re-plans: the same day keeps its UID and is updated."""
+def ics(
+    slots: Sequence[Slot],
+    site: Site,
+    seconds_per_slot: float,
+    made_utc: datetime,
+    sequence: int = 0,
+) -> bytes:
+    """An iCalendar file (RFC 5545). `sequence` counts re-plans: the same day keeps its UID and
+    is updated.
+    """
     from icalendar import Calendar
 
     calendar = Calendar()
     calendar.add("prodid", "-//fieldlum//capture plan//EN")
     calendar.add("version", "2.0")
     calendar.add("x-wr-calname", f"fieldlum {site.name}")
-    place = hashlib.sha256(f"{site.name}|{site.latitude_deg:.4f}|{site.longitude_deg:.4f}".encode()).hexdigest()[:12]
+    place = hashlib.sha256(
+        f"{site.name}|{site.latitude_deg:.4f}|{site.longitude_deg:.4f}".encode()
+    ).hexdigest()[:12]
     for day, group in by_day(slots, site):
-        calendar.add_component(_event(day, group, site, seconds_per_slot, made_utc, sequence, place))
+        calendar.add_component(
+            _event(day, group, site, seconds_per_slot, made_utc, sequence, place)
+        )
     return calendar.to_ical()
 
 
 def _event(
-    day: date, slots: list[Slot], site: Site, seconds: float, made_utc: datetime, sequence: int, place: str
-):  # fmt: skip
+    day: date,
+    slots: list[Slot],
+    site: Site,
+    seconds: float,
+    made_utc: datetime,
+    sequence: int,
+    place: str,
+):
     from icalendar import Alarm, Event
 
     zone = ZoneInfo(site.timezone)
@@ -49,7 +69,8 @@ def _event(
     event.add("dtend", slots[-1].t_utc + timedelta(seconds=max(round(seconds), 60)))
     event.add("summary", f"Capture {site.name}: {len(slots)} brackets")
     lines = [
-        f"{slot.t_utc.astimezone(zone):%H:%M %Z} ({utc_text(slot.t_utc)}) sun {slot.sun_altitude_deg:.0f} deg high, "
+        f"{slot.t_utc.astimezone(zone):%H:%M %Z} ({utc_text(slot.t_utc)}) sun "
+        f"{slot.sun_altitude_deg:.0f} deg high, "
         f"azimuth {slot.sun_azimuth_deg:.0f}" + (f"; {' '.join(slot.tags)}" if slot.tags else "")
         for slot in slots
     ]

@@ -1,4 +1,6 @@
-"""Choosing hours: spread evenly over suns and skies, or greedily by what a light-transport model would learn."""
+"""Choosing hours: spread evenly over suns and skies, or greedily by what a light-transport model
+would learn.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,15 @@ from fieldlum.weather import Weather
 
 Index = NDArray[np.intp]
 DNI_FULL_WM2, DHI_FULL_WM2 = 1100.0, 700.0  # the paper's normalisation
-YEAR_HOURS, POOL_HOURS = 800, 2200  # enough to rank by; the greedy choice takes the square of the pool in memory
+YEAR_HOURS, POOL_HOURS = (
+    800,
+    2200,
+)  # enough to rank by; the greedy choice takes the square of the pool in memory
 NOISE = 3e-3  # variance of one capture in the kernel's unit: the study's default
 
 
-# ---------------------------------------------------------------------------------------------- even
+# ----------------------------------------------------------------------------------------------
+# even
 
 
 def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
@@ -40,7 +46,9 @@ def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Genera
 
 
 def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
-    """Indices [count], ascending: the point nearest to the centre of each of `count` k-means clusters."""
+    """Indices [count], ascending: the point nearest to the centre of each of `count` k-means
+    clusters.
+    """
     from scipy.cluster.vq import kmeans2
 
     if count >= len(points):
@@ -60,7 +68,9 @@ def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -
 
 
 def even(hours: Hours, weather: Weather | None, count: int, rng: np.random.Generator) -> Index:
-    """Hours spread evenly: over sun position and sky by k-means medoids (the paper's way), or over suns alone."""
+    """Hours spread evenly: over sun position and sky by k-means medoids (the paper's way), or
+    over suns alone.
+    """
     suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     if weather is None:
         return space_filling(suns, count, rng)
@@ -71,12 +81,15 @@ def even(hours: Hours, weather: Weather | None, count: int, rng: np.random.Gener
     return known[medoids(np.concatenate([suns / 2, sky], axis=1)[known], count, rng)]
 
 
-# ---------------------------------------------------------------------------------------------- by the kernel
+# ---------------------------------------------------------------------------------------------- by
+# the kernel
 
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """What there is to learn: a kernel for the room and the features of a weather year's daylight hours."""
+    """What there is to learn: a kernel for the room and the features of a weather year's
+    daylight hours.
+    """
 
     kernel: Kernel
     year: Features
@@ -84,8 +97,12 @@ class Learning:
     weather: Weather
 
 
-def learning(site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None) -> Learning:
-    """Every few hours of the weather year, about YEAR_HOURS of them; the kernel a trained one, else by the facades."""
+def learning(
+    site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None
+) -> Learning:
+    """Every few hours of the weather year, about YEAR_HOURS of them; the kernel a trained one,
+    else by the facades.
+    """
     lit = weather.daylight()
     year = lit[np.arange(0, len(lit), max(len(lit) // YEAR_HOURS, 1))]
     light = light_at(year.t_utc, site, year.dni_wm2, year.dhi_wm2)
@@ -97,7 +114,9 @@ def features_at(hours: Hours, task: Learning) -> tuple[Index, Features]:
     found = task.weather.at(hours.t_utc)
     known = np.flatnonzero(np.isfinite(found.dni_wm2 + found.dhi_wm2) & (found.dhi_wm2 > 0))
     chosen = hours[known]
-    return known, light_features(light_at(chosen.t_utc, task.site, found.dni_wm2[known], found.dhi_wm2[known]))
+    return known, light_features(
+        light_at(chosen.t_utc, task.site, found.dni_wm2[known], found.dhi_wm2[known])
+    )
 
 
 def variance_left(task: Learning, captured: Features) -> float:
@@ -112,11 +131,15 @@ def variance_left(task: Learning, captured: Features) -> float:
 
 
 def best(hours: Hours, task: Learning, count: int, progress: Progress = quiet) -> Index:
-    """Indices [count], ascending, of the hours that most lower the year's summed predictive variance, greedily."""
+    """Indices [count], ascending, of the hours that most lower the year's summed predictive
+    variance, greedily.
+    """
     known, features = features_at(hours, task)
     stride = -(-len(known) // POOL_HOURS)
     pool = np.arange(0, len(known), stride)
-    found = greedy_hours(task.kernel, task.year, features[pool], count, noise=NOISE, progress=progress)
+    found = greedy_hours(
+        task.kernel, task.year, features[pool], count, noise=NOISE, progress=progress
+    )
     return np.sort(known[pool[found.index]])
 
 

@@ -1,4 +1,6 @@
-"""The most useful coming hours: how much each would lower the model's uncertainty, and whether it still pays."""
+"""The most useful coming hours: how much each would lower the model's uncertainty, and whether
+it still pays.
+"""
 
 from __future__ import annotations
 
@@ -55,17 +57,29 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
 
     Raises InputError for a model folder that does not hold what it should.
     """
-    folders = [path.parent for path in session.models.glob("*/config.json") if (path.parent / "weights.npz").is_file()]
-    for folder in sorted(folders, key=lambda path: (path / "config.json").stat().st_mtime, reverse=True):
+    folders = [
+        path.parent
+        for path in session.models.glob("*/config.json")
+        if (path.parent / "weights.npz").is_file()
+    ]
+    for folder in sorted(
+        folders, key=lambda path: (path / "config.json").stat().st_mtime, reverse=True
+    ):
         try:
             config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-            if config.get("model") != "transport" or not _of_this_place(config, session.site_file().site):
+            if config.get("model") != "transport" or not _of_this_place(
+                config, session.site_file().site
+            ):
                 continue
             with np.load(folder / "weights.npz", allow_pickle=False) as arrays:
-                facades = Facades(np.array(arrays["facade_azimuths"]), np.array(arrays["facade_weights"]))
+                facades = Facades(
+                    np.array(arrays["facade_azimuths"]), np.array(arrays["facade_weights"])
+                )
             return Kernel(facades, **config["transport"]["kernel"]), folder.name
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(folder, f"{type(error).__name__}: {error}", "a transport model", "train again") from None
+            raise InputError(
+                folder, f"{type(error).__name__}: {error}", "a transport model", "train again"
+            ) from None
     return None
 
 
@@ -76,7 +90,9 @@ def _of_this_place(config: dict[str, Any], site: Site) -> bool:
 
 
 def captured_features(session: Session, task: choose.Learning) -> Features:
-    """Features of what was captured: by the measured irradiance of pairs.csv, else by the weather year's."""
+    """Features of what was captured: by the measured irradiance of pairs.csv, else by the
+    weather year's.
+    """
     times, dni, dhi = _paired(session)
     known = {slot_id(t) for t in times}
     captured = captured_ids(session) - known
@@ -104,12 +120,18 @@ def _paired(session: Session) -> tuple[list[datetime], list[float], list[float]]
                     dni.append(found[1])
                     dhi.append(found[2])
             except (KeyError, ValueError) as error:
-                raise InputError(f"{session.pairs}:{number}", str(error), "t_utc, dni_wm2, dhi_wm2, ok") from None
+                raise InputError(
+                    f"{session.pairs}:{number}", str(error), "t_utc, dni_wm2, dhi_wm2, ok"
+                ) from None
     return times, dni, dhi
 
 
-def _reductions(task: choose.Learning, captured: Features, hours: Hours, progress: Progress) -> NDArray[np.float64]:
-    """Expected drop of the year's variance by each hour [n], as a share of what is left, over its season's skies."""
+def _reductions(
+    task: choose.Learning, captured: Features, hours: Hours, progress: Progress
+) -> NDArray[np.float64]:
+    """Expected drop of the year's variance by each hour [n], as a share of what is left, over
+    its season's skies.
+    """
     base = choose.variance_left(task, captured)
     total, seen = np.zeros(len(hours)), np.zeros(len(hours))
     for done, days in enumerate(np.arange(SKIES) * 3 - 3 * (SKIES // 2)):
@@ -127,7 +149,9 @@ def _reductions(task: choose.Learning, captured: Features, hours: Hours, progres
 
 
 def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> NDArray[np.float64]:
-    """Drop of the year's mean variance by each hour of the pool alone, as a share of the prior's."""
+    """Drop of the year's mean variance by each hour of the pool alone, as a share of the
+    prior's.
+    """
     kernel = task.kernel
     cross, own = kernel(task.year, pool), kernel.diagonal(pool)
     if len(captured):
@@ -139,8 +163,12 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
     return gain / kernel.diagonal(task.year).sum()
 
 
-def run(session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet) -> Answer:
-    """Rank the daylight hours of the coming two weeks. Raises NotEnoughDataError when the sun does not rise in them."""
+def run(
+    session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
+) -> Answer:
+    """Rank the daylight hours of the coming two weeks. Raises NotEnoughDataError when the sun
+    does not rise in them.
+    """
     setup, now_utc = session.site_file(), now_utc.astimezone(UTC)
     trained = trained_kernel(session)
     task = choose.learning(setup.site, setup.room, weather, trained[0] if trained else None)
@@ -149,23 +177,35 @@ def run(session: Session, weather: Weather, now_utc: datetime, progress: Progres
     hours = daylight_hours(days, setup.site)
     hours = hours[[i for i, t in enumerate(hours.t_utc) if t > now_utc]]
     if not len(hours):
-        raise NotEnoughDataError(f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days")
+        raise NotEnoughDataError(
+            f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days"
+        )
     drop = _reductions(task, captured, hours, progress)
     planned = {slot.id for slot in session.slots()}
     best = [
         ComingHour(
-            hours.t_utc[i], float(hours.altitude_deg[i]), float(hours.azimuth_deg[i]), 100 * float(drop[i]),
+            hours.t_utc[i],
+            float(hours.altitude_deg[i]),
+            float(hours.azimuth_deg[i]),
+            100 * float(drop[i]),
             slot_id(hours.t_utc[i]) in planned,
         )
         for i in np.argsort(-drop)[:SHOWN]
-    ]  # fmt: skip
+    ]
     more = greedy_hours(
-        task.kernel, task.year, task.year, BATCH, taken=captured, noise=choose.NOISE,
+        task.kernel,
+        task.year,
+        task.year,
+        BATCH,
+        taken=captured,
+        noise=choose.NOISE,
         progress=lambda done, total, text: progress(SKIES + done, SKIES + total, text),
-    ).variance  # fmt: skip
+    ).variance
     gained = float(1.0 - more[-1] / more[0])
     model = trained[1] if trained else ""
-    return Answer(model, len(captured), 100 * float(more[0]), tuple(best), 100 * gained, gained >= WORTH)
+    return Answer(
+        model, len(captured), 100 * float(more[0]), tuple(best), 100 * gained, gained >= WORTH
+    )
 
 
 def as_table(answer: Answer) -> dict[str, Any]:
@@ -173,7 +213,11 @@ def as_table(answer: Answer) -> dict[str, Any]:
         "model": answer.model or None,
         "captured": answer.captured,
         "variance_left_percent": answer.variance_left_percent,
-        "next_batch": {"captures": BATCH, "reduction_percent": answer.next_batch_percent, "pays": answer.pays},
+        "next_batch": {
+            "captures": BATCH,
+            "reduction_percent": answer.next_batch_percent,
+            "pays": answer.pays,
+        },
         "hours": [
             {
                 "slot": slot_id(hour.t_utc),
@@ -201,5 +245,8 @@ def sentences(answer: Answer, site: Site) -> list[str]:
         planned = "  (planned)" if hour.planned else ""
         said.append(f"  {when}  {where}  takes {hour.reduction_percent:5.1f} % of it{planned}")
     verdict = "more captures pay" if answer.pays else "more captures no longer pay"
-    said.append(f"the best {BATCH} hours of a year would take {answer.next_batch_percent:.0f} % of it: {verdict}")
+    said.append(
+        f"the best {BATCH} hours of a year would take {answer.next_batch_percent:.0f} % of it: "
+        f"{verdict}"
+    )
     return said

@@ -1,4 +1,6 @@
-"""How much of a year's light a plan sees: the sun's band on the sky, and the joint density of direct and diffuse."""
+"""How much of a year's light a plan sees: the sun's band on the sky, and the joint density of
+direct and diffuse.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from fieldlum.weather import Weather
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NEAR_DEG = 10.0  # a sun position is covered when a planned one is at most this far: hourly suns are 15 deg apart
+# a sun position is covered when a planned one is at most this far: hourly suns are 15 deg apart
+NEAR_DEG = 10.0
 DNI_CELL_WM2, DHI_CELL_WM2 = 100.0, 50.0
 OBLIQUITY_DEG = 23.44
 INK, PALE, PLANNED, BAND, REACHED = "#1d2733", "#8a96a3", "#c4441c", "#f5e3bf", "#edb95c"
@@ -32,17 +35,24 @@ class Coverage:
     both_percent: float | None = None  # weather hours covered in both ways
 
 
-# ---------------------------------------------------------------------------------------------- sun band
+# ---------------------------------------------------------------------------------------------- sun
+# band
 
 
 def band_directions(site: Site) -> NDArray[np.float64]:
-    """Directions [n, 3] spread evenly over the part of the sky where the sun can stand (declination +-23.44 deg)."""
+    """Directions [n, 3] spread evenly over the part of the sky where the sun can stand
+    (declination +-23.44 deg).
+    """
     sine = np.sin(np.radians(OBLIQUITY_DEG)) * (2 * (np.arange(41) + 0.5) / 41 - 1)
     turn = 2 * np.pi * np.arange(360) / 360
     declination, hour = (grid.ravel() for grid in np.meshgrid(np.arcsin(sine), turn, indexing="ij"))
     latitude = np.radians(site.latitude_deg)
-    up = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour)
-    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(hour)
+    up = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(
+        hour
+    )
+    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(
+        declination
+    ) * np.cos(hour)
     east = -np.cos(declination) * np.sin(hour)
     return np.stack([east, north, up], axis=-1)[up > 0]
 
@@ -58,7 +68,8 @@ def _near(directions: NDArray[np.float64], planned: NDArray[np.float64]) -> NDAr
     return (directions @ planned.T).max(axis=1) >= np.cos(np.radians(NEAR_DEG))
 
 
-# ---------------------------------------------------------------------------------------------- irradiance
+# ----------------------------------------------------------------------------------------------
+# irradiance
 
 
 def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
@@ -76,19 +87,25 @@ def coverage(hours: Hours, site: Site, weather: Weather | None = None) -> Covera
     lit = (at.altitude_deg > 0) & (weather.dhi_wm2 > 0)
     _, planned_dni, planned_dhi = weather.at(hours.t_utc)
     known = np.isfinite(planned_dni)
-    seen = np.isin(_cells(weather.dni_wm2[lit], weather.dhi_wm2[lit]), _cells(planned_dni[known], planned_dhi[known]))
+    seen = np.isin(
+        _cells(weather.dni_wm2[lit], weather.dhi_wm2[lit]),
+        _cells(planned_dni[known], planned_dhi[known]),
+    )
     suns = sun.direction(at.altitude_deg[lit], at.azimuth_deg[lit])
     near = _near(suns, sun.direction(hours.altitude_deg, hours.azimuth_deg))
     return Coverage(band, 100.0 * float(seen.mean()), 100.0 * float((seen & near).mean()))
 
 
-# ---------------------------------------------------------------------------------------------- plots
+# ----------------------------------------------------------------------------------------------
+# plots
 
 
 def sun_figure(hours: Hours, site: Site) -> Figure:
-    """The band of sun positions on a sky chart, north up and east right, with the planned suns (the paper's Figure 15).
+    """The band of sun positions on a sky chart, north up and east right, with the planned suns (the
+    paper's Figure 15).
 
-    A chart and not azimuth against altitude: the sun of the tropics passes the zenith on either side.
+    A chart and not azimuth against altitude: the sun of the tropics passes the zenith on either
+    side.
     """
     from matplotlib.figure import Figure
 
@@ -99,20 +116,49 @@ def sun_figure(hours: Hours, site: Site) -> Figure:
     axes.set_theta_direction(-1)
     band = band_directions(site)
     altitude, azimuth = np.degrees(np.arcsin(band[:, 2])), np.arctan2(band[:, 0], band[:, 1])
-    reached = _near(band, sun.direction(hours.altitude_deg, hours.azimuth_deg)) if len(hours) else altitude < 0
-    for part, colour, label in ((~reached, BAND, "not reached"), (reached, REACHED, f"within {NEAR_DEG:g} deg")):
-        axes.scatter(azimuth[part], 90 - altitude[part], s=7, c=colour, linewidths=0, label=label, rasterized=True)
+    reached = (
+        _near(band, sun.direction(hours.altitude_deg, hours.azimuth_deg))
+        if len(hours)
+        else altitude < 0
+    )
+    for part, colour, label in (
+        (~reached, BAND, "not reached"),
+        (reached, REACHED, f"within {NEAR_DEG:g} deg"),
+    ):
+        axes.scatter(
+            azimuth[part],
+            90 - altitude[part],
+            s=7,
+            c=colour,
+            linewidths=0,
+            label=label,
+            rasterized=True,
+        )
     for which, label in ((1, "June solstice"), (0, "equinoxes"), (3, "December solstice")):
-        arc_azimuth, arc_altitude = day_arc(sun.standard_date(sun.season(year, which), site.timezone), site)
+        arc_azimuth, arc_altitude = day_arc(
+            sun.standard_date(sun.season(year, which), site.timezone), site
+        )
         axes.plot(np.radians(arc_azimuth), 90 - arc_altitude, color=INK, linewidth=0.6)
         if np.isfinite(arc_altitude).any():
             top = int(np.nanargmax(arc_altitude))
             at = float(np.radians(arc_azimuth[top])), float(90 - arc_altitude[top])
             axes.annotate(
-                label, at, (0, 3), textcoords="offset points", ha="center", va="bottom", color=INK, fontsize=7
+                label,
+                at,
+                (0, 3),
+                textcoords="offset points",
+                ha="center",
+                va="bottom",
+                color=INK,
+                fontsize=7,
             )
     axes.scatter(
-        np.radians(hours.azimuth_deg), 90 - hours.altitude_deg, s=9, color=PLANNED, linewidths=0, label="planned"
+        np.radians(hours.azimuth_deg),
+        90 - hours.altitude_deg,
+        s=9,
+        color=PLANNED,
+        linewidths=0,
+        label="planned",
     )
     axes.set_ylim(0, 90)
     axes.set_yticks((30, 60), ("60", "30"), fontsize=7, color=PALE)
@@ -128,7 +174,9 @@ def sun_figure(hours: Hours, site: Site) -> Figure:
 
 
 def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Azimuth and altitude of the sun every ten minutes of a local standard day; no numbers while it is down."""
+    """Azimuth and altitude of the sun every ten minutes of a local standard day; no numbers
+    while it is down.
+    """
     start = sun.standard_midnight(day, site.timezone)
     at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
     up = at.altitude_deg > 0
@@ -136,7 +184,9 @@ def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def irradiance_figure(hours: Hours, site: Site, weather: Weather) -> Figure:
-    """Joint density of direct normal and diffuse of the weather year, with the planned hours (Figures 16, 17)."""
+    """Joint density of direct normal and diffuse of the weather year, with the planned hours
+    (Figures 16, 17).
+    """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
@@ -144,19 +194,30 @@ def irradiance_figure(hours: Hours, site: Site, weather: Weather) -> Figure:
     axes = figure.add_subplot()
     lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
     dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
-    bins = np.arange(0, 1150, DNI_CELL_WM2 / 2), np.arange(0, max(float(dhi.max()), 500) + 25, DHI_CELL_WM2 / 2)
+    bins = (
+        np.arange(0, 1150, DNI_CELL_WM2 / 2),
+        np.arange(0, max(float(dhi.max()), 500) + 25, DHI_CELL_WM2 / 2),
+    )
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
     bar = figure.colorbar(picture, ax=axes)
     bar.set_label("hours a year in a cell", fontsize=8)
     bar.ax.tick_params(labelsize=8)
     planned = weather.at(hours.t_utc)
     axes.scatter(
-        planned.dni_wm2, planned.dhi_wm2, s=9, color=INK, linewidths=0, label="planned, as the weather year has them"
+        planned.dni_wm2,
+        planned.dhi_wm2,
+        s=9,
+        color=INK,
+        linewidths=0,
+        label="planned, as the weather year has them",
     )
     axes.set_xlabel("direct normal [W/m2]", fontsize=8)
     axes.set_ylabel("diffuse horizontal [W/m2]", fontsize=8)
     found = coverage(hours, site, weather)
-    title = f"{site.name}: skies met by the plan make up {found.irradiance_percent:.0f} % of the year's daylight hours"
+    title = (
+        f"{site.name}: skies met by the plan make up {found.irradiance_percent:.0f} % of the "
+        f"year's daylight hours"
+    )
     axes.set_title(title, fontsize=10, loc="left")
     axes.legend(frameon=False, fontsize=8, loc="upper right")
     axes.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,6 @@
-"""Which days and hours a capture set asks for. Slots stand at hh:30 of local standard time while the sun is up."""
+"""Which days and hours a capture set asks for. Slots stand at hh:30 of local standard time while
+the sun is up.
+"""
 
 from __future__ import annotations
 
@@ -31,19 +33,28 @@ class Hours:
 
     def __getitem__(self, chosen: Iterable[int]) -> Hours:
         index = [int(i) for i in chosen]
-        return Hours(tuple(self.t_utc[i] for i in index), self.altitude_deg[index], self.azimuth_deg[index])
+        return Hours(
+            tuple(self.t_utc[i] for i in index), self.altitude_deg[index], self.azimuth_deg[index]
+        )
 
 
 def hours_of(slots: Sequence[Slot]) -> Hours:
     """The moments of slots, and where their suns stand."""
-    altitude, azimuth = (np.array([getattr(s, f"sun_{n}_deg") for s in slots], float) for n in ("altitude", "azimuth"))
+    altitude, azimuth = (
+        np.array([getattr(s, f"sun_{n}_deg") for s in slots], float)
+        for n in ("altitude", "azimuth")
+    )
     return Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
 def daylight_hours(days: Iterable[date], site: Site) -> Hours:
-    """The hh:30 moments of local standard time on `days` with the centre of the sun above the horizon."""
+    """The hh:30 moments of local standard time on `days` with the centre of the sun above the
+    horizon.
+    """
     midnights = [sun.standard_midnight(day, site.timezone) for day in sorted(set(days))]
-    times = [midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)]
+    times = [
+        midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)
+    ]
     at = sun.position(times, site)
     return Hours(tuple(times), at.altitude_deg, at.azimuth_deg)[np.flatnonzero(at.altitude_deg > 0)]
 
@@ -57,35 +68,49 @@ def season_date(year: int, which: int, site: Site) -> date:
     return sun.standard_date(sun.season(year, which), site.timezone)
 
 
-def _event_dates(seasons: Sequence[int], margin: int, earliest: date, year: int | None, site: Site) -> list[date]:
+def _event_dates(
+    seasons: Sequence[int], margin: int, earliest: date, year: int | None, site: Site
+) -> list[date]:
     """Each season's date: in `year`, or the first whose margin days before it are not past."""
     found = []
     for which in seasons:
         if year is not None:
             found.append(season_date(year, which, site))
             continue
-        candidates = (season_date(y, which, site) for y in (earliest.year, earliest.year + 1, earliest.year + 2))
+        candidates = (
+            season_date(y, which, site)
+            for y in (earliest.year, earliest.year + 1, earliest.year + 2)
+        )
         found.append(next(d for d in candidates if d - timedelta(days=margin) >= earliest))
     return sorted(found)
 
 
-def set_days(name: str, site: Site, today: date, start: date | None, year: int | None, days: int | None) -> list[date]:
+def set_days(
+    name: str, site: Site, today: date, start: date | None, year: int | None, days: int | None
+) -> list[date]:
     """The local standard dates of a set.
 
-    Event sets: those of `year`, else the next ones from `start` (or `today`). A month: from `start`, else centred on
-    the March equinox of `year`, else on the next equinox whose whole window is still ahead. Others: a year.
+    Event sets: those of `year`, else the next ones from `start` (or `today`). A month: from
+    `start`, else centred on the March equinox of `year`, else on the next equinox whose whole
+    window is still ahead. Others: a year.
     """
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
         events = _event_dates(seasons, margin, start or today, year, site)
-        return [event + timedelta(days=offset) for event in events for offset in range(-margin, margin + 1)]
+        return [
+            event + timedelta(days=offset)
+            for event in events
+            for offset in range(-margin, margin + 1)
+        ]
     if name == "month":
         count = days or MONTH_DAYS
         if start is not None:
             return span(start, count)
         half = count // 2
         equinoxes = (0,) if year is not None else (0, 2)
-        return span(_event_dates(equinoxes, half, today, year, site)[0] - timedelta(days=half), count)
+        return span(
+            _event_dates(equinoxes, half, today, year, site)[0] - timedelta(days=half), count
+        )
     first = start or (date(year, 1, 1) if year is not None else today)
     return span(first, days or 365)
 

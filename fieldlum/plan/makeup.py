@@ -17,9 +17,12 @@ from fieldlum.records import Site, SiteFile, Slot, slot_id
 from fieldlum.session import Session, outcomes, replacing, sha256, update_session, write_plan
 
 GRACE = timedelta(minutes=5)
-SAME_DECLINATION_DEG = 0.2  # half of a day's change at the equinoxes, so that every passage holds one such day
+SAME_DECLINATION_DEG = (
+    0.2  # half of a day's change at the equinoxes, so that every passage holds one such day
+)
 MAKEUP = "makeup:"  # tag, followed by the missed slot's id
-MOST_OFF_DEG = 12.0  # the clock runs up to half an hour off the sun between the two passages: 7.5 deg of hour angle
+# the clock runs up to half an hour off the sun between the two passages: 7.5 deg of hour angle
+MOST_OFF_DEG = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +57,8 @@ def make_up(
 ) -> tuple[list[Slot], list[MakeUp], list[Slot]]:
     """Make-up slots, what each stands for, and what cannot be made up within a year.
 
-    The earliest coming day with the missed day's declination (across the solstice), at the same standard hour. A
-    make-up that is itself missed is made up for its original.
+    The earliest coming day with the missed day's declination (across the solstice), at the same
+    standard hour. A make-up that is itself missed is made up for its original.
     """
     site, taken = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
@@ -84,10 +87,14 @@ def _noon(day: date, site: Site) -> datetime:
 
 def _same_hour(t_utc: datetime, day: date, site: Site) -> datetime:
     at = sun.standard_time(t_utc, site.timezone)
-    return sun.standard_midnight(day, site.timezone) + timedelta(hours=at.hour, minutes=at.minute, seconds=at.second)
+    return sun.standard_midnight(day, site.timezone) + timedelta(
+        hours=at.hour, minutes=at.minute, seconds=at.second
+    )
 
 
-def _first_free(slot: Slot, times: Sequence[datetime], taken: set[str], site: Site) -> tuple[Slot, float] | None:
+def _first_free(
+    slot: Slot, times: Sequence[datetime], taken: set[str], site: Site
+) -> tuple[Slot, float] | None:
     at = sun.position(times, site)
     old = sun.direction(slot.sun_altitude_deg, slot.sun_azimuth_deg)
     cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ old
@@ -95,14 +102,24 @@ def _first_free(slot: Slot, times: Sequence[datetime], taken: set[str], site: Si
         off = float(np.degrees(np.arccos(np.clip(cosine[i], -1, 1))))
         if slot_id(t) not in taken and at.altitude_deg[i] > 0 and off <= MOST_OFF_DEG:
             tags = (*(tag for tag in slot.tags if not tag.startswith(MAKEUP)), MAKEUP + slot.id)
-            position = {"sun_altitude_deg": float(at.altitude_deg[i]), "sun_azimuth_deg": float(at.azimuth_deg[i])}
+            position = {
+                "sun_altitude_deg": float(at.altitude_deg[i]),
+                "sun_azimuth_deg": float(at.azimuth_deg[i]),
+            }
             return replace(slot, t_utc=t, **position, tags=tags), off
     return None
 
 
 def _made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
-    """The make-ups of each missed slot; one of a missed make-up stands for the first of them all."""
-    of = {slot.id: tag.removeprefix(MAKEUP) for slot in slots for tag in slot.tags if tag.startswith(MAKEUP)}
+    """The make-ups of each missed slot; one of a missed make-up stands for the first of them
+    all.
+    """
+    of = {
+        slot.id: tag.removeprefix(MAKEUP)
+        for slot in slots
+        for tag in slot.tags
+        if tag.startswith(MAKEUP)
+    }
     found: dict[str, list[Slot]] = {}
     for slot in slots:
         if first := of.get(slot.id):
@@ -113,16 +130,24 @@ def _made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
 
 
 def run(session: Session, now_utc: datetime) -> Answer:
-    """Add make-up slots to plan.csv. Nothing is ever taken out of it; the plan before is kept as plan.N.csv."""
+    """Add make-up slots to plan.csv. Nothing is ever taken out of it; the plan before is kept as
+    plan.N.csv.
+    """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
     setup, slots, done = session.site_file(), session.slots(), captured_ids(session)
     stands_in = _made_up_for(slots)
     instead = {made.id for several in stands_in.values() for made in several}
     missed = [slot for slot in missed_slots(slots, done, now_utc) if slot.id not in instead]
-    recovered = [slot for slot in missed if any(made.id in done for made in stands_in.get(slot.id, ()))]
+    recovered = [
+        slot for slot in missed if any(made.id in done for made in stands_in.get(slot.id, ()))
+    ]
     missed = [slot for slot in missed if slot not in recovered]
-    owed = [slot for slot in missed if all(made.t_utc + GRACE < now_utc for made in stands_in.get(slot.id, ()))]
+    owed = [
+        slot
+        for slot in missed
+        if all(made.t_utc + GRACE < now_utc for made in stands_in.get(slot.id, ()))
+    ]
     added, pairs, lost = make_up(owed, slots, setup, now_utc)
     if added:
         about = _keep_and_write(session, [*slots, *added], about, setup)
@@ -142,7 +167,9 @@ def run(session: Session, now_utc: datetime) -> Answer:
     )
 
 
-def _keep_and_write(session: Session, slots: list[Slot], about: dict[str, Any], setup: SiteFile) -> dict[str, Any]:
+def _keep_and_write(
+    session: Session, slots: list[Slot], about: dict[str, Any], setup: SiteFile
+) -> dict[str, Any]:
     with replacing(_kept(session, about)) as file:
         file.write(session.plan.read_bytes())
     write_plan(session.plan, sorted(slots, key=lambda slot: slot.t_utc), setup.site.timezone)
@@ -168,7 +195,9 @@ def _record(session: Session, about: dict[str, Any]) -> dict[str, Any]:
 
 
 def _resumed(session: Session) -> dict[str, Any]:
-    """What session.toml says of the plan; a re-plan that was killed before its last write is brought to its end."""
+    """What session.toml says of the plan; a re-plan that was killed before its last write is
+    brought to its end.
+    """
     about = session.table().get("plan", {})
     if _kept(session, about).exists() and sha256(session.plan) != about.get("sha256"):
         return _record(session, about)
@@ -184,18 +213,26 @@ def sentences(answer: Answer) -> list[str]:
     if not answer.missed:
         return [f"nothing {'is missing' if again else 'was missed'}: the plan stands{again}"]
     band = answer.sun_band_percent
-    said = [f"{answer.missed} slots missed, {answer.already} of them with a make-up slot already{again}"]
+    said = [
+        f"{answer.missed} slots missed, {answer.already} of them with a make-up slot already{again}"
+    ]
     if answer.made_up:
         days = sorted({pair.slot[:8] for pair in answer.made_up})
-        shown = ", ".join(f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6]) + (" ..." if len(days) > 6 else "")
+        shown = ", ".join(f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6]) + (
+            " ..." if len(days) > 6 else ""
+        )
         off = max(pair.sun_off_deg for pair in answer.made_up)
         said.append(
-            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; the sun at most {off:g} deg off"
+            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; the sun at "
+            f"most {off:g} deg off"
         )
     if answer.lost:
-        said.append(f"{len(answer.lost)} cannot be made up within a year: {', '.join(answer.lost[:4])}")
+        said.append(
+            f"{len(answer.lost)} cannot be made up within a year: {', '.join(answer.lost[:4])}"
+        )
     said.append(
-        f"sun band: {band['planned']:.0f} % as planned, {band['without']:.0f} % without the missed, "
+        f"sun band: {band['planned']:.0f} % as planned, {band['without']:.0f} % without the "
+        f"missed, "
         f"{band['with']:.0f} % with the make-ups"
     )
     return said

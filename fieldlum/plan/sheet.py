@@ -31,21 +31,33 @@ class Cost:
 
 
 def html(
-    slots: Sequence[Slot], setup: SiteFile, cost: Cost, weather: Weather | None = None, notes: Sequence[str] = ()
+    slots: Sequence[Slot],
+    setup: SiteFile,
+    cost: Cost,
+    weather: Weather | None = None,
+    notes: Sequence[str] = (),
 ) -> str:
-    """One self-contained page of HTML: an overview with the coverage plots, then a sheet of paper for every day."""
+    """One self-contained page of HTML: an overview with the coverage plots, then a sheet of
+    paper for every day.
+    """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
     days = by_day(slots, setup.site)
-    environment = Environment(loader=PackageLoader("fieldlum.plan", ""), autoescape=select_autoescape(default=True))
+    environment = Environment(
+        loader=PackageLoader("fieldlum.plan", ""), autoescape=select_autoescape(default=True)
+    )
     sheets, before = [], 0
     for number, (day, group) in enumerate(days, start=1):
         before += len(group)
         sheets.append(_sheet(number, day, group, setup, cost, before))
     return environment.get_template("sheet.html.j2").render(
-        site=setup.site, sheets=sheets, days=len(days), late=LATE_MINUTES, notes=notes,
+        site=setup.site,
+        sheets=sheets,
+        days=len(days),
+        late=LATE_MINUTES,
+        notes=notes,
         figures=_figures(slots, setup, weather),
-    )  # fmt: skip
+    )
 
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
@@ -58,13 +70,17 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
     for figure in figures:
         buffer = StringIO()
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Glyph .* missing from font")  # a name in letters of its own
+            warnings.filterwarnings(
+                "ignore", message="Glyph .* missing from font"
+            )  # a name in letters of its own
             figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
         texts.append(buffer.getvalue()[buffer.getvalue().index("<svg") :])
     return texts
 
 
-def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cost, so_far: int) -> dict[str, object]:
+def _sheet(
+    number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cost, so_far: int
+) -> dict[str, object]:
     site, zone = setup.site, ZoneInfo(setup.site.timezone)
     today = sun.rise_transit_set([day], site)[0]
     changes = sun.clock_changes(day, day, site.timezone)
@@ -77,13 +93,16 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
         ).capitalize(),
         "rise_and_set": _rise_and_set(today, zone),
         "clock_change": [
-            f"{change.total_seconds() / 3600:+g} h at {t.astimezone(zone):%H:%M %Z}" for t, change in changes
+            f"{change.total_seconds() / 3600:+g} h at {t.astimezone(zone):%H:%M %Z}"
+            for t, change in changes
         ],
         "rows": [
             {
                 "local": f"{slot.t_utc.astimezone(zone):%H:%M}",
                 "zone": f"{slot.t_utc.astimezone(zone):%Z}",
-                "weekday": "" if (local := slot.t_utc.astimezone(zone)).date() == day else f"{local:%a %d}",
+                "weekday": ""
+                if (local := slot.t_utc.astimezone(zone)).date() == day
+                else f"{local:%a %d}",
                 "utc": f"{slot.t_utc:%H:%M}",
                 "altitude": f"{slot.sun_altitude_deg:.0f}",
                 "azimuth": f"{slot.sun_azimuth_deg:.0f}",
@@ -105,11 +124,16 @@ def _sheet(number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cos
 def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
     if not today.rise and not today.set:
         return "The sun does not rise or set today"
-    times = (f"{name} {t.astimezone(zone):%H:%M}" for name, t in (("Sunrise", today.rise), ("sunset", today.set)) if t)
+    times = (
+        f"{name} {t.astimezone(zone):%H:%M}"
+        for name, t in (("Sunrise", today.rise), ("sunset", today.set))
+        if t
+    )
     return ", ".join(times)
 
 
-# ---------------------------------------------------------------------------------------------- sun path
+# ---------------------------------------------------------------------------------------------- sun
+# path
 
 
 def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
@@ -135,10 +159,14 @@ def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
 def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
     """Inline SVG: solstice and equinox arcs, today's arc, its slots, and where the camera looks."""
     site, middle = setup.site, SIZE_PX / 2
-    parts = [f'<circle cx="{middle}" cy="{middle}" r="{RADIUS_PX:.1f}" fill="#fdf8ec" stroke="#b9c3cd"/>']
+    parts = [
+        f'<circle cx="{middle}" cy="{middle}" r="{RADIUS_PX:.1f}" fill="#fdf8ec" stroke="#b9c3cd"/>'
+    ]
     for altitude in (30, 60):
         radius = RADIUS_PX * (1 - altitude / 90)
-        parts.append(f'<circle cx="{middle}" cy="{middle}" r="{radius:.1f}" fill="none" stroke="#dde3e8"/>')
+        parts.append(
+            f'<circle cx="{middle}" cy="{middle}" r="{radius:.1f}" fill="none" stroke="#dde3e8"/>'
+        )
         parts.append(_text(middle + 3, middle - radius - 2, f"{altitude}", "#8a96a3", "start"))
     parts.append(_looking(setup))
     for which in (0, 1, 3):
@@ -167,7 +195,9 @@ def _looking(setup: SiteFile) -> str:
     for heading in setup.camera.headings or (setup.camera.heading_deg,):
         tip, left, right = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, left, right))
-        parts.append(f'<polygon points="{points}" fill="#1f5fa8"><title>camera looks here</title></polygon>')
+        parts.append(
+            f'<polygon points="{points}" fill="#1f5fa8"><title>camera looks here</title></polygon>'
+        )
     return "".join(parts)
 
 

@@ -1,4 +1,6 @@
-"""Whether the sun can come in: through a box room's windows, past its reveals and its neighbours."""
+"""Whether the sun can come in: through a box room's windows, past its reveals and its
+neighbours.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,17 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> N
     enters = np.zeros(len(suns), bool)
     for opening in scene.openings:
         points = _points(opening)
-        for i in np.flatnonzero(~enters & (suns[:, 2] > 0) & (opening.outward * suns[:, opening.axis] > 1e-6)):
+        for i in np.flatnonzero(
+            ~enters & (suns[:, 2] > 0) & (opening.outward * suns[:, opening.axis] > 1e-6)
+        ):
             enters[i] = _passes(scene, opening, points, suns[i])
     return enters
 
 
 def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """[n]: the camera sees the disc, or a part of it, through a window. Raises InputError for an impossible room."""
+    """[n]: the camera sees the disc, or a part of it, through a window. Raises InputError for an
+    impossible room.
+    """
     scene = build(room)
     return disc_visibility(scene, scene.to_room(sun.direction(altitude_deg, azimuth_deg)))[0] > 0
 
@@ -42,12 +48,18 @@ def _points(opening: Opening) -> Points:
     (u0, u1), (z0, z1) = opening.u_m, opening.z_m
     along, up = np.meshgrid(u0 + (u1 - u0) * steps, z0 + (z1 - z0) * steps)
     points = np.empty((along.size, 3))
-    points[:, opening.axis], points[:, opening.along], points[:, 2] = opening.inner_m, along.ravel(), up.ravel()
+    points[:, opening.axis], points[:, opening.along], points[:, 2] = (
+        opening.inner_m,
+        along.ravel(),
+        up.ravel(),
+    )
     return points
 
 
 def _passes(scene: BoxScene, opening: Opening, points: Points, toward: Points) -> bool:
-    """Whether any point sees the sun: out through the outer end of the reveal, past all obstructions outside."""
+    """Whether any point sees the sun: out through the outer end of the reveal, past all
+    obstructions outside.
+    """
     outer = points + toward * abs((opening.outer_m - opening.inner_m) / toward[opening.axis])
     u, z = outer[:, opening.along], outer[:, 2]
     (u0, u1), (z0, z1) = opening.u_m, opening.z_m

@@ -1,4 +1,6 @@
-"""A weather year through a trained model: hourly maps, their glare in every direction, and what it means."""
+"""A weather year through a trained model: hourly maps, their glare in every direction, and what
+it means.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
 """What a predicted year leaves on disk, and reading it again.
 
-annual/<name>/hourly.csv      one row an hour: t_utc, t_local, light, trust, and `metric@azimuth` for each direction
-             predict.json     settings, versions, repairs, and the glare protection of each direction
+annual/<name>/hourly.csv      one row an hour: t_utc, t_local, light, trust, and `metric@azimuth`
+for each direction
+             predict.json     settings, versions, repairs, and the glare protection of each
+             direction
              pictures.npz     the maps of some telling hours
              maps.zarr        all maps, where asked for (Zarr v3; dims time, y, x)
 """
@@ -25,17 +27,34 @@ from fieldlum.records import parse_utc, utc_text
 from fieldlum.session import replacing
 
 HOUR_COLUMNS = (
-    "dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg", "disc_lx", "occupied", "trusted", "expected_log10_mse",
-)  # fmt: skip
+    "dni_wm2",
+    "dhi_wm2",
+    "sun_altitude_deg",
+    "sun_azimuth_deg",
+    "disc_lx",
+    "occupied",
+    "trusted",
+    "expected_log10_mse",
+)
 VIEW_COLUMNS = {  # name: digits written
-    "dgp": 4, "u_dgp": 4, "dgps": 4, "ev_lx": 1, "melanopic_edi_lx_estimate": 1, "ugr": 2, "dgi": 2, "task_cdm2": 1,
-    "window_to_task": 2, "uniformity": 3,
-}  # fmt: skip
+    "dgp": 4,
+    "u_dgp": 4,
+    "dgps": 4,
+    "ev_lx": 1,
+    "melanopic_edi_lx_estimate": 1,
+    "ugr": 2,
+    "dgi": 2,
+    "task_cdm2": 1,
+    "window_to_task": 2,
+    "uniformity": 3,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Annual:
-    """A predicted year. hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each; about: predict.json."""
+    """A predicted year. hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each;
+    about: predict.json.
+    """
 
     folder: Path
     about: dict[str, Any]
@@ -54,7 +73,9 @@ class Annual:
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """Maps of telling hours without the disc [k, H, W]; rows [k] into the year; kinds [k] say why."""
+    """Maps of telling hours without the disc [k, H, W]; rows [k] into the year; kinds [k] say
+    why.
+    """
 
     kinds: tuple[str, ...]
     rows: NDArray[np.int64]
@@ -79,7 +100,10 @@ def write_hourly(path: Path, annual: Annual, timezone: str) -> None:
         out.writerow(["t_utc", "t_local", *HOUR_COLUMNS, *names])
         for k, t in enumerate(annual.t_utc):
             local = t.astimezone(zone).strftime("%Y-%m-%d %H:%M")
-            light = [_cell(annual.hours[name][k], 6 if name == "expected_log10_mse" else 2) for name in HOUR_COLUMNS]
+            light = [
+                _cell(annual.hours[name][k], 6 if name == "expected_log10_mse" else 2)
+                for name in HOUR_COLUMNS
+            ]
             views = [_cell(value, d) for value, d in zip(block[k].tolist(), digits, strict=True)]
             out.writerow([utc_text(t), local, *light, *views])
 
@@ -103,18 +127,25 @@ def _plain(value: Any) -> Any:
 def write_pictures(path: Path, pictures: Pictures) -> None:
     with replacing(path) as file:
         np.savez_compressed(
-            file, kinds=np.array(pictures.kinds), rows=pictures.rows, luminance_cdm2=rounded(pictures.luminance_cdm2),
-            disc_lx=pictures.disc_lx, heading_deg=pictures.heading_deg,
-        )  # fmt: skip
+            file,
+            kinds=np.array(pictures.kinds),
+            rows=pictures.rows,
+            luminance_cdm2=rounded(pictures.luminance_cdm2),
+            disc_lx=pictures.disc_lx,
+            heading_deg=pictures.heading_deg,
+        )
 
 
 def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Float32 with 12 bits of mantissa left (0.01 %): what is cut could not be known, and compresses badly."""
+    """Float32 with 12 bits of mantissa left (0.01 %): what is cut could not be known, and
+    compresses badly.
+    """
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
     return ((bits + np.uint32(1 << 10)) & np.uint32(0xFFFFF800)).view(np.float32)
 
 
-# ---------------------------------------------------------------------------------------------- reading
+# ----------------------------------------------------------------------------------------------
+# reading
 
 
 def read_annual(folder: Path) -> Annual:
@@ -124,7 +155,9 @@ def read_annual(folder: Path) -> Annual:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.reader(file))
     except OSError as error:
-        raise InputError(path, error.strerror or str(error), "hourly.csv", "make it with: fieldlum predict") from None
+        raise InputError(
+            path, error.strerror or str(error), "hourly.csv", "make it with: fieldlum predict"
+        ) from None
     try:
         head, body = rows[0], rows[1:]
         azimuths = np.array(about["azimuths_deg"], float)
@@ -135,7 +168,8 @@ def read_annual(folder: Path) -> Annual:
         column = {name: values[:, k] for k, name in enumerate(head[2:])}
         hours = {name: column[name] for name in HOUR_COLUMNS}
         views = {
-            name: np.stack([column[f"{name}@{azimuth_text(a)}"] for a in azimuths], axis=1) for name in VIEW_COLUMNS
+            name: np.stack([column[f"{name}@{azimuth_text(a)}"] for a in azimuths], axis=1)
+            for name in VIEW_COLUMNS
         }
     except (ValueError, KeyError, IndexError) as error:
         raise InputError(path, str(error), "what fieldlum predict wrote", "predict again") from None
@@ -148,7 +182,9 @@ def _read_about(folder: Path) -> dict[str, Any]:
         about = json.loads(path.read_text(encoding="utf-8"))
         about["azimuths_deg"]
     except OSError:
-        raise InputError(folder, "no predict.json in it", "a predicted year", "make one: fieldlum predict") from None
+        raise InputError(
+            folder, "no predict.json in it", "a predicted year", "make one: fieldlum predict"
+        ) from None
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(path, str(error), "what fieldlum predict wrote", "predict again") from None
     return about
@@ -160,8 +196,13 @@ def read_pictures(folder: Path) -> Pictures:
     try:
         with np.load(path, allow_pickle=False) as found:
             return Pictures(
-                tuple(str(kind) for kind in found["kinds"]), found["rows"], found["luminance_cdm2"], found["disc_lx"],
+                tuple(str(kind) for kind in found["kinds"]),
+                found["rows"],
+                found["luminance_cdm2"],
+                found["disc_lx"],
                 float(found["heading_deg"]),
-            )  # fmt: skip
+            )
     except (OSError, ValueError, KeyError) as error:
-        raise InputError(path, str(error), "pictures of a predicted year", "predict again") from None
+        raise InputError(
+            path, str(error), "pictures of a predicted year", "predict again"
+        ) from None

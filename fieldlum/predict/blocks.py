@@ -19,12 +19,17 @@ if TYPE_CHECKING:
     from fieldlum.models import Fitted, Prediction
 
 BLOCK = 64  # hours; about 30 MB a map layer at 460 x 230
-DISC_SHARE = (0.3, 1.3)  # of the sky behind: between them the sun's pixel shows open sky through glass
+DISC_SHARE = (
+    0.3,
+    1.3,
+)  # of the sky behind: between them the sun's pixel shows open sky through glass
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Some hours: maps without the disc [k, H, W], the disc's illuminance at the lens [k] lx, the model's doubts."""
+    """Some hours: maps without the disc [k, H, W], the disc's illuminance at the lens [k] lx,
+    the model's doubts.
+    """
 
     rows: slice
     light: Light
@@ -45,35 +50,57 @@ class Room:
     @property
     def disc_from(self) -> str:
         """Where the sun's visibility comes from."""
-        return "the room's geometry" if self.setup.room else "guessed: whether the map shows sky where the sun stands"
+        return (
+            "the room's geometry"
+            if self.setup.room
+            else "guessed: whether the map shows sky where the sun stands"
+        )
 
 
 def wants_patch(config: dict[str, Any]) -> bool:
     """Whether a model's config says that it was trained with sun patches."""
     if "transport" in config:
         return config["transport"].get("patchwork") is not None
-    return bool(config["with_patch"]) if "with_patch" in config else config.get("patch", "none") != "none"
+    return (
+        bool(config["with_patch"])
+        if "with_patch" in config
+        else config.get("patch", "none") != "none"
+    )
 
 
 def room_of(config: dict[str, Any], folder: Path) -> Room:
-    """Raises InputError when the config lacks place or size, or when patches are needed and no room is known."""
+    """Raises InputError when the config lacks place or size, or when patches are needed and no
+    room is known.
+    """
     from fieldlum.profiles import site_from_table
 
     try:
-        height, width, heading = int(config["height"]), int(config["width"]), float(config["heading_deg"])
+        height, width, heading = (
+            int(config["height"]),
+            int(config["width"]),
+            float(config["heading_deg"]),
+        )
         setup = site_from_table(config["setup"], str(folder / "config.json"))
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(folder / "config.json", f"no {error}", "place and size", "train the model again") from None
+        raise InputError(
+            folder / "config.json", f"no {error}", "place and size", "train the model again"
+        ) from None
     if wants_patch(config) and setup.room is None:
         raise InputError(
-            folder, "a model that needs sun patches, of a site without [room]", "a room, or a model without patches",
+            folder,
+            "a model that needs sun patches, of a site without [room]",
+            "a room, or a model without patches",
             "add [room] to the site and train again, or train --patch none",
-        )  # fmt: skip
+        )
     return Room(setup, height, width, heading, wants_patch(config))
 
 
-def blocks(fitted: Fitted, room: Room, light: Light, *, progress: Progress = quiet) -> Iterator[Block]:
-    """Predict all hours of `light` in blocks. Raises InputError when maps have another size than the model says."""
+def blocks(
+    fitted: Fitted, room: Room, light: Light, *, progress: Progress = quiet
+) -> Iterator[Block]:
+    """Predict all hours of `light` in blocks. Raises InputError when maps have another size than
+    the model says.
+    """
     count = len(light)
     for patch, known_disc_lx, rows in _patches(room, light):
         part = light[np.arange(rows.start, rows.stop)]
@@ -81,11 +108,15 @@ def blocks(fitted: Fitted, room: Room, light: Light, *, progress: Progress = qui
         maps = prediction.luminance_cdm2
         if maps.shape[1:] != (room.height, room.width):
             raise InputError(
-                "the model", f"maps of {maps.shape[2]} x {maps.shape[1]}", f"{room.width} x {room.height}",
+                "the model",
+                f"maps of {maps.shape[2]} x {maps.shape[1]}",
+                f"{room.width} x {room.height}",
                 "train it again: its config and its weights are not of one training",
-            )  # fmt: skip
+            )
         if not np.isfinite(maps).all():
-            raise FloatingPointError(f"hours {rows.start} to {rows.stop}: predicted values that are no numbers")
+            raise FloatingPointError(
+                f"hours {rows.start} to {rows.stop}: predicted values that are no numbers"
+            )
         disc = guessed_disc(maps, part, room) if known_disc_lx is None else known_disc_lx
         progress(rows.stop, count, "hours predicted")
         yield Block(rows, part, prediction, disc)
@@ -94,7 +125,9 @@ def blocks(fitted: Fitted, room: Room, light: Light, *, progress: Progress = qui
 def _patches(
     room: Room, light: Light
 ) -> Iterator[tuple[NDArray[np.float32] | None, NDArray[np.float64] | None, slice]]:
-    """Sun patches where the model wants them, the visible disc [lx] where a room is known, and which hours."""
+    """Sun patches where the model wants them, the visible disc [lx] where a room is known, and
+    which hours.
+    """
     from fieldlum.scene import build, disc_visibility, iter_sun_patches
 
     count, space = len(light), room.setup.room
@@ -108,9 +141,14 @@ def _patches(
         yield from ((None, disc[rows], rows) for rows in starts)
     else:
         found = iter_sun_patches(
-            space, room.setup, light.sun_direction, light.direct_lx,
-            height=room.height, heading_deg=room.heading_deg, chunk=BLOCK,
-        )  # fmt: skip
+            space,
+            room.setup,
+            light.sun_direction,
+            light.direct_lx,
+            height=room.height,
+            heading_deg=room.heading_deg,
+            chunk=BLOCK,
+        )
         for part, rows in zip(found, starts, strict=True):
             yield part.luminance_cdm2, part.disc_lx, rows
 
@@ -118,8 +156,9 @@ def _patches(
 def guessed_disc(maps: NDArray[np.float32], light: Light, room: Room) -> NDArray[np.float64]:
     """The disc's illuminance at the lens where no geometry is known, [k] lx.
 
-    The pixel where the sun stands shows sky when its luminance is that of the Perez sky there, times a transmittance;
-    the disc then shines through the same glass. A guess: a twig or a blind is not seen.
+    The pixel where the sun stands shows sky when its luminance is that of the Perez sky there,
+    times a transmittance; the disc then shines through the same glass. A guess: a twig or a blind
+    is not seen.
     """
     row, column = equirect_pixel(
         light.sun_altitude_deg, light.sun_azimuth_deg, room.height, room.width, room.heading_deg
@@ -127,7 +166,9 @@ def guessed_disc(maps: NDArray[np.float32], light: Light, room: Room) -> NDArray
     i = np.clip(row.astype(int), 0, room.height - 1)
     j = np.minimum(column.astype(int), room.width - 1)
     shown = maps[np.arange(len(maps)), i, j]
-    sky = np.array([light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))])
+    sky = np.array(
+        [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]
+    )
     share = shown / np.maximum(sky, 1e-3)
     seen = (share > DISC_SHARE[0]) & (share < DISC_SHARE[1]) & (light.sun_altitude_deg > 0)
     return np.where(seen, np.minimum(share, 1.0) * light.direct_lx, 0.0)

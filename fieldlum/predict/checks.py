@@ -1,4 +1,6 @@
-"""Before predicting: where the year goes, whether model and session belong together, whether it was done already."""
+"""Before predicting: where the year goes, whether model and session belong together, whether it
+was done already.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,20 @@ from fieldlum.session import open_session, sha256
 def default_folder(model_folder: Path) -> Path:
     """SESSION/annual/NAME for SESSION/models/NAME; else `annual` in the model's folder."""
     resolved = model_folder.resolve()
-    in_session = resolved.parent.name == "models" and (resolved.parents[1] / "session.toml").is_file()
-    return model_folder.parent.parent / "annual" / resolved.name if in_session else model_folder / "annual"
+    in_session = (
+        resolved.parent.name == "models" and (resolved.parents[1] / "session.toml").is_file()
+    )
+    return (
+        model_folder.parent.parent / "annual" / resolved.name
+        if in_session
+        else model_folder / "annual"
+    )
 
 
 def check_session(model_folder: Path, room: Room) -> None:
-    """A model that stands in a session must have been trained on its place, heading and picture size."""
+    """A model that stands in a session must have been trained on its place, heading and picture
+    size.
+    """
     resolved = model_folder.resolve()
     root = resolved.parents[1]
     if resolved.parent.name != "models" or not (root / "session.toml").is_file():
@@ -31,17 +41,23 @@ def check_session(model_folder: Path, room: Room) -> None:
     session = open_session(root)
     setup = session.site_file()
     mine, theirs = room.setup.site, setup.site
-    apart = max(abs(mine.latitude_deg - theirs.latitude_deg), abs(mine.longitude_deg - theirs.longitude_deg))
+    apart = max(
+        abs(mine.latitude_deg - theirs.latitude_deg), abs(mine.longitude_deg - theirs.longitude_deg)
+    )
     if apart > 0.01:
         raise InputError(
-            model_folder, f"a model of {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g})",
-            f"one of {theirs.name} ({theirs.latitude_deg:g}, {theirs.longitude_deg:g})", "train one in this session",
-        )  # fmt: skip
+            model_folder,
+            f"a model of {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g})",
+            f"one of {theirs.name} ({theirs.latitude_deg:g}, {theirs.longitude_deg:g})",
+            "train one in this session",
+        )
     if changed := _changes(site_table(room.setup), site_table(setup)):
         raise InputError(
-            model_folder, f"a model of {changed[0]}", f"{changed[1]} as in {session.toml}",
+            model_folder,
+            f"a model of {changed[0]}",
+            f"{changed[1]} as in {session.toml}",
             "merge, pair and train again, or take the model that was trained here",
-        )  # fmt: skip
+        )
     pictures = sorted(session.panoramas.glob("*.exr"))[:1]
     if pictures:
         from fieldlum.images import read_panorama
@@ -50,14 +66,20 @@ def check_session(model_folder: Path, room: Room) -> None:
         height, width = first.luminance_cdm2.shape
         if (height, width) != (room.height, room.width):
             found = f"a model of {room.width} x {room.height} pictures"
-            raise InputError(model_folder, found, f"{width} x {height} as in this session", "train it again")
+            raise InputError(
+                model_folder, found, f"{width} x {height} as in this session", "train it again"
+            )
         if abs((first.heading_deg - room.heading_deg + 180.0) % 360.0 - 180.0) > 0.1:
             found = f"a model that faces {room.heading_deg:g}"
-            raise InputError(model_folder, found, f"{first.heading_deg:g} as in this session", "train it again")
+            raise InputError(
+                model_folder, found, f"{first.heading_deg:g} as in this session", "train it again"
+            )
 
 
 def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> tuple[str, str] | None:
-    """What first differs of camera and room, of a model and of its session: both bear on every map."""
+    """What first differs of camera and room, of a model and of its session: both bear on every
+    map.
+    """
     for table in ("camera", "room"):
         a, b = mine.get(table) or {}, theirs.get(table) or {}
         for name in sorted({*a, *b} - {"profile"}):
@@ -68,13 +90,15 @@ def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> tuple[str, str] | 
 
 def inputs_of(
     model: Path, weather: Path, views: int, occupancy: Occupancy, maps: bool, seed: int
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     if not weather.is_file():
         raise InputError(weather, "no such file", "an EPW, TMY3 or CSV weather file")
     return {
         "model": model.resolve().name,
         "model_sha256": sha256(model / "config.json"),
-        "weights_sha256": sha256(model / "weights.npz") if (model / "weights.npz").is_file() else "",
+        "weights_sha256": sha256(model / "weights.npz")
+        if (model / "weights.npz").is_file()
+        else "",
         "weather": weather.name,
         "weather_sha256": sha256(weather),
         "views": views,
@@ -85,20 +109,27 @@ def inputs_of(
 
 
 def already(folder: Path, inputs: dict[str, Any]) -> Annual | None:
-    """The year in `folder` when it came from the same inputs by the same version; more maps than asked for may stay."""
+    """The year in `folder` when it came from the same inputs by the same version; more maps than
+    asked for may stay.
+    """
     try:
         annual = read_annual(folder)
     except InputError:
         return None
     about = annual.about
     whole = not inputs["maps"] or (folder / "maps.zarr").is_dir()
-    wanted = inputs if inputs["maps"] else {**inputs, "maps": (about.get("inputs") or {}).get("maps")}
-    same = about.get("inputs") == wanted and about.get("software", {}).get("fieldlum") == __version__
+    wanted = (
+        inputs if inputs["maps"] else {**inputs, "maps": (about.get("inputs") or {}).get("maps")}
+    )
+    same = (
+        about.get("inputs") == wanted and about.get("software", {}).get("fieldlum") == __version__
+    )
     return annual if same and whole else None
 
 
 def begin_anew(folder: Path) -> None:
-    """Take away what says that a year is whole, and maps of another one, before anything of a new year is written.
+    """Take away what says that a year is whole, and maps of another one, before anything of a new
+    year is written.
 
     Else a kill in between leaves the figures of one weather beside the classes of another.
     """

@@ -16,12 +16,15 @@ from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
 
 
 class MapStore:
-    """`maps.zarr` with luminance_cdm2 (time, y, x) and disc_lx (time); it gets its name when it is whole.
+    """`maps.zarr` with luminance_cdm2 (time, y, x) and disc_lx (time); it gets its name when it is
+    whole.
 
     Use as a context manager; on an error what was written goes away, and an older store stays.
     """
 
-    def __init__(self, path: Path, height: int, width: int, heading_deg: float, about: dict[str, Any]) -> None:
+    def __init__(
+        self, path: Path, height: int, width: int, heading_deg: float, about: dict[str, Any]
+    ) -> None:
         self._path, self._work = path, path.with_name(f".{path.name}.tmp")
         self._heading, self._about = heading_deg, about
         self._size = (height, width)
@@ -51,24 +54,39 @@ class MapStore:
         return xr.Dataset(
             {
                 "luminance_cdm2": (
-                    ("time", "y", "x"), maps,
+                    ("time", "y", "x"),
+                    maps,
                     {"units": "cd m-2", "long_name": "luminance without the sun's disc"},
                 ),
                 "disc_lx": (
-                    ("time",), block.disc_lx,
-                    {"units": "lx", "long_name": "illuminance of the visible disc on a plane normal to it"},
+                    ("time",),
+                    block.disc_lx,
+                    {
+                        "units": "lx",
+                        "long_name": "illuminance of the visible disc on a plane normal to it",
+                    },
                 ),
-                "trusted": (("time",), block.prediction.trusted.astype(np.int8), {"long_name": "such light was seen"}),
+                "trusted": (
+                    ("time",),
+                    block.prediction.trusted.astype(np.int8),
+                    {"long_name": "such light was seen"},
+                ),
             },
             coords={
                 "time": ("time", times, {"long_name": "UTC, middle of the hour"}),
                 "y": ("y", row_altitudes_deg(height), {"units": "degree", "long_name": "altitude"}),
-                "x": ("x", column_azimuths_deg(width, self._heading), {"units": "degree", "long_name": "azimuth"}),
+                "x": (
+                    "x",
+                    column_azimuths_deg(width, self._heading),
+                    {"units": "degree", "long_name": "azimuth"},
+                ),
             },
             attrs={"heading_deg": self._heading, **self._about},
-        )  # fmt: skip
+        )
 
-    def __exit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: object, trace: TracebackType | None
+    ) -> None:
         if kind is None and self._started:
             shutil.rmtree(self._path, ignore_errors=True)
             self._work.rename(self._path)

@@ -1,4 +1,6 @@
-"""What a predicted year means: classes of glare protection, what is open, what to capture, what to be told."""
+"""What a predicted year means: classes of glare protection, what is open, what to capture, what
+to be told.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,13 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum import __version__
-from fieldlum.glare.standards import EXCEEDED_SHARE, Protection, hours_to_capture, nearest_limits, protection
+from fieldlum.glare.standards import (
+    EXCEEDED_SHARE,
+    Protection,
+    hours_to_capture,
+    nearest_limits,
+    protection,
+)
 from fieldlum.predict.annual import Annual
 from fieldlum.predict.blocks import Room
 from fieldlum.predict.occupancy import Occupancy
@@ -19,8 +27,10 @@ if TYPE_CHECKING:
     from fieldlum.weather import Weather
 
 HOURLY_MEANS = (
-    "Weather files hold hourly means. Under broken cloud the sun comes and goes within the hour: the mean shows it "
-    "dimmed all the time, so that single moments are brighter and darker than any hour here, and hours of glare are "
+    "Weather files hold hourly means. Under broken cloud the sun comes and goes within the hour: "
+    "the mean shows it "
+    "dimmed all the time, so that single moments are brighter and darker than any hour here, and "
+    "hours of glare are "
     "shorter or longer than counted."
 )
 NOISY_TRUST = 0.05  # a larger share of occupied hours outside what was seen is said aloud
@@ -85,7 +95,11 @@ def about_year(
         "width": room.width,
         "heading_deg": room.heading_deg,
         "azimuths_deg": annual.azimuths_deg.tolist(),
-        "weather": {"name": weather.name, "synthetic": weather.synthetic, "repairs": list(weather.repairs)},
+        "weather": {
+            "name": weather.name,
+            "synthetic": weather.synthetic,
+            "repairs": list(weather.repairs),
+        },
         "hours": len(annual),
         "days": days,
         "first": utc_text(annual.t_utc[0]),
@@ -113,7 +127,8 @@ def _notes(weather: Weather, room: Room, untrusted: float, days: int) -> list[st
         notes.append(f"whether the sun's disc is in view is {room.disc_from}")
     if untrusted > NOISY_TRUST:
         notes.append(
-            f"{100 * untrusted:.0f} % of the lit occupied hours have a sun or a sky unlike any that was captured: "
+            f"{100 * untrusted:.0f} % of the lit occupied hours have a sun or a sky unlike any "
+            f"that was captured: "
             "their figures, and the intervals, rest on extrapolation"
         )
     return notes

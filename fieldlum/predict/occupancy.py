@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, time, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -19,12 +19,16 @@ from fieldlum.sun import position, standard_date, standard_offset
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 HOURS_OF_YEAR = 8760
 _HOUR = timedelta(hours=1)
-HOW = "columns days,start,end (mon-fri,08:00,18:00), or one column occupied with 8760 rows of 0 or 1"
+HOW = (
+    "columns days,start,end (mon-fri,08:00,18:00), or one column occupied with 8760 rows of 0 or 1"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """periods: weekday (0 = Monday), start and end in local clock time; or hourly [8760] of local standard time."""
+    """periods: weekday (0 = Monday), start and end in local clock time; or hourly [8760] of
+    local standard time.
+    """
 
     text: str
     periods: tuple[tuple[int, time, time], ...] = ()
@@ -37,24 +41,37 @@ class Occupancy:
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
         zone = ZoneInfo(timezone)
         local = [t.astimezone(zone) for t in times_utc]
-        return np.array([any(d == t.weekday() and a <= t.time() < b for d, a, b in self.periods) for t in local], bool)
+        return np.array(
+            [
+                any(d == t.weekday() and a <= t.time() < b for d, a, b in self.periods)
+                for t in local
+            ],
+            bool,
+        )
 
 
 def default_occupancy() -> Occupancy:
-    """08:00 to 18:00 on every day of the year: 3 650 hours, the usual reading of EN 17037's annex."""
-    return Occupancy("08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7)))
+    """08:00 to 18:00 on every day of the year: 3 650 hours, the usual reading of EN 17037's
+    annex.
+    """
+    return Occupancy(
+        "08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7))
+    )
 
 
 def _hour_of_year(t_utc: datetime, timezone: str) -> int:
     local = t_utc.astimezone(UTC) + standard_offset(timezone, t_utc.year)
-    day = (datetime(2027, local.month, min(local.day, 28 if local.month == 2 else 31)) - datetime(2027, 1, 1)).days  # noqa: DTZ001
-    return day * 24 + local.hour
+    day_of_month = min(local.day, 28) if local.month == 2 else local.day
+    days = (date(2027, local.month, day_of_month) - date(2027, 1, 1)).days
+    return days * 24 + local.hour
 
 
 def read_occupancy(path: Path) -> Occupancy:
     """A csv of weekly periods or of 8760 hours. Raises InputError naming the line."""
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True))
+        rows = list(
+            csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)
+        )
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, str(error), "a readable csv", HOW) from None
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
@@ -73,12 +90,16 @@ def _weekly(path: Path, rows: list[list[str]]) -> Occupancy:
         if len(row) != 3:
             raise InputError(path, f"line {number}: {len(row)} cells", "days,start,end")
         try:
-            start, end = (time.fromisoformat(cell) if cell != "24:00" else time.max for cell in row[1:])
+            start, end = (
+                time.fromisoformat(cell) if cell != "24:00" else time.max for cell in row[1:]
+            )
             days = _days(row[0])
         except ValueError as error:
             raise InputError(path, f"line {number}: {error}", "mon-fri,08:00,18:00") from None
         if not start < end:
-            raise InputError(path, f"line {number}: {row[1]} is not before {row[2]}", "start before end")
+            raise InputError(
+                path, f"line {number}: {row[1]} is not before {row[2]}", "start before end"
+            )
         periods += [(day, start, end) for day in days]
     if not periods:
         raise InputError(path, "no period", HOW)
@@ -100,20 +121,31 @@ def _days(text: str) -> list[int]:
 def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
     column = rows[0].index("occupied")
     if len(rows) - 1 != HOURS_OF_YEAR:
-        raise InputError(path, f"{len(rows) - 1} hours", f"{HOURS_OF_YEAR}, local standard time from 1 January 00:00")
+        raise InputError(
+            path,
+            f"{len(rows) - 1} hours",
+            f"{HOURS_OF_YEAR}, local standard time from 1 January 00:00",
+        )
     hours = np.zeros(HOURS_OF_YEAR, bool)
     for k, row in enumerate(rows[1:]):
         if len(row) <= column or row[column] not in ("0", "1"):
-            raise InputError(path, f"line {k + 2}: occupied is '{row[column] if len(row) > column else ''}'", "0 or 1")
+            raise InputError(
+                path,
+                f"line {k + 2}: occupied is '{row[column] if len(row) > column else ''}'",
+                "0 or 1",
+            )
         hours[k] = row[column] == "1"
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
 
 
-def occupied_hours(occupancy: Occupancy, times_utc: Sequence[datetime], site: Site) -> tuple[int, int]:
-    """Occupied hours, dark ones too, of the local standard dates that the weather holds, and how many dates those are.
+def occupied_hours(
+    occupancy: Occupancy, times_utc: Sequence[datetime], site: Site
+) -> tuple[int, int]:
+    """Occupied hours, dark ones too, of the local standard dates that the weather holds, and how
+    many dates those are.
 
-    An hour with the sun up of which the weather says nothing is not counted: it would pass for one without glare.
-    Raises NotEnoughDataError when there is no such hour.
+    An hour with the sun up of which the weather says nothing is not counted: it would pass for one
+    without glare. Raises NotEnoughDataError when there is no such hour.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})
@@ -124,5 +156,7 @@ def occupied_hours(occupancy: Occupancy, times_utc: Sequence[datetime], site: Si
     middles = [t + _HOUR / 2 for t in hours]
     used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
     if not used.any():
-        raise NotEnoughDataError(f"the occupancy ({occupancy.text}) has no hour in the weather's {len(days)} days")
+        raise NotEnoughDataError(
+            f"the occupancy ({occupancy.text}) has no hour in the weather's {len(days)} days"
+        )
     return int(used.sum()), len(days)

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
-    """Typical, 95th percentile and worst occupied hour of the worst and the best direction, and one clear day."""
+    """Typical, 95th percentile and worst occupied hour of the worst and the best direction, and
+    one clear day.
+    """
     used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
     dgp = annual.views["dgp"][used]
     at_95 = np.percentile(dgp, 95, axis=0)
@@ -32,7 +34,9 @@ def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
 
 
 def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
-    """The hours of the sunniest day within three weeks of the March equinox (or of all, when there is none)."""
+    """The hours of the sunniest day within three weeks of the March equinox (or of all, when
+    there is none).
+    """
     days = np.array([standard_date(t, zone).timetuple().tm_yday for t in annual.t_utc])
     near = np.abs(days - 80) <= 21
     pool = np.unique(days[near]) if near.any() else np.unique(days)
@@ -41,7 +45,9 @@ def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
 
 
 def telling_pictures(fitted: Fitted, room: Room, light: Light, annual: Annual) -> Pictures:
-    """The maps of `telling_hours`, predicted again: keeping all of them for this would take a gigabyte."""
+    """The maps of `telling_hours`, predicted again: keeping all of them for this would take a
+    gigabyte.
+    """
     chosen = list(telling_hours(annual, room.setup.site.timezone))
     rows = np.array(sorted({row for _, row in chosen}), np.int64)
     parts = list(blocks(fitted, room, light[rows]))
@@ -50,4 +56,4 @@ def telling_pictures(fitted: Fitted, room: Room, light: Light, annual: Annual) -
     at = [int(np.searchsorted(rows, row)) for _, row in chosen]
     return Pictures(
         tuple(kind for kind, _ in chosen), rows[at], maps[at], disc[at], room.heading_deg
-    )  # fmt: skip
+    )

@@ -15,7 +15,14 @@ from fieldlum.glare.geometry import Views, panorama_views, view_azimuths_deg
 from fieldlum.glare.metrics import glare_directions
 from fieldlum.glare.sources import SOURCE_CDM2
 from fieldlum.glare.standards import dgp_uncertainty
-from fieldlum.predict.annual import HOUR_COLUMNS, VIEW_COLUMNS, Annual, write_about, write_hourly, write_pictures
+from fieldlum.predict.annual import (
+    HOUR_COLUMNS,
+    VIEW_COLUMNS,
+    Annual,
+    write_about,
+    write_hourly,
+    write_pictures,
+)
 from fieldlum.predict.blocks import Block, Room, blocks, room_of
 from fieldlum.predict.checks import already, begin_anew, check_session, default_folder, inputs_of
 from fieldlum.predict.maps import MapStore
@@ -24,7 +31,9 @@ from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_o
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 
-U_DISC = 0.05  # relative standard uncertainty of the disc's illuminance: luminous efficacy and glass
+U_DISC = (
+    0.05  # relative standard uncertainty of the disc's illuminance: luminous efficacy and glass
+)
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
@@ -44,10 +53,11 @@ def run(
     seed: int = 0,
     progress: Progress = quiet,
 ) -> tuple[Annual, bool]:
-    """Predict all daylight hours of a weather file with a trained model; returns the year and whether it is new.
+    """Predict all daylight hours of a weather file with a trained model; returns the year and
+    whether it is new.
 
-    Raises InputError for a broken model or weather, and for weather or a session of another place or camera than the
-    model's; NotEnoughDataError for weather without daylight.
+    Raises InputError for a broken model or weather, and for weather or a session of another place
+    or camera than the model's; NotEnoughDataError for weather without daylight.
     """
     from fieldlum.models import load, read_config
     from fieldlum.weather import read_weather
@@ -87,7 +97,8 @@ def light_of(weather: Weather) -> Light:
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
 
 
-# ---------------------------------------------------------------------------------------------- measuring
+# ----------------------------------------------------------------------------------------------
+# measuring
 
 
 def measure(
@@ -108,7 +119,11 @@ def measure(
     figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
     folder.mkdir(parents=True, exist_ok=True)
     about = {"site": room.setup.site.name}
-    store = MapStore(folder / "maps.zarr", room.height, room.width, room.heading_deg, about) if maps else nullcontext()
+    store = (
+        MapStore(folder / "maps.zarr", room.height, room.width, room.heading_deg, about)
+        if maps
+        else nullcontext()
+    )
     with store as kept:
         for block in blocks(fitted, room, light, progress=progress):
             for name, values in _hour_figures(block).items():
@@ -123,19 +138,33 @@ def measure(
 def _hour_figures(block: Block) -> dict[str, NDArray[Any]]:
     light, told = block.light, block.prediction
     return {
-        "dni_wm2": light.dni_wm2, "dhi_wm2": light.dhi_wm2, "sun_altitude_deg": light.sun_altitude_deg,
-        "sun_azimuth_deg": light.sun_azimuth_deg, "disc_lx": block.disc_lx, "occupied": np.zeros(len(light)),
-        "trusted": told.trusted.astype(float), "expected_log10_mse": told.expected_mse,
-    }  # fmt: skip
+        "dni_wm2": light.dni_wm2,
+        "dhi_wm2": light.dhi_wm2,
+        "sun_altitude_deg": light.sun_altitude_deg,
+        "sun_azimuth_deg": light.sun_azimuth_deg,
+        "disc_lx": block.disc_lx,
+        "occupied": np.zeros(len(light)),
+        "trusted": told.trusted.astype(float),
+        "expected_log10_mse": told.expected_mse,
+    }
 
 
-def view_figures(block: Block, room: Room, views: Views, regions: ViewRegions) -> dict[str, NDArray[np.float64]]:
+def view_figures(
+    block: Block, room: Room, views: Views, regions: ViewRegions
+) -> dict[str, NDArray[np.float64]]:
     """`VIEW_COLUMNS` of a block, [k, d] each."""
     maps = block.prediction.luminance_cdm2
     found = glare_directions(
-        maps, room.heading_deg, views.azimuths_deg, block.light.sun_direction, block.disc_lx, views=views
+        maps,
+        room.heading_deg,
+        views.azimuths_deg,
+        block.light.sun_direction,
+        block.disc_lx,
+        views=views,
     )
-    found["u_dgp"] = dgp_uncertainty(found["ev_lx"], found["contrast"], *_relative(block, views, found))
+    found["u_dgp"] = dgp_uncertainty(
+        found["ev_lx"], found["contrast"], *_relative(block, views, found)
+    )
     found = {name: values for name, values in found.items() if name in VIEW_COLUMNS}
     found["melanopic_edi_lx_estimate"] = melanopic_edi_lx(found["ev_lx"])
     return found | regions.ratios(maps)
@@ -144,15 +173,19 @@ def view_figures(block: Block, room: Room, views: Views, regions: ViewRegions) -
 def _relative(
     block: Block, views: Views, found: dict[str, NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Relative standard uncertainty of Ev and of the sources' luminance, [k, d]; NaN where the model says nothing.
+    """Relative standard uncertainty of Ev and of the sources' luminance, [k, d]; NaN where the
+    model says nothing.
 
-    Pixels of one picture are taken to err together: a model is too bright or too dark in all of a wall. The disc has an
-    uncertainty of its own.
+    Pixels of one picture are taken to err together: a model is too bright or too dark in all of a
+    wall. The disc has an uncertainty of its own.
     """
     map_ev, map_source = _relative_of_map(block, views)
     share_ev = found["sun_ev_lx"] / np.maximum(found["ev_lx"], 1e-6)
     share = np.divide(
-        found["sun_contrast"], found["contrast"], out=np.zeros_like(share_ev), where=found["contrast"] > 0
+        found["sun_contrast"],
+        found["contrast"],
+        out=np.zeros_like(share_ev),
+        where=found["contrast"] > 0,
     )
     return (
         np.hypot((1.0 - share_ev) * map_ev, share_ev * U_DISC),

@@ -1,10 +1,17 @@
 """Lens mappings, rays, solid angles and flux-conserving resampling.
 
-Axes: x east, y north, z up. Azimuth clockwise from north. A panorama is equirectangular, row 0 at the zenith, W = 2H;
-the azimuth of column centre j is heading + ((j + .5)/W - .5) * 360 degrees, so right is clockwise.
+Axes: x east, y north, z up. Azimuth clockwise from north. A panorama is equirectangular, row 0 at
+the zenith, W = 2H; the azimuth of column centre j is heading + ((j + .5)/W - .5) * 360 degrees, so
+right is clockwise.
 """
 
-from fieldlum.projection.lens import LensGeometry, angle_of_radius, lens_pixels, lens_rays, radius_of_angle
+from fieldlum.projection.lens import (
+    LensGeometry,
+    angle_of_radius,
+    lens_pixels,
+    lens_rays,
+    radius_of_angle,
+)
 from fieldlum.projection.panorama import (
     column_azimuths_deg,
     direction,

@@ -1,6 +1,8 @@
-"""A lens on a sensor: angle to radius, pose, and both ways between directions and sensor coordinates.
+"""A lens on a sensor: angle to radius, pose, and both ways between directions and sensor
+coordinates.
 
-Sensor coordinates: (0, 0) is the top left corner of the top left pixel, x right, y down, seen from behind the camera.
+Sensor coordinates: (0, 0) is the top left corner of the top left pixel, x right, y down, seen from
+behind the camera.
 """
 
 from dataclasses import dataclass
@@ -17,7 +19,9 @@ Mapping = Literal["equidistant", "equisolid", "polynomial"]
 
 @dataclass(frozen=True, slots=True)
 class LensGeometry:
-    """Where a lens puts a direction. Angles relative to the panorama's heading; see `fieldlum.profiles.Lens`."""
+    """Where a lens puts a direction. Angles relative to the panorama's heading; see
+    `fieldlum.profiles.Lens`.
+    """
 
     centre_px: tuple[float, float]
     radius_px: float  # of the image circle at half of full_angle_deg
@@ -33,28 +37,42 @@ class LensGeometry:
         return float(np.radians(self.full_angle_deg / 2))
 
     def axes(self) -> NDArray[np.float64]:
-        """Rows: right, up, forward of the camera in the panorama's frame (heading = north of that frame), [3, 3]."""
+        """Rows: right, up, forward of the camera in the panorama's frame (heading = north of
+        that frame), [3, 3].
+        """
         forward = direction(self.tilt_deg, self.azimuth_deg)
         right = direction(0.0, self.azimuth_deg + 90.0)
         up = np.cross(right, forward)
         roll = np.radians(self.roll_deg)
-        return np.stack((np.cos(roll) * right - np.sin(roll) * up, np.sin(roll) * right + np.cos(roll) * up, forward))
+        return np.stack(
+            (
+                np.cos(roll) * right - np.sin(roll) * up,
+                np.sin(roll) * right + np.cos(roll) * up,
+                forward,
+            )
+        )
 
 
 def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Distance from the image centre over radius_px, at angles from the optical axis; 1 at half the full angle."""
+    """Distance from the image centre over radius_px, at angles from the optical axis; 1 at half
+    the full angle.
+    """
     angle = np.asarray(angle_rad, float)
     half = lens.half_angle_rad
     if lens.mapping == "equisolid":
         return np.sin(angle / 2) / np.sin(half / 2)
     if lens.mapping == "equidistant":
         return angle / half
-    return np.asarray(np.polynomial.polynomial.polyval(angle / half, (0.0, *lens.coefficients)), np.float64)
+    return np.asarray(
+        np.polynomial.polynomial.polyval(angle / half, (0.0, *lens.coefficients)), np.float64
+    )
 
 
 @lru_cache(maxsize=16)
 def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Radius and angle up to where the polynomial stops rising. Raises ValueError when that is inside the circle."""
+    """Radius and angle up to where the polynomial stops rising. Raises ValueError when that is
+    inside the circle.
+    """
     angles = np.linspace(0.0, min(1.15 * lens.half_angle_rad, np.pi), 4001)
     radii = radius_of_angle(lens, angles)
     falling = np.flatnonzero(np.diff(radii) <= 0)
@@ -65,7 +83,9 @@ def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64]:
-    """Inverse of `radius_of_angle`; radii beyond what the mapping reaches give the largest angle. [rad]"""
+    """Inverse of `radius_of_angle`; radii beyond what the mapping reaches give the largest
+    angle. [rad]
+    """
     r = np.asarray(radius, float)
     if lens.mapping == "equisolid":
         return 2.0 * np.arcsin(np.clip(r * np.sin(lens.half_angle_rad / 2), -1.0, 1.0))
@@ -77,7 +97,9 @@ def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64
 def lens_pixels(
     lens: LensGeometry, rays: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Sensor x, y [px] and angle from the axis [rad] of unit vectors [..., 3] in the panorama's frame."""
+    """Sensor x, y [px] and angle from the axis [rad] of unit vectors [..., 3] in the panorama's
+    frame.
+    """
     right, up, forward = np.moveaxis(np.asarray(rays, float) @ lens.axes().T, -1, 0)
     across = np.hypot(right, up)
     angle = np.arctan2(across, forward)
@@ -86,8 +108,13 @@ def lens_pixels(
 
 
 def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> NDArray[np.float64]:
-    """Unit vectors [..., 3] in the panorama's frame of sensor coordinates; inverse of `lens_pixels`."""
-    dx, dy = np.asarray(x_px, float) - lens.centre_px[0], lens.centre_px[1] - np.asarray(y_px, float)
+    """Unit vectors [..., 3] in the panorama's frame of sensor coordinates; inverse of
+    `lens_pixels`.
+    """
+    dx, dy = (
+        np.asarray(x_px, float) - lens.centre_px[0],
+        lens.centre_px[1] - np.asarray(y_px, float),
+    )
     radius = np.hypot(dx, dy)
     angle = angle_of_radius(lens, radius / lens.radius_px)
     across = np.sin(angle) / np.maximum(radius, 1e-300)

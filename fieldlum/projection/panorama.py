@@ -1,7 +1,8 @@
 """The panorama grid: rays, azimuths, solid angles.
 
-Axes: x east, y north, z up. Azimuth clockwise from north. A panorama is equirectangular, row 0 at the zenith, W = 2H;
-the azimuth of column centre j is heading + ((j + .5)/W - .5) * 360 degrees, so right is clockwise.
+Axes: x east, y north, z up. Azimuth clockwise from north. A panorama is equirectangular, row 0 at
+the zenith, W = 2H; the azimuth of column centre j is heading + ((j + .5)/W - .5) * 360 degrees, so
+right is clockwise.
 """
 
 import numpy as np
@@ -32,18 +33,25 @@ def row_altitudes_deg(height: int) -> NDArray[np.float64]:
 def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
     """Unit vectors (x east, y north, z up), [..., 3]."""
     alt, az = np.radians(altitude_deg), np.radians(azimuth_deg)
-    return np.stack(np.broadcast_arrays(np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt)), axis=-1)
+    return np.stack(
+        np.broadcast_arrays(np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt)),
+        axis=-1,
+    )
 
 
 def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.float64]:
     """Unit vector of each pixel's centre, [H, W, 3]."""
-    return direction(row_altitudes_deg(height)[:, None], column_azimuths_deg(width, heading_deg)[None, :])
+    return direction(
+        row_altitudes_deg(height)[:, None], column_azimuths_deg(width, heading_deg)[None, :]
+    )
 
 
 def equirect_pixel(
     altitude_deg: ArrayLike, azimuth_deg: ArrayLike, height: int, width: int, heading_deg: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Continuous (row, column) of directions; pixel (i, j) covers [i, i+1) x [j, j+1). Columns wrap into [0, W)."""
+    """Continuous (row, column) of directions; pixel (i, j) covers [i, i+1) x [j, j+1). Columns
+    wrap into [0, W).
+    """
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
     turn = (np.asarray(azimuth_deg, float) - heading_deg) / 360.0 + 0.5
     return row, (turn % 1.0) * width

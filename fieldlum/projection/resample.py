@@ -1,9 +1,10 @@
 """From a sensor to a grid of directions by one sparse matrix that conserves flux.
 
-Each target pixel is sampled finely; a sample is shared among the four nearest sensor pixels of its colour (bilinear on
-that colour's own lattice, so that every sensor pixel gives away its own solid angle), and the samples' solid angles are
-the weights. So a uniform field stays uniform exactly, a point source keeps its energy, and a colour is taken from its
-own pixels of the mosaic: nothing is demosaicked. The same matrix carries values, variances (its square) and flags.
+Each target pixel is sampled finely; a sample is shared among the four nearest sensor pixels of its
+colour (bilinear on that colour's own lattice, so that every sensor pixel gives away its own solid
+angle), and the samples' solid angles are the weights. So a uniform field stays uniform exactly, a
+point source keeps its energy, and a colour is taken from its own pixels of the mosaic: nothing is
+demosaicked. The same matrix carries values, variances (its square) and flags.
 """
 
 from collections.abc import Iterator
@@ -19,8 +20,8 @@ from fieldlum.projection.panorama import direction, equirect_solid_angles
 
 _BLOCK_SAMPLES = 250_000  # worked on at a time: what stays near a core
 _WINDOWS = 1_000_000  # places of all windows that are summed at a time
-# Cells with no corner within the lens, give or take this, are not looked at: some polynomials fall again beyond the
-# edge and would show what lies behind the lens as a mirror image of its rim.
+# Cells with no corner within the lens, give or take this, are not looked at: some polynomials fall
+# again beyond the edge and would show what lies behind the lens as a mirror image of its rim.
 _EDGE_RAD = 0.002
 _SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}  # of a colour's pixels [px]
 _LEAST = 3  # samples along an edge of a target pixel
@@ -41,15 +42,21 @@ class Equirect:
     def pixel_rad(self) -> float:
         return float(np.pi / self.height)
 
-    def rays(self, rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float64]:
+    def rays(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
         """Directions of continuous (row, column) coordinates, [rows, columns, 3]."""
         altitude = 90.0 - rows / self.height * 180.0
         azimuth = (columns / (2 * self.height) - 0.5) * 360.0
         return direction(altitude[:, None], azimuth[None, :])
 
-    def weight(self, rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float64]:
+    def weight(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
         """Relative solid angle of samples, [rows, columns]."""
-        return np.broadcast_to(np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size))
+        return np.broadcast_to(
+            np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size)
+        )
 
     def solid_angles(self) -> NDArray[np.float64]:
         return equirect_solid_angles(*self.shape)
@@ -76,24 +83,39 @@ class Fisheye:
         half = self.size / 2
         p = self.pose
         return LensGeometry(
-            (half, half), half, self.full_angle_deg, "equidistant", (), p.azimuth_deg, p.tilt_deg, p.roll_deg
+            (half, half),
+            half,
+            self.full_angle_deg,
+            "equidistant",
+            (),
+            p.azimuth_deg,
+            p.tilt_deg,
+            p.roll_deg,
         )
 
     @property
     def view(self) -> str:
         return f"-vta -vv {self.full_angle_deg:g} -vh {self.full_angle_deg:g}"
 
-    def rays(self, rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float64]:
+    def rays(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
         return lens_rays(self.geometry, columns[None, :], rows[:, None])
 
-    def angles(self, rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float64]:
+    def angles(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
         """From the axis, [rows, columns]. [rad]"""
         half = self.size / 2
         return np.hypot(columns[None, :] - half, rows[:, None] - half) * self.pixel_rad
 
-    def weight(self, rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float64]:
+    def weight(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
         angle = self.angles(rows, columns)
-        return np.where(angle <= np.radians(self.full_angle_deg) / 2, np.abs(np.sinc(angle / np.pi)), 0.0)
+        return np.where(
+            angle <= np.radians(self.full_angle_deg) / 2, np.abs(np.sinc(angle / np.pi)), 0.0
+        )
 
     def solid_angles(self) -> NDArray[np.float64]:
         centre = np.arange(self.size) + 0.5
@@ -106,10 +128,11 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Resampler:
-    """Matrices by colour [target pixels, sensor pixels], rows that sum to 1 (or 0 where the lens sees nothing).
+    """Matrices by colour [target pixels, sensor pixels], rows that sum to 1 (or 0 where the lens
+    sees nothing).
 
-    coverage: share of a target pixel's solid angle that falls on the sensor inside the lens, [pixels]
-    angle_rad: mean angle from the optical axis of what falls there, [pixels]
+    coverage: share of a target pixel's solid angle that falls on the sensor inside the lens,
+    [pixels] angle_rad: mean angle from the optical axis of what falls there, [pixels]
     """
 
     matrices: dict[str, Any]  # scipy.sparse.csr_array, float32
@@ -120,7 +143,9 @@ class Resampler:
 
 @dataclass(frozen=True, slots=True)
 class _Lattice:
-    """Where the pixels of one colour stand: at sensor pixel `origin + p right + q down`, in whole steps p and q."""
+    """Where the pixels of one colour stand: at sensor pixel `origin + p right + q down`, in
+    whole steps p and q.
+    """
 
     row: int
     column: int
@@ -128,13 +153,23 @@ class _Lattice:
     down: tuple[int, int]
 
     def places(self, x: Float32, y: Float32) -> tuple[Float32, Float32]:
-        """Continuous p, q of sensor coordinates; whole numbers at the middles of the colour's pixels."""
-        half, across, down = np.float32(0.5), x - np.float32(self.column + 0.5), y - np.float32(self.row + 0.5)
+        """Continuous p, q of sensor coordinates; whole numbers at the middles of the colour's
+        pixels.
+        """
+        half, across, down = (
+            np.float32(0.5),
+            x - np.float32(self.column + 0.5),
+            y - np.float32(self.row + 0.5),
+        )
         if self.right[0]:  # green: a lattice at 45 degrees
             return np.multiply(across + down, half), np.multiply(across - down, half)
-        return np.multiply(across, np.float32(1 / self.right[1])), np.multiply(down, np.float32(1 / self.down[0]))
+        return np.multiply(across, np.float32(1 / self.right[1])), np.multiply(
+            down, np.float32(1 / self.down[0])
+        )
 
-    def number(self, p: NDArray[np.integer], q: NDArray[np.integer], width: int) -> NDArray[np.int32]:
+    def number(
+        self, p: NDArray[np.integer], q: NDArray[np.integer], width: int
+    ) -> NDArray[np.int32]:
         """Number of the sensor pixel, row by row."""
         rows = self.row + p * self.right[0] + q * self.down[0]
         return (rows * width + self.column + p * self.right[1] + q * self.down[1]).astype(np.int32)
@@ -158,10 +193,11 @@ def _blocks(target: Target, sub: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class _Nodes:
-    """Exact sensor coordinates on a grid over some rows of the target, and the target pixels that may meet the lens.
+    """Exact sensor coordinates on a grid over some rows of the target, and the target pixels that
+    may meet the lens.
 
-    Between nodes the coordinates are interpolated: they are smooth where the lens sees, and a node stands at every
-    pixel corner or at least every half degree.
+    Between nodes the coordinates are interpolated: they are smooth where the lens sees, and a node
+    stands at every pixel corner or at least every half degree.
     """
 
     first: int  # row of the target
@@ -187,8 +223,12 @@ def _nodes_per_pixel(target: Target) -> int:
     return max(1, int(np.ceil(target.pixel_rad / 0.009)))
 
 
-def _samples(target: Target, nodes: _Nodes, down: int, across: int) -> tuple[Float32, Float32, Float32]:
-    """Sensor x, y (not a number where nothing can be seen) and weight [down, across, n] of the pixels of `nodes`."""
+def _samples(
+    target: Target, nodes: _Nodes, down: int, across: int
+) -> tuple[Float32, Float32, Float32]:
+    """Sensor x, y (not a number where nothing can be seen) and weight [down, across, n] of the
+    pixels of `nodes`.
+    """
     fine = nodes.fine
     part = np.arange(fine)
     i = nodes.row * fine + part[:, None, None]
@@ -196,7 +236,9 @@ def _samples(target: Target, nodes: _Nodes, down: int, across: int) -> tuple[Flo
     i, j = np.broadcast_arrays(i, j)
     hidden = None if (near := nodes.near[i, j]).all() else ~near
     steps = _middles(down // fine), _middles(across // fine)
-    xs, ys = (_between(v, i, j, *steps, hidden).reshape(down, across, -1) for v in (nodes.x, nodes.y))
+    xs, ys = (
+        _between(v, i, j, *steps, hidden).reshape(down, across, -1) for v in (nodes.x, nodes.y)
+    )
     at_rows = nodes.first + nodes.row + _middles(down)[:, None]
     if isinstance(target, Equirect):
         weight = np.sin(at_rows / target.height * np.pi)[:, None]
@@ -204,7 +246,9 @@ def _samples(target: Target, nodes: _Nodes, down: int, across: int) -> tuple[Flo
         half = target.size / 2
         at_columns = nodes.column + _middles(across)[:, None]
         distance = np.hypot(at_columns - half, (at_rows - half)[:, None]) * target.pixel_rad
-        weight = np.where(distance <= np.radians(target.full_angle_deg) / 2, np.sinc(distance / np.pi), 0.0)
+        weight = np.where(
+            distance <= np.radians(target.full_angle_deg) / 2, np.sinc(distance / np.pi), 0.0
+        )
     return xs, ys, np.broadcast_to(weight.astype(np.float32), xs.shape)
 
 
@@ -213,10 +257,16 @@ def _middles(count: int) -> NDArray[np.float64]:
 
 
 def _between(
-    nodes: Float32, i: NDArray[np.intp], j: NDArray[np.intp], down: NDArray[np.float64], across: NDArray[np.float64],
+    nodes: Float32,
+    i: NDArray[np.intp],
+    j: NDArray[np.intp],
+    down: NDArray[np.float64],
+    across: NDArray[np.float64],
     hidden: NDArray[np.bool_] | None,
-) -> Float32:  # fmt: skip
-    """Bilinear values at places `down` and `across` of cells (i, j) [fine, fine, n]: [fine, down, fine, across, n]."""
+) -> Float32:
+    """Bilinear values at places `down` and `across` of cells (i, j) [fine, fine, n]: [fine,
+    down, fine, across, n].
+    """
     a, b, c, d = nodes[i, j], nodes[i, j + 1], nodes[i + 1, j], nodes[i + 1, j + 1]
     if hidden is not None:
         a[hidden] = b[hidden] = np.nan
@@ -229,31 +279,49 @@ def _between(
 
 
 def samples_per_pixel(target: Target, lens: LensGeometry, colour: str = "") -> int:
-    """Sub-samples along one edge of a target pixel, so that no sensor pixel of the colour falls between them."""
-    densest = lens.radius_px * max(1.0 / np.sin(min(lens.half_angle_rad, np.pi / 2)), 1.0 / lens.half_angle_rad)
-    return int(np.clip(np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour])), _LEAST, 24))
+    """Sub-samples along one edge of a target pixel, so that no sensor pixel of the colour falls
+    between them.
+    """
+    densest = lens.radius_px * max(
+        1.0 / np.sin(min(lens.half_angle_rad, np.pi / 2)), 1.0 / lens.half_angle_rad
+    )
+    return int(
+        np.clip(np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour])), _LEAST, 24)
+    )
 
 
 def _counts(target: Target, first: int, last: int, sub: int) -> tuple[int, int]:
-    """Samples down and across a pixel of these rows: fewer across where meridians draw together; nodes divide both."""
+    """Samples down and across a pixel of these rows: fewer across where meridians draw together;
+    nodes divide both.
+    """
     fine = _nodes_per_pixel(target)
     across = sub
     if isinstance(target, Equirect):
-        edges = np.clip((first / target.height, last / target.height, 0.5), first / target.height, last / target.height)
+        edges = np.clip(
+            (first / target.height, last / target.height, 0.5),
+            first / target.height,
+            last / target.height,
+        )
         across = max(_LEAST, int(np.ceil(sub * np.sin(np.pi * edges).max())))
     return -(-sub // fine) * fine, -(-across // fine) * fine
 
 
 @lru_cache(maxsize=24)
-def resampler(target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str = "") -> Resampler:
+def resampler(
+    target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str = ""
+) -> Resampler:
     """Build (once, then cached) the matrices from a sensor [h, w] seen through `lens` to `target`.
 
-    cfa: four letters row by row, or "" for a sensor with all colours everywhere (one matrix, named "").
+    cfa: four letters row by row, or "" for a sensor with all colours everywhere (one matrix, named
+    "").
     """
     colours = sorted(set(cfa)) or [""]
     subs = {colour: samples_per_pixel(target, lens, colour) for colour in colours}
     width = target.shape[1]
-    coverage, angle = np.ones(target.shape[0] * width, np.float32), np.zeros(target.shape[0] * width, np.float32)
+    coverage, angle = (
+        np.ones(target.shape[0] * width, np.float32),
+        np.zeros(target.shape[0] * width, np.float32),
+    )
     rows: dict[str, list[_Rows]] = {colour: [] for colour in colours}
     for first, last in _blocks(target, max(subs.values())):
         nodes = _nodes(target, lens, first, last)
@@ -262,8 +330,14 @@ def resampler(target: Target, lens: LensGeometry, sensor_shape: tuple[int, int],
             counts = _counts(target, first, last, sub)
             seen = _seen(lens, sensor_shape, _samples(target, nodes, *counts), 1.5 if cfa else 0.75)
             for colour in (c for c in colours if subs[c] == sub):
-                rows[colour].append(_rows(seen, _lattice(cfa, colour), sensor_shape[1], pixel, (last - first) * width))
-            whole = np.maximum(_full_weight(target, first, last)[pixel] * counts[0] * counts[1], 1e-30)
+                rows[colour].append(
+                    _rows(
+                        seen, _lattice(cfa, colour), sensor_shape[1], pixel, (last - first) * width
+                    )
+                )
+            whole = np.maximum(
+                _full_weight(target, first, last)[pixel] * counts[0] * counts[1], 1e-30
+            )
             at = first * width + pixel
             coverage[at] = np.minimum(coverage[at], seen.total / whole)  # what all colours see
             angle[at] = seen.angle_rad
@@ -275,7 +349,9 @@ def resampler(target: Target, lens: LensGeometry, sensor_shape: tuple[int, int],
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """Samples [down, across, n] of n target pixels: sensor coordinates, share of their pixel (0: not seen)."""
+    """Samples [down, across, n] of n target pixels: sensor coordinates, share of their pixel (0:
+    not seen).
+    """
 
     x: Float32
     y: Float32
@@ -285,18 +361,27 @@ class _Seen:
 
 
 def _seen(
-    lens: LensGeometry, sensor_shape: tuple[int, int], samples: tuple[Float32, Float32, Float32], margin: float
+    lens: LensGeometry,
+    sensor_shape: tuple[int, int],
+    samples: tuple[Float32, Float32, Float32],
+    margin: float,
 ) -> _Seen:
-    """margin: so that none of the four neighbours of a sample lies outside the circle or the sensor. [px]"""
+    """margin: so that none of the four neighbours of a sample lies outside the circle or the
+    sensor. [px]
+    """
     x, y, weight = samples
     sensor_h, sensor_w = sensor_shape
     r2 = (x - np.float32(lens.centre_px[0])) ** 2 + (y - np.float32(lens.centre_px[1])) ** 2
     seen = (r2 <= (lens.radius_px - margin) ** 2) & (weight > 0)
     seen &= (x >= margin) & (y >= margin) & (x < sensor_w - margin) & (y < sensor_h - margin)
     if not seen.all():
-        # What is not seen weighs nothing, and stands where something of its pixel is seen: its window stays small.
+        # What is not seen weighs nothing, and stands where something of its pixel is seen: its
+        # window stays small.
         weight = weight * seen
-        x, y = (np.where(seen, v, np.where(seen, v, np.float32(np.inf)).min(axis=(0, 1))) for v in (x, y))
+        x, y = (
+            np.where(seen, v, np.where(seen, v, np.float32(np.inf)).min(axis=(0, 1)))
+            for v in (x, y)
+        )
         r2 = np.where(seen, r2, np.float32(0))
     total = weight.sum(axis=(0, 1), dtype=np.float64)
     share = np.divide(weight, np.maximum(total, 1e-30).astype(np.float32), order="C")
@@ -304,20 +389,27 @@ def _seen(
     return _Seen(x, y, share, total, (share * angle).sum(axis=(0, 1), dtype=np.float64))
 
 
-_Rows = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.intp]]  # values, columns, entries of each row
+_Rows = tuple[
+    NDArray[np.float32], NDArray[np.int32], NDArray[np.intp]
+]  # values, columns, entries of each row
 
 
-def _rows(seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: NDArray[np.intp], pixels: int) -> _Rows:
-    """Rows of the matrix: every sample shared among the four nearest pixels of its colour, bilinearly.
+def _rows(
+    seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: NDArray[np.intp], pixels: int
+) -> _Rows:
+    """Rows of the matrix: every sample shared among the four nearest pixels of its colour,
+    bilinearly.
 
-    The shares are added up in a small dense window of the lattice around each target pixel: no sorting.
+    The shares are added up in a small dense window of the lattice around each target pixel: no
+    sorting.
     """
     keep = np.flatnonzero(seen.total > 0)
     counts = np.zeros(pixels, np.intp)
     if not keep.size:
         return np.zeros(0, np.float32), np.zeros(0, np.int32), counts
     x, y, share = (
-        v if keep.size == len(seen.total) else np.take(v, keep, axis=-1) for v in (seen.x, seen.y, seen.share)
+        v if keep.size == len(seen.total) else np.take(v, keep, axis=-1)
+        for v in (seen.x, seen.y, seen.share)
     )
     p, q = lattice.places(x, y)
     i, j = np.floor(p), np.floor(q)
@@ -334,7 +426,9 @@ def _rows(seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: NDArray[np.i
     step = max(1, _WINDOWS // window.size)
     for a in range(0, keep.size, step):
         at = slice(a, a + step)
-        dense = _window_sums(i[..., at], j[..., at], p[..., at], q[..., at], share[..., at], across, down)
+        dense = _window_sums(
+            i[..., at], j[..., at], p[..., at], q[..., at], share[..., at], across, down
+        )
         filled = dense > 0
         values.append(dense[filled].astype(np.float32))
         columns.append((corner[at][:, None] + window)[filled])
@@ -345,7 +439,9 @@ def _rows(seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: NDArray[np.i
 def _window_sums(
     i: Float32, j: Float32, p: Float32, q: Float32, share: Float32, across: int, down: int
 ) -> NDArray[np.float64]:
-    """Shares of samples at i + p, j + q [.., .., n] added up on the window of each pixel, [n, down * across]."""
+    """Shares of samples at i + p, j + q [.., .., n] added up on the window of each pixel, [n,
+    down * across].
+    """
     size, pixels = across * down, i.shape[-1]
     at = (j * across + i).astype(np.intp)
     at += np.arange(pixels) * size
@@ -358,7 +454,9 @@ def _window_sums(
         np.add(at.ravel(), move + 1, out=index[2 * number + 1])
         np.subtract(row.ravel(), right.ravel(), out=part[2 * number])
         part[2 * number + 1] = right.ravel()
-    return np.asarray(np.bincount(index.ravel(), part.ravel(), pixels * size), np.float64).reshape(-1, size)
+    return np.asarray(np.bincount(index.ravel(), part.ravel(), pixels * size), np.float64).reshape(
+        -1, size
+    )
 
 
 def _csr(rows: list[_Rows], sensor_shape: tuple[int, int]) -> Any:
@@ -367,11 +465,15 @@ def _csr(rows: list[_Rows], sensor_shape: tuple[int, int]) -> Any:
     values, columns, counts = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     small = len(values) < np.iinfo(np.int32).max
     starts = np.concatenate(([0], np.cumsum(counts))).astype(np.int32 if small else np.int64)
-    return sparse.csr_array((values, columns, starts), shape=(len(counts), sensor_shape[0] * sensor_shape[1]))
+    return sparse.csr_array(
+        (values, columns, starts), shape=(len(counts), sensor_shape[0] * sensor_shape[1])
+    )
 
 
 def _full_weight(target: Target, first: int, last: int) -> NDArray[np.float64]:
-    """Mean sample weight of whole target pixels, so that coverage is 1 where the lens sees all of a pixel."""
+    """Mean sample weight of whole target pixels, so that coverage is 1 where the lens sees all
+    of a pixel.
+    """
     fine = np.arange(first * 8, last * 8) / 8 + 1 / 16
     width = target.shape[1]
     if isinstance(target, Equirect):

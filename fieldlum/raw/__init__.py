@@ -1,7 +1,8 @@
-"""Raw mosaics and JPEG frames as the camera gave them: counts in, nothing developed; and the same files out.
+"""Raw mosaics and JPEG frames as the camera gave them: counts in, nothing developed; and the same
+files out.
 
-LibRaw opens the file (through rawpy), but only its mosaic is used: `postprocess` rescales each frame by its own
-maximum.
+LibRaw opens the file (through rawpy), but only its mosaic is used: `postprocess` rescales each
+frame by its own maximum.
 """
 
 from fieldlum.raw.dng import channel_positions, write_dng

@@ -37,12 +37,16 @@ def _packed(kind: int, value: Any) -> tuple[int, bytes]:
     if kind in (_RATIONAL, _SRATIONAL):
         code = "i" if kind == _SRATIONAL else "I"
         parts = [Fraction(v).limit_denominator(1_000_000) for v in value]
-        return len(parts), b"".join(struct.pack(f"<2{code}", p.numerator, p.denominator) for p in parts)
+        return len(parts), b"".join(
+            struct.pack(f"<2{code}", p.numerator, p.denominator) for p in parts
+        )
     return len(value), struct.pack(f"<{len(value)}{_FORMAT[kind]}", *value)
 
 
 def _directory(tags: dict[int, tuple[int, Any]], at: int) -> bytes:
-    """A TIFF directory that will stand at byte `at`, with the values that do not fit in it behind it."""
+    """A TIFF directory that will stand at byte `at`, with the values that do not fit in it
+    behind it.
+    """
     body, data = struct.pack("<H", len(tags)), b""
     free = at + 2 + 12 * len(tags) + 4
     for tag in sorted(tags):

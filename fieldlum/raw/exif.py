@@ -15,15 +15,21 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.records import Exposure
 
-_ROLL_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: -90.0}  # of EXIF Orientation; mirrored ones are no camera's
+_ROLL_DEG = {
+    1: 0.0,
+    3: 180.0,
+    6: 90.0,
+    8: -90.0,
+}  # of EXIF Orientation; mirrored ones are no camera's
 
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
     """What a frame's EXIF says.
 
-    t_camera is the camera's own clock: naive unless the file names its offset from UTC (OffsetTimeOriginal). The
-    exposure's nd comes from a ImageDescription ``ND=name``, which a camera does not write: fieldlum and exiftool do.
+    t_camera is the camera's own clock: naive unless the file names its offset from UTC
+    (OffsetTimeOriginal). The exposure's nd comes from a ImageDescription ``ND=name``, which a
+    camera does not write: fieldlum and exiftool do.
     """
 
     exposure: Exposure
@@ -33,16 +39,22 @@ class FrameInfo:
 
 
 def tags_of(path: Path) -> dict[str, Any]:
-    """exifread's tags; none for what it cannot read. Raises InputError for a file that is missing or empty."""
+    """exifread's tags; none for what it cannot read. Raises InputError for a file that is
+    missing or empty.
+    """
     import exifread
 
     logging.getLogger("exifread").setLevel(logging.CRITICAL)
     try:
         with path.open("rb") as file:
             if not file.read(1):
-                raise InputError(path, "the file is empty", "a frame of a camera", "copy it from the card again")
+                raise InputError(
+                    path, "the file is empty", "a frame of a camera", "copy it from the card again"
+                )
             file.seek(0)
-            with suppress(Exception):  # whatever a broken file makes of the parser: then it has no tags
+            with suppress(
+                Exception
+            ):  # whatever a broken file makes of the parser: then it has no tags
                 return dict(exifread.process_file(file, details=False))
     except OSError as error:
         raise InputError(path, error.strerror or str(error), "a readable file") from None
@@ -84,13 +96,17 @@ def _nd_name(tags: dict[str, Any]) -> str:
     return text.removeprefix("ND=") if text.startswith("ND=") else ""
 
 
-def info_of(path: Path, tags: dict[str, Any], fallback: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FrameInfo:
-    """fallback: shutter, f-number and ISO as LibRaw found them, 0 where it did not. Raises InputError."""
+def info_of(
+    path: Path, tags: dict[str, Any], fallback: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> FrameInfo:
+    """fallback: shutter, f-number and ISO as LibRaw found them, 0 where it did not. Raises
+    InputError.
+    """
     shutter = numbers(tags, "EXIF ExposureTime", "Image ExposureTime") or [fallback[0]]
     f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1]]
-    iso = numbers(tags, "EXIF ISOSpeedRatings", "EXIF PhotographicSensitivity", "Image ISOSpeedRatings") or [
-        fallback[2]
-    ]
+    iso = numbers(
+        tags, "EXIF ISOSpeedRatings", "EXIF PhotographicSensitivity", "Image ISOSpeedRatings"
+    ) or [fallback[2]]
     wants = (
         ("exposure time", shutter[0], "ExposureTime", "1/250", 1e-7, 1e5),
         ("f-number", f_number[0], "FNumber", "5.6", 0.3, 1e3),
@@ -98,17 +114,27 @@ def info_of(path: Path, tags: dict[str, Any], fallback: tuple[float, float, floa
     )
     for name, value, tag, example, low, high in wants:
         if not value:
-            raise InputError(path, f"no {name} in its EXIF", remedy=f"write it with: exiftool -{tag}={example} FILE")
+            raise InputError(
+                path,
+                f"no {name} in its EXIF",
+                remedy=f"write it with: exiftool -{tag}={example} FILE",
+            )
         if not low <= value <= high:
             raise InputError(
-                path, f"{name} {value:g} in its EXIF", f"{low:g} to {high:g}", f"mend it: exiftool -{tag}="
+                path,
+                f"{name} {value:g} in its EXIF",
+                f"{low:g} to {high:g}",
+                f"mend it: exiftool -{tag}=",
             )
     exposure = Exposure(shutter[0], f_number[0], iso[0], _nd_name(tags))
-    return FrameInfo(exposure, _camera_time(tags), _text(tags, "Image Make"), _text(tags, "Image Model"))
+    return FrameInfo(
+        exposure, _camera_time(tags), _text(tags, "Image Make"), _text(tags, "Image Model")
+    )
 
 
 def roll_deg_of(path: Path) -> float | None:
-    """How the camera was held by its own sensor (EXIF Orientation): roll clockwise as seen from behind; None: not said.
+    """How the camera was held by its own sensor (EXIF Orientation): roll clockwise as seen from
+    behind; None: not said.
 
     Pixels are never turned by it. Raises InputError for a file that is missing or empty.
     """
@@ -117,7 +143,9 @@ def roll_deg_of(path: Path) -> float | None:
 
 
 def same_model(found: str, wanted: str) -> bool:
-    """Whether a camera's name is the profile's, whole or some of its words (a maker's name may stand before it)."""
+    """Whether a camera's name is the profile's, whole or some of its words (a maker's name may
+    stand before it).
+    """
     a, b = (f" {' '.join(name.split())} ".casefold() for name in (found, wanted))
     return bool(a.strip() and b.strip()) and (a in b or b in a)
 

@@ -12,7 +12,9 @@ JPEG_SUFFIXES = (".jpg", ".jpeg")
 
 
 def unreadable(path: Path) -> str:
-    """Why a frame's pixels cannot be read, or nothing; takes up to some seconds of a large raw frame."""
+    """Why a frame's pixels cannot be read, or nothing; takes up to some seconds of a large raw
+    frame.
+    """
     try:
         read_jpeg(path) if path.suffix.lower() in JPEG_SUFFIXES else read_mosaic(path)
     except InputError as error:

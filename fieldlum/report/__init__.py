@@ -41,9 +41,15 @@ def find(session: Session) -> Found:
 
     years = sorted(session.annual.glob("*/predict.json"), key=lambda path: path.stat().st_mtime)
     annual = read_annual(years[-1].parent) if years else None
-    models = [folder for folder in session.models.glob("*") if all((folder / name).is_file() for name in MODEL_FILES)]
+    models = [
+        folder
+        for folder in session.models.glob("*")
+        if all((folder / name).is_file() for name in MODEL_FILES)
+    ]
     named = annual.about["inputs"]["model"] if annual else ""
-    newest = max(models, key=lambda f: (f.name == named, (f / "config.json").stat().st_mtime), default=None)
+    newest = max(
+        models, key=lambda f: (f.name == named, (f / "config.json").stat().st_mtime), default=None
+    )
     scores: dict[str, Any] = {}
     if newest is not None and (newest / "scores.json").is_file():
         scores = json.loads((newest / "scores.json").read_text(encoding="utf-8"))
@@ -57,7 +63,9 @@ def _evidence(session: Session, found: Found, progress: Progress) -> Section | N
     from fieldlum.report import evidence
 
     data = load_pairs(session, progress=progress)
-    return evidence.section(evidence.held_out(data, found.model, found.config, progress), found.scores)
+    return evidence.section(
+        evidence.held_out(data, found.model, found.config, progress), found.scores
+    )
 
 
 def _settings(session: Session, found: Found) -> Section:
@@ -65,20 +73,40 @@ def _settings(session: Session, found: Found) -> Section:
 
     table = session.table()
     rows = [("fieldlum", __version__)]
-    rows += [(f"{group}: {key}", str(value)) for group, values in table.items() for key, value in _flat(values)]
+    rows += [
+        (f"{group}: {key}", str(value))
+        for group, values in table.items()
+        for key, value in _flat(values)
+    ]
     if found.annual is not None:
-        rows += [(f"prediction: {key}", str(value)) for key, value in _flat(found.annual.about["inputs"])]
-        rows += [(f"weather: {key}", str(value)) for key, value in _flat(found.annual.about["weather"])]
+        rows += [
+            (f"prediction: {key}", str(value)) for key, value in _flat(found.annual.about["inputs"])
+        ]
+        rows += [
+            (f"weather: {key}", str(value)) for key, value in _flat(found.annual.about["weather"])
+        ]
     keep = ("model", "patch", "seed", "software", "training")
-    rows += [(f"model: {key}", str(value)[:400]) for key, value in found.config.items() if key in keep]
-    return Section("settings", "Settings and versions", "", (), (Table(("setting", "value"), tuple(rows), words=True),))
+    rows += [
+        (f"model: {key}", str(value)[:400]) for key, value in found.config.items() if key in keep
+    ]
+    return Section(
+        "settings",
+        "Settings and versions",
+        "",
+        (),
+        (Table(("setting", "value"), tuple(rows), words=True),),
+    )
 
 
 def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
     """Nested tables as dotted names."""
     if not isinstance(values, dict):
         return [(before, values)]
-    return [pair for key, value in values.items() for pair in _flat(value, f"{before}.{key}" if before else key)]
+    return [
+        pair
+        for key, value in values.items()
+        for pair in _flat(value, f"{before}.{key}" if before else key)
+    ]
 
 
 def _page(session: Session, found: Found, progress: Progress) -> Page:
@@ -96,12 +124,17 @@ def _page(session: Session, found: Found, progress: Progress) -> Page:
         sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
     evidence = _evidence(session, found, progress)
     sections += [evidence] if evidence else []
-    dni, dhi = (year.hours["dni_wm2"], year.hours["dhi_wm2"]) if year else (np.empty(0), np.empty(0))
+    dni, dhi = (
+        (year.hours["dni_wm2"], year.hours["dhi_wm2"]) if year else (np.empty(0), np.empty(0))
+    )
     sections += [captured.section(session, setup.site, pairs, dni, dhi), _settings(session, found)]
     answer, why = (
         annual.answer(year)
         if year
-        else ("No year has been predicted yet.", "Train a model and run fieldlum predict to get the answer here.")
+        else (
+            "No year has been predicted yet.",
+            "Train a model and run fieldlum predict to get the answer here.",
+        )
     )
     return Page(
         title=setup.site.name,
@@ -109,7 +142,8 @@ def _page(session: Session, found: Found, progress: Progress) -> Page:
         why=why,
         facts=_facts(session, found, len(pairs.t_utc)),
         sections=tuple(sections),
-        footer=f"Made by fieldlum {__version__}. Glare figures are fieldlum's own, checked against evalglare; "
+        footer=f"Made by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
+        f"against evalglare; "
         "see docs/accuracy.md. This page needs no network.",
         polar=annual.polar(year) if year else None,
         warnings=_warnings(year),
@@ -118,7 +152,10 @@ def _page(session: Session, found: Found, progress: Progress) -> Page:
 
 def _facts(session: Session, found: Found, captures: int) -> tuple[tuple[str, str], ...]:
     site = session.site_file().site
-    facts = [("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"), ("captures used", f"{captures}")]
+    facts = [
+        ("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"),
+        ("captures used", f"{captures}"),
+    ]
     if found.model is not None:
         facts.append(("model", str(found.config.get("model", "?"))))
     if found.annual is not None:
@@ -126,7 +163,10 @@ def _facts(session: Session, found: Found, captures: int) -> tuple[tuple[str, st
         facts += [
             ("hours predicted", f"{about['hours']}"),
             ("weather", about["weather"]["name"]),
-            ("hours like captured ones", f"{100 * (1 - about['occupancy']['untrusted_share']):.0f} %"),
+            (
+                "hours like captured ones",
+                f"{100 * (1 - about['occupancy']['untrusted_share']):.0f} %",
+            ),
         ]
     return tuple(facts)
 
@@ -136,7 +176,9 @@ def _warnings(year: Annual | None) -> tuple[str, ...]:
         return ()
     weather = year.about["weather"]
     repairs = [f"Weather repaired: {text}." for text in weather["repairs"]]
-    synthetic = ["The weather is synthetic: do not judge this place by it."] if weather["synthetic"] else []
+    synthetic = (
+        ["The weather is synthetic: do not judge this place by it."] if weather["synthetic"] else []
+    )
     return (*synthetic, *repairs)
 
 
@@ -148,7 +190,9 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
     from fieldlum.report.page import render
 
     if not session.pairs.is_file():
-        raise NotEnoughDataError(f"{session.root}: nothing paired yet; run fieldlum merge and fieldlum pair first")
+        raise NotEnoughDataError(
+            f"{session.root}: nothing paired yet; run fieldlum merge and fieldlum pair first"
+        )
     found = find(session)
     folder = out or session.report
     page = folder / "index.html"

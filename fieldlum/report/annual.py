@@ -70,7 +70,8 @@ def answer(annual: Annual) -> tuple[str, str]:
         f"{named(best['azimuth_deg'])} in {best['hours_over']['0.40']}. "
     )
     limit = (
-        "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) in at most 5 % of "
+        "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) "
+        "in at most 5 % of "
         "the occupied hours."
     )
     return first, contrast + limit
@@ -80,20 +81,26 @@ def _class_words(row: dict[str, Any]) -> str:
     words = f"{CLASS_WORDS[row['class']]} from glare"
     if row["low"] is None:
         return f"{words}, with a confidence that this model cannot give"
-    return words if row["certain"] else f"{words} is likeliest, but the captures do not settle it yet"
+    return (
+        words if row["certain"] else f"{words} is likeliest, but the captures do not settle it yet"
+    )
 
 
 def polar(annual: Annual) -> Figure:
     rows = annual.about["protection"]
     azimuths = np.array([row["azimuth_deg"] for row in rows])
     exceeded = np.array([row["dgp_exceeded"] for row in rows])
-    bounds = [None if rows[0][k] is None else np.array([row[k] for row in rows]) for k in ("low", "high")]
+    bounds = [
+        None if rows[0][k] is None else np.array([row[k] for row in rows]) for k in ("low", "high")
+    ]
     spoken = ", ".join(f"{named(row['azimuth_deg'])} {row['dgp_exceeded']:.2f}" for row in rows)
     band = " The grey band is its 95 % interval." if bounds[0] is not None else ""
     return svg_figure(
         polar_svg(azimuths, exceeded, *bounds),
-        f"Polar plot, north up, of the DGP exceeded in 5 % of occupied hours by view direction: {spoken}.",
-        "The DGP that is exceeded in 5 % of the occupied hours, by view direction; rings are the limits 0.35, 0.40, "
+        f"Polar plot, north up, of the DGP exceeded in 5 % of occupied hours by view direction: "
+        f"{spoken}.",
+        "The DGP that is exceeded in 5 % of the occupied hours, by view direction; rings are the "
+        "limits 0.35, 0.40, "
         f"0.45.{band} Towards the middle is better; above 0.60 is drawn at the rim.",
     )
 
@@ -104,12 +111,33 @@ def _direction_table(annual: Annual) -> Table:
         interval = "–" if row["low"] is None else f"{row['low']:.2f} to {row['high']:.2f}"
         chip = {"kind": row["class"] if row["certain"] else "open", "text": row["class"]}
         over = row["hours_over"]
-        sure = "yes" if row["certain"] else ("cannot tell yet" if row["low"] is not None else "no uncertainty known")
+        sure = (
+            "yes"
+            if row["certain"]
+            else ("cannot tell yet" if row["low"] is not None else "no uncertainty known")
+        )
         rows.append(
-            (named(row["azimuth_deg"]), chip, sure, f"{row['dgp_exceeded']:.2f}", interval,
-             over["0.35"], over["0.40"], over["0.45"])
-        )  # fmt: skip
-    head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval", "h > .35", "h > .40", "h > .45")
+            (
+                named(row["azimuth_deg"]),
+                chip,
+                sure,
+                f"{row['dgp_exceeded']:.2f}",
+                interval,
+                over["0.35"],
+                over["0.40"],
+                over["0.45"],
+            )
+        )
+    head = (
+        "view direction",
+        "class",
+        "settled",
+        "DGP in 5 %",
+        "95 % interval",
+        "h > .35",
+        "h > .40",
+        "h > .45",
+    )
     return Table(head, tuple(rows))
 
 
@@ -119,22 +147,34 @@ def directions_section(annual: Annual) -> Section:
     if wanted:
         rows = tuple(
             (w["date"], w["hour"], f"{w['dni_wm2']:.0f}", f"{w['dhi_wm2']:.0f}") for w in wanted
-        )  # fmt: skip
+        )
         head = ("date", "local time", "direct, W/m²", "diffuse, W/m²")
-        tables.append(Table(head, rows, "Hours like these, captured, would settle the open classes"))
+        tables.append(
+            Table(head, rows, "Hours like these, captured, would settle the open classes")
+        )
     curve = svg_figure(
-        exceedance_svg(annual.views["dgp"][annual.occupied], annual.about["occupancy"]["hours"], annual.azimuths_deg),
+        exceedance_svg(
+            annual.views["dgp"][annual.occupied],
+            annual.about["occupancy"]["hours"],
+            annual.azimuths_deg,
+        ),
         "Exceedance curves of DGP for each direction over the occupied hours.",
         "Share of the occupied hours in which a DGP is exceeded; each grey line is a direction.",
     )
-    text = f"Occupied hours: {annual.about['occupancy']['text']}. {' '.join(annual.about['notes'][1:])}"
+    text = (
+        f"Occupied hours: {annual.about['occupancy']['text']}. "
+        f"{' '.join(annual.about['notes'][1:])}"
+    )
     return Section("directions", "Where to sit", text, (Row((curve,)),), tuple(tables))
 
 
-# ---------------------------------------------------------------------------------------------- when
+# ----------------------------------------------------------------------------------------------
+# when
 
 
-def _local_day_and_hour(annual: Annual, zone: str) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+def _local_day_and_hour(
+    annual: Annual, zone: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Day of the year from 1 and hour of local standard time; and a year to name the days in."""
     local = [standard_time(t, zone) for t in annual.t_utc]
     days = np.array([t.timetuple().tm_yday for t in local])
@@ -149,21 +189,42 @@ def when_section(annual: Annual, zone: str) -> Section:
     doubt = day_hour_grid(day, hour, np.where(annual.hours["trusted"] > 0, 0.0, 1.0)[:, None], days)
     quantities = (
         Quantity("DGP", "", dgp, 0.001, DGP_EDGES, DGP_COLOURS, (False, False, False, True), 2),
-        Quantity("Vertical illuminance", " lx", ev, 10.0, EV_EDGES, EV_COLOURS,
-                 (True, True, True, True, False, False, False)),
-        Quantity("Light unlike any captured", "", np.repeat(doubt, dgp.shape[2], axis=2), 1.0, (1.0,),
-                 ("#cfe6dc", "#8d6bb0"), (False, True)),
-    )  # fmt: skip
+        Quantity(
+            "Vertical illuminance",
+            " lx",
+            ev,
+            10.0,
+            EV_EDGES,
+            EV_COLOURS,
+            (True, True, True, True, False, False, False),
+        ),
+        Quantity(
+            "Light unlike any captured",
+            "",
+            np.repeat(doubt, dgp.shape[2], axis=2),
+            1.0,
+            (1.0,),
+            ("#cfe6dc", "#8d6bb0"),
+            (False, True),
+        ),
+    )
     _, worst = best_and_worst(annual.about["protection"])
     names = [named(a) for a in annual.azimuths_deg]
     start = int(np.argmin(np.abs(annual.azimuths_deg - worst["azimuth_deg"])))
-    alt = "Day by hour map of the year; days run to the right, hours of standard time upwards. Arrow keys read it."
+    alt = (
+        "Day by hour map of the year; days run to the right, hours of standard time upwards. "
+        "Arrow keys read it."
+    )
     picture: HeatMap = heat_map(quantities, names, year, alt, start)
-    text = "Each cell is one hour of the year: days to the right from January, hours of local standard time upwards."
+    text = (
+        "Each cell is one hour of the year: days to the right from January, hours of local "
+        "standard time upwards."
+    )
     return Section("when", "When glare comes", text, heatmap=picture)
 
 
-# ---------------------------------------------------------------------------------------------- what it looks like
+# ----------------------------------------------------------------------------------------------
+# what it looks like
 
 
 def _when(annual: Annual, row: int, zone: str) -> str:
@@ -174,7 +235,9 @@ def _sun_of(annual: Annual, row: int, disc_lx: float) -> SunSource | None:
     hours = annual.hours
     if disc_lx <= 0:
         return None
-    return SunSource(float(hours["sun_altitude_deg"][row]), float(hours["sun_azimuth_deg"][row]), disc_lx)
+    return SunSource(
+        float(hours["sun_altitude_deg"][row]), float(hours["sun_azimuth_deg"][row]), disc_lx
+    )
 
 
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Figure:
@@ -182,7 +245,9 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Figure:
     sun = _sun_of(annual, row, float(pictures.disc_lx[k]))
     views = np.stack(
         [
-            panorama_to_fisheye(pictures.luminance_cdm2[k], pictures.heading_deg, float(a), size=220, sun=sun)
+            panorama_to_fisheye(
+                pictures.luminance_cdm2[k], pictures.heading_deg, float(a), size=220, sun=sun
+            )
             for a in annual.azimuths_deg[:10]
         ]
     )
@@ -190,7 +255,9 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Figure:
     views[:, np.hypot(axis[None, :], axis[:, None]) > 1.0] = np.nan
     png = fisheyes_png(views, annual.azimuths_deg[:10], annual.views["dgp"][row, :10])
     when = _when(annual, row, zone)
-    return png_figure(png, f"Fisheye views around the room at {when}.", f"Around the room, {when} (predicted).")
+    return png_figure(
+        png, f"Fisheye views around the room at {when}.", f"Around the room, {when} (predicted)."
+    )
 
 
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
@@ -200,18 +267,29 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
         row = int(pictures.rows[k])
         image = picture_png(false_colour(pictures.luminance_cdm2[k]))
         heading = named(pictures.heading_deg)
-        caption = f"{_spoken(pictures.kinds[k])}: {_when(annual, row, zone)}. The middle faces {heading}."
+        caption = (
+            f"{_spoken(pictures.kinds[k])}: {_when(annual, row, zone)}. The middle faces {heading}."
+        )
         shown.append(png_figure(image, f"False-colour panorama, {caption}", caption))
-    scale = svg_figure(luminance_scale_svg(), "Colour scale from 1 to 10 000 cd/m².", "Logarithmic colour scale.")
+    scale = svg_figure(
+        luminance_scale_svg(), "Colour scale from 1 to 10 000 cd/m².", "Logarithmic colour scale."
+    )
     rows = [Row((scale,)), *(Row(tuple(shown[i : i + 2])) for i in range(0, len(shown), 2))]
     worst = next((k for k in single if pictures.kinds[k].startswith("highest of worst")), None)
     if worst is not None:
-        rows.append(Row((_fisheyes(annual, pictures, worst, zone),), "Ten directions in the hour of the highest DGP"))
+        rows.append(
+            Row(
+                (_fisheyes(annual, pictures, worst, zone),),
+                "Ten directions in the hour of the highest DGP",
+            )
+        )
     day = [k for k, kind in enumerate(pictures.kinds) if kind == "clear day"]
     if day:
         labels = [_when(annual, int(pictures.rows[k]), zone) for k in day]
         png = strip_png(pictures.luminance_cdm2[day], labels)
-        strip = png_figure(png, "Panoramas through a clear day.", "One clear day, hour by hour (predicted).")
+        strip = png_figure(
+            png, "Panoramas through a clear day.", "One clear day, hour by hour (predicted)."
+        )
         rows.append(Row((strip,), "A clear day"))
     return Section("looks", "What it looks like", "", tuple(rows))
 
@@ -219,5 +297,9 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
 def _spoken(kind: str) -> str:
     """``p95 of worst view 180`` in words."""
     share, _, which, _, azimuth = kind.split()
-    names = {"typical": "Typical hour", "p95": "95th percentile of glare", "highest": "Highest glare"}
+    names = {
+        "typical": "Typical hour",
+        "p95": "95th percentile of glare",
+        "highest": "Highest glare",
+    }
     return f"{names[share]}, {which} direction {named(float(azimuth))}"

@@ -1,4 +1,6 @@
-"""What was captured and how good it was: the sampled light domain, the brackets' quality, the irradiance."""
+"""What was captured and how good it was: the sampled light domain, the brackets' quality, the
+irradiance.
+"""
 
 from __future__ import annotations
 
@@ -67,19 +69,26 @@ def year_of_sun(site: Site, year: int) -> sun.SunPosition:
     return sun.SunPosition(*(column[up] for column in found))
 
 
-def section(session: Session, site: Site, pairs: PairTable, year_dni: NDArray, year_dhi: NDArray) -> Section:
+def section(
+    session: Session, site: Site, pairs: PairTable, year_dni: NDArray, year_dhi: NDArray
+) -> Section:
     year = parse_utc(pairs.t_utc[0]).year if pairs.t_utc else 2027
     sky = year_of_sun(site, year)
     domain = Row(
         (
             svg_figure(
-                sun_path_svg(sky.azimuth_deg, sky.altitude_deg, pairs.azimuth_deg, pairs.altitude_deg),
-                f"Sun positions of a year in grey and of the {len(pairs.t_utc)} captured hours in red.",
-                "Sun positions of the year and of the captures. Hours far from a red point are predicted from afar.",
+                sun_path_svg(
+                    sky.azimuth_deg, sky.altitude_deg, pairs.azimuth_deg, pairs.altitude_deg
+                ),
+                f"Sun positions of a year in grey and of the {len(pairs.t_utc)} captured hours in "
+                f"red.",
+                "Sun positions of the year and of the captures. Hours far from a red point are "
+                "predicted from afar.",
             ),
             svg_figure(
                 sky_domain_svg(year_dni, year_dhi, pairs.dni_wm2, pairs.dhi_wm2),
-                "Direct against diffuse irradiance of the weather year in grey and of the captures in red.",
+                "Direct against diffuse irradiance of the weather year in grey and of the "
+                "captures in red.",
                 "Skies of the weather file and of the captures.",
             ),
         ),
@@ -94,7 +103,11 @@ def _sentence(session: Session, site: Site, pairs: PairTable) -> str:
     span = f" between {days[0]} and {days[-1]}" if days else ""
     planned = len(session.slots()) if session.plan.is_file() else len(pairs.t_utc)
     measured = sum(s == "measured" for s in pairs.source)
-    kind = "measured" if measured == len(pairs.source) else f"measured in {measured} and derived in the others"
+    kind = (
+        "measured"
+        if measured == len(pairs.source)
+        else f"measured in {measured} and derived in the others"
+    )
     return (
         f"{len(pairs.t_utc)} usable brackets of {planned} planned, on {len(days)} days{span}. "
         f"Direct and diffuse irradiance were {kind}."
@@ -105,12 +118,23 @@ def _tables(session: Session, pairs: PairTable) -> tuple[Table, ...]:
     tables = []
     refused = Counter(pairs.refused)
     if refused:
-        tables.append(Table(("left out because", "brackets"), tuple(refused.items()), "Brackets left out"))
+        tables.append(
+            Table(("left out because", "brackets"), tuple(refused.items()), "Brackets left out")
+        )
     events = (
-        Counter(str(event.get("event", "?")) for event in read_journal(session)) if session.journal.exists() else {}
+        Counter(str(event.get("event", "?")) for event in read_journal(session))
+        if session.journal.exists()
+        else {}
     )
     if events:
-        tables.append(Table(("event", "times"), tuple(sorted(events.items())), "The journal, counted", folded=True))
+        tables.append(
+            Table(
+                ("event", "times"),
+                tuple(sorted(events.items())),
+                "The journal, counted",
+                folded=True,
+            )
+        )
     quality = read_csv(session.panoramas / "quality.csv")
     if quality:
         head = tuple(quality[0])

@@ -1,4 +1,6 @@
-"""How good the numbers are: the model's own scores, and measured against predicted maps of days it did not see."""
+"""How good the numbers are: the model's own scores, and measured against predicted maps of days
+it did not see.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ SHOWN = ("typical", "one in ten is worse", "worst")
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Measured maps and what a model says of them that never saw their days; both without the disc, [n, H, W]."""
+    """Measured maps and what a model says of them that never saw their days; both without the
+    disc, [n, H, W].
+    """
 
     data: Dataset
     predicted_cdm2: NDArray[np.float32]
@@ -35,8 +39,12 @@ class HeldOut:
     about: str
 
 
-def held_out(data: Dataset, model: Path, config: dict[str, Any], progress: Progress = quiet) -> HeldOut | None:
-    """Every fifth captured day left out and predicted by a refit; a slow model shows its own validation images."""
+def held_out(
+    data: Dataset, model: Path, config: dict[str, Any], progress: Progress = quiet
+) -> HeldOut | None:
+    """Every fifth captured day left out and predicted by a refit; a slow model shows its own
+    validation images.
+    """
     name = config["model"]
     days = np.unique(data.days)
     progress(0, 2, "held-out days")
@@ -44,7 +52,10 @@ def held_out(data: Dataset, model: Path, config: dict[str, Any], progress: Progr
         out = np.isin(data.days, days[2::5] if len(days) >= 5 else days[-1:])
         patch = config.get("patch", "absolute" if data.patch_cdm2 is not None else "none")
         fitted = fit(name, data.take(~out), patch=patch, seed=int(config.get("seed", 0)))
-        about = f"{int(out.sum())} maps of {len(np.unique(data.days[out]))} days that the fit behind them did not see"
+        about = (
+            f"{int(out.sum())} maps of {len(np.unique(data.days[out]))} days that the fit "
+            f"behind them did not see"
+        )
     else:
         slots = set(config.get("validation_slots", ()))
         out = np.array([slot in slots for slot in data.slots])
@@ -70,7 +81,7 @@ def _views_of(held: HeldOut, maps: NDArray[np.float32]) -> NDArray[np.float64]:
     light = held.data.light
     return glare_directions(
         maps, held.data.heading_deg, azimuths, light.sun_direction, held.data.disc_lx, views=views
-    )["dgp"]  # fmt: skip
+    )["dgp"]
 
 
 def _maps_row(held: HeldOut) -> Row:
@@ -80,18 +91,26 @@ def _maps_row(held: HeldOut) -> Row:
     labels = [f"{held.data.slots[i]}\n{text}" for i, text in zip(picks, SHOWN, strict=False)]
     png = comparison_png(held.data.luminance_cdm2[picks], held.predicted_cdm2[picks], labels)
     caption = (
-        "Measured, predicted and their ratio for a typical, a bad and the worst held-out hour; the sun's disc is kept "
+        "Measured, predicted and their ratio for a typical, a bad and the worst held-out hour; "
+        "the sun's disc is kept "
         "beside the maps. Red is predicted too bright, blue too dark."
     )
-    return Row((png_figure(png, "Measured and predicted luminance panoramas with their ratio.", caption),))
+    return Row(
+        (png_figure(png, "Measured and predicted luminance panoramas with their ratio.", caption),)
+    )
 
 
 def _agreement_rows(held: HeldOut) -> tuple[Row, ...]:
-    measured, predicted = _views_of(held, held.data.luminance_cdm2), _views_of(held, held.predicted_cdm2)
+    measured, predicted = (
+        _views_of(held, held.data.luminance_cdm2),
+        _views_of(held, held.predicted_cdm2),
+    )
     light = held.data.light
     disc = (light, held.data.disc_lx, held.data.heading_deg)
     whole = [add_disc(maps, *disc) for maps in (held.data.luminance_cdm2, held.predicted_cdm2)]
-    true_levels, guess_levels = (np.stack([contrast_levels(image) for image in maps]) for maps in whole)
+    true_levels, guess_levels = (
+        np.stack([contrast_levels(image) for image in maps]) for maps in whole
+    )
     mean_error = (predicted - measured).mean(axis=1)
     glare = Row(
         (
@@ -130,8 +149,26 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
     rows = scores.get("models") or []
     if not rows:
         return None
-    head = ("model", "fit, s", "log10 MSE", "RER", "log10 MSE (paper mode)", "DGP MSE", "trained on", "tested on")
-    keys = ("name", "fit_s", "log10_mse_weighted", "rer_weighted", "paper_log10_mse", "dgp_mse", "n_train", "n_test")
+    head = (
+        "model",
+        "fit, s",
+        "log10 MSE",
+        "RER",
+        "log10 MSE (paper mode)",
+        "DGP MSE",
+        "trained on",
+        "tested on",
+    )
+    keys = (
+        "name",
+        "fit_s",
+        "log10_mse_weighted",
+        "rer_weighted",
+        "paper_log10_mse",
+        "dgp_mse",
+        "n_train",
+        "n_test",
+    )
     chosen = scores.get("chosen")
 
     def cell(row: dict[str, Any], key: str) -> Any:
@@ -142,7 +179,11 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
             return f"{value:.3g}"
         return "–" if value is None else value
 
-    return Table(head, tuple(tuple(cell(row, key) for key in keys) for row in rows), "Models tried, on held-out days")
+    return Table(
+        head,
+        tuple(tuple(cell(row, key) for key in keys) for row in rows),
+        "Models tried, on held-out days",
+    )
 
 
 def section(held: HeldOut | None, scores: dict[str, Any]) -> Section:
@@ -151,9 +192,12 @@ def section(held: HeldOut | None, scores: dict[str, Any]) -> Section:
     if held:
         factor = 10 ** np.sqrt(np.median(held.log10_mse))
         text = (
-            f"Checked on {held.about}: half of them are predicted within a factor of {factor:.2f} (rms over the map), "
+            f"Checked on {held.about}: half of them are predicted within a factor of {factor:.2f} "
+            f"(rms over the map), "
             f"the worst within {10 ** np.sqrt(held.log10_mse.max()):.2f}."
         )
     else:
-        text = "Too few captured days to leave some out: the numbers of this report are not checked."
+        text = (
+            "Too few captured days to leave some out: the numbers of this report are not checked."
+        )
     return Section("evidence", "How good the numbers are", text, rows, (table,) if table else ())

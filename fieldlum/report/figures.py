@@ -1,4 +1,6 @@
-"""The report's pictures: pure functions from arrays to SVG text or PNG bytes. No pyplot, no global state."""
+"""The report's pictures: pure functions from arrays to SVG text or PNG bytes. No pyplot, no
+global state.
+"""
 
 from __future__ import annotations
 
@@ -50,11 +52,14 @@ def _png(figure: Figure, dpi: int = 110) -> bytes:
     return buffer.getvalue()
 
 
-# ---------------------------------------------------------------------------------------------- luminance pictures
+# ----------------------------------------------------------------------------------------------
+# luminance pictures
 
 
 def false_colour(luminance_cdm2: Float) -> NDArray[np.uint8]:
-    """Log scale from 1 to 10 000 cd/m2, [..., H, W] to RGB [..., H, W, 3]; beyond the range the ends' colours."""
+    """Log scale from 1 to 10 000 cd/m2, [..., H, W] to RGB [..., H, W, 3]; beyond the range the
+    ends' colours.
+    """
     low, high = np.log10(LUMINANCE_RANGE_CDM2)
     position = (np.log10(np.clip(luminance_cdm2, *LUMINANCE_RANGE_CDM2)) - low) / (high - low)
     return (colormaps["inferno"](position)[..., :3] * 255).astype(np.uint8)
@@ -76,43 +81,64 @@ def luminance_scale_svg() -> str:
         axes = figure.add_axes((0, 0, 1, 1))
         ramp = np.geomspace(*LUMINANCE_RANGE_CDM2, 128)[None, :]
         axes.pcolormesh(
-            np.geomspace(*LUMINANCE_RANGE_CDM2, 129), [0, 1], ramp, norm=LogNorm(*LUMINANCE_RANGE_CDM2), cmap="inferno",
+            np.geomspace(*LUMINANCE_RANGE_CDM2, 129),
+            [0, 1],
+            ramp,
+            norm=LogNorm(*LUMINANCE_RANGE_CDM2),
+            cmap="inferno",
             rasterized=True,
-        )  # fmt: skip
+        )
         axes.set(xscale="log", yticks=[], xlabel="luminance, cd/m²")
         axes.set_xticks([1, 10, 100, 1000, 10000], ["1", "10", "100", "1 000", "10 000"])
         return _svg(figure)
 
 
 def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> bytes:
-    """Rows of measured, predicted and their log10 difference, as the paper's Figures 9 and 23. Inputs [n, H, W]."""
+    """Rows of measured, predicted and their log10 difference, as the paper's Figures 9 and 23.
+    Inputs [n, H, W].
+    """
     n = len(measured)
     with rc_context(_STYLE):
         figure = Figure(figsize=(12.0, 2.0 * n + 0.9))
-        grid = figure.add_gridspec(n + 1, 3, height_ratios=[*[1.0] * n, 0.07], hspace=0.12, wspace=0.09)
+        grid = figure.add_gridspec(
+            n + 1, 3, height_ratios=[*[1.0] * n, 0.07], hspace=0.12, wspace=0.09
+        )
         norm, spread = LogNorm(*LUMINANCE_RANGE_CDM2), Normalize(-np.log10(2.0), np.log10(2.0))
         shown = error = None
         for i in range(n):
             row = [figure.add_subplot(grid[i, k]) for k in range(3)]
-            difference = np.log10(np.maximum(predicted[i], 1.0)) - np.log10(np.maximum(measured[i], 1.0))
-            shown = row[0].imshow(np.clip(measured[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno")
+            difference = np.log10(np.maximum(predicted[i], 1.0)) - np.log10(
+                np.maximum(measured[i], 1.0)
+            )
+            shown = row[0].imshow(
+                np.clip(measured[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno"
+            )
             row[1].imshow(np.clip(predicted[i], *LUMINANCE_RANGE_CDM2), norm=norm, cmap="inferno")
             error = row[2].imshow(difference, norm=spread, cmap="RdBu_r")
             row[0].set_ylabel(labels[i], fontsize=8)
-            for axes, title in zip(row, ("measured", "predicted", "predicted over measured"), strict=True):
+            for axes, title in zip(
+                row, ("measured", "predicted", "predicted over measured"), strict=True
+            ):
                 axes.set(xticks=[], yticks=[])
                 if i == 0:
                     axes.set_title(title, fontsize=10)
         if shown is not None and error is not None:
             below = figure.add_subplot(grid[n, :2])
             figure.colorbar(shown, cax=below, orientation="horizontal", label="cd/m²")
-            bar = figure.colorbar(error, cax=figure.add_subplot(grid[n, 2]), orientation="horizontal")
-            bar.set_ticks([np.log10(f) for f in (0.5, 0.8, 1.0, 1.25, 2.0)], labels=["÷2", "÷1.25", "1", "×1.25", "×2"])
+            bar = figure.colorbar(
+                error, cax=figure.add_subplot(grid[n, 2]), orientation="horizontal"
+            )
+            bar.set_ticks(
+                [np.log10(f) for f in (0.5, 0.8, 1.0, 1.25, 2.0)],
+                labels=["÷2", "÷1.25", "1", "×1.25", "×2"],
+            )
         return _png(figure)
 
 
 def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
-    """Labelled fisheye views around one hour, as the paper's Figure 10. views: [d, N, N], NaN outside the circle."""
+    """Labelled fisheye views around one hour, as the paper's Figure 10. views: [d, N, N], NaN
+    outside the circle.
+    """
     n = len(views)
     columns = min(n, 5)
     with rc_context(_STYLE):
@@ -122,7 +148,11 @@ def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
         for axes in cells:
             axes.axis("off")
         for axes, view, azimuth, value in zip(cells, views, azimuths_deg, dgp, strict=False):
-            axes.imshow(np.clip(view, *LUMINANCE_RANGE_CDM2), norm=LogNorm(*LUMINANCE_RANGE_CDM2), cmap=colours)
+            axes.imshow(
+                np.clip(view, *LUMINANCE_RANGE_CDM2),
+                norm=LogNorm(*LUMINANCE_RANGE_CDM2),
+                cmap=colours,
+            )
             axes.set_title(f"{compass(azimuth)} {azimuth:.0f}°  DGP {value:.2f}", fontsize=9)
         return _png(figure)
 
@@ -142,46 +172,89 @@ def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
         return _png(figure, 90)
 
 
-# ---------------------------------------------------------------------------------------------- the light domain
+# ---------------------------------------------------------------------------------------------- the
+# light domain
 
 
 def sun_path_svg(
-    year_azimuth_deg: Float, year_altitude_deg: Float, captured_azimuth_deg: Float, captured_altitude_deg: Float
+    year_azimuth_deg: Float,
+    year_altitude_deg: Float,
+    captured_azimuth_deg: Float,
+    captured_altitude_deg: Float,
 ) -> str:
-    """All hours of the year with the sun up, and the captured ones (the paper's Figures 3 and 21)."""
+    """All hours of the year with the sun up, and the captured ones (the paper's Figures 3 and
+    21).
+    """
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.2, 3.4))
         axes = figure.add_subplot()
-        axes.scatter(year_azimuth_deg, year_altitude_deg, s=3, c=PALE, lw=0, label="hours of the year", rasterized=True)
-        axes.scatter(captured_azimuth_deg, captured_altitude_deg, s=12, c=CAPTURED, lw=0, label="captured")
+        axes.scatter(
+            year_azimuth_deg,
+            year_altitude_deg,
+            s=3,
+            c=PALE,
+            lw=0,
+            label="hours of the year",
+            rasterized=True,
+        )
+        axes.scatter(
+            captured_azimuth_deg, captured_altitude_deg, s=12, c=CAPTURED, lw=0, label="captured"
+        )
         axes.set(xlabel="sun azimuth, ° from north", ylabel="sun altitude, °", ylim=(0, None))
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
         return _svg(figure)
 
 
-def sky_domain_svg(year_dni: Float, year_dhi: Float, captured_dni: Float, captured_dhi: Float) -> str:
+def sky_domain_svg(
+    year_dni: Float, year_dhi: Float, captured_dni: Float, captured_dhi: Float
+) -> str:
     """Diffuse against direct irradiance: the weather file's hours and the captured ones."""
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.2, 3.4))
         axes = figure.add_subplot()
         if len(year_dni):
-            axes.scatter(year_dni, year_dhi, s=3, c=PALE, lw=0, label="weather file", rasterized=True)
+            axes.scatter(
+                year_dni, year_dhi, s=3, c=PALE, lw=0, label="weather file", rasterized=True
+            )
         axes.scatter(captured_dni, captured_dhi, s=12, c=CAPTURED, lw=0, label="captured")
-        axes.set(xlabel="direct normal irradiance, W/m²", ylabel="diffuse horizontal irradiance, W/m²")
+        axes.set(
+            xlabel="direct normal irradiance, W/m²", ylabel="diffuse horizontal irradiance, W/m²"
+        )
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
         return _svg(figure)
 
 
-# ---------------------------------------------------------------------------------------------- glare
+# ----------------------------------------------------------------------------------------------
+# glare
 
 
 def compass(azimuth_deg: float) -> str:
-    names = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
+    names = (
+        "N",
+        "NNE",
+        "NE",
+        "ENE",
+        "E",
+        "ESE",
+        "SE",
+        "SSE",
+        "S",
+        "SSW",
+        "SW",
+        "WSW",
+        "W",
+        "WNW",
+        "NW",
+        "NNW",
+    )
     return names[round(azimuth_deg / 22.5) % 16]
 
 
-def polar_svg(azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high: Float | None) -> str:
-    """DGP exceeded in 5 % of the occupied hours, per view direction, north up, over the three class limits.
+def polar_svg(
+    azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high: Float | None
+) -> str:
+    """DGP exceeded in 5 % of the occupied hours, per view direction, north up, over the three class
+    limits.
 
     Directions are drawn clockwise from north; low and high bound the 95 % interval.
     """
@@ -196,7 +269,9 @@ def polar_svg(azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high:
         ring = np.linspace(0, 2 * np.pi, 361)
         floor, top = POLAR_RANGE
         edges = (floor, *(limit for limit, _ in CLASS_LIMITS), top)
-        for (inner, outer), name in zip(pairwise(edges), ("high", "medium", "minimum", "none"), strict=True):
+        for (inner, outer), name in zip(
+            pairwise(edges), ("high", "medium", "minimum", "none"), strict=True
+        ):
             axes.fill_between(ring, inner, outer, color=CLASS_COLOURS[name], alpha=0.16, lw=0)
         if low is not None and high is not None:
             axes.fill_between(
@@ -208,11 +283,19 @@ def polar_svg(azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high:
                 lw=0,
             )
         axes.plot(
-            angle, np.clip(dgp_exceeded[around], *POLAR_RANGE), color=INK, lw=1.8, marker="o", ms=4, clip_on=False
+            angle,
+            np.clip(dgp_exceeded[around], *POLAR_RANGE),
+            color=INK,
+            lw=1.8,
+            marker="o",
+            ms=4,
+            clip_on=False,
         )
         axes.set_ylim(floor, top)
         axes.set_yticks([0.35, 0.40, 0.45], ["0.35", "0.40", "0.45"], fontsize=8)
-        axes.set_xticks(np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"])
+        axes.set_xticks(
+            np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"]
+        )
         axes.grid(color=PALE, lw=0.5)
         axes.spines["polar"].set_visible(False)
         return _svg(figure)
@@ -235,11 +318,19 @@ def exceedance_svg(dgp: Float, occupied_hours: int, azimuths_deg: Float) -> str:
             axes.text(30.2, limit, name, va="center", fontsize=8, color=CLASS_COLOURS[name])
         for i in range(dgp.shape[1]):
             axes.plot(share, ranked[:, i], color=PALE, lw=1)
-        for i, colour, text in ((int(at_5.argmax()), CAPTURED, "worst"), (int(at_5.argmin()), PREDICTED, "best")):
+        for i, colour, text in (
+            (int(at_5.argmax()), CAPTURED, "worst"),
+            (int(at_5.argmin()), PREDICTED, "best"),
+        ):
             label = f"{text}: {compass(azimuths_deg[i])} {azimuths_deg[i]:.0f}°"
             axes.plot(share, ranked[:, i], color=colour, lw=2, label=label)
         axes.axvline(5, color=INK, lw=0.8)
-        axes.set(xlabel="share of occupied hours, %", ylabel="DGP exceeded", xlim=(0, 30), ylim=(0.15, None))
+        axes.set(
+            xlabel="share of occupied hours, %",
+            ylabel="DGP exceeded",
+            xlim=(0, 30),
+            ylim=(0.15, None),
+        )
         axes.legend(loc="upper right")
         return _svg(figure)
 
@@ -247,7 +338,11 @@ def exceedance_svg(dgp: Float, occupied_hours: int, azimuths_deg: Float) -> str:
 def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
     """Predicted against measured, with the 1:1 line and r2 (the paper's Figures 11, 14 and 22)."""
     x, y = np.ravel(measured), np.ravel(predicted)
-    r2 = float(np.corrcoef(x, y)[0, 1] ** 2) if len(x) > 2 and x.std() > 0 and y.std() > 0 else float("nan")
+    r2 = (
+        float(np.corrcoef(x, y)[0, 1] ** 2)
+        if len(x) > 2 and x.std() > 0 and y.std() > 0
+        else float("nan")
+    )
     span = [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
     with rc_context(_STYLE):
         figure = Figure(figsize=(3.6, 3.6))
@@ -280,7 +375,9 @@ def contrast_levels_svg(measured: Float, predicted: Float) -> str:
         figure = Figure(figsize=(3.8, 3.0))
         axes = figure.add_subplot()
         axes.plot(levels, measured.mean(axis=0), color=CAPTURED, marker="o", label="measured")
-        axes.plot(levels, predicted.mean(axis=0), color=PREDICTED, marker="s", ls="--", label="predicted")
+        axes.plot(
+            levels, predicted.mean(axis=0), color=PREDICTED, marker="s", ls="--", label="predicted"
+        )
         axes.set(xlabel="pyramid level", ylabel="local contrast, cd/m²", xticks=levels)
         axes.legend()
         return _svg(figure)

@@ -1,4 +1,6 @@
-"""The report as one self-contained HTML page: sections, tables and the heat map's data, filled into page.html.j2."""
+"""The report as one self-contained HTML page: sections, tables and the heat map's data, filled
+into page.html.j2.
+"""
 
 from __future__ import annotations
 
@@ -111,12 +113,21 @@ def _cells(values: Float, step: float) -> str:
     return base64.b64encode(whole.tobytes()).decode()
 
 
-def heat_map(quantities: Sequence[Quantity], directions: Sequence[str], year: int, alt: str, start: int) -> HeatMap:
+def heat_map(
+    quantities: Sequence[Quantity], directions: Sequence[str], year: int, alt: str, start: int
+) -> HeatMap:
     shown = tuple(
-        {"name": q.name, "unit": q.unit, "step": q.step, "edges": q.edges, "colours": q.colours, "dark": q.dark,
-         "digits": q.digits}
+        {
+            "name": q.name,
+            "unit": q.unit,
+            "step": q.step,
+            "edges": q.edges,
+            "colours": q.colours,
+            "dark": q.dark,
+            "digits": q.digits,
+        }
         for q in quantities
-    )  # fmt: skip
+    )
     data = {
         "year": year,
         "days": int(quantities[0].values.shape[0]),
@@ -128,8 +139,12 @@ def heat_map(quantities: Sequence[Quantity], directions: Sequence[str], year: in
     return HeatMap(json.dumps(data).replace("</", "<\\/"), tuple(directions), shown, alt, start)
 
 
-def day_hour_grid(day_of_year: NDArray[np.integer], hour: NDArray[np.integer], values: Float, days: int) -> Float:
-    """Hourly rows [n, d] to [days, 24, d] of local standard time; NaN where there is no row. Days count from 1."""
+def day_hour_grid(
+    day_of_year: NDArray[np.integer], hour: NDArray[np.integer], values: Float, days: int
+) -> Float:
+    """Hourly rows [n, d] to [days, 24, d] of local standard time; NaN where there is no row.
+    Days count from 1.
+    """
     grid = np.full((days, 24, values.shape[1]), np.nan)
     grid[day_of_year - 1, hour] = values
     return grid
@@ -148,6 +163,12 @@ def render(page: Page) -> str:
     )
     facts = [{"name": name, "value": value} for name, value in page.facts]
     return environment.get_template("page.html.j2").render(
-        title=page.title, answer=page.answer, why=page.why, facts=facts, sections=page.sections,
-        footer=page.footer, polar=page.polar, warnings=page.warnings,
-    )  # fmt: skip
+        title=page.title,
+        answer=page.answer,
+        why=page.why,
+        facts=facts,
+        sections=page.sections,
+        footer=page.footer,
+        polar=page.polar,
+        warnings=page.warnings,
+    )

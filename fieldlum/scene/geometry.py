@@ -1,4 +1,6 @@
-"""A box room as axis-aligned boxes and panes of glass, in room coordinates: x right, y away from "south", z up."""
+"""A box room as axis-aligned boxes and panes of glass, in room coordinates: x right, y away from
+"south", z up.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
 
 
 def transmissivity(transmittance: float) -> float:
-    """Radiance's glass parameter from transmittance at normal incidence (materials manual, "glass")."""
+    """Radiance's glass parameter from transmittance at normal incidence (materials manual,
+    "glass").
+    """
     if transmittance <= 0.0:
         return 0.0
     root = np.sqrt(0.8402528435 + 0.0072522239 * transmittance**2)
@@ -33,7 +37,9 @@ def transmissivity(transmittance: float) -> float:
 
 
 def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Array, Array]:
-    """Transmittance and reflectance of a pane at angles of incidence given by their cosine (Radiance's m_glass.c)."""
+    """Transmittance and reflectance of a pane at angles of incidence given by their cosine
+    (Radiance's m_glass.c).
+    """
     cos1 = np.maximum(np.abs(np.asarray(cosine, float)), 1e-6)
     cos2 = np.sqrt((1 - 1 / INDEX**2) + (cos1 / INDEX) ** 2)
     path = transmissivity(transmittance) ** (1 / cos2)
@@ -57,7 +63,9 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A window's hole through its wall and the pane in it; u runs along the wall in x or y, whichever is free."""
+    """A window's hole through its wall and the pane in it; u runs along the wall in x or y,
+    whichever is free.
+    """
 
     axis: int  # of the wall's normal
     outward: int  # -1 or 1 along that axis
@@ -112,19 +120,26 @@ class BoxScene:
         return [k for k, box in enumerate(self.boxes) if box.kind in kinds]
 
 
-# ---------------------------------------------------------------------------------------------- building
+# ----------------------------------------------------------------------------------------------
+# building
 
 
 def build(room: Room, where: str = "[room]") -> BoxScene:
-    """Raises InputError for a room that cannot be: a window outside its wall, overlapping windows, a camera outside."""
+    """Raises InputError for a room that cannot be: a window outside its wall, overlapping
+    windows, a camera outside.
+    """
     if room.kind != "box":
         raise InputError(where, f"kind '{room.kind}'", "kind 'box'", "this needs a box room")
     size = np.array([room.width_m, room.depth_m, room.height_m])
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     if not (size > 0).all() or room.wall_thickness_m <= 0:
-        raise InputError(where, "a size of zero or less", "width, depth, height and wall thickness above 0")
+        raise InputError(
+            where, "a size of zero or less", "width, depth, height and wall thickness above 0"
+        )
     if not ((eye > 0) & (eye < size)).all():
-        raise InputError(where, f"camera at {tuple(eye.tolist())}", f"inside 0 to {tuple(size.tolist())}")
+        raise InputError(
+            where, f"camera at {tuple(eye.tolist())}", f"inside 0 to {tuple(size.tolist())}"
+        )
     _check_values(room, where)
     openings = tuple(_opening(room, window, where) for window in room.window)
     _check_overlap(openings, where)
@@ -134,19 +149,36 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
         Box(low, (high[0], high[1], 0.0), room.reflectance_floor, "floor"),
         Box((low[0], low[1], room.height_m), high, room.reflectance_ceiling, "ceiling"),
         *(box for wall in WALLS for box in _wall_boxes(room, wall, openings)),
-        *(box for window, o in zip(room.window, openings, strict=True) for box in _frame(room, window, o)),
+        *(
+            box
+            for window, o in zip(room.window, openings, strict=True)
+            for box in _frame(room, window, o)
+        ),
     ]
     for k, o in enumerate(room.obstruction, start=1):
         corner = (o.x_m, o.y_m, o.z_m)
         far = (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m)
         if min(o.width_m, o.depth_m, o.height_m) <= 0:
-            raise InputError(f"{where} obstruction {k}", "a size of zero or less", "width, depth and height above 0")
+            raise InputError(
+                f"{where} obstruction {k}",
+                "a size of zero or less",
+                "width, depth and height above 0",
+            )
         if all(a < e < b for a, e, b in zip(corner, eye, far, strict=True)):
-            raise InputError(f"{where} obstruction {k}", "the camera stands inside it", "a free camera")
+            raise InputError(
+                f"{where} obstruction {k}", "the camera stands inside it", "a free camera"
+            )
         boxes.append(Box(corner, far, o.reflectance, "obstruction"))
     r = GROUND_REACH_M
-    ground = Box((-r, -r, -1.0), (room.width_m + r, room.depth_m + r, -SLAB_M), room.reflectance_ground, "ground")
-    return BoxScene((*boxes, ground), openings, (eye[0], eye[1], eye[2]), (low, high), room.wall_azimuth_deg)
+    ground = Box(
+        (-r, -r, -1.0),
+        (room.width_m + r, room.depth_m + r, -SLAB_M),
+        room.reflectance_ground,
+        "ground",
+    )
+    return BoxScene(
+        (*boxes, ground), openings, (eye[0], eye[1], eye[2]), (low, high), room.wall_azimuth_deg
+    )
 
 
 def _check_values(room: Room, where: str) -> None:
@@ -156,11 +188,17 @@ def _check_values(room: Room, where: str) -> None:
             raise InputError(where, f"reflectance_{name} = {value:g}", "0 to below 1")
     for k, o in enumerate(room.obstruction, start=1):
         if not 0 <= o.reflectance < 1:
-            raise InputError(f"{where} obstruction {k}", f"reflectance = {o.reflectance:g}", "0 to below 1")
+            raise InputError(
+                f"{where} obstruction {k}", f"reflectance = {o.reflectance:g}", "0 to below 1"
+            )
     for k, w in enumerate(room.window, start=1):
         if not 0 < w.transmittance <= 0.92 or w.panes < 1:
             expected = "transmittance above 0 up to .92 (clear float glass), panes 1 or more"
-            raise InputError(f"{where} window {k}", f"transmittance {w.transmittance:g}, panes {w.panes}", expected)
+            raise InputError(
+                f"{where} window {k}",
+                f"transmittance {w.transmittance:g}, panes {w.panes}",
+                expected,
+            )
 
 
 def _opening(room: Room, window: Window, where: str) -> Opening:
@@ -168,13 +206,25 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     length = room.width_m if axis == 1 else room.depth_m
     top = window.sill_m + window.height_m
     fits = (
-        window.left_m >= 0 and window.left_m + window.width_m <= length and 0 <= window.sill_m <= top <= room.height_m
+        window.left_m >= 0
+        and window.left_m + window.width_m <= length
+        and 0 <= window.sill_m <= top <= room.height_m
     )
     if not fits or window.width_m <= 0 or window.height_m <= 0:
-        found = f"window {window.left_m:g} to {window.left_m + window.width_m:g} m, {window.sill_m:g} to {top:g} m high"
-        raise InputError(where, found, f"inside the {window.wall} wall of {length:g} x {room.height_m:g} m")
-    # left_m runs from the left end as seen from inside: for south and east that is the high end of x or y.
-    start = length - window.left_m - window.width_m if window.wall in ("south", "east") else window.left_m
+        found = (
+            f"window {window.left_m:g} to {window.left_m + window.width_m:g} m, "
+            f"{window.sill_m:g} to {top:g} m high"
+        )
+        raise InputError(
+            where, found, f"inside the {window.wall} wall of {length:g} x {room.height_m:g} m"
+        )
+    # left_m runs from the left end as seen from inside: for south and east that is the high end of
+    # x or y.
+    start = (
+        length - window.left_m - window.width_m
+        if window.wall in ("south", "east")
+        else window.left_m
+    )
     inner = 0.0 if side == 0 else (room.width_m if axis == 0 else room.depth_m)
     outward = 1 if side else -1
     outer = inner + outward * room.wall_thickness_m
@@ -186,14 +236,21 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
     for k, a in enumerate(openings):
         for b in openings[:k]:
             same = (a.axis, a.outward) == (b.axis, b.outward)
-            if same and all(p[0] < q[1] and q[0] < p[1] for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))):
+            if same and all(
+                p[0] < q[1] and q[0] < p[1] for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))
+            ):
                 raise InputError(
-                    where, "two windows of one wall overlap", "windows side by side", "mend left_m, width_m"
+                    where,
+                    "two windows of one wall overlap",
+                    "windows side by side",
+                    "mend left_m, width_m",
                 )
 
 
 def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:
-    """The wall minus its windows, as upright strips between the windows' edges; their ends are the reveals."""
+    """The wall minus its windows, as upright strips between the windows' edges; their ends are
+    the reveals.
+    """
     axis, side = WALLS[wall]
     outward = 1 if side else -1
     holes = [o for o in openings if (o.axis, o.outward) == (axis, outward)]
@@ -212,7 +269,12 @@ def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterato
 
 
 def _upright(
-    axis: int, n: tuple[float, float], u: tuple[float, float], z: tuple[float, float], reflectance: float, kind: str
+    axis: int,
+    n: tuple[float, float],
+    u: tuple[float, float],
+    z: tuple[float, float],
+    reflectance: float,
+    kind: str,
 ) -> Box:
     """A box given by its extent across the wall, along it, and in height."""
     if axis == 1:

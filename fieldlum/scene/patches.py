@@ -1,4 +1,6 @@
-"""Direct sun on a box room's surfaces, hour by hour: only shadow rays, the primary rays are traced once."""
+"""Direct sun on a box room's surfaces, hour by hour: only shadow rays, the primary rays are
+traced once.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,9 @@ SUN_RADIUS_DEG = 0.2665
 class SunPatches:
     """Direct sun only, n moments.
 
-    luminance_cdm2 [n, H, W] of surfaces in the sun, without the disc; visible_fraction [n] of the disc that the camera
-    sees; disc_transmittance [n] of the glass before it (0 where nothing is seen); disc_lx [n] illuminance that the
-    disc gives at the camera, on a plane normal to it.
+    luminance_cdm2 [n, H, W] of surfaces in the sun, without the disc; visible_fraction [n] of the
+    disc that the camera sees; disc_transmittance [n] of the glass before it (0 where nothing is
+    seen); disc_lx [n] illuminance that the disc gives at the camera, on a plane normal to it.
     """
 
     luminance_cdm2: NDArray[np.float32]
@@ -57,7 +59,9 @@ def iter_sun_patches(
     if room.kind != "box":
         from fieldlum.scene.radiance import iter_traced
 
-        yield from iter_traced(room, suns, normal, height=height, heading_deg=heading, chunk=chunk, progress=progress)
+        yield from iter_traced(
+            room, suns, normal, height=height, heading_deg=heading, chunk=chunk, progress=progress
+        )
         return
     points = look(room, height, heading, sub).sun_points()
     toward = points.scene.to_room(suns)
@@ -91,31 +95,46 @@ def sun_patches(
     sub: int = 3,
     progress: Progress = quiet,
 ) -> SunPatches:
-    """Luminance of the room's sunlit surfaces by direct sun alone (Radiance's -ab 0), without the disc.
+    """Luminance of the room's sunlit surfaces by direct sun alone (Radiance's -ab 0), without the
+    disc.
 
-    sun_direction [n, 3] unit vectors in world axes (x east, y north, z up), normal_illuminance_lx [n] of the sun
-    outside, on its normal. A box room is traced exactly (hard shadows, sub x sub rays a pixel, one mirror image in
-    the panes); a room of kind "radiance" goes through rtrace. heading_deg: by default the setup's.
-    Raises InputError for an impossible room.
+    sun_direction [n, 3] unit vectors in world axes (x east, y north, z up), normal_illuminance_lx
+    [n] of the sun outside, on its normal. A box room is traced exactly (hard shadows, sub x sub
+    rays a pixel, one mirror image in the panes); a room of kind "radiance" goes through rtrace.
+    heading_deg: by default the setup's. Raises InputError for an impossible room.
     """
     parts = list(
         iter_sun_patches(
-            room, setup, sun_direction, normal_illuminance_lx, height=height, heading_deg=heading_deg, sub=sub,
+            room,
+            setup,
+            sun_direction,
+            normal_illuminance_lx,
+            height=height,
+            heading_deg=heading_deg,
+            sub=sub,
             progress=progress,
         )
-    )  # fmt: skip
+    )
     if not parts:
         empty = np.zeros(0)
         return SunPatches(np.zeros((0, height, 2 * height), np.float32), empty, empty, empty)
-    return SunPatches(*(np.concatenate([getattr(p, f) for p in parts]) for f in SunPatches.__dataclass_fields__))
+    return SunPatches(
+        *(np.concatenate([getattr(p, f) for p in parts]) for f in SunPatches.__dataclass_fields__)
+    )
 
 
 def window_fraction(
-    room: Room, setup: SiteFile | None, height: int, heading_deg: float | None = None, *, sub: int = 3
+    room: Room,
+    setup: SiteFile | None,
+    height: int,
+    heading_deg: float | None = None,
+    *,
+    sub: int = 3,
 ) -> NDArray[np.float32]:
     """Share of each pixel that sees the sky, times the transmittance of the glass there, [H, W].
 
-    The sky's luminance in a pixel's direction times this is what the pixel owes to the sky seen directly.
+    The sky's luminance in a pixel's direction times this is what the pixel owes to the sky seen
+    directly.
     """
     heading = _heading(setup, heading_deg)
     if room.kind != "box":
@@ -133,7 +152,8 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
     return setup.camera.heading_deg
 
 
-# ---------------------------------------------------------------------------------------------- the disc
+# ---------------------------------------------------------------------------------------------- the
+# disc
 
 
 def disc_rays(toward: Array, rings: int = 4) -> Array:
@@ -152,7 +172,9 @@ def disc_rays(toward: Array, rings: int = 4) -> Array:
 
 
 def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
-    """Visible share of the sun's disc from the camera and the glass before it, [n], for suns [n, 3] in room axes."""
+    """Visible share of the sun's disc from the camera and the glass before it, [n], for suns [n,
+    3] in room axes.
+    """
     visible, through = np.zeros(len(toward)), np.zeros(len(toward))
     eye = np.array(scene.camera_m)
     for k, sun in enumerate(toward):
@@ -175,7 +197,9 @@ def _may_see(o: Opening, eye: Array, sun: Array) -> bool:
 
 
 def _free(scene: BoxScene, o: Opening, eye: Array, rays: Array) -> NDArray[np.bool_]:
-    """Which rays [r, 3] from the eye leave through opening `o` and meet no frame and no obstruction."""
+    """Which rays [r, 3] from the eye leave through opening `o` and meet no frame and no
+    obstruction.
+    """
     free = np.ones(len(rays), bool)
     for plane in (o.inner_m, o.outer_m):
         at = (plane - eye[o.axis]) / rays[:, o.axis]

@@ -18,9 +18,10 @@ _TILE = 64  # points in a tile; a tile is culled as a whole by its bounding box
 class SunPoints:
     """Points on matt surfaces, ready for shadow tests.
 
-    `direct(toward)` gives, per target, the sum over its points of weight x cosine x glass x visibility: a luminance
-    for weights of reflectance / pi, an irradiance for weights of 1 / count, both per lx on the sun's normal.
-    Points inside the pane see the sun only through an opening; points outside see it past the building.
+    `direct(toward)` gives, per target, the sum over its points of weight x cosine x glass x
+    visibility: a luminance for weights of reflectance / pi, an irradiance for weights of 1 / count,
+    both per lx on the sun's normal. Points inside the pane see the sun only through an opening;
+    points outside see it past the building.
     """
 
     scene: BoxScene
@@ -54,13 +55,17 @@ class SunPoints:
                 parts.append((self._through(o, toward), through))
         parts.append((self._outside(toward), 1.0))
         lit = np.concatenate([part for part, _ in parts])
-        return lit, np.repeat(np.array([t for _, t in parts], np.float32), [len(part) for part, _ in parts])
+        return lit, np.repeat(
+            np.array([t for _, t in parts], np.float32), [len(part) for part, _ in parts]
+        )
 
     def _facing(self, rows: NDArray[np.intp], toward: Array) -> NDArray[np.intp]:
         return rows[self.sign[rows] * toward[self.axis[rows]] > 1e-6]
 
     def _through(self, o: Opening, toward: Array) -> NDArray[np.intp]:
-        """Inside points whose way to the sun leads through this opening and past frames and furniture."""
+        """Inside points whose way to the sun leads through this opening and past frames and
+        furniture.
+        """
         rows = self._facing(self._near(o, toward), toward)
         rows = rows[self.inside[rows]]
         p = self.position[rows]
@@ -68,17 +73,24 @@ class SunPoints:
 
         def passes(plane_m: float) -> NDArray[np.bool_]:
             across = np.float32(plane_m) - p[:, o.axis]
-            u, z = p[:, o.along] + across * np.float32(slope_u), p[:, 2] + across * np.float32(slope_z)
+            u, z = (
+                p[:, o.along] + across * np.float32(slope_u),
+                p[:, 2] + across * np.float32(slope_z),
+            )
             return (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
 
-        behind = (p[:, o.axis] - o.inner_m) * o.outward > -2 * EPSILON_M  # within the wall: the opening is convex
+        behind = (
+            p[:, o.axis] - o.inner_m
+        ) * o.outward > -2 * EPSILON_M  # within the wall: the opening is convex
         ahead = (o.pane_m - p[:, o.axis]) * o.outward > 0  # not beyond the pane
         good = ahead & passes(o.outer_m) & (behind | passes(o.inner_m))
         rows = rows[good]
         return rows[~self._shaded(rows, toward, "frame", "obstruction")]
 
     def _near(self, o: Opening, toward: Array) -> NDArray[np.intp]:
-        """Points of all tiles whose bounding box can see the opening's outer end along the sun's direction."""
+        """Points of all tiles whose bounding box can see the opening's outer end along the sun's
+        direction.
+        """
         axis, reach = o.axis, np.float32(o.outward)
         near = (np.float32(o.outer_m) - self.tile_high[:, axis]) * reach
         far = (np.float32(o.outer_m) - self.tile_low[:, axis]) * reach
@@ -88,7 +100,9 @@ class SunPoints:
         for k, (low, high) in ((o.along, o.u_m), (2, o.z_m)):
             slope = np.float32(toward[k] / abs(toward[axis]))
             shift = np.sort(np.stack((least * slope, most * slope)), axis=0)
-            keep &= (self.tile_high[:, k] + shift[1] > low) & (self.tile_low[:, k] + shift[0] < high)
+            keep &= (self.tile_high[:, k] + shift[1] > low) & (
+                self.tile_low[:, k] + shift[0] < high
+            )
         return _rows_of(keep, len(self.position))
 
     def _outside(self, toward: Array) -> NDArray[np.intp]:
@@ -98,14 +112,18 @@ class SunPoints:
             return rows
         p = self.position[rows]
         low, high = np.array(self.scene.shell)
-        own = ((p > low) & (p < high)).all(axis=1)  # outer reveals and frames: the walls themselves shade them
+        own = ((p > low) & (p < high)).all(
+            axis=1
+        )  # outer reveals and frames: the walls themselves shade them
         dark = self._shaded(rows, toward, "obstruction")
         dark[~own] |= blocked(low[None], high[None], p[~own], toward)
         dark[own] |= self._shaded(rows[own], toward, "wall", "ceiling", "floor", "frame")
         return rows[~dark]
 
     def _shaded(self, rows: NDArray[np.intp], toward: Array, *kinds: str) -> NDArray[np.bool_]:
-        """Which of the points some box of these kinds hides from the sun; whole tiles are ruled out first."""
+        """Which of the points some box of these kinds hides from the sun; whole tiles are ruled
+        out first.
+        """
         out = np.zeros(len(rows), bool)
         which = self.scene.of_kind(*kinds)
         if not which or not len(rows):
@@ -134,11 +152,15 @@ def sun_points(
     target: NDArray[np.integer],
     targets: int,
 ) -> SunPoints:
-    """Sort points so that tiles are compact: by inside or outside, by face, then along a Z-shaped curve."""
+    """Sort points so that tiles are compact: by inside or outside, by face, then along a
+    Z-shaped curve.
+    """
     inside = _inside(scene, position)
     low, high = position.min(axis=0), position.max(axis=0)
     grid = np.clip((position - low) / np.maximum(high - low, 1e-9) * 255, 0, 255).astype(np.int64)
-    grid = np.where(inside[:, None], np.clip((position - scene.shell[0]) / _extent(scene) * 255, 0, 255), grid)
+    grid = np.where(
+        inside[:, None], np.clip((position - scene.shell[0]) / _extent(scene) * 255, 0, 255), grid
+    )
     face = axis.astype(np.int64) * 2 + (sign > 0)
     order = np.lexsort((_interleave(grid.astype(np.int64)), face, inside))
     raised = position.copy()
@@ -148,9 +170,17 @@ def sun_points(
     tile_low, tile_high = np.minimum.reduceat(p, starts), np.maximum.reduceat(p, starts)
     pad = np.float32(10 * EPSILON_M)
     return SunPoints(
-        scene, p, axis[order].astype(np.int8), sign[order].astype(np.int8), weight[order].astype(np.float32),
-        target[order].astype(np.int32), inside[order], tile_low - pad, tile_high + pad, targets,
-    )  # fmt: skip
+        scene,
+        p,
+        axis[order].astype(np.int8),
+        sign[order].astype(np.int8),
+        weight[order].astype(np.float32),
+        target[order].astype(np.int32),
+        inside[order],
+        tile_low - pad,
+        tile_high + pad,
+        targets,
+    )
 
 
 def _extent(scene: BoxScene) -> Array:

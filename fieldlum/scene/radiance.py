@@ -1,4 +1,6 @@
-"""Rooms to Radiance: a box room as .rad text, and rooms given as .rad or .oct files traced by rtrace."""
+"""Rooms to Radiance: a box room as .rad text, and rooms given as .rad or .oct files traced by
+rtrace.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,15 @@ SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
 _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
 
-# ---------------------------------------------------------------------------------------------- boxes to .rad
+# ----------------------------------------------------------------------------------------------
+# boxes to .rad
 
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """A visible rectangle of a box: axis and sign of its normal, where it lies, its extent in the other two axes."""
+    """A visible rectangle of a box: axis and sign of its normal, where it lies, its extent in
+    the other two axes.
+    """
 
     box: int
     axis: int
@@ -81,7 +86,9 @@ def _covered(scene: BoxScene, face: Face) -> bool:
     a, b = face.others
     points = np.empty((n * n, 3))
     points[:, face.axis] = face.at_m + face.sign * 1e-3
-    grid = np.meshgrid(*(lo + (hi - lo) * share for lo, hi in zip(face.low_m, face.high_m, strict=True)))
+    grid = np.meshgrid(
+        *(lo + (hi - lo) * share for lo, hi in zip(face.low_m, face.high_m, strict=True))
+    )
     points[:, a], points[:, b] = grid[0].ravel(), grid[1].ravel()
     free = np.ones(len(points), bool)
     for low, high in zip(scene.low, scene.high, strict=True):
@@ -90,7 +97,9 @@ def _covered(scene: BoxScene, face: Face) -> bool:
 
 
 def _matt(name: str, reflectance: float) -> str:
-    return f"void plastic {name}\n0\n0\n5 {reflectance:.6g} {reflectance:.6g} {reflectance:.6g} 0 0\n"
+    return (
+        f"void plastic {name}\n0\n0\n5 {reflectance:.6g} {reflectance:.6g} {reflectance:.6g} 0 0\n"
+    )
 
 
 def _polygon(name: str, material: str, corners: Array) -> str:
@@ -99,10 +108,15 @@ def _polygon(name: str, material: str, corners: Array) -> str:
 
 
 def rad_text(scene: BoxScene, visible: Sequence[Face] | None = None) -> str:
-    """The room as Radiance text in room axes; face k carries material ``f<k>``, panes carry ``g<k>``."""
+    """The room as Radiance text in room axes; face k carries material ``f<k>``, panes carry
+    ``g<k>``.
+    """
     parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
     for k, face in enumerate(visible if visible is not None else faces(scene)):
-        parts += [_matt(f"f{k}", scene.boxes[face.box].reflectance), _polygon(f"face{k}", f"f{k}", face.corners())]
+        parts += [
+            _matt(f"f{k}", scene.boxes[face.box].reflectance),
+            _polygon(f"face{k}", f"f{k}", face.corners()),
+        ]
     for k, o in enumerate(scene.openings):
         tn = transmissivity(o.transmittance)
         parts.append(f"void glass g{k}\n0\n0\n3 {tn:.6f} {tn:.6f} {tn:.6f}\n")
@@ -136,17 +150,24 @@ def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
 
 
 def trace(octree_path: Path, origins: Array, directions: Array, extra: Sequence[str] = ()) -> Array:
-    """Radiance of rays [n, 3] through rtrace, grey by Radiance's own luminance weights, [n] W/sr/m2."""
+    """Radiance of rays [n, 3] through rtrace, grey by Radiance's own luminance weights, [n]
+    W/sr/m2.
+    """
     import pyradiance
 
-    rays = np.concatenate((np.broadcast_to(origins, directions.shape), directions), axis=1).astype("<f4").tobytes()
+    rays = (
+        np.concatenate((np.broadcast_to(origins, directions.shape), directions), axis=1)
+        .astype("<f4")
+        .tobytes()
+    )
     answer = pyradiance.rtrace(
         rays, octree_path, header=False, inform="f", outform="f", params=[*_TRACE, *extra]
-    )  # fmt: skip
+    )
     return np.frombuffer(answer, "<f4").reshape(-1, 3) @ np.array(RADIANCE_Y)
 
 
-# ---------------------------------------------------------------------------------------------- rooms from files
+# ----------------------------------------------------------------------------------------------
+# rooms from files
 
 
 @contextmanager
@@ -156,7 +177,9 @@ def _room_octree(room: Room) -> Iterator[Path]:
 
     path = Path(room.file)
     if not path.is_file():
-        raise InputError(path, "no such file", "a Radiance .rad or .oct file of the room", "mend [room] file")
+        raise InputError(
+            path, "no such file", "a Radiance .rad or .oct file of the room", "mend [room] file"
+        )
     if path.suffix.lower() == ".oct":
         yield path
         return
@@ -172,15 +195,26 @@ def _room_octree(room: Room) -> Iterator[Path]:
 
 def _viewpoint(room: Room) -> Array:
     if len(room.viewpoint_m) != 3:
-        raise InputError("[room]", f"viewpoint_m {room.viewpoint_m}", "three numbers: x east, y north, z up")
+        raise InputError(
+            "[room]", f"viewpoint_m {room.viewpoint_m}", "three numbers: x east, y north, z up"
+        )
     return np.array(room.viewpoint_m)
 
 
 def iter_traced(
-    room: Room, suns: Array, normal_lx: Array, *, height: int, heading_deg: float, chunk: int, sub: int = 2,
+    room: Room,
+    suns: Array,
+    normal_lx: Array,
+    *,
+    height: int,
+    heading_deg: float,
+    chunk: int,
+    sub: int = 2,
     progress: Progress = quiet,
-) -> Iterator[SunPatches]:  # fmt: skip
-    """`iter_sun_patches` of a room of kind "radiance": one rtrace -ab 0 an hour (world axes, x east, y north)."""
+) -> Iterator[SunPatches]:
+    """`iter_sun_patches` of a room of kind "radiance": one rtrace -ab 0 an hour (world axes, x
+    east, y north).
+    """
     eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
     with _room_octree(room) as base:
         for start in range(0, len(suns), chunk):
@@ -198,7 +232,9 @@ def iter_traced(
                 passed = disc > 1e-3
                 visible[k] = passed.mean()
                 through[k] = disc[passed].mean() if passed.any() else 0.0
-            yield SunPatches(maps, visible, through, normal_lx[rows.start : rows.stop] * visible * through)
+            yield SunPatches(
+                maps, visible, through, normal_lx[rows.start : rows.stop] * visible * through
+            )
     progress(len(suns), len(suns), "")
 
 
@@ -208,8 +244,12 @@ def _pixel_mean(pixel: NDArray[np.int32], values: Array, height: int) -> NDArray
     return total.reshape(height, 2 * height).astype(np.float32)
 
 
-def traced_window_fraction(room: Room, height: int, heading_deg: float, sub: int = 3) -> NDArray[np.float32]:
-    """Share of each pixel that sees the sky, times the glass, [H, W]: the room under a sky of one, all else dark."""
+def traced_window_fraction(
+    room: Room, height: int, heading_deg: float, sub: int = 3
+) -> NDArray[np.float32]:
+    """Share of each pixel that sees the sky, times the glass, [H, W]: the room under a sky of
+    one, all else dark.
+    """
     eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         # Ambient light is off and the sky is a glow of no reach: only what is seen directly counts.

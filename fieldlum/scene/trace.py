@@ -17,7 +17,9 @@ _CHUNK = 150_000
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """Per ray: distance [m] (inf: none), box index (-1: none), face normal's axis 0..2 and its sign, [n]."""
+    """Per ray: distance [m] (inf: none), box index (-1: none), face normal's axis 0..2 and its
+    sign, [n].
+    """
 
     distance_m: Array
     box: NDArray[np.int32]
@@ -32,7 +34,9 @@ def first_hits(scene: BoxScene, origins: Array, directions: Array) -> Hits:
     axis, sign = np.zeros(n, np.int8), np.zeros(n, np.int8)
     for start in range(0, n, _CHUNK):
         rows = slice(start, start + _CHUNK)
-        distance[rows], box[rows], axis[rows], sign[rows] = _first(scene, origins[rows], directions[rows])
+        distance[rows], box[rows], axis[rows], sign[rows] = _first(
+            scene, origins[rows], directions[rows]
+        )
     return Hits(distance, box, axis, sign)
 
 
@@ -48,13 +52,17 @@ def _first(scene: BoxScene, origins: Array, directions: Array) -> tuple[NDArray[
         hit = (near < leave) & (near > EPSILON_M / 10) & (near < best)
         best[hit], box[hit] = near[hit], k
         axis[hit] = enter[hit].argmax(axis=1)
-    sign = -np.sign(np.take_along_axis(d, axis[:, None].astype(np.intp), axis=1)[:, 0]).astype(np.int8)
+    sign = -np.sign(np.take_along_axis(d, axis[:, None].astype(np.intp), axis=1)[:, 0]).astype(
+        np.int8
+    )
     return best, box, axis, sign
 
 
 @dataclass(frozen=True, slots=True)
 class Panes:
-    """Per ray: index of the pane it crosses first (-1: none), the distance, and the pane's optics there."""
+    """Per ray: index of the pane it crosses first (-1: none), the distance, and the pane's
+    optics there.
+    """
 
     opening: NDArray[np.int32]
     distance_m: Array
@@ -75,7 +83,9 @@ def pane_crossings(scene: BoxScene, origins: Array, directions: Array, limit_m: 
     return Panes(index, np.where(index >= 0, best, np.inf), through, back)
 
 
-def _cross(o: Opening, origins: Array, directions: Array, plane_m: float) -> tuple[Array, NDArray[np.bool_]]:
+def _cross(
+    o: Opening, origins: Array, directions: Array, plane_m: float
+) -> tuple[Array, NDArray[np.bool_]]:
     """Distance to a plane across the opening, and whether the ray passes within its rectangle."""
     d = directions[:, o.axis]
     at = (plane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
@@ -84,8 +94,12 @@ def _cross(o: Opening, origins: Array, directions: Array, plane_m: float) -> tup
     return at, (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
 
 
-def blocked(low: Array, high: Array, points: NDArray[np.floating], toward: Array) -> NDArray[np.bool_]:
-    """Whether any box [b, 3] stands between points [m, 3] and a far light in one direction `toward` [3]."""
+def blocked(
+    low: Array, high: Array, points: NDArray[np.floating], toward: Array
+) -> NDArray[np.bool_]:
+    """Whether any box [b, 3] stands between points [m, 3] and a far light in one direction
+    `toward` [3].
+    """
     out = np.zeros(len(points), bool)
     kind = points.dtype
     d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
@@ -102,9 +116,15 @@ def blocked(low: Array, high: Array, points: NDArray[np.floating], toward: Array
 
 
 def may_block(
-    low: Array, high: Array, tile_low: NDArray[np.floating], tile_high: NDArray[np.floating], toward: Array
+    low: Array,
+    high: Array,
+    tile_low: NDArray[np.floating],
+    tile_high: NDArray[np.floating],
+    toward: Array,
 ) -> NDArray[np.bool_]:
-    """Which boxes [b, 3] could stand between any point of which tiles [t, 3] and the light: [t, b], never too few."""
+    """Which boxes [b, 3] could stand between any point of which tiles [t, 3] and the light: [t,
+    b], never too few.
+    """
     d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
     near, far = np.where(d > 0, low, high) / d, np.where(d > 0, high, low) / d
     ends = np.stack((tile_low / d, tile_high / d))

@@ -1,4 +1,6 @@
-"""What each pixel of a panorama sees in a box room: matt surfaces straight on, through glass and mirrored in it."""
+"""What each pixel of a panorama sees in a box room: matt surfaces straight on, through glass and
+mirrored in it.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,10 @@ Array = NDArray[np.float64]
 class View:
     """The panorama's rays, traced once.
 
-    Surface samples [m]: position [m, 3], axis and sign of the face's normal, box index, pixel, and weight: the share of
-    the pixel times the glass between (or its mirror), so that luminance = sum weight x reflectance x E / pi.
-    sky [H, W]: share of the pixel that sees the sky, times the glass. plain [H, W]: the same for open ground beyond
-    the modelled one.
+    Surface samples [m]: position [m, 3], axis and sign of the face's normal, box index, pixel, and
+    weight: the share of the pixel times the glass between (or its mirror), so that luminance = sum
+    weight x reflectance x E / pi. sky [H, W]: share of the pixel that sees the sky, times the
+    glass. plain [H, W]: the same for open ground beyond the modelled one.
     """
 
     scene: BoxScene
@@ -46,7 +48,9 @@ class View:
         weight = self.weight * self.scene.reflectance[self.box] / np.pi
         count = 2 * self.height**2
         if pixels is None:
-            return sun_points(self.scene, self.position, self.axis, self.sign, weight, self.pixel, count)
+            return sun_points(
+                self.scene, self.position, self.axis, self.sign, weight, self.pixel, count
+            )
         place = np.full(count, -1)
         place[pixels] = np.arange(len(pixels))
         target = place[self.pixel]
@@ -56,7 +60,9 @@ class View:
 
 
 def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Array]:
-    """sub x sub rays in each pixel, of equal solid angle within it: pixel index [m], world directions [m, 3]."""
+    """sub x sub rays in each pixel, of equal solid angle within it: pixel index [m], world
+    directions [m, 3].
+    """
     width = 2 * height
     fine = (np.arange(height * sub) + 0.5) / sub
     top, bottom = np.floor(fine), np.floor(fine) + 1
@@ -71,7 +77,9 @@ def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.in
 
 @lru_cache(maxsize=2)
 def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
-    """Trace the panorama of a box room from its camera. Raises InputError for an impossible room."""
+    """Trace the panorama of a box room from its camera. Raises InputError for an impossible
+    room.
+    """
     scene = build(room)
     pixel, world = pixel_rays(height, heading_deg, sub)
     rays = scene.to_room(world)
@@ -86,18 +94,32 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
         rows = open_sky & where
         target += np.bincount(pixel[rows], (share * panes.through)[rows], len(target))
     seen.append(_mirrored(scene, pixel, eye, rays, panes, share))
-    position, axis, sign, box, pixels, weight = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    position, axis, sign, box, pixels, weight = (
+        np.concatenate(parts) for parts in zip(*seen, strict=True)
+    )
     shape, straight = (height, 2 * height), len(seen[0][0])
     return View(
-        scene, height, heading_deg, position, axis, sign, box, pixels, weight, straight,
-        sky.reshape(shape).astype(np.float32), plain.reshape(shape).astype(np.float32),
-    )  # fmt: skip
+        scene,
+        height,
+        heading_deg,
+        position,
+        axis,
+        sign,
+        box,
+        pixels,
+        weight,
+        straight,
+        sky.reshape(shape).astype(np.float32),
+        plain.reshape(shape).astype(np.float32),
+    )
 
 
 _Samples = tuple[NDArray[Any], ...]  # position, axis, sign, box, pixel, weight
 
 
-def _surfaces(pixel: NDArray[np.int32], origin: Array, rays: Array, hits: Hits, weight: Array) -> _Samples:
+def _surfaces(
+    pixel: NDArray[np.int32], origin: Array, rays: Array, hits: Hits, weight: Array
+) -> _Samples:
     rows = np.flatnonzero(hits.box >= 0)
     position = origin[rows] + rays[rows] * hits.distance_m[rows, None]
     return position, hits.axis[rows], hits.sign[rows], hits.box[rows], pixel[rows], weight[rows]

@@ -1,14 +1,33 @@
 """The session folder on disk: the only package that knows its file names.
 
-`writing` makes whole files or none; `lines` appends and recovers; `folder` knows the places; `plan_file`, `journal` and
-`day_files` are the formats.
+`writing` makes whole files or none; `lines` appends and recovers; `folder` knows the places;
+`plan_file`, `journal` and `day_files` are the formats.
 """
 
-from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, decode_sample, encode_sample, read_day
+from fieldlum.session.day_files import (
+    DAY_COLUMNS,
+    DayFiles,
+    day_files,
+    decode_sample,
+    encode_sample,
+    read_day,
+)
 from fieldlum.session.folder import Session, create_session, open_session, sole_user, update_session
 from fieldlum.session.journal import Journal, outcomes, read_journal
-from fieldlum.session.lines import append_durably, append_whole, cut_torn_tail, decode_line, encode_line
-from fieldlum.session.plan_file import PLAN_COLUMNS, exposure_text, parse_exposure, read_plan, write_plan
+from fieldlum.session.lines import (
+    append_durably,
+    append_whole,
+    cut_torn_tail,
+    decode_line,
+    encode_line,
+)
+from fieldlum.session.plan_file import (
+    PLAN_COLUMNS,
+    exposure_text,
+    parse_exposure,
+    read_plan,
+    write_plan,
+)
 from fieldlum.session.writing import disk_is_full, replacing, replacing_path, sha256, sync_folder
 
 __all__ = [

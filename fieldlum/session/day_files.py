@@ -21,12 +21,20 @@ _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
 
 
 def encode_sample(sample: IrradianceSample) -> bytes:
-    """One row of a day file; its last column is the CRC-32 of what stands before that column's comma."""
+    """One row of a day file; its last column is the CRC-32 of what stands before that column's
+    comma.
+    """
     figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
     row = io.StringIO()
-    texts = [text.encode("ascii", "backslashreplace").decode() for text in (sample.status, sample.raw)]
-    printable = ["".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts]
-    shown = ["" if value is None or not math.isfinite(value) else f"{value:.7g}" for value in figures]
+    texts = [
+        text.encode("ascii", "backslashreplace").decode() for text in (sample.status, sample.raw)
+    ]
+    printable = [
+        "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts
+    ]
+    shown = [
+        "" if value is None or not math.isfinite(value) else f"{value:.7g}" for value in figures
+    ]
     csv.writer(row, lineterminator="").writerow([utc_text(sample.t_utc), *shown, *printable])
     body = row.getvalue().encode()
     return body + b",%08x\n" % zlib.crc32(body)
@@ -66,8 +74,11 @@ class DayFiles:
         path = self._folder / f"{day}.csv"
         spoilt = False
         try:
-            self.cut_bytes += cut_torn_tail(path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None)
-        except InputError:  # somebody saved it with a spreadsheet: it stays, is added to, and reading counts its lines
+            self.cut_bytes += cut_torn_tail(
+                path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None
+            )
+        # somebody saved it with a spreadsheet: it stays, is added to, and reading counts its lines
+        except InputError:
             spoilt = True
         handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         try:

@@ -89,7 +89,12 @@ def open_session(root: Path) -> Session:
     """Raises InputError when `root` is no session."""
     session = Session(root)
     if not session.toml.is_file():
-        raise InputError(root, "no session.toml in it", "a session folder", "make one with: fieldlum plan SITE.toml")
+        raise InputError(
+            root,
+            "no session.toml in it",
+            "a session folder",
+            "make one with: fieldlum plan SITE.toml",
+        )
     try:
         session.table()
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -97,16 +102,26 @@ def open_session(root: Path) -> Session:
     return session
 
 
-def create_session(root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: dict[str, Any]) -> Session:
-    """Write plan.csv and session.toml. The plan is immutable: raises InputError when there is one already.
+def create_session(
+    root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: dict[str, Any]
+) -> Session:
+    """Write plan.csv and session.toml. The plan is immutable: raises InputError when there is one
+    already.
 
-    A plan.csv without session.toml is what a kill between the two leaves, and is written again; another file is not.
+    A plan.csv without session.toml is what a kill between the two leaves, and is written again;
+    another file is not.
     """
     session = Session(root)
     if session.toml.exists():
-        raise InputError(root, "already a session", "a new folder", "choose another --out, or use --replan")
-    if session.plan.is_file() and not session.plan.read_bytes().startswith(",".join(PLAN_COLUMNS).encode()):
-        raise InputError(session.plan, "a file of something else", "a new folder", "choose another --out")
+        raise InputError(
+            root, "already a session", "a new folder", "choose another --out, or use --replan"
+        )
+    if session.plan.is_file() and not session.plan.read_bytes().startswith(
+        ",".join(PLAN_COLUMNS).encode()
+    ):
+        raise InputError(
+            session.plan, "a file of something else", "a new folder", "choose another --out"
+        )
     write_plan(session.plan, slots, setup.site.timezone)
     update_session(
         session,
@@ -130,7 +145,8 @@ def update_session(session: Session, tables: dict[str, Any]) -> None:
 
 @contextmanager
 def sole_user(session: Session, purpose: str) -> Iterator[None]:
-    """Only one `purpose` (capture, log) at a time works on a session; the lock goes with the process, however it ends.
+    """Only one `purpose` (capture, log) at a time works on a session; the lock goes with the
+    process, however it ends.
 
     Raises InputError when another one runs.
     """
@@ -138,10 +154,18 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
         try:
             _lock(file.fileno())
         except OSError as error:
-            if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):  # a share that knows no locks
+            if error.errno in (
+                errno.ENOLCK,
+                errno.ENOTSUP,
+                errno.ENOSYS,
+            ):  # a share that knows no locks
                 found = f"a folder that cannot be locked ({error.strerror})"
-                raise InputError(session.root, found, "a folder on a disk of this computer", "move it there") from None
-            raise InputError(session.root, f"another fieldlum {purpose} runs here", "one", "stop it first") from None
+                raise InputError(
+                    session.root, found, "a folder on a disk of this computer", "move it there"
+                ) from None
+            raise InputError(
+                session.root, f"another fieldlum {purpose} runs here", "one", "stop it first"
+            ) from None
         yield
 
 

@@ -13,7 +13,9 @@ from fieldlum.session.lines import append_whole, cut_torn_tail, decode_line, enc
 
 
 class Journal:
-    """The session's events: appended with a CRC and flushed to disk one by one, by any thread; never rewritten."""
+    """The session's events: appended with a CRC and flushed to disk one by one, by any thread;
+    never rewritten.
+    """
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
         """flush False: survives a kill, but not a power cut; for simulated time."""
@@ -23,7 +25,9 @@ class Journal:
         self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
-        """Durable when this returns. Raises OSError on a full disk; half a line is then taken back."""
+        """Durable when this returns. Raises OSError on a full disk; half a line is then taken
+        back.
+        """
         data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
         with self._lock:
             append_whole(self._handle, data, flush=self._flush)
@@ -41,7 +45,9 @@ def read_journal(session: Session) -> list[dict[str, Any]]:
 
 
 def outcomes(session: Session) -> dict[str, str]:
-    """What became of each slot at last: done, missed or aborted; one that was withdrawn from is owed again."""
+    """What became of each slot at last: done, missed or aborted; one that was withdrawn from is
+    owed again.
+    """
     found: dict[str, str] = {}
     for event in read_journal(session):
         if event["event"] in ("done", "missed", "aborted") and "slot" in event:

@@ -1,4 +1,6 @@
-"""Append-only files: a CRC per line, flushed before the next thing is done, a torn tail cut off on opening."""
+"""Append-only files: a CRC per line, flushed before the next thing is done, a torn tail cut off
+on opening.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def decode_line(line: bytes) -> dict[str, Any] | None:
 
 
 def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
-    """Write all of `data` to a file opened with O_APPEND and flush it to the disk before returning."""
+    """Write all of `data` to a file opened with O_APPEND and flush it to the disk before
+    returning.
+    """
     while data:
         data = data[os.write(handle, data) :]
     if flush:
@@ -40,10 +44,12 @@ def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
 
 
 def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
-    """Cut `path` back to its last sound line; returns how many bytes went (to ``NAME.torn`` beside it, never away).
+    """Cut `path` back to its last sound line; returns how many bytes went (to ``NAME.torn`` beside
+    it, never away).
 
-    A kill or a power cut in the middle of a write leaves half a line, or a page of zeros. Unsound lines further up
-    are left where they are: readers skip and count them. Raises InputError when no line at all is sound.
+    A kill or a power cut in the middle of a write leaves half a line, or a page of zeros. Unsound
+    lines further up are left where they are: readers skip and count them. Raises InputError when no
+    line at all is sound.
     """
     if not path.is_file():
         return 0
@@ -59,7 +65,12 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
                 break
             keep = begin
         if keep == 0 and tail.count(b"\n") > 2:
-            raise InputError(path, "no line of it is sound", "what fieldlum wrote", "was it edited? restore or move it")
+            raise InputError(
+                path,
+                "no line of it is sound",
+                "what fieldlum wrote",
+                "was it edited? restore or move it",
+            )
         cut = len(tail) - keep
         if cut:
             with path.with_name(f"{path.name}.torn").open("ab") as torn:

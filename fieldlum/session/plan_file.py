@@ -12,13 +12,23 @@ from fieldlum.errors import InputError
 from fieldlum.records import Exposure, Slot, parse_utc, shutter_text, slot_id, utc_text
 from fieldlum.session.writing import replacing
 
-PLAN_COLUMNS = ("slot", "t_utc", "t_local", "sun_altitude_deg", "sun_azimuth_deg", "exposures", "tags")
+PLAN_COLUMNS = (
+    "slot",
+    "t_utc",
+    "t_local",
+    "sun_altitude_deg",
+    "sun_azimuth_deg",
+    "exposures",
+    "tags",
+)
 
 
 def exposure_text(exposure: Exposure) -> str:
     """``1/250 f/5.6 ISO100`` with an optional `` ND=name``; read back by `parse_exposure`."""
     shown = shutter_text(exposure.shutter_s)
-    return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}" + (f" ND={exposure.nd}" if exposure.nd else "")
+    return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}" + (
+        f" ND={exposure.nd}" if exposure.nd else ""
+    )
 
 
 def parse_exposure(text: str) -> Exposure:
@@ -27,7 +37,9 @@ def parse_exposure(text: str) -> Exposure:
     seconds = 1.0 / float(shutter[2:]) if shutter.startswith("1/") else float(shutter)
     if not f_number.startswith("f/") or not iso.startswith("ISO"):
         raise ValueError(text)
-    return Exposure(seconds, float(f_number[2:]), float(iso[3:]), nd[0].removeprefix("ND=") if nd else "")
+    return Exposure(
+        seconds, float(f_number[2:]), float(iso[3:]), nd[0].removeprefix("ND=") if nd else ""
+    )
 
 
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
@@ -52,13 +64,17 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
 def read_plan(path: Path) -> list[Slot]:
     """Raises InputError naming the line."""
     if not path.is_file():
-        raise InputError(path, "no such file", "the plan of a session", "make one with: fieldlum plan SITE.toml")
+        raise InputError(
+            path, "no such file", "the plan of a session", "make one with: fieldlum plan SITE.toml"
+        )
     slots: list[Slot] = []
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         if tuple(reader.fieldnames or ()) != PLAN_COLUMNS:
             found = ", ".join(reader.fieldnames or ())[:120] or "an empty file"
-            raise InputError(path, found, f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy")
+            raise InputError(
+                path, found, f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
+            )
         for number, row in enumerate(reader, start=2):
             try:
                 if None in row:  # commas in place of semicolons would leave a bracket of one frame
@@ -66,10 +82,14 @@ def read_plan(path: Path) -> list[Slot]:
                 t_utc: datetime = parse_utc(row["t_utc"])
                 if slot_id(t_utc) != row["slot"]:
                     raise ValueError(f"slot {row['slot']} does not match t_utc {row['t_utc']}")
-                exposures = tuple(parse_exposure(text) for text in row["exposures"].split(";") if text.strip())
+                exposures = tuple(
+                    parse_exposure(text) for text in row["exposures"].split(";") if text.strip()
+                )
                 angles = float(row["sun_altitude_deg"]), float(row["sun_azimuth_deg"])
                 slots.append(Slot(t_utc, *angles, exposures, tuple(row["tags"].split())))
             except (KeyError, ValueError, TypeError, AttributeError) as error:
                 expected = f"columns {', '.join(PLAN_COLUMNS)}"
-                raise InputError(f"{path}:{number}", f"{error}", expected, "restore the plan from a copy") from None
+                raise InputError(
+                    f"{path}:{number}", f"{error}", expected, "restore the plan from a copy"
+                ) from None
     return slots

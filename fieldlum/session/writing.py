@@ -13,7 +13,9 @@ from typing import IO, Any
 
 @contextmanager
 def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
-    """A file that appears under its name only when it is whole: written beside, fsynced, then renamed."""
+    """A file that appears under its name only when it is whole: written beside, fsynced, then
+    renamed.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -43,7 +45,9 @@ def replacing_path(path: Path) -> Iterator[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a rename durable (POSIX; elsewhere, and on shared folders that cannot, there is nothing to do)."""
+    """Make a rename durable (POSIX; elsewhere, and on shared folders that cannot, there is
+    nothing to do).
+    """
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -56,7 +60,9 @@ def sync_folder(folder: Path) -> None:
 
 
 def disk_is_full(error: BaseException) -> bool:
-    """Whether this says that there is no room left: on the disk, in a quota, for a file so large."""
+    """Whether this says that there is no room left: on the disk, in a quota, for a file so
+    large.
+    """
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 

@@ -1,7 +1,8 @@
 """A session whose truth is known: a box room rendered by Radiance at every planned slot.
 
-truth/<slot>.exr (panorama with its sun beside it) and truth/irradiance.csv are what the simulated camera and
-pyranometer look at; pairs.csv names the same panoramas, so that `train` and `bench` can work on the truth itself.
+truth/<slot>.exr (panorama with its sun beside it) and truth/irradiance.csv are what the simulated
+camera and pyranometer look at; pairs.csv names the same panoramas, so that `train` and `bench` can
+work on the truth itself.
 """
 
 from __future__ import annotations
@@ -31,15 +32,28 @@ from fieldlum.weather import Weather, read_weather, shipped_seattle, synthetic_w
 from fieldlum.weather.files import NEAR_KM, distance_km
 
 PAIR_COLUMNS = (
-    "t_utc", "panorama", "dni_wm2", "dhi_wm2", "ghi_wm2", "source", "sun_altitude_deg", "sun_azimuth_deg",
-    "steadiness", "sunpatch", "sun_in_map", "ok", "why",
-)  # fmt: skip
+    "t_utc",
+    "panorama",
+    "dni_wm2",
+    "dhi_wm2",
+    "ghi_wm2",
+    "source",
+    "sun_altitude_deg",
+    "sun_azimuth_deg",
+    "steadiness",
+    "sunpatch",
+    "sun_in_map",
+    "ok",
+    "why",
+)
 _CHUNK = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """What a run made. dark: slots without any light in the weather, which are in pairs.csv with ok = 0."""
+    """What a run made. dark: slots without any light in the weather, which are in pairs.csv with
+    ok = 0.
+    """
 
     rendered: int
     kept: int
@@ -60,7 +74,9 @@ def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Wea
 def sample_slots(
     setup: SiteFile, weather: Weather, count: int, seed: int, without: Sequence[datetime] = ()
 ) -> list[Slot]:
-    """`count` daylight hours of a weather year drawn at random, in time order, none of those in `without`."""
+    """`count` daylight hours of a weather year drawn at random, in time order, none of those in
+    `without`.
+    """
     day = weather.daylight()
     taken = set(without)
     free = np.array([k for k, t in enumerate(day.t_utc) if t not in taken])
@@ -72,7 +88,7 @@ def sample_slots(
     return [
         Slot(t, float(a), float(z), ())
         for t, a, z in zip(times, at.altitude_deg, at.azimuth_deg, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def run(
@@ -89,14 +105,19 @@ def run(
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write pairs.csv.
 
-    Slots that are rendered already, in the same way, are kept. drift: irradiance changes within the hour instead of
-    holding its mean. cache: where the Radiance coefficients are kept, by default the session's truth/.
-    Raises InputError for a room that cannot be rendered.
+    Slots that are rendered already, in the same way, are kept. drift: irradiance changes within the
+    hour instead of holding its mean. cache: where the Radiance coefficients are kept, by default
+    the session's truth/. Raises InputError for a room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     truth = ground_truth(
-        setup, height=height, quality=quality, cache=cache or session.truth, workers=workers, progress=progress
-    )  # fmt: skip
+        setup,
+        height=height,
+        quality=quality,
+        cache=cache or session.truth,
+        workers=workers,
+        progress=progress,
+    )
     light, lit = _light_of(setup, slots, weather)
     _forget_other(session, slots, truth, weather)
     owed = [k for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
@@ -106,14 +127,23 @@ def run(
         _write(session, truth, truth.render(light[np.array(rows)]), [slots[k] for k in rows])
     _write_irradiance(session, weather, slots, drift)
     write_pairs(session, slots, light, lit, weather)
-    about = {"weather": weather.name, "height": height, "quality": quality, "synthetic_weather": weather.synthetic}
+    about = {
+        "weather": weather.name,
+        "height": height,
+        "quality": quality,
+        "synthetic_weather": weather.synthetic,
+    }
     update_session(session, {"simulation": about})
     return Simulated(len(owed), int(lit.sum()) - len(owed), int((~lit).sum()), weather.name)
 
 
-def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: dict[str, Any]) -> Session:
+def make_session(
+    out: Path, setup: SiteFile, slots: Sequence[Slot], about: dict[str, Any]
+) -> Session:
     """A session of given slots. Raises InputError when `out` is one already."""
-    return create_session(out, setup, sorted(slots, key=lambda slot: slot.t_utc), {**about, "slots": len(slots)})
+    return create_session(
+        out, setup, sorted(slots, key=lambda slot: slot.t_utc), {**about, "slots": len(slots)}
+    )
 
 
 def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple[Light, np.ndarray]:
@@ -124,10 +154,16 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
     return light, (dni + dhi > 0) & (light.sun_altitude_deg > 0)
 
 
-def _forget_other(session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather) -> None:
-    """Take away pictures of another room, size, quality or weather, so that a cut run cannot mix them with new ones."""
+def _forget_other(
+    session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather
+) -> None:
+    """Take away pictures of another room, size, quality or weather, so that a cut run cannot mix
+    them with new ones.
+    """
     path = session.truth / "made.json"
-    light = hashlib.sha256(np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()).hexdigest()
+    light = hashlib.sha256(
+        np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()
+    ).hexdigest()
     now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
     if path.is_file() and json.loads(path.read_text(encoding="utf-8")) == now:
         return
@@ -155,45 +191,77 @@ def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequenc
         panorama = truth.as_panorama(made, k)
         with replacing_path(_truth_path(session, slot)) as path:
             write_panorama(path, panorama)
-        patch = Panorama(made.patch_cdm2[k], panorama.heading_deg, t_utc=panorama.t_utc, attributes={"direct": "only"})
+        patch = Panorama(
+            made.patch_cdm2[k],
+            panorama.heading_deg,
+            t_utc=panorama.t_utc,
+            attributes={"direct": "only"},
+        )
         with replacing_path(_patch_path(session, slot)) as path:
             write_panorama(path, replace(patch, sun=panorama.sun))
 
 
-def _write_irradiance(session: Session, weather: Weather, slots: Sequence[Slot], drift: bool) -> None:
-    """truth/irradiance.csv over the planned days: readers interpolate between its rows, so a steady hour has two."""
+def _write_irradiance(
+    session: Session, weather: Weather, slots: Sequence[Slot], drift: bool
+) -> None:
+    """truth/irradiance.csv over the planned days: readers interpolate between its rows, so a
+    steady hour has two.
+    """
     days = sorted({sun.standard_date(slot.t_utc, weather.site.timezone) for slot in slots})
     times: list[datetime] = []
     for day in days:
         start = sun.standard_midnight(day, weather.site.timezone)
         for hour in range(24):
             begin = start + timedelta(hours=hour)
-            times += [begin + timedelta(minutes=30)] if drift else [begin, begin + timedelta(minutes=59, seconds=59)]
+            times += (
+                [begin + timedelta(minutes=30)]
+                if drift
+                else [begin, begin + timedelta(minutes=59, seconds=59)]
+            )
     found = weather.at(times)
     with replacing(session.truth / "irradiance.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2"))
-        for t, ghi, dhi, dni in zip(times, found.ghi_wm2, found.dhi_wm2, found.dni_wm2, strict=True):
+        for t, ghi, dhi, dni in zip(
+            times, found.ghi_wm2, found.dhi_wm2, found.dni_wm2, strict=True
+        ):
             writer.writerow((utc_text(t), *(f"{np.nan_to_num(v):.3f}" for v in (ghi, dhi, dni))))
 
 
-def write_pairs(session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather) -> None:
+def write_pairs(
+    session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
+) -> None:
     """pairs.csv of the truth itself; its irradiance counts as measured."""
     found = weather.at([slot.t_utc for slot in slots])
     with replacing(session.pairs, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(PAIR_COLUMNS)
         for k, slot in enumerate(slots):
-            writer.writerow(_pair(session, slot, light, k, bool(lit[k]), float(np.nan_to_num(found.ghi_wm2[k]))))
+            writer.writerow(
+                _pair(session, slot, light, k, bool(lit[k]), float(np.nan_to_num(found.ghi_wm2[k])))
+            )
 
 
-def _pair(session: Session, slot: Slot, light: Light, k: int, ok: bool, ghi: float) -> tuple[str, ...]:
-    files = [p.relative_to(session.root).as_posix() for p in (_truth_path(session, slot), _patch_path(session, slot))]
+def _pair(
+    session: Session, slot: Slot, light: Light, k: int, ok: bool, ghi: float
+) -> tuple[str, ...]:
+    files = [
+        p.relative_to(session.root).as_posix()
+        for p in (_truth_path(session, slot), _patch_path(session, slot))
+    ]
     panorama, patch = files if ok else ("", "")
     figures = light.dni_wm2[k], light.dhi_wm2[k], ghi
     angles = light.sun_altitude_deg[k], light.sun_azimuth_deg[k]
     why = "" if ok else "no light in the weather"
     return (
-        utc_text(slot.t_utc), panorama, *(f"{v:.3f}" for v in figures), "measured", *(f"{v:.5f}" for v in angles),
-        "0", patch, "0", str(int(ok)), why,
-    )  # fmt: skip
+        utc_text(slot.t_utc),
+        panorama,
+        *(f"{v:.3f}" for v in figures),
+        "measured",
+        *(f"{v:.5f}" for v in angles),
+        "0",
+        patch,
+        "0",
+        str(int(ok)),
+        why,
+    )

@@ -1,8 +1,10 @@
-"""How much each point of a room owes to each part of the sky and to each piece of surface: Radiance's rcontrib.
+"""How much each point of a room owes to each part of the sky and to each piece of surface:
+Radiance's rcontrib.
 
-Every surface is cut into pieces. One rcontrib run from the pieces' middles and one from the points that the pixels see
-(irradiance mode, one bounce) give sparse coefficients over the same columns: 2305 Reinhart patches of the sky, the open
-plain below the horizon, then the pieces. Interreflection is a sparse fixed point over the pieces, so no bounce is lost.
+Every surface is cut into pieces. One rcontrib run from the pieces' middles and one from the points
+that the pixels see (irradiance mode, one bounce) give sparse coefficients over the same columns:
+2305 Reinhart patches of the sky, the open plain below the horizon, then the pieces. Interreflection
+is a sparse fixed point over the pieces, so no bounce is lost.
 """
 
 from __future__ import annotations
@@ -36,10 +38,12 @@ _SUB = 4  # squared: sample points of direct sun in a piece
 
 @dataclass(frozen=True)
 class Pieces:
-    """All surfaces cut into rectangles, numbered by `first` and `counts` [faces] within their faces.
+    """All surfaces cut into rectangles, numbered by `first` and `counts` [faces] within their
+    faces.
 
-    Arrays over pieces [p]: face; reflectance; middle [p, 3] of what is not buried in another box (NaN: all is). Sample
-    points for direct sun: position [q, 3], piece [q] and share [q] of the piece's open part.
+    Arrays over pieces [p]: face; reflectance; middle [p, 3] of what is not buried in another box
+    (NaN: all is). Sample points for direct sun: position [q, 3], piece [q] and share [q] of the
+    piece's open part.
     """
 
     faces: tuple[Face, ...]
@@ -81,7 +85,9 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     counts = np.array([_count(scene, f, piece_m) for f in visible], np.int32)
     first = np.concatenate([[0], np.cumsum(counts.prod(axis=1))]).astype(np.int32)
     face = np.repeat(np.arange(len(visible)), counts.prod(axis=1)).astype(np.int32)
-    position = np.concatenate([_grid(f, na, nb) for f, (na, nb) in zip(visible, counts, strict=True)])
+    position = np.concatenate(
+        [_grid(f, na, nb) for f, (na, nb) in zip(visible, counts, strict=True)]
+    )
     piece = np.arange(len(face)).repeat(_SUB**2).astype(np.int32)
     sides = np.array([(f.axis, f.sign) for f in visible])[face[piece]]
     probe = position.copy()
@@ -92,15 +98,21 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     position, piece = position[~buried], piece[~buried]
     count = np.bincount(piece, minlength=len(face))
     with np.errstate(invalid="ignore"):
-        middle = np.stack([np.bincount(piece, position[:, k], len(face)) / count for k in range(3)], axis=1)
+        middle = np.stack(
+            [np.bincount(piece, position[:, k], len(face)) / count for k in range(3)], axis=1
+        )
     reflectance = scene.reflectance[np.array([f.box for f in visible])][face]
-    return Pieces(visible, counts, first, face, reflectance, middle, position, piece, 1.0 / count[piece])
+    return Pieces(
+        visible, counts, first, face, reflectance, middle, position, piece, 1.0 / count[piece]
+    )
 
 
 def _grid(face: Face, na: int, nb: int) -> Array:
     """_SUB x _SUB points in each piece of a face, piece by piece, [na nb _SUB _SUB, 3]."""
     step = (np.arange(_SUB) + 0.5) / _SUB
-    jb, ja, sb, sa = (m.ravel() for m in np.meshgrid(np.arange(nb), np.arange(na), step, step, indexing="ij"))
+    jb, ja, sb, sa = (
+        m.ravel() for m in np.meshgrid(np.arange(nb), np.arange(na), step, step, indexing="ij")
+    )
     out = np.empty((len(ja), 3))
     out[:, face.axis] = face.at_m
     out[:, face.others[0]] = face.low_m[0] + (ja + sa) / na * (face.high_m[0] - face.low_m[0])
@@ -128,7 +140,8 @@ def _in_room(scene: BoxScene, face: Face) -> bool:
     return bool(((middle > low) & (middle < high)).all())
 
 
-# ---------------------------------------------------------------------------------------------- rcontrib
+# ----------------------------------------------------------------------------------------------
+# rcontrib
 
 
 def _bin_file(pieces: Pieces) -> str:
@@ -144,12 +157,14 @@ def _bin_file(pieces: Pieces) -> str:
     return "\n".join(lines)
 
 
-def _hemispheres(position: Array, normal: Array, rays: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def _hemispheres(
+    position: Array, normal: Array, rays: int, rng: np.random.Generator
+) -> NDArray[np.float32]:
     """Origins and directions of cosine-weighted rays into each point's hemisphere, [m, rays, 6].
 
-    Roberts' R2 sequence, which fills the square evenly at any count, shifted at random for each point (Cranley and
-    Patterson 1976), on the disc, then lifted to the sphere (Malley). rcontrib's own sampling takes its seed from the
-    clock; with these a room comes out the same every time.
+    Roberts' R2 sequence, which fills the square evenly at any count, shifted at random for each
+    point (Cranley and Patterson 1976), on the disc, then lifted to the sphere (Malley). rcontrib's
+    own sampling takes its seed from the clock; with these a room comes out the same every time.
     """
     steps = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g^2 with g^3 = g + 1
     square = (np.arange(rays)[None, :, None] * steps + rng.random((len(position), 1, 2))) % 1.0
@@ -164,7 +179,9 @@ def _hemispheres(position: Array, normal: Array, rays: int, rng: np.random.Gener
     return np.concatenate((origin, toward), axis=2, dtype=np.float32)
 
 
-def _command(scene: BoxScene, pieces: Pieces, cal: Path, octree_path: Path, points: bytes, rays: int) -> Any:
+def _command(
+    scene: BoxScene, pieces: Pieces, cal: Path, octree_path: Path, points: bytes, rays: int
+) -> Any:
     import pyradiance
 
     params = ["-h", "-ab", "0", "-c", str(rays), "-lw", "1e-10", "-lr", "8", "-w-"]
@@ -189,10 +206,11 @@ def gather(
     progress: Progress = quiet,
     text: str = "",
 ) -> Any:
-    """Irradiance at points [m, 3] per luminance of each column: a scipy CSR matrix [m, 2306 + pieces], sums up to pi.
+    """Irradiance at points [m, 3] per luminance of each column: a scipy CSR matrix [m, 2306 +
+    pieces], sums up to pi.
 
-    rays: directions sampled from each point, the same ones in every run. Raises RuntimeError with Radiance's own words
-    when rcontrib fails.
+    rays: directions sampled from each point, the same ones in every run. Raises RuntimeError with
+    Radiance's own words when rcontrib fails.
     """
     from scipy.sparse import vstack
 
@@ -229,12 +247,16 @@ def _sparse(answer: bytes, rows: int, columns: int) -> Any:
 def representatives(
     keys: Sequence[NDArray[np.integer]], position: Array, weight: Array
 ) -> tuple[NDArray[np.intp], Array]:
-    """One point for each set of equal keys: the row of the member nearest to the set's middle, and the set's weight."""
+    """One point for each set of equal keys: the row of the member nearest to the set's middle,
+    and the set's weight.
+    """
     code = np.zeros(len(position), np.int64)
     for key in keys:
         code = code * (int(key.max(initial=0)) + 1) + key
     _, inverse, count = np.unique(code, return_inverse=True, return_counts=True)
-    middle = np.stack([np.bincount(inverse, position[:, k]) for k in range(3)], axis=1) / count[:, None]
+    middle = (
+        np.stack([np.bincount(inverse, position[:, k]) for k in range(3)], axis=1) / count[:, None]
+    )
     away = ((position - middle[inverse]) ** 2).sum(axis=1)
     order = np.lexsort((away, inverse))
     nearest = order[np.concatenate([[0], np.cumsum(count)[:-1]])]

@@ -31,8 +31,10 @@ VERSION = 3  # of the coefficients; a new one makes old caches stale
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """piece_m: size of the surface pieces in the room; rays: directions from each pixel's point and from each piece;
-    smooth_px: radius over which neighbours on one face share their gathered light."""
+    """piece_m: size of the surface pieces in the room; rays: directions from each pixel's point
+    and from each piece; smooth_px: radius over which neighbours on one face share their gathered
+    light.
+    """
 
     piece_m: float
     pixel_rays: int
@@ -49,8 +51,10 @@ QUALITIES = {
 
 @dataclass(frozen=True)
 class Rendering:
-    """n moments, without the sun's disc: luminance_cdm2 and patch_cdm2 (direct sun only) [n, H, W]; disc_lx [n] on a
-    plane normal to the sun at the camera; visible_fraction [n] of the disc; light as it was asked for."""
+    """n moments, without the sun's disc: luminance_cdm2 and patch_cdm2 (direct sun only) [n, H,
+    W]; disc_lx [n] on a plane normal to the sun at the camera; visible_fraction [n] of the disc;
+    light as it was asked for.
+    """
 
     luminance_cdm2: NDArray[np.float32]
     patch_cdm2: NDArray[np.float32]
@@ -66,15 +70,18 @@ class Rendering:
         if self.disc_lx[k] <= 0:
             return None
         angles = float(self.light.sun_altitude_deg[k]), float(self.light.sun_azimuth_deg[k])
-        return SunSource(*angles, float(self.disc_lx[k]), float(self.visible_fraction[k]), "rendering")
+        return SunSource(
+            *angles, float(self.disc_lx[k]), float(self.visible_fraction[k]), "rendering"
+        )
 
 
 @dataclass(frozen=True)
 class GroundTruth:
     """A room ready to be shown in any light. Made by `ground_truth`.
 
-    points, pixels: CSR [m, columns] gathered irradiance of the pixels' points, and [H W, m] their part in each pixel
-    (reflectance / pi, glass, smoothing); pieces: CSR [p, columns] of the surface pieces.
+    points, pixels: CSR [m, columns] gathered irradiance of the pixels' points, and [H W, m] their
+    part in each pixel (reflectance / pi, glass, smoothing); pieces: CSR [p, columns] of the surface
+    pieces.
     """
 
     setup: SiteFile
@@ -125,10 +132,14 @@ class GroundTruth:
         out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()
         visible, through = disc_visibility(self.view.scene, toward)
         shape = (n, self.height, 2 * self.height)
-        return Rendering(out.reshape(shape), patch.reshape(shape), direct_lx * visible * through, visible, light)
+        return Rendering(
+            out.reshape(shape), patch.reshape(shape), direct_lx * visible * through, visible, light
+        )
 
     def _columns(self, light: Light, sunlit: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Luminance of every column, [columns, n]: the sky, the plain, and the pieces after all bounces."""
+        """Luminance of every column, [columns, n]: the sky, the plain, and the pieces after all
+        bounces.
+        """
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)[:, None]
         columns = np.zeros((FIRST_PIECE + len(self.pieces), len(light)), np.float32)
         columns[:SKY] = light.sky_cdm2.T
@@ -142,8 +153,9 @@ class GroundTruth:
 
     @cached_property
     def _passes(self) -> int:
-        """Bounces after which an evenly lit room changes by less than 1e-4: the same for every hour, so that an hour
-        does not depend on its company."""
+        """Bounces after which an evenly lit room changes by less than 1e-4: the same for every
+        hour, so that an hour does not depend on its company.
+        """
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)
         pieces = reflect
         for k in range(1, 60):
@@ -162,13 +174,24 @@ class GroundTruth:
         return self.from_pieces[:, FIRST_PIECE:].tocsr()
 
     def maps(
-        self, times_utc: Sequence[datetime], dni_wm2: Any, dhi_wm2: Any, *, chunk: int = 32,
+        self,
+        times_utc: Sequence[datetime],
+        dni_wm2: Any,
+        dhi_wm2: Any,
+        *,
+        chunk: int = 32,
         progress: Progress = quiet,
-    ) -> Iterator[Rendering]:  # fmt: skip
-        """Renderings of many moments in chunks; the sun stands where SPA puts it at the setup's site."""
-        yield from self.chunks(light_at(times_utc, self.setup.site, dni_wm2, dhi_wm2), chunk=chunk, progress=progress)
+    ) -> Iterator[Rendering]:
+        """Renderings of many moments in chunks; the sun stands where SPA puts it at the setup's
+        site.
+        """
+        yield from self.chunks(
+            light_at(times_utc, self.setup.site, dni_wm2, dhi_wm2), chunk=chunk, progress=progress
+        )
 
-    def chunks(self, light: Light, *, chunk: int = 32, progress: Progress = quiet) -> Iterator[Rendering]:
+    def chunks(
+        self, light: Light, *, chunk: int = 32, progress: Progress = quiet
+    ) -> Iterator[Rendering]:
         for start in range(0, len(light), chunk):
             progress(start, len(light), "maps")
             yield self.render(light[slice(start, start + chunk)])
@@ -176,18 +199,24 @@ class GroundTruth:
 
     def panorama(self, t_utc: datetime, dni_wm2: float, dhi_wm2: float) -> Panorama:
         """One moment as a panorama, the visible sun beside it."""
-        made = self.render(light_at([t_utc], self.setup.site, np.array([dni_wm2]), np.array([dhi_wm2])))
+        made = self.render(
+            light_at([t_utc], self.setup.site, np.array([dni_wm2]), np.array([dhi_wm2]))
+        )
         return self.as_panorama(made, 0)
 
     def as_panorama(self, made: Rendering, k: int) -> Panorama:
         about = {"made_by": "fieldlum simulate", "room": self.setup.site.name}
         return Panorama(
-            made.luminance_cdm2[k], self.view.heading_deg, t_utc=made.light.t_utc[k], sun=made.source(k),
+            made.luminance_cdm2[k],
+            self.view.heading_deg,
+            t_utc=made.light.t_utc[k],
+            sun=made.source(k),
             attributes=about,
-        )  # fmt: skip
+        )
 
 
-# ---------------------------------------------------------------------------------------------- making and caching
+# ----------------------------------------------------------------------------------------------
+# making and caching
 
 
 def ground_truth(
@@ -199,19 +228,33 @@ def ground_truth(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> GroundTruth:
-    """Radiance coefficients of a box room, made once and kept under `cache` (a folder), found again by their content.
+    """Radiance coefficients of a box room, made once and kept under `cache` (a folder), found again
+    by their content.
 
     Raises InputError for a setup without a box room.
     """
     room = setup.room
     if room is None or room.kind != "box":
-        raise InputError(setup.site.name, "no box room", '[room] with kind = "box"', "simulation needs its geometry")
+        raise InputError(
+            setup.site.name,
+            "no box room",
+            '[room] with kind = "box"',
+            "simulation needs its geometry",
+        )
     how = QUALITIES[quality]
     heading = setup.camera.heading_deg % 360.0
     view = look(room, height, heading)
     pieces = cut(view.scene, how.piece_m)
     rows, to_pixels, normals = _pixel_points(view, how.smooth_px)
-    key = _key({"room": plain(room), "height": height, "heading": heading, "how": asdict(how), "version": VERSION})
+    key = _key(
+        {
+            "room": plain(room),
+            "height": height,
+            "heading": heading,
+            "how": asdict(how),
+            "version": VERSION,
+        }
+    )
     folder = cache / f"coefficients-{key}" if cache is not None else None
     if folder is not None and (folder / "complete").is_file():
         matrices = [_load(folder, name, FIRST_PIECE + len(pieces)) for name in ("points", "pieces")]
@@ -224,9 +267,15 @@ def ground_truth(
 
     from_pieces = _gather_pieces(scene, pieces, how, workers, both)
     from_points = gather(
-        scene, pieces, view.position[rows], normals, how.pixel_rays, workers=workers, text="light on the pixels",
+        scene,
+        pieces,
+        view.position[rows],
+        normals,
+        how.pixel_rays,
+        workers=workers,
+        text="light on the pixels",
         progress=lambda done, all_, text: both(done, all_, text, len(pieces)),
-    )  # fmt: skip
+    )
     if folder is not None:
         _save(folder, "points", from_points)
         _save(folder, "pieces", from_pieces)
@@ -235,22 +284,34 @@ def ground_truth(
     return GroundTruth(setup, view, pieces, from_points, to_pixels, from_pieces, key)
 
 
-def _gather_pieces(scene: Any, pieces: Pieces, how: Quality, workers: int | None, progress: Progress) -> Any:
+def _gather_pieces(
+    scene: Any, pieces: Pieces, how: Quality, workers: int | None, progress: Progress
+) -> Any:
     """Rows of buried pieces stay empty."""
     from scipy.sparse import csr_matrix
 
     free = pieces.free
     found = gather(
-        scene, pieces, pieces.middle[free], pieces.normals[free], how.piece_rays, workers=workers,
-        text="light between surfaces", progress=progress,
-    )  # fmt: skip
-    spread = csr_matrix((np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free)))
+        scene,
+        pieces,
+        pieces.middle[free],
+        pieces.normals[free],
+        how.piece_rays,
+        workers=workers,
+        text="light between surfaces",
+        progress=progress,
+    )
+    spread = csr_matrix(
+        (np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free))
+    )
     return (spread @ found).tocsr()
 
 
 def _pixel_points(view: View, smooth_px: int) -> tuple[NDArray[np.intp], Any, Array]:
-    """Points to gather light at: one for each face in each pixel (and its mirror image). Rows of the view's samples,
-    the matrix [H W, m] that turns their irradiance into luminance, and their normals."""
+    """Points to gather light at: one for each face in each pixel (and its mirror image). Rows of
+    the view's samples, the matrix [H W, m] that turns their irradiance into luminance, and their
+    normals.
+    """
     from scipy.sparse import csr_matrix
 
     face = view.box.astype(np.int64) * 6 + view.axis * 2 + (view.sign > 0)
@@ -261,15 +322,21 @@ def _pixel_points(view: View, smooth_px: int) -> tuple[NDArray[np.intp], Any, Ar
     m = len(rows)
     direct = csr_matrix(
         (total.astype(np.float32), (view.pixel[rows], np.arange(m))), (2 * view.height**2, m)
-    )  # fmt: skip
+    )
     normals = np.zeros((m, 3))
     normals[np.arange(m), view.axis[rows]] = view.sign[rows]
-    share = _neighbours(view.pixel[rows], face[rows] * 2 + mirrored[rows], view.position[rows], view, smooth_px)
+    share = _neighbours(
+        view.pixel[rows], face[rows] * 2 + mirrored[rows], view.position[rows], view, smooth_px
+    )
     return rows, (direct @ share).tocsr(), normals
 
 
-def _neighbours(pixel: NDArray[np.int32], face: NDArray[np.int64], position: Array, view: View, radius: int) -> Any:
-    """Averaging [m, m] over points of the same face in pixels within `radius`, less for those further off in space."""
+def _neighbours(
+    pixel: NDArray[np.int32], face: NDArray[np.int64], position: Array, view: View, radius: int
+) -> Any:
+    """Averaging [m, m] over points of the same face in pixels within `radius`, less for those
+    further off in space.
+    """
     from scipy.sparse import coo_matrix, diags
 
     width = 2 * view.height
@@ -309,6 +376,7 @@ def _load(folder: Path, name: str, columns: int) -> Any:
     from scipy.sparse import csr_matrix
 
     data, indices, indptr = (
-        np.load(folder / f"{name}-{part}.npy", mmap_mode="r") for part in ("data", "indices", "indptr")
+        np.load(folder / f"{name}-{part}.npy", mmap_mode="r")
+        for part in ("data", "indices", "indptr")
     )
     return csr_matrix((data, indices, indptr), (len(indptr) - 1, columns))

@@ -32,7 +32,8 @@ BASELINES = ("mean", "nearest")
 SLOW = ("dense",)  # no closed form: trained again for each fold, within a share of the budget
 FOLD_SHARE = 0.5  # of the budget; the rest is for the model that is kept
 LEAST_FOLDS = 2
-QUICK_S = 300.0  # all folds of a quick model, unless they take longer than this: the budget is for the slow ones
+# all folds of a quick model, unless they take longer than this: the budget is for the slow ones
+QUICK_S = 300.0
 LEAST_FOLD_S = 60.0  # a dense fold shorter than this says little about the network
 
 
@@ -54,13 +55,18 @@ class Result:
 
 def row(trial: Trial, seed: int) -> dict[str, Any]:
     return {
-        "name": trial.name, "fit_s": trial.fit_s, "fit_cpu_s": trial.fit_cpu_s, "n_train": trial.n_train,
-        "seed": seed, "folds": trial.folds,
+        "name": trial.name,
+        "fit_s": trial.fit_s,
+        "fit_cpu_s": trial.fit_cpu_s,
+        "n_train": trial.n_train,
+        "seed": seed,
+        "folds": trial.folds,
         **summary(trial.scores),
-    }  # fmt: skip
+    }
 
 
-# ---------------------------------------------------------------------------------------------- one model
+# ---------------------------------------------------------------------------------------------- one
+# model
 
 
 class Spent(NamedTuple):
@@ -99,20 +105,32 @@ def evaluate_folds(
     progress: Progress = quiet,
     **more: Any,
 ) -> Trial:
-    """Fit on each fold's teaching rows and compare on the rows held out; budget_s is for all folds together.
+    """Fit on each fold's teaching rows and compare on the rows held out; budget_s is for all folds
+    together.
 
-    A slow model divides it over the folds; a quick one, once it is spent, leaves the folds that remain (never under
-    two), so that a month of large maps does not hold anybody up.
+    A slow model divides it over the folds; a quick one, once it is spent, leaves the folds that
+    remain (never under two), so that a month of large maps does not hold anybody up.
     """
     parts: list[Scores] = []
     wall_s, cpu_s, taught = 0.0, 0.0, 0
     share = budget_s / len(folds) if budget_s else None
     started = time.monotonic()
     for fold in folds:
-        if budget_s and name not in SLOW and len(parts) >= LEAST_FOLDS and time.monotonic() - started > budget_s:
+        if (
+            budget_s
+            and name not in SLOW
+            and len(parts) >= LEAST_FOLDS
+            and time.monotonic() - started > budget_s
+        ):
             break
         fitted, spent = fit_timed(
-            name, data.take(fold.teach), patch=patch, seed=seed, budget_s=share, progress=progress, **more
+            name,
+            data.take(fold.teach),
+            patch=patch,
+            seed=seed,
+            budget_s=share,
+            progress=progress,
+            **more,
         )
         parts.append(evaluate(fitted, truth(data.take(fold.check), glare=glare), progress=progress))
         wall_s, cpu_s, taught = wall_s + spent.wall_s, cpu_s + spent.cpu_s, taught + len(fold.teach)
@@ -125,7 +143,8 @@ def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
     return tuple(folds[: max(1, min(MOST_FOLDS, int(budget_s / LEAST_FOLD_S / 2)))])
 
 
-# ---------------------------------------------------------------------------------------------- train
+# ----------------------------------------------------------------------------------------------
+# train
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -150,7 +169,9 @@ def fit_and_score(
     patch = patch_mode(data, patch)
     folds = day_folds(data)
     if not folds:
-        raise NotEnoughDataError(f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check")
+        raise NotEnoughDataError(
+            f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check"
+        )
     names = CANDIDATES if model == "auto" else tuple(dict.fromkeys((*BASELINES, model)))
     trials: list[Trial] = []
     left_out: list[str] = []
@@ -158,7 +179,11 @@ def fit_and_score(
         limit = FOLD_SHARE * budget_s if name in SLOW else max(FOLD_SHARE * budget_s, QUICK_S)
         some = dense_folds(folds, limit) if name in SLOW else tuple(folds)
         try:
-            trials.append(evaluate_folds(name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress))
+            trials.append(
+                evaluate_folds(
+                    name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress
+                )
+            )
         except NotEnoughDataError as error:
             if model == name:
                 raise
@@ -166,7 +191,13 @@ def fit_and_score(
     choice = choose(trials, data) if model == "auto" else Choice(model, "asked for")
     more = {"checkpoint": checkpoint} if checkpoint is not None and choice.name in SLOW else {}
     fitted, spent = fit_timed(
-        choice.name, data, patch=patch, seed=seed, budget_s=(1.0 - FOLD_SHARE) * budget_s, progress=progress, **more
+        choice.name,
+        data,
+        patch=patch,
+        seed=seed,
+        budget_s=(1.0 - FOLD_SHARE) * budget_s,
+        progress=progress,
+        **more,
     )
     fitted, warned = settle(fitted, data, patch, progress)
     notes = (*_notes(data, patch, model, trials), *left_out, *doubts(fitted, data), *warned)
@@ -177,13 +208,22 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
     """What a reader of the table must know."""
     notes = list(data.notes)
     if one_day_only(data):
-        notes.append("all hours are of one day: held-out hours are its neighbours, so the errors are too small")
+        notes.append(
+            "all hours are of one day: held-out hours are its neighbours, so the errors are too "
+            "small"
+        )
     if patch == "none" and data.patch_cdm2 is None:
-        notes.append("no sun patches in the data: give a [room] in SITE.toml and run fieldlum pair for a better model")
+        notes.append(
+            "no sun patches in the data: give a [room] in SITE.toml and run fieldlum pair for a "
+            "better model"
+        )
     errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
     floor = min((errors[name] for name in BASELINES if name in errors), default=float("inf"))
     if model in errors and model not in BASELINES and errors[model] >= floor:
-        notes.append(f"WARNING: {model} is no better than a baseline on held-out days: do not use it as it is")
+        notes.append(
+            f"WARNING: {model} is no better than a baseline on held-out days: do not use it as it "
+            f"is"
+        )
     return tuple(notes)
 
 
@@ -200,8 +240,8 @@ def run(
 ) -> dict[str, Any]:
     """Train, keep the model and its scores in `out`, and return what `train --json` prints.
 
-    A dense training that was cut off goes on from `out`/checkpoint.pt when the data, the model and the seed are the
-    same. captures: also say how many captures would have been enough.
+    A dense training that was cut off goes on from `out`/checkpoint.pt when the data, the model and
+    the seed are the same. captures: also say how many captures would have been enough.
     """
     from fieldlum.models import ranks
     from fieldlum.train.captures import how_many
@@ -209,9 +249,17 @@ def run(
     same = hashlib.sha256(" ".join((str(seed), patch, *data.slots)).encode()).hexdigest()[:12]
     checkpoint = out / f"checkpoint-{same}.pt"
     result = fit_and_score(
-        data, model, patch=patch, budget_s=60.0 * budget_min, seed=seed, checkpoint=checkpoint, progress=progress
+        data,
+        model,
+        patch=patch,
+        budget_s=60.0 * budget_min,
+        seed=seed,
+        checkpoint=checkpoint,
+        progress=progress,
     )
-    enough = how_many(data, patch_mode(data, patch), seed=seed, progress=progress) if captures else {}
+    enough = (
+        how_many(data, patch_mode(data, patch), seed=seed, progress=progress) if captures else {}
+    )
     answer = {
         "models": result.table(seed),
         "chosen": result.choice.name,
@@ -225,7 +273,9 @@ def run(
     answer = json.loads(text, parse_constant=lambda _: None)  # JSON has no NaN
     if ranks.rank() == 0:
         mode = patch_mode(data, patch)
-        models.save(out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason)
+        models.save(
+            out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason
+        )
         with replacing(out / "scores.json", "w", encoding="utf-8") as file:
             json.dump(answer, file, indent=1, ensure_ascii=False)
         checkpoint.unlink(missing_ok=True)

@@ -44,40 +44,54 @@ def _daily(trial: Trial, data: Dataset, slots: set[str]) -> NDArray[np.float64]:
 
 
 def choose(trials: list[Trial], data: Dataset) -> Choice:
-    """One-standard-error rule, smallest first, among the candidates that were asked about the most hours.
+    """One-standard-error rule, smallest first, among the candidates that were asked about the most
+    hours.
 
-    One that had time for fewer (the dense network) takes the place of their winner only when it is better on the days
-    that both were asked about, two at least, by more than the standard error of the paired differences: a few days of a
-    slow model must not decide between quick ones that know all days.
+    One that had time for fewer (the dense network) takes the place of their winner only when it is
+    better on the days that both were asked about, two at least, by more than the standard error of
+    the paired differences: a few days of a slow model must not decide between quick ones that know
+    all days.
     """
     widest = max(len(trial.scores.slots) for trial in trials)
     thorough = [trial for trial in trials if len(trial.scores.slots) == widest]
     winner, choice = _smallest_good(thorough, data)
-    for trial in sorted((t for t in trials if len(t.scores.slots) < widest), key=lambda t: _size(t.name)):
+    for trial in sorted(
+        (t for t in trials if len(t.scores.slots) < widest), key=lambda t: _size(t.name)
+    ):
         shared = set(trial.scores.slots) & set(winner.scores.slots)
         if not shared:
             continue
         gain = _daily(winner, data, shared) - _daily(trial, data, shared)
         if len(gain) > 1 and gain.mean() > standard_error(gain):
             said = (
-                f"{trial.name} is better than {winner.name} by {gain.mean():.2e} on the {len(gain)} days it was asked"
+                f"{trial.name} is better than {winner.name} by {gain.mean():.2e} on the "
+                f"{len(gain)} days it was asked"
             )
             winner, choice = trial, Choice(trial.name, said)
     return choice
 
 
 def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, Choice]:
-    """The smallest trial within one standard error of the best; the error is that of the best's mean over days."""
+    """The smallest trial within one standard error of the best; the error is that of the best's
+    mean over days.
+    """
     shared = set.intersection(*(set(trial.scores.slots) for trial in trials))
     daily = {trial.name: _daily(trial, data, shared) for trial in trials}
     means = {name: float(values.mean()) for name, values in daily.items()}
     best = min(means, key=lambda name: means[name])
     slack = float(np.nan_to_num(standard_error(daily[best])))
     chosen = next(
-        trial for trial in sorted(trials, key=lambda t: _size(t.name)) if means[trial.name] <= means[best] + slack
+        trial
+        for trial in sorted(trials, key=lambda t: _size(t.name))
+        if means[trial.name] <= means[best] + slack
     )
     spread = f"{means[best]:.2e} +- {slack:.1e} over {len(daily[best])} held-out days"
     if chosen.name == best:
-        return chosen, Choice(best, f"{best} is best ({spread}) and nothing smaller is within one standard error")
-    said = f"{chosen.name} ({means[chosen.name]:.2e}) is the smallest within one standard error of {best} ({spread})"
+        return chosen, Choice(
+            best, f"{best} is best ({spread}) and nothing smaller is within one standard error"
+        )
+    said = (
+        f"{chosen.name} ({means[chosen.name]:.2e}) is the smallest within one standard error "
+        f"of {best} ({spread})"
+    )
     return chosen, Choice(chosen.name, said)

@@ -1,4 +1,6 @@
-"""What a fit itself gives away about its captures: said when training, so that nothing wild passes unseen."""
+"""What a fit itself gives away about its captures: said when training, so that nothing wild
+passes unseen.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ ODD_TIMES = 4.0  # a day so many times worse than the median day
 
 
 def doubts(fitted: Fitted, data: Dataset) -> list[str]:
-    """Warnings from the errors that the model has on its own captures with their day left out; none without them."""
+    """Warnings from the errors that the model has on its own captures with their day left out;
+    none without them.
+    """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
     errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)
@@ -26,11 +30,15 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     odd = days[(means > POOR_MSE) & (means > ODD_TIMES * np.median(means))]
     if len(odd):
         shown = ", ".join(str(day) for day in odd[:5]) + (" ..." if len(odd) > 5 else "")
-        said.append(f"WARNING: the captures of {shown} disagree with all others: was a blind moved, or a lamp on?")
+        said.append(
+            f"WARNING: the captures of {shown} disagree with all others: was a blind moved, or a "
+            f"lamp on?"
+        )
     if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
         factor = 10.0 ** np.sqrt(errors.mean())
         said.append(
-            f"WARNING: held-out days are off by a factor of {factor:.2f}: check clock, north, irradiance, "
+            f"WARNING: held-out days are off by a factor of {factor:.2f}: check clock, north, "
+            f"irradiance, "
             "and whether the room stayed as it was; do not trust single maps of this model"
         )
     return said

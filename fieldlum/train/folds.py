@@ -1,4 +1,6 @@
-"""Held-out days: how training data are parted so that a score says something about hours never seen."""
+"""Held-out days: how training data are parted so that a score says something about hours never
+seen.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,11 @@ class Fold:
 
 
 def day_folds(data: Dataset, count: int = MOST_FOLDS) -> tuple[Fold, ...]:
-    """Whole days dealt out in turn, so that each fold has some of every season; hours when there is one day only.
+    """Whole days dealt out in turn, so that each fold has some of every season; hours when there is
+    one day only.
 
-    Neighbouring days of one season fall into different folds: a fold asks about a day between captured ones, and
-    says nothing about seasons that nobody captured.
+    Neighbouring days of one season fall into different folds: a fold asks about a day between
+    captured ones, and says nothing about seasons that nobody captured.
     """
     unique, which = np.unique(data.days, return_inverse=True)
     groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))

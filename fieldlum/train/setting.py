@@ -1,4 +1,6 @@
-"""Where the captures contradict the stated setting: what is said about it, and how far the model then doubts itself."""
+"""Where the captures contradict the stated setting: what is said about it, and how far the model
+then doubts itself.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,11 @@ if TYPE_CHECKING:
     from fieldlum.models.transport.setting import Finding, Setting
 
 
-def settle(fitted: Fitted, data: Dataset, patch: Patch, progress: Progress = quiet) -> tuple[Fitted, list[str]]:
-    """The model, doubting its sun patches as far as the captures contradict them, and warnings for the person.
+def settle(
+    fitted: Fitted, data: Dataset, patch: Patch, progress: Progress = quiet
+) -> tuple[Fitted, list[str]]:
+    """The model, doubting its sun patches as far as the captures contradict them, and warnings for
+    the person.
 
     Nothing is corrected: a wrong north is to be mended in SITE.toml, where all stages read it.
     """
@@ -36,7 +41,10 @@ def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
     if cause is None:
         return []
     share = cause.gain / cause.stated
-    said = f"WARNING: captured sun patches lie beside the computed ones ({found.hours} hours): {_words(cause)}, which "
+    said = (
+        f"WARNING: captured sun patches lie beside the computed ones ({found.hours} hours): "
+        f"{_words(cause)}, which "
+    )
     said += f"takes away {share:.0%} of the misfit"
     others = [f"{_words(f)} ({f.gain / cause.gain:.0%} of that)" for f in found.alike]
     said += f"; nearly as well: {', '.join(others)}" if others else ""
@@ -51,11 +59,15 @@ def _words(finding: Finding) -> str:
         "north": lambda: f"north is off by {a[0]:+.1f} +- {e[0]:.1f} degrees",
         "clock": lambda: f"the clock is off by {a[0]:+.1f} +- {e[0]:.1f} minutes",
         "north and clock": lambda: (
-            f"north is off by {a[0]:+.1f} +- {e[0]:.1f} degrees and the clock by {a[1]:+.1f} +- {e[1]:.1f} minutes"
+            f"north is off by {a[0]:+.1f} +- {e[0]:.1f} degrees and the clock by {a[1]:+.1f} +- "
+            f"{e[1]:.1f} minutes"
         ),
-        "wall": lambda: f"the room is turned against the camera by {a[0]:+.1f} +- {e[0]:.1f} degrees",
+        "wall": lambda: (
+            f"the room is turned against the camera by {a[0]:+.1f} +- {e[0]:.1f} degrees"
+        ),
         "camera": lambda: (
-            f"the camera stood otherwise: patches belong {a[0]:+.1f} +- {e[0]:.1f} pixels to the right and "
+            f"the camera stood otherwise: patches belong {a[0]:+.1f} +- {e[0]:.1f} pixels to the "
+            f"right and "
             f"{a[1]:+.1f} +- {e[1]:.1f} down"
         ),
     }
@@ -66,11 +78,18 @@ def _remedy(finding: Finding, setup: SiteFile, pixel_deg: float) -> str:
     """What to write into SITE.toml, or what else to do."""
     a = finding.amount
     room = setup.room
-    wall = f"[room] wall_azimuth_deg = {(room.wall_azimuth_deg + a[0]) % 360.0:.1f}" if room is not None else ""
+    wall = (
+        f"[room] wall_azimuth_deg = {(room.wall_azimuth_deg + a[0]) % 360.0:.1f}"
+        if room is not None
+        else ""
+    )
     camera = f"[camera] heading_deg = {(setup.camera.heading_deg + a[0]) % 360.0:.1f}"
     again = "then merge, pair and train again"
     minutes = a[-1]
-    clock = f"the times of the pictures are {abs(minutes):.1f} min too {'late' if minutes > 0 else 'early'}: check the "
+    clock = (
+        f"the times of the pictures are {abs(minutes):.1f} min too "
+        f"{'late' if minutes > 0 else 'early'}: check the "
+    )
     clock += "camera's clock and its offset (fieldlum import --utc-offset)"
     if finding.cause == "north":
         return f"check the compass; in SITE.toml {wall} and {camera}, {again}"
@@ -82,6 +101,7 @@ def _remedy(finding: Finding, setup: SiteFile, pixel_deg: float) -> str:
         return f"check where the window wall faces; in SITE.toml {wall}, then pair and train again"
     heading = (setup.camera.heading_deg - a[0] * pixel_deg) % 360.0
     return (
-        f"check the camera's place and level, and the window's place in [room]; if only its heading is wrong, in "
+        f"check the camera's place and level, and the window's place in [room]; if only its "
+        f"heading is wrong, in "
         f"SITE.toml [camera] heading_deg = {heading:.1f}, {again}"
     )

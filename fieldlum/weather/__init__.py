@@ -1,4 +1,6 @@
-"""Weather years: EPW, TMY3 and CSV read strictly, every repair listed; a synthetic year for places without a file."""
+"""Weather years: EPW, TMY3 and CSV read strictly, every repair listed; a synthetic year for
+places without a file.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,8 @@ LONGEST_GAP = timedelta(days=800)
 _HOUR = timedelta(hours=1)
 
 
-# ---------------------------------------------------------------------------------------------- reading
+# ----------------------------------------------------------------------------------------------
+# reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,9 @@ class _Row:
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """What a reader finds: rows, whether they make a typical year, and where the file says that it was measured."""
+    """What a reader finds: rows, whether they make a typical year, and where the file says that
+    it was measured.
+    """
 
     rows: list[_Row]
     typical: bool
@@ -53,16 +56,19 @@ class _File:
 def read_weather(path: Path, site: Site) -> Weather:
     """An EPW, TMY3 or CSV file (DESIGN section 5) as hours at `site`.
 
-    Raises InputError naming the line for what cannot be read, for irradiance outside -10 to 1600 W/m2, for a station
-    over 300 km away, for light at night (a wrong time zone), and for what `sense` finds: wrong units, columns in each
-    other's place, labels beside their hours. Smaller troubles are mended and listed in `.repairs`: night offsets,
-    29 February of a typical year, gaps up to three hours; longer gaps are left out and listed.
+    Raises InputError naming the line for what cannot be read, for irradiance outside -10 to 1600
+    W/m2, for a station over 300 km away, for light at night (a wrong time zone), and for what
+    `sense` finds: wrong units, columns in each other's place, labels beside their hours. Smaller
+    troubles are mended and listed in `.repairs`: night offsets, 29 February of a typical year, gaps
+    up to three hours; longer gaps are left out and listed.
     """
     path = Path(path)
     try:
         found = _read(path, _lines(path), site)
     except (csv.Error, OverflowError) as error:
-        raise InputError(path, str(error), "an EPW, TMY3 or CSV weather file", "fetch it again") from None
+        raise InputError(
+            path, str(error), "an EPW, TMY3 or CSV weather file", "fetch it again"
+        ) from None
     if not found.rows:
         raise NotEnoughDataError(f"{path}: no hours in it")
     repairs = _check_place(path, found.place, site)
@@ -110,23 +116,37 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise InputError(path, f"line {line}: {name} is '{text}'", "a number in W/m2", "mend that row") from None
+        raise InputError(
+            path, f"line {line}: {name} is '{text}'", "a number in W/m2", "mend that row"
+        ) from None
     if value in (9999.0, 99999.0, 999999.0, -9900.0, -9999.0):
         return math.nan
     if not LOWEST_WM2 <= value <= HIGHEST_WM2:
         expected = f"{LOWEST_WM2:g} to {HIGHEST_WM2:g} W/m2"
-        raise InputError(path, f"line {line}: {name} is {text}", expected, "mend or empty that cell")
+        raise InputError(
+            path, f"line {line}: {name} is {text}", expected, "mend or empty that cell"
+        )
     return value
 
 
 def _read_epw(path: Path, lines: list[str]) -> _File:
-    """EPW: eight header lines; hour 1 is 00:00 to 01:00, so its label is the hour's start and the sun stands at +30."""
+    """EPW: eight header lines; hour 1 is 00:00 to 01:00, so its label is the hour's start and
+    the sun stands at +30.
+    """
     head = lines[0].split(",")
     try:
-        place = Site(head[1].strip() or "weather station", float(head[6]), float(head[7]), "UTC", float(head[9]))
+        place = Site(
+            head[1].strip() or "weather station",
+            float(head[6]),
+            float(head[7]),
+            "UTC",
+            float(head[9]),
+        )
         offset = timedelta(hours=float(head[8]))
     except (IndexError, ValueError):
-        raise InputError(path, f"LOCATION line '{lines[0][:60]}'", "LOCATION,city,,,,,lat,lon,zone,alt") from None
+        raise InputError(
+            path, f"LOCATION line '{lines[0][:60]}'", "LOCATION,city,,,,,lat,lon,zone,alt"
+        ) from None
     _check_zone(path, place, offset)
     rows = []
     for number, cells in enumerate(csv.reader(lines[8:]), start=9):
@@ -134,10 +154,17 @@ def _read_epw(path: Path, lines: list[str]) -> _File:
             continue
         if len(cells) < 16:
             raise InputError(
-                path, f"line {number}: {len(cells)} cells", "at least 16", "the file is cut: fetch it again"
+                path,
+                f"line {number}: {len(cells)} cells",
+                "at least 16",
+                "the file is cut: fetch it again",
             )
-        start = _moment(path, number, cells[0], cells[1], cells[2], float(_whole(path, number, cells[3]) - 1))
-        ghi, dni, dhi = (_number(path, number, n, cells[k]) for k, n in ((13, "GHI"), (14, "DNI"), (15, "DHI")))
+        start = _moment(
+            path, number, cells[0], cells[1], cells[2], float(_whole(path, number, cells[3]) - 1)
+        )
+        ghi, dni, dhi = (
+            _number(path, number, n, cells[k]) for k, n in ((13, "GHI"), (14, "DNI"), (15, "DHI"))
+        )
         rows.append(_Row(number, start + timedelta(minutes=30) - offset, dni, dhi, ghi))
     return _File(rows, True, f"{path.name} ({place.name})", place)
 
@@ -146,67 +173,104 @@ def _read_tmy3(path: Path, lines: list[str]) -> _File:
     """TMY3: labels are hour ends, 01:00 to 24:00, so the sun stands at -30 min."""
     head = lines[0].split(",")
     try:
-        place = Site(head[1].strip('" ') or "weather station", float(head[4]), float(head[5]), "UTC", float(head[6]))
+        place = Site(
+            head[1].strip('" ') or "weather station",
+            float(head[4]),
+            float(head[5]),
+            "UTC",
+            float(head[6]),
+        )
         offset = timedelta(hours=float(head[3]))
     except (IndexError, ValueError):
-        raise InputError(path, f"first line '{lines[0][:60]}'", "USAF,name,state,zone,lat,lon,alt") from None
+        raise InputError(
+            path, f"first line '{lines[0][:60]}'", "USAF,name,state,zone,lat,lon,alt"
+        ) from None
     _check_zone(path, place, offset)
     names = next(csv.reader(lines[1:2]))
     wanted = ("GHI (W/m^2)", "DNI (W/m^2)", "DHI (W/m^2)")
     if missing := [name for name in wanted if name not in names]:
-        raise InputError(path, f"no column {missing[0]}", "GHI, DNI and DHI in W/m^2", "is this a TMY3 file?")
+        raise InputError(
+            path, f"no column {missing[0]}", "GHI, DNI and DHI in W/m^2", "is this a TMY3 file?"
+        )
     at = [names.index(name) for name in wanted]
     rows = []
     for number, cells in enumerate(csv.reader(lines[2:]), start=3):
         if not cells:
             continue
         if len(cells) <= max(at):
-            raise InputError(path, f"line {number}: {len(cells)} cells", f"{len(names)}", "the file is cut: fetch it")
+            raise InputError(
+                path,
+                f"line {number}: {len(cells)} cells",
+                f"{len(names)}",
+                "the file is cut: fetch it",
+            )
         month, _, rest = cells[0].partition("/")
         day, _, year = rest.partition("/")
         hour = cells[1].partition(":")[0]
         end = _moment(path, number, year, month, day, float(_whole(path, number, hour)))
-        ghi, dni, dhi = (_number(path, number, name, cells[k]) for name, k in zip(wanted, at, strict=True))
+        ghi, dni, dhi = (
+            _number(path, number, name, cells[k]) for name, k in zip(wanted, at, strict=True)
+        )
         rows.append(_Row(number, end - timedelta(minutes=30) - offset, dni, dhi, ghi))
     return _File(rows, True, f"{path.name} ({place.name})", place)
 
 
 def _read_csv(path: Path, lines: list[str], site: Site) -> _File:
-    """Columns t_utc, dni_wm2, dhi_wm2 (hour centres), or month, day, hour (centre, standard time), dni_wm2, dhi_wm2."""
+    """Columns t_utc, dni_wm2, dhi_wm2 (hour centres), or month, day, hour (centre, standard
+    time), dni_wm2, dhi_wm2.
+    """
     place, offset = _place_comment(path, lines, site)
-    table = [(n, line) for n, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")]
+    table = [
+        (n, line)
+        for n, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
     names = [name.strip() for name in next(csv.reader([table[0][1]]))] if table else []
     dated = "t_utc" in names
     wanted = ("t_utc",) if dated else ("month", "day", "hour")
     if missing := [n for n in (*wanted, "dni_wm2", "dhi_wm2") if n not in names]:
         expected = "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2"
-        raise InputError(path, f"no column {', '.join(missing)}", expected, "name the columns in the first line")
+        raise InputError(
+            path, f"no column {', '.join(missing)}", expected, "name the columns in the first line"
+        )
     rows = []
     for number, line in table[1:]:
         cells = dict(zip(names, next(csv.reader([line])), strict=False))
         if len(cells) < len(names):
-            raise InputError(path, f"line {number}: {len(cells)} cells", f"{len(names)}", "mend that row")
+            raise InputError(
+                path, f"line {number}: {len(cells)} cells", f"{len(names)}", "mend that row"
+            )
         when = _csv_moment(path, number, cells, dated, offset)
-        dni, dhi, ghi = (_number(path, number, n, cells.get(n, "")) for n in ("dni_wm2", "dhi_wm2", "ghi_wm2"))
+        dni, dhi, ghi = (
+            _number(path, number, n, cells.get(n, "")) for n in ("dni_wm2", "dhi_wm2", "ghi_wm2")
+        )
         rows.append(_Row(number, when, dni, dhi, ghi))
     return _File(rows, not dated, path.name, place)
 
 
-def _csv_moment(path: Path, line: int, cells: dict[str, str], dated: bool, offset: timedelta) -> datetime:
+def _csv_moment(
+    path: Path, line: int, cells: dict[str, str], dated: bool, offset: timedelta
+) -> datetime:
     if not dated:
         try:
             hour = float(cells["hour"])
         except ValueError:
-            raise InputError(path, f"line {line}: hour is '{cells['hour']}'", "a number such as 12.5") from None
+            raise InputError(
+                path, f"line {line}: hour is '{cells['hour']}'", "a number such as 12.5"
+            ) from None
         return _moment(path, line, "2024", cells["month"], cells["day"], hour) - offset
     try:
         return parse_utc(cells["t_utc"].strip())
     except ValueError as error:
-        raise InputError(path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z") from None
+        raise InputError(
+            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
+        ) from None
 
 
 def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | None, timedelta]:
-    """An optional line ``# place: NAME, LATITUDE, LONGITUDE, UTC-8``; else the site's own standard time."""
+    """An optional line ``# place: NAME, LATITUDE, LONGITUDE, UTC-8``; else the site's own
+    standard time.
+    """
     for line in lines[:20]:
         if line.startswith("# place:"):
             try:
@@ -224,7 +288,9 @@ def _whole(path: Path, line: int, text: str) -> int:
     try:
         return int(float(text))
     except ValueError:
-        raise InputError(path, f"line {line}: '{text}' in the time", "whole numbers", "mend that row") from None
+        raise InputError(
+            path, f"line {line}: '{text}' in the time", "whole numbers", "mend that row"
+        ) from None
 
 
 def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float) -> datetime:
@@ -235,11 +301,14 @@ def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float)
             raise ValueError(f"hour {hour:g}")
     except ValueError as error:
         found = f"line {line}: no such time {year}-{month}-{day} hour {hour:g} ({error})"
-        raise InputError(path, found, "a real date and an hour of 0 to 24", "mend that row") from None
+        raise InputError(
+            path, found, "a real date and an hour of 0 to 24", "mend that row"
+        ) from None
     return start + timedelta(seconds=round(hour * 3600))
 
 
-# ---------------------------------------------------------------------------------------------- checks and repairs
+# ----------------------------------------------------------------------------------------------
+# checks and repairs
 
 
 def distance_km(a: Site, b: Site) -> float:
@@ -252,9 +321,16 @@ def distance_km(a: Site, b: Site) -> float:
 
 def _check_zone(path: Path, place: Site, offset: timedelta) -> None:
     hours = offset.total_seconds() / 3600
-    if abs(hours - place.longitude_deg / 15) > 3.5:  # western China and the Line Islands are the extremes
+    if (
+        abs(hours - place.longitude_deg / 15) > 3.5
+    ):  # western China and the Line Islands are the extremes
         found = f"time zone UTC{hours:+g} at longitude {place.longitude_deg:g}"
-        raise InputError(path, found, f"about UTC{place.longitude_deg / 15:+.0f}", "mend the header (east is positive)")
+        raise InputError(
+            path,
+            found,
+            f"about UTC{place.longitude_deg / 15:+.0f}",
+            "mend the header (east is positive)",
+        )
 
 
 def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
@@ -263,14 +339,26 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     away = distance_km(place, site)
     if away > FAR_KM:
         found = (
-            f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g}), {away:.0f} km from the site"
+            f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g}), "
+            f"{away:.0f} km from the site"
         )
-        raise InputError(path, found, f"at most {FAR_KM:g} km", "take a nearer file, or mend the site's coordinates")
-    return [f"the weather station {place.name} is {away:.0f} km from the site"] if away > NEAR_KM else []
+        raise InputError(
+            path,
+            found,
+            f"at most {FAR_KM:g} km",
+            "take a nearer file, or mend the site's coordinates",
+        )
+    return (
+        [f"the weather station {place.name} is {away:.0f} km from the site"]
+        if away > NEAR_KM
+        else []
+    )
 
 
 def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[_Row]:
-    """Typical years put into TYPICAL_YEAR of local standard time, 29 February out; sorted; no hour twice."""
+    """Typical years put into TYPICAL_YEAR of local standard time, 29 February out; sorted; no
+    hour twice.
+    """
     rows = found.rows
     if found.typical:
         offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
@@ -279,7 +367,9 @@ def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[
         if leap:
             repairs.append(f"29 February left out ({len(leap)} hours): a typical year has 365 days")
         rows = [
-            replace(row, when=t.replace(year=TYPICAL_YEAR) - offset) for row, t in local if (t.month, t.day) != (2, 29)
+            replace(row, when=t.replace(year=TYPICAL_YEAR) - offset)
+            for row, t in local
+            if (t.month, t.day) != (2, 29)
         ]
     rows = sorted(rows, key=lambda row: row.when)
     for a, b in pairwise(rows):
@@ -287,7 +377,9 @@ def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[
             found_text = f"lines {a.line} and {b.line}: the same hour twice"
             raise InputError(path, found_text, "every hour once", "take one of them out")
         if b.when - a.when > LONGEST_GAP:
-            found_text = f"lines {a.line} and {b.line}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
+            found_text = (
+                f"lines {a.line} and {b.line}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
+            )
             raise InputError(path, found_text, "years without holes of years", "mend the dates")
     return rows
 
@@ -298,13 +390,16 @@ def _values(rows: list[_Row], repairs: list[str]) -> NDArray[np.float64]:
     negative = values < 0
     if negative.any():
         repairs.append(
-            f"{int(negative.any(axis=0).sum())} hours with negative irradiance (down to {np.nanmin(values):.1f} W/m2, "
+            f"{int(negative.any(axis=0).sum())} hours with negative irradiance (down to "
+            f"{np.nanmin(values):.1f} W/m2, "
             "a night offset) set to zero"
         )
     return np.where(negative, 0.0, values)
 
 
-def _fill_gaps(found: _File, site: Site, rows: list[_Row], columns: NDArray[np.float64], repairs: list[str]) -> Weather:
+def _fill_gaps(
+    found: _File, site: Site, rows: list[_Row], columns: NDArray[np.float64], repairs: list[str]
+) -> Weather:
     """Hours without values: interpolated where few, left out where many; both are said."""
     times = [row.when for row in rows]
     good = np.atleast_1d(~np.isnan(columns[:2]).any(axis=0))
@@ -332,7 +427,9 @@ def _missing_hours(known: list[datetime], typical: bool) -> tuple[list[datetime]
     fill: list[datetime] = []
     out: list[datetime] = []
     for gap in _gaps(known, typical):
-        (fill if 0 < len(gap) <= FILLED_GAP_HOURS and known[0] < gap[0] < known[-1] else out).extend(gap)
+        (
+            fill if 0 < len(gap) <= FILLED_GAP_HOURS and known[0] < gap[0] < known[-1] else out
+        ).extend(gap)
     return fill, out
 
 
@@ -354,15 +451,26 @@ def _check_night(path: Path, weather: Weather) -> None:
     altitude = sun.position(weather.t_utc, weather.site).altitude_deg
     light = weather.dni_wm2 + weather.dhi_wm2
     total = float(light.sum())
-    at_night = float(light[altitude < -8.0].sum())  # an hour's mean can hold light half an hour before sunrise
+    at_night = float(
+        light[altitude < -8.0].sum()
+    )  # an hour's mean can hold light half an hour before sunrise
     if total > 0 and at_night > 0.01 * total:
-        found = f"{100 * at_night / total:.0f} % of the light falls while the sun is down at {weather.site.name}"
-        remedy = "check the time zone, the sign of the longitude, and whether labels are hour centres"
+        found = (
+            f"{100 * at_night / total:.0f} % of the light falls while the sun is down at "
+            f"{weather.site.name}"
+        )
+        remedy = (
+            "check the time zone, the sign of the longitude, and whether labels are hour centres"
+        )
         raise InputError(path, found, "none", remedy)
 
 
-def _check_sense(path: Path, found: _File, rows: list[_Row], columns: NDArray[np.float64], weather: Weather) -> None:
-    """With the global irradiance only where the file itself gave it: elsewhere it was made from the other two."""
+def _check_sense(
+    path: Path, found: _File, rows: list[_Row], columns: NDArray[np.float64], weather: Weather
+) -> None:
+    """With the global irradiance only where the file itself gave it: elsewhere it was made from
+    the other two.
+    """
     given = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
     ghi = np.array([given.get(t, math.nan) for t in weather.t_utc])
     check_sense(path, weather, found.place or weather.site, ghi)

@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from fieldlum import sun
 from fieldlum.records import Site
 
-TYPICAL_YEAR = 2027  # hours without a year of their own are dated in this one; it has no 29 February
+TYPICAL_YEAR = (
+    2027  # hours without a year of their own are dated in this one; it has no 29 February
+)
 _HOUR = timedelta(hours=1)
 
 
@@ -21,8 +23,8 @@ _HOUR = timedelta(hours=1)
 class Weather:
     """Hours of irradiance in time order; t_utc stands at the middle of each. Arrays [n] in W/m2.
 
-    repairs: one sentence for everything that was changed, left out or is doubtful. typical: the hours make one year
-    of no particular date, so that any year's moment can be looked up in it.
+    repairs: one sentence for everything that was changed, left out or is doubtful. typical: the
+    hours make one year of no particular date, so that any year's moment can be looked up in it.
     """
 
     name: str
@@ -54,11 +56,16 @@ class Weather:
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
     def at(self, times_utc: Sequence[datetime], *, steady: bool = True) -> sun.Irradiance:
-        """Irradiance at any moment: of its hour (steady), or between hour centres. NaN where there is no weather.
+        """Irradiance at any moment: of its hour (steady), or between hour centres. NaN where there
+        is no weather.
 
         A typical year answers for every year; 29 February is answered by the 28th.
         """
-        moments = [self._dated(t) for t in times_utc] if self.typical else [t.astimezone(UTC) for t in times_utc]
+        moments = (
+            [self._dated(t) for t in times_utc]
+            if self.typical
+            else [t.astimezone(UTC) for t in times_utc]
+        )
         seconds = np.array([t.timestamp() for t in moments])
         known = np.array([t.timestamp() for t in self.t_utc])
         after = np.clip(np.searchsorted(known, seconds), 1, len(known) - 1)
@@ -82,14 +89,16 @@ class Weather:
         return local.replace(year=year, day=day) - offset
 
 
-# ---------------------------------------------------------------------------------------------- synthetic
+# ----------------------------------------------------------------------------------------------
+# synthetic
 
 
 def synthetic_weather(site: Site, seed: int = 1, year: int = TYPICAL_YEAR) -> Weather:
     """A plausible year for a place without a weather file: never for judging that place.
 
-    pvlib's clear sky times a random cloudiness: an hourly AR(1) series (correlation 0.85) around a slower daily one,
-    mapped to a share of the beam and an increase of the diffuse (thin clouds double it, thick ones halve it).
+    pvlib's clear sky times a random cloudiness: an hourly AR(1) series (correlation 0.85) around a
+    slower daily one, mapped to a share of the beam and an increase of the diffuse (thin clouds
+    double it, thick ones halve it).
     """
     offset = sun.standard_offset(site.timezone, year)
     start = datetime.combine(date(year, 1, 1), datetime.min.time(), tzinfo=UTC) - offset
@@ -107,7 +116,16 @@ def synthetic_weather(site: Site, seed: int = 1, year: int = TYPICAL_YEAR) -> We
     dni[dni < 1.0] = 0.0
     dhi = np.minimum(dhi, np.maximum(1.1 * clear.ghi_wm2 - dni * height, 0.0))
     note = "synthetic: pvlib clear sky times random clouds; plausible, but not this place's climate"
-    return Weather(f"synthetic, seed {seed}", site, times, dni, dhi, dhi + dni * height, (note,), synthetic=True)
+    return Weather(
+        f"synthetic, seed {seed}",
+        site,
+        times,
+        dni,
+        dhi,
+        dhi + dni * height,
+        (note,),
+        synthetic=True,
+    )
 
 
 def _ar1(rng: np.random.Generator, n: int, correlation: float) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
 """Shipped simulators: ``sim:office?seed=1`` as a camera or as a pyranometer.
 
-Camera options: seed, profile (name or path; default: the session's, else sim-dual-fisheye), clock_offset (s, the
-camera's own clock minus ours), overhead (s between frames). Pyranometer options: seed, noise (W/m2).
+Camera options: seed, profile (name or path; default: the session's, else sim-dual-fisheye),
+clock_offset (s, the camera's own clock minus ours), overhead (s between frames). Pyranometer
+options: seed, noise (W/m2).
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     from fieldlum.records import CameraSetup
 
     _check_place(uri)
-    options = uri.read(seed=_SEED, profile=str, clock_offset=number(-1e9, 1e9), overhead=number(0.0, 600.0))
+    options = uri.read(
+        seed=_SEED, profile=str, clock_offset=number(-1e9, 1e9), overhead=number(0.0, 600.0)
+    )
     seed = options.get("seed", 1)
     setup = session.site_file().camera if session is not None else CameraSetup()
     return SimulatedCamera(
@@ -46,7 +49,9 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     )
 
 
-def open_pyranometer(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Pyranometer:
+def open_pyranometer(
+    uri: DeviceUri, *, clock: Clock, session: Session | None = None
+) -> Pyranometer:
     """An SPN1 on a pty, read by the real driver."""
     from fieldlum.devices.simulated.spn1 import open_simulated
     from fieldlum.devices.simulated.world import open_world

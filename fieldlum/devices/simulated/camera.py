@@ -1,4 +1,6 @@
-"""A fisheye camera that photographs a `World`: everything between the room's light and a DNG or JPEG on the card."""
+"""A fisheye camera that photographs a `World`: everything between the room's light and a DNG or
+JPEG on the card.
+"""
 
 from __future__ import annotations
 
@@ -51,9 +53,13 @@ class SimulatedCamera:
     def info(self) -> CameraInfo:
         body = self._profile.camera
         return CameraInfo(
-            "sim", body.make, body.model, f"SIM{self._seed:04d}", lens=self._profile.lens[0].name,
+            "sim",
+            body.make,
+            body.model,
+            f"SIM{self._seed:04d}",
+            lens=self._profile.lens[0].name,
             clock_offset_s=self._clock_offset_s,
-        )  # fmt: skip
+        )
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Takes as much of the clock's time as a camera would: overhead and shutter."""
@@ -63,7 +69,8 @@ class SimulatedCamera:
         heading = self._heading_deg if heading_deg is None else heading_deg
         image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
         true_s = self._true_s(dial_s)
-        # One seed a frame, whatever was taken before: a resumed capture gives the frames of an undisturbed one.
+        # One seed a frame, whatever was taken before: a resumed capture gives the frames of an
+        # undisturbed one.
         name = f"{opened.timestamp():.0f} {asked} {heading}".encode()
         rng = np.random.default_rng([self._seed, zlib.crc32(name)])
         path = self._write(image, asked, true_s, target, opened, rng)
@@ -78,7 +85,9 @@ class SimulatedCamera:
         profile = self._profile
         apertures = [v.f_number for v in profile.lens[0].vignetting] or [profile.bracket.f_number]
         if exposure.f_number not in apertures:
-            raise DeviceError(f"simulated camera: no f/{exposure.f_number:g}, it has {_list(apertures, 'f/')}")
+            raise DeviceError(
+                f"simulated camera: no f/{exposure.f_number:g}, it has {_list(apertures, 'f/')}"
+            )
         if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
             known = ", ".join(nd.name for nd in profile.nd) or "none"
             raise DeviceError(f"simulated camera: no filter '{exposure.nd}', it has {known}")
@@ -91,7 +100,9 @@ class SimulatedCamera:
         return measured.get(round(dial_s, 9), sensor.true_shutter_s(dial_s))
 
     def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
-        """Camera channels before vignetting, [h, w] on the mosaic or [h, w, 3]; kept while the scene is the same."""
+        """Camera channels before vignetting, [h, w] on the mosaic or [h, w, 3]; kept while the
+        scene is the same.
+        """
         if self._last is None or self._last[0] is not panorama or self._last[1] != heading_deg:
             height, width = panorama.luminance_cdm2.shape
             views = self._views(heading_deg - panorama.heading_deg, (height, width))
@@ -112,11 +123,18 @@ class SimulatedCamera:
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
         for lens in self._profile.lens:
             geometry = optics.geometry_of(lens, 0.0)
-            distance = np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) / lens.radius_px
-            relative = optics.angle_of_radius(geometry, np.minimum(distance, 1.0)) / geometry.half_angle_rad
+            distance = (
+                np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) / lens.radius_px
+            )
+            relative = (
+                optics.angle_of_radius(geometry, np.minimum(distance, 1.0))
+                / geometry.half_angle_rad
+            )
             curve = next((v.coefficients for v in lens.vignetting if v.f_number == f_number), ())
             out = np.where(distance <= 1.0, vignetting_at(curve, relative), out)
-        return out.astype(np.float32)[..., None] if self._jpeg is not None else out.astype(np.float32)
+        return (
+            out.astype(np.float32)[..., None] if self._jpeg is not None else out.astype(np.float32)
+        )
 
     def _write(
         self,
@@ -128,7 +146,9 @@ class SimulatedCamera:
         rng: np.random.Generator,
     ) -> Path:
         body = self._profile.camera
-        t_camera = (opened + timedelta(seconds=self._clock_offset_s)).replace(tzinfo=None)  # cameras know no time zone
+        t_camera = (opened + timedelta(seconds=self._clock_offset_s)).replace(
+            tzinfo=None
+        )  # cameras know no time zone
         if self._jpeg is not None:
             path = target.with_name(f"{target.name}.jpg")
             codes = self._jpeg.codes(image, exposure, true_s, rng)
@@ -138,9 +158,16 @@ class SimulatedCamera:
         path, s = target.with_name(f"{target.name}.dng"), self._profile.sensor
         counts = self._raw.counts(image, exposure, true_s, rng)
         write_dng(
-            path, counts, exposure, black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa, t_camera=t_camera,
-            make=body.make, model=body.model,
-        )  # fmt: skip
+            path,
+            counts,
+            exposure,
+            black_dn=s.black_dn,
+            white_dn=s.white_dn,
+            cfa=s.cfa,
+            t_camera=t_camera,
+            make=body.make,
+            model=body.model,
+        )
         return path
 
 

@@ -1,7 +1,8 @@
-"""A built-in office for the simulators: a shoebox lit by the sky, the ground and the sun through its windows.
+"""A built-in office for the simulators: a shoebox lit by the sky, the ground and the sun through
+its windows.
 
-Closed form and fast, not physics to be trusted: window form factors, split-flux interreflection, one sun patch.
-`fieldlum simulate` makes the real thing with Radiance.
+Closed form and fast, not physics to be trusted: window form factors, split-flux interreflection,
+one sun patch. `fieldlum simulate` makes the real thing with Radiance.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ Array = NDArray[np.float64]
 
 
 def _wall_frames(room: Room) -> dict[str, tuple[Array, Array, Array]]:
-    """Per wall: lower left corner as seen from inside, unit vector to the right, inward normal (room axes)."""
+    """Per wall: lower left corner as seen from inside, unit vector to the right, inward normal
+    (room axes).
+    """
     w, d = room.width_m, room.depth_m
     x, y = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     return {
@@ -40,7 +43,9 @@ def _wall_frames(room: Room) -> dict[str, tuple[Array, Array, Array]]:
 
 
 class _Geometry:
-    """All that does not change with the time: where each pixel looks, and what its point sees of the windows."""
+    """All that does not change with the time: where each pixel looks, and what its point sees of
+    the windows.
+    """
 
     def __init__(self, room: Room, heading_deg: float) -> None:
         self.room = room
@@ -60,11 +65,15 @@ class _Geometry:
         self.glass = self.through_glass(self.eye, self.rays)
         level = (room.reflectance_walls, room.reflectance_ceiling, room.reflectance_floor)
         upright = self.normals[:, 2]
-        self.reflectance = np.select([upright < -0.5, upright > 0.5], [level[1], level[2]], level[0])
+        self.reflectance = np.select(
+            [upright < -0.5, upright > 0.5], [level[1], level[2]], level[0]
+        )
         self.sky_factor, self.ground_factor = self._window_factors()
 
     def through_glass(self, start: Array, rays: Array) -> Array:
-        """Transmittance of rays [n, 3] from `start` ([3] or [n, 3]) to the outside; 0 where a wall is in the way."""
+        """Transmittance of rays [n, 3] from `start` ([3] or [n, 3]) to the outside; 0 where a
+        wall is in the way.
+        """
         found = np.zeros(len(rays))
         for window in self.room.window:
             corner, right, inward = _wall_frames(self.room)[window.wall]
@@ -72,14 +81,24 @@ class _Geometry:
             with np.errstate(divide="ignore", invalid="ignore"):
                 hit = start + rays * (((corner - start) @ -inward) / towards)[:, None]
             across, up = (hit - corner) @ right - window.left_m, hit[:, 2] - window.sill_m
-            inside = (towards > 1e-9) & (across > 0) & (across < window.width_m) & (up > 0) & (up < window.height_m)
+            inside = (
+                (towards > 1e-9)
+                & (across > 0)
+                & (across < window.width_m)
+                & (up > 0)
+                & (up < window.height_m)
+            )
             pane = np.mod(across, window.width_m / max(window.panes, 1))
-            clear = (pane > window.frame_m / 2) & (pane < window.width_m / max(window.panes, 1) - window.frame_m / 2)
+            clear = (pane > window.frame_m / 2) & (
+                pane < window.width_m / max(window.panes, 1) - window.frame_m / 2
+            )
             found[inside & clear] = window.transmittance
         return found
 
     def _window_factors(self) -> tuple[Array, Array]:
-        """Form factors times transmittance of the window parts that show sky and ground, [n] each."""
+        """Form factors times transmittance of the window parts that show sky and ground, [n]
+        each.
+        """
         sky, ground = np.zeros(len(self.points)), np.zeros(len(self.points))
         for window in self.room.window:
             corner, right, inward = _wall_frames(self.room)[window.wall]
@@ -92,7 +111,9 @@ class _Geometry:
                     way = at - self.points
                     far2 = np.maximum((way**2).sum(axis=1), cell / 4)
                     unit = way / np.sqrt(far2)[:, None]
-                    factor = np.maximum((unit * self.normals).sum(axis=1), 0) * np.maximum(unit @ -inward, 0)
+                    factor = np.maximum((unit * self.normals).sum(axis=1), 0) * np.maximum(
+                        unit @ -inward, 0
+                    )
                     factor = factor * cell / (np.pi * far2) * window.transmittance
                     sky += np.where(unit[:, 2] > 0, factor, 0)
                     ground += np.where(unit[:, 2] <= 0, factor, 0)
@@ -100,9 +121,13 @@ class _Geometry:
 
 
 def _turn(wall_azimuth_deg: float) -> Array:
-    """Rotation from world axes (x east, y north) to room axes, whose -y points to the wall's azimuth."""
+    """Rotation from world axes (x east, y north) to room axes, whose -y points to the wall's
+    azimuth.
+    """
     angle = np.radians(wall_azimuth_deg - 180.0)
-    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    return np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]]
+    )
 
 
 class Office:
@@ -128,14 +153,20 @@ class Office:
         clear, clouds = sun.clearsky([t_utc], self.setup.site), self._cloudiness(t_utc)
         altitude = np.radians(sun.position([t_utc], self.setup.site).altitude_deg[0])
         dni = float(clear.dni_wm2[0]) * max(1.0 - 1.4 * clouds, 0.0)
-        dhi = float(clear.dhi_wm2[0]) * (1.0 + 1.6 * clouds * (1.0 - clouds)) + 0.25 * clouds * float(clear.ghi_wm2[0])
+        dhi = float(clear.dhi_wm2[0]) * (
+            1.0 + 1.6 * clouds * (1.0 - clouds)
+        ) + 0.25 * clouds * float(clear.ghi_wm2[0])
         return Light(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
 
     def _cloudiness(self, t_utc: datetime) -> float:
         """0 to 1: a clear, mixed or grey day, with hours that differ a little."""
         hour = t_utc.timestamp() / 3600.0
-        day = np.random.default_rng([self._seed, int(hour // 24)]).choice([0.02, 0.1, 0.35, 0.6, 0.95])
-        marks = [np.random.default_rng([self._seed, int(hour) + i, 7]).normal(0.0, 0.12) for i in (0, 1)]
+        day = np.random.default_rng([self._seed, int(hour // 24)]).choice(
+            [0.02, 0.1, 0.35, 0.6, 0.95]
+        )
+        marks = [
+            np.random.default_rng([self._seed, int(hour) + i, 7]).normal(0.0, 0.12) for i in (0, 1)
+        ]
         return float(np.clip(day + np.interp(hour % 1.0, [0, 1], marks), 0.0, 1.0))
 
     def scene(self, t_utc: datetime) -> Panorama:
@@ -152,27 +183,47 @@ class Office:
         beam_lx = light.dni_wm2 * _LM_PER_W_SUN * (altitude > 0)
         zenith = 9.0 / (7.0 * np.pi) * light.dhi_wm2 * _LM_PER_W_SKY + 1e-3  # CIE overcast sky
         ground = room.reflectance_ground / np.pi * light.ghi_wm2 * 110.0 + 1e-3
-        beam = beam_lx * g.through_glass(g.points, np.tile(to_sun, (len(g.points), 1))) * (1.0 - g.glass)
+        beam = (
+            beam_lx
+            * g.through_glass(g.points, np.tile(to_sun, (len(g.points), 1)))
+            * (1.0 - g.glass)
+        )
         beam *= np.maximum(g.normals @ to_sun, 0.0)
         window_lx = np.pi * (g.sky_factor * 0.6 * zenith + g.ground_factor * ground)
-        inside = g.reflectance / np.pi * (window_lx + beam + self._interreflected_lx(g, window_lx + beam))
-        outside = np.where(g.rays[:, 2] > 0, zenith * (1.0 + 2.0 * np.abs(g.rays[:, 2])) / 3.0, ground)
-        luminance = np.where(g.glass > 0, g.glass * outside, inside).reshape(_HEIGHT, -1).astype(np.float32)
+        inside = (
+            g.reflectance
+            / np.pi
+            * (window_lx + beam + self._interreflected_lx(g, window_lx + beam))
+        )
+        outside = np.where(
+            g.rays[:, 2] > 0, zenith * (1.0 + 2.0 * np.abs(g.rays[:, 2])) / 3.0, ground
+        )
+        luminance = (
+            np.where(g.glass > 0, g.glass * outside, inside).reshape(_HEIGHT, -1).astype(np.float32)
+        )
         seen = float(g.through_glass(g.eye, to_sun[None])[0])
         disc = (
-            SunSource(altitude, azimuth, beam_lx * seen, float(seen > 0), "rendering") if beam_lx * seen > 0 else None
+            SunSource(altitude, azimuth, beam_lx * seen, float(seen > 0), "rendering")
+            if beam_lx * seen > 0
+            else None
         )
         return Panorama(luminance, self.setup.camera.heading_deg, t_utc=t_utc, sun=disc)
 
     def _interreflected_lx(self, g: _Geometry, first_lx: Array) -> float:
         """Split flux: the first flux, reflected for ever in a room of mean reflectance."""
         room = self._room
-        floor, walls = room.width_m * room.depth_m, 2 * (room.width_m + room.depth_m) * room.height_m
+        floor, walls = (
+            room.width_m * room.depth_m,
+            2 * (room.width_m + room.depth_m) * room.height_m,
+        )
         area = 2 * floor + walls
         sight = np.linalg.norm(g.points - g.eye, axis=1)
         # A pixel stands for area = solid angle x distance^2 / cosine of its ray with the surface.
         omega = np.repeat(projection.row_solid_angles(_HEIGHT, 2 * _HEIGHT), 2 * _HEIGHT)
         patch = omega * sight**2 / np.maximum(-(g.rays * g.normals).sum(axis=1), 1e-3)
         reflected = float((first_lx * g.reflectance * patch).sum())
-        mean = (floor * (room.reflectance_ceiling + room.reflectance_floor) + walls * room.reflectance_walls) / area
+        mean = (
+            floor * (room.reflectance_ceiling + room.reflectance_floor)
+            + walls * room.reflectance_walls
+        ) / area
         return reflected / (area * (1.0 - mean))

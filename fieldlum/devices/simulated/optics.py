@@ -19,14 +19,16 @@ if TYPE_CHECKING:
 SUN_RADIUS_DEG = 0.2665
 _SUBSAMPLES = 3  # per sensor pixel and axis
 _SUN_SUBSAMPLES, _SUN_REACH_PX = 8, 8
-_PSF_PX = 0.5  # standard deviation of the lens's blur; applied to the sun only, all else is smoother than that
+# standard deviation of the lens's blur; applied to the sun only, all else is smoother than that
+_PSF_PX = 0.5
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class LensView:
-    """One lens on the sensor: its pixels (flat indices [n]), how far off its axis they look, and at what.
+    """One lens on the sensor: its pixels (flat indices [n]), how far off its axis they look, and at
+    what.
 
     weights [n, H*W]: share of each panorama pixel in each sensor pixel; rows sum to 1.
     """
@@ -54,7 +56,8 @@ def geometry_of(lens: Lens, turn_deg: float) -> LensGeometry:
 def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensView:
     """Precompute a lens's view; sensor and panorama are (height, width).
 
-    The panorama is taken as constant over each of its pixels; a sensor pixel averages 3 x 3 directions within it.
+    The panorama is taken as constant over each of its pixels; a sensor pixel averages 3 x 3
+    directions within it.
     """
     from scipy.sparse import csr_array
 
@@ -79,18 +82,23 @@ def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int])
 
 
 def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32]:
-    """Flat index of the panorama pixel that each ray meets; rays are in the panorama's own frame (heading 0)."""
+    """Flat index of the panorama pixel that each ray meets; rays are in the panorama's own frame
+    (heading 0).
+    """
     height, width = panorama
     altitude = np.degrees(np.arcsin(np.clip(rays[:, 2], -1.0, 1.0)))
     azimuth = np.degrees(np.arctan2(rays[:, 0], rays[:, 1]))
     row, column = projection.equirect_pixel(altitude, azimuth, height, width, 0.0)
     return (
-        np.minimum(row.astype(np.int32), height - 1) * width + np.minimum(column.astype(np.int32), width - 1)
+        np.minimum(row.astype(np.int32), height - 1) * width
+        + np.minimum(column.astype(np.int32), width - 1)
     ).astype(np.int32)
 
 
 def channels(panorama: Panorama) -> NDArray[np.float32]:
-    """Red, green and blue in cd/m2 such that .265 R + .670 G + .065 B is the luminance, [H*W, 3]; [H*W, 1] if grey."""
+    """Red, green and blue in cd/m2 such that .265 R + .670 G + .065 B is the luminance, [H*W,
+    3]; [H*W, 1] if grey.
+    """
     from fieldlum.images import RADIANCE_LM_PER_W
 
     if panorama.rgb is None:
@@ -98,8 +106,12 @@ def channels(panorama: Panorama) -> NDArray[np.float32]:
     return (RADIANCE_LM_PER_W * np.asarray(panorama.rgb, np.float32)).reshape(-1, 3)
 
 
-def on_sensor(panorama: Panorama, views: list[LensView], sensor: tuple[int, int]) -> NDArray[np.float32]:
-    """Mean luminance [cd/m2] over each sensor pixel, [h, w, 3] or [h, w, 1] (grey), the sun's disc in it."""
+def on_sensor(
+    panorama: Panorama, views: list[LensView], sensor: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Mean luminance [cd/m2] over each sensor pixel, [h, w, 3] or [h, w, 1] (grey), the sun's
+    disc in it.
+    """
     flat = channels(panorama)
     out = np.zeros((sensor[0] * sensor[1], flat.shape[1]), np.float32)
     for view in views:
@@ -111,8 +123,12 @@ def on_sensor(panorama: Panorama, views: list[LensView], sensor: tuple[int, int]
     return image
 
 
-def _add_sun(image: NDArray[np.float32], sun: SunSource, heading_deg: float, lens: LensGeometry) -> None:
-    """Deposit the disc by energy: its pixels' luminance times their solid angles is its normal illuminance."""
+def _add_sun(
+    image: NDArray[np.float32], sun: SunSource, heading_deg: float, lens: LensGeometry
+) -> None:
+    """Deposit the disc by energy: its pixels' luminance times their solid angles is its normal
+    illuminance.
+    """
     from scipy.ndimage import gaussian_filter
 
     at = projection.direction(sun.altitude_deg, sun.azimuth_deg - heading_deg)
@@ -124,7 +140,11 @@ def _add_sun(image: NDArray[np.float32], sun: SunSource, heading_deg: float, len
     step = (np.arange(2 * reach * fine) + 0.5) / fine
     rays = lens_rays(lens, (columns[0] + step)[None, :], (rows[0] + step)[:, None])
     covered = (rays @ at > np.cos(np.radians(SUN_RADIUS_DEG))).astype(float)
-    share = gaussian_filter(covered, _PSF_PX * fine).reshape(2 * reach, fine, 2 * reach, fine).sum(axis=(1, 3))
+    share = (
+        gaussian_filter(covered, _PSF_PX * fine)
+        .reshape(2 * reach, fine, 2 * reach, fine)
+        .sum(axis=(1, 3))
+    )
     omega = pixel_solid_angle_sr(lens, columns[None, :] + 0.5, rows[:, None] + 0.5)
     value = share / share.sum() * sun.normal_illuminance_lx / np.maximum(omega, 1e-12)
     fits = (rows >= 0) & (rows < image.shape[0]), (columns >= 0) & (columns < image.shape[1])
@@ -132,7 +152,9 @@ def _add_sun(image: NDArray[np.float32], sun: SunSource, heading_deg: float, len
     image[np.ix_(rows[fits[0]], columns[fits[1]])] += value[..., None].astype(np.float32)
 
 
-def pixel_solid_angle_sr(lens: LensGeometry, x_px: NDArray[np.floating], y_px: NDArray[np.floating]) -> Array:
+def pixel_solid_angle_sr(
+    lens: LensGeometry, x_px: NDArray[np.floating], y_px: NDArray[np.floating]
+) -> Array:
     """Solid angle of the sensor pixel around a point; 0 outside the circle. [sr]"""
     distance = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     step = 1e-4

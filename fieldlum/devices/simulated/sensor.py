@@ -1,4 +1,6 @@
-"""From luminance on a sensor to the counts or codes that a camera writes, with all that is wrong about them."""
+"""From luminance on a sensor to the counts or codes that a camera writes, with all that is wrong
+about them.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,55 @@ from fieldlum.raw import channel_positions
 from fieldlum.records import Exposure
 
 # What a camera's dial says, thirds of a stop.
-DIAL_S = tuple(float(t) for t in (30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3.2, 2.5, 2, 1.6, 1.3, 1)) + tuple(
+DIAL_S = tuple(
+    float(t) for t in (30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3.2, 2.5, 2, 1.6, 1.3, 1)
+) + tuple(
     1.0 / t
     for t in (
-        1.3, 1.6, 2, 2.5, 3, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 40, 50, 60, 80, 100, 125, 160, 200, 250, 320, 400, 500,
-        640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000, 10000, 12800, 16000,
+        1.3,
+        1.6,
+        2,
+        2.5,
+        3,
+        4,
+        5,
+        6,
+        8,
+        10,
+        13,
+        15,
+        20,
+        25,
+        30,
+        40,
+        50,
+        60,
+        80,
+        100,
+        125,
+        160,
+        200,
+        250,
+        320,
+        400,
+        500,
+        640,
+        800,
+        1000,
+        1250,
+        1600,
+        2000,
+        2500,
+        3200,
+        4000,
+        5000,
+        6400,
+        8000,
+        10000,
+        12800,
+        16000,
     )
-)  # fmt: skip
+)
 _GAUSSIAN_ABOVE_E = 60.0  # a Poisson of more electrons is a normal distribution to 0.1 %
 RADIANCE_Y = (0.265, 0.670, 0.065)
 
@@ -30,7 +74,8 @@ def true_shutter_s(dial_s: float) -> float:
 
 
 def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
-    """Scene red, green, blue [cd/m2] to camera channels, [3, 3]: the inverse of the profile's colour.
+    """Scene red, green, blue [cd/m2] to camera channels, [3, 3]: the inverse of the profile's
+    colour.
 
     A profile without a matrix sees grey only: each channel gets luminance / sum(y_from_rgb).
     """
@@ -75,9 +120,15 @@ class RawSensor:
         self._range = sensor.white_dn - self._black
 
     def counts(
-        self, mosaic_cdm2: NDArray[np.float32], exposure: Exposure, true_s: float, rng: np.random.Generator
+        self,
+        mosaic_cdm2: NDArray[np.float32],
+        exposure: Exposure,
+        true_s: float,
+        rng: np.random.Generator,
     ) -> NDArray[np.uint16]:
-        """Camera channels on the mosaic (vignetting in them) to raw counts with shot, read and rounding noise."""
+        """Camera channels on the mosaic (vignetting in them) to raw counts with shot, read and
+        rounding noise.
+        """
         sensor, k = self._profile.sensor, self._profile.scale.k
         gain = sensor.gain_e_per_dn * sensor.iso / exposure.iso
         per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
@@ -86,11 +137,14 @@ class RawSensor:
         electrons = mosaic_cdm2 * (self._range * np.float32(per * gain)) / attenuation
         electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
         noisy = electrons + rng.standard_normal(electrons.shape, np.float32) * np.sqrt(
-            np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0) + np.float32(sensor.read_noise_e**2)
+            np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0)
+            + np.float32(sensor.read_noise_e**2)
         )
         few = np.flatnonzero((electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0))
         noisy.flat[few] += rng.poisson(electrons.flat[few]) - electrons.flat[few]
-        return np.clip(np.rint(noisy / np.float32(gain) + self._black), 0, self._full).astype(np.uint16)
+        return np.clip(np.rint(noisy / np.float32(gain) + self._black), 0, self._full).astype(
+            np.uint16
+        )
 
 
 class JpegSensor:
@@ -102,13 +156,21 @@ class JpegSensor:
         self._z = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
 
     def codes(
-        self, image_cdm2: NDArray[np.float32], exposure: Exposure, true_s: float, rng: np.random.Generator
+        self,
+        image_cdm2: NDArray[np.float32],
+        exposure: Exposure,
+        true_s: float,
+        rng: np.random.Generator,
     ) -> NDArray[np.uint8]:
         """Camera channels [h, w, 3] (vignetting in them) to codes."""
         sensor, k = self._profile.sensor, self._profile.scale.k
         per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
         full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
-        z = image_cdm2 * np.float32(per) / np.asarray(nd_factors(self._profile, exposure.nd), np.float32)
+        z = (
+            image_cdm2
+            * np.float32(per)
+            / np.asarray(nd_factors(self._profile, exposure.nd), np.float32)
+        )
         spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
         z = z + rng.standard_normal(z.shape, np.float32) * spread
         out = np.empty(z.shape, np.uint8)
@@ -119,5 +181,7 @@ class JpegSensor:
 
 
 def nd_factors(profile: CameraProfile, name: str) -> tuple[float, float, float]:
-    """Luminance without over luminance with the filter; ones for no filter. Raises KeyError for an unknown one."""
+    """Luminance without over luminance with the filter; ones for no filter. Raises KeyError for
+    an unknown one.
+    """
     return {"": (1.0, 1.0, 1.0), **{nd.name: nd.factor_rgb for nd in profile.nd}}[name]

@@ -20,7 +20,8 @@ _STATUS = b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\r1mV radio off\rA%d\r"
 
 
 class PtyInstrument(threading.Thread):
-    """Answers on a pty what `answer(bytes)` gives for each bunch of bytes that comes; `port` is its device file.
+    """Answers on a pty what `answer(bytes)` gives for each bunch of bytes that comes; `port` is its
+    device file.
 
     The pty stays open until `unplug`, so that a client may come and go.
     """
@@ -59,10 +60,16 @@ class PtyInstrument(threading.Thread):
 
 
 class Spn1Voice:
-    """What the instrument says: echoes all but R, wakes with 0xAF, tells total, diffuse and sunshine for S."""
+    """What the instrument says: echoes all but R, wakes with 0xAF, tells total, diffuse and
+    sunshine for S.
+    """
 
     def __init__(
-        self, light: Callable[[], tuple[float, Light]], rng: np.random.Generator, noise_wm2: float, serial: int
+        self,
+        light: Callable[[], tuple[float, Light]],
+        rng: np.random.Generator,
+        noise_wm2: float,
+        serial: int,
     ) -> None:
         """light: gives a time [s] that never goes back, and the irradiance then."""
         self._light, self._rng, self._noise_wm2, self._serial = light, rng, noise_wm2, serial
@@ -97,11 +104,15 @@ class Spn1Voice:
 
 
 def open_simulated(world: World, clock: Clock, seed: int, noise_wm2: float) -> Pyranometer:
-    """The real driver on a simulated instrument. Raises DeviceError where there are no ptys (Windows)."""
+    """The real driver on a simulated instrument. Raises DeviceError where there are no ptys
+    (Windows).
+    """
     from fieldlum.devices.serial_spn1 import Spn1
 
     if not hasattr(os, "openpty"):
-        raise DeviceError("sim: the simulated pyranometer needs pseudo-terminals, which this system lacks")
+        raise DeviceError(
+            "sim: the simulated pyranometer needs pseudo-terminals, which this system lacks"
+        )
     world.irradiance(clock.now())  # loads what it needs now, not within the driver's patience
     voice = Spn1Voice(
         lambda: (clock.boottime(), world.irradiance(clock.now())),

@@ -1,7 +1,8 @@
 """What the simulated devices look at: a session's truth/ folder, or the built-in office.
 
-truth/ (written by `fieldlum simulate`): ``<slot>.exr``, a panorama with its sun, and ``irradiance.csv`` with the
-columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted; between its rows the light is interpolated, beyond them it is dark.
+truth/ (written by `fieldlum simulate`): ``<slot>.exr``, a panorama with its sun, and
+``irradiance.csv`` with the columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted; between its rows the
+light is interpolated, beyond them it is dark.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ class TruthWorld:
         """The panorama nearest in time. Raises DeviceError when none is within 45 minutes."""
         nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
         if nearest is None or abs(nearest - t_utc) > NEAREST_TRUTH:
-            raise DeviceError(f"simulated camera: no truth for {t_utc:%Y-%m-%d %H:%M} UTC, it is dark here")
+            raise DeviceError(
+                f"simulated camera: no truth for {t_utc:%Y-%m-%d %H:%M} UTC, it is dark here"
+            )
         return self._read(self._panoramas[nearest])
 
     def irradiance(self, t_utc: datetime) -> Light:
@@ -72,17 +75,23 @@ def _read_irradiance(path: Path) -> tuple[np.ndarray, np.ndarray]:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
-        light = np.array([[float(row[name]) for row in rows] for name in ("ghi_wm2", "dhi_wm2", "dni_wm2")])
+        light = np.array(
+            [[float(row[name]) for row in rows] for name in ("ghi_wm2", "dhi_wm2", "dni_wm2")]
+        )
     except (OSError, KeyError, ValueError, TypeError) as error:
         expected = "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2"
         raise InputError(path, str(error), expected, "make it anew: fieldlum simulate") from None
     if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
-        raise InputError(path, f"{len(times)} rows", "two or more sorted rows of numbers", "fieldlum simulate")
+        raise InputError(
+            path, f"{len(times)} rows", "two or more sorted rows of numbers", "fieldlum simulate"
+        )
     return times, light
 
 
 def open_world(session: Session | None, seed: int) -> World:
-    """The session's truth where it has one, else the built-in office at the session's place (Seattle without one)."""
+    """The session's truth where it has one, else the built-in office at the session's place
+    (Seattle without one).
+    """
     if session is not None and (session.truth / "irradiance.csv").is_file():
         return TruthWorld(session.truth)
     from fieldlum.devices.simulated.office import Office

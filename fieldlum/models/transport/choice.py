@@ -1,4 +1,6 @@
-"""What held-out days decide: the kernel, what it looks at, noise, robust rounds, patches, how many features."""
+"""What held-out days decide: the kernel, what it looks at, noise, robust rounds, patches, how
+many features.
+"""
 
 from __future__ import annotations
 
@@ -27,18 +29,30 @@ from fieldlum.models.transport.recipe import (
 Array = NDArray[Any]
 
 NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
-ONE_SEASON_NOISE = 3e-3  # held-out days of one season know nothing of the others: take no less noise than this
+ONE_SEASON_NOISE = (
+    3e-3  # held-out days of one season know nothing of the others: take no less noise than this
+)
 CHOOSING = 250  # pixels that choose kernel and recipe
-BESIDE_ROOM = 0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
-SECOND_WIDTHS = (0.1, 0.15, 0.2)  # chord of the sun's direction within which a sun patch was still the same
+BESIDE_ROOM = (
+    0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
+)
+SECOND_WIDTHS = (
+    0.1,
+    0.15,
+    0.2,
+)  # chord of the sun's direction within which a sun patch was still the same
 FEWER = (40, 60)  # numbers of features tried before RANK of them; under forty captures all are kept
 FEWER_COST = 1.05  # of the held-out error of RANK features: what fewer may cost
 
 
 def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
-    """Light found below all patches; days of one season, with the sun where it stood, would choose any width."""
+    """Light found below all patches; days of one season, with the sun where it stood, would
+    choose any width.
+    """
     widths = SECOND_WIDTHS[:1] if one_season else SECOND_WIDTHS
-    return [Recipe(s, rounds=4, second=w, below=patches) for s in (1e-2, 3e-2, 1e-1) for w in widths]
+    return [
+        Recipe(s, rounds=4, second=w, below=patches) for s in (1e-2, 3e-2, 1e-1) for w in widths
+    ]
 
 
 def recipes_for(patch: Patch, one_season: bool) -> list[Recipe]:
@@ -54,7 +68,9 @@ def recipes_for(patch: Patch, one_season: bool) -> list[Recipe]:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """What held-out days chose: the kernel, what it looks at, the recipe; table of all that was tried."""
+    """What held-out days chose: the kernel, what it looks at, the recipe; table of all that was
+    tried.
+    """
 
     kernel: Kernel
     features: Features
@@ -65,13 +81,18 @@ class Chosen:
     table: list[tuple[Recipe, float, float]]
 
 
-def choose_model(drawn: Material, kernel: Kernel, patch: Patch, bounced: NDArray[np.float32] | None) -> Chosen:
-    """What serves held-out days best, asked of the pixels `drawn`; bounced: what a room model makes of the sun."""
+def choose_model(
+    drawn: Material, kernel: Kernel, patch: Patch, bounced: NDArray[np.float32] | None
+) -> Chosen:
+    """What serves held-out days best, asked of the pixels `drawn`; bounced: what a room model
+    makes of the sun.
+    """
     alike = one_season(drawn.days)
     chosen = _choose_kernel(drawn, kernel, recipes_for(patch, alike), bounced)
     if patch != "none" and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
-    # Days of one season do not know what others need; errors of unknown patches hide what fewer features cost.
+    # Days of one season do not know what others need; errors of unknown patches hide what fewer
+    # features cost.
     return chosen if alike or chosen.recipe.second else fewest_features(drawn, chosen)
 
 
@@ -80,15 +101,18 @@ def _choose_kernel(
 ) -> Chosen:
     """The kernel and recipe that serve held-out days best, asked of some pixels.
 
-    A room model (its features `bounced`) speaks for suns that no capture had, held-out days do not: it stays unless it
-    makes them worse by more than a standard error. Beside it the facade term counts less.
+    A room model (its features `bounced`) speaks for suns that no capture had, held-out days do not:
+    it stays unless it makes them worse by more than a standard error. Beside it the facade term
+    counts less.
     """
 
     def tried(kernel: Kernel, features: Features) -> Chosen:
         covariance = kernel(features, features)
         basis = basis_of(covariance, RANK)
         recipe, table = choose(drawn[slice(CHOOSING)], basis, recipes)
-        return Chosen(kernel, features, covariance, basis, recipe, hold_out(drawn, basis, recipe), table)
+        return Chosen(
+            kernel, features, covariance, basis, recipe, hold_out(drawn, basis, recipe), table
+        )
 
     without = tried(kernel, drawn.features)
     if bounced is None:
@@ -100,9 +124,15 @@ def _choose_kernel(
 
 
 def _doubted(
-    drawn: Material, kernel: Kernel, one_season: bool, bounced: NDArray[np.float32] | None, trusting: Chosen
+    drawn: Material,
+    kernel: Kernel,
+    one_season: bool,
+    bounced: NDArray[np.float32] | None,
+    trusting: Chosen,
 ) -> Chosen:
-    """Where held-out days had to mend patches, they are asked too whether the light is better learnt without them."""
+    """Where held-out days had to mend patches, they are asked too whether the light is better
+    learnt without them.
+    """
     bare = replace(drawn, features=replace(drawn.features, flux=None, cells=None))
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
     best = doubting if doubting.held.judged.mean() < trusting.held.judged.mean() else trusting
@@ -110,10 +140,11 @@ def _doubted(
 
 
 def fewest_features(drawn: Material, chosen: Chosen) -> Chosen:
-    """No more features than held-out days ask for: the first of FEWER that costs at most 5 % of the error of them all.
+    """No more features than held-out days ask for: the first of FEWER that costs at most 5 % of the
+    error of them all.
 
-    What is noisy (pixels, irradiance, a sky that is not Perez's) supports fewer than a clean rendering does, and a
-    smaller model is quicker everywhere.
+    What is noisy (pixels, irradiance, a sky that is not Perez's) supports fewer than a clean
+    rendering does, and a smaller model is quicker everywhere.
     """
     drawn, table = replace(drawn, features=chosen.features), [*chosen.table]
     for rank in (r for r in FEWER if r < chosen.basis.values.shape[1]):

@@ -1,4 +1,6 @@
-"""Sunny captures beside computed sun patches: what stands where, for any setting of north, clock, room and camera."""
+"""Sunny captures beside computed sun patches: what stands where, for any setting of north,
+clock, room and camera.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,9 @@ MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3
 
 @dataclass(frozen=True)
 class Evidence:
-    """Sunny hours [n] at the pixels [m] that sun patches reach or pass by: captured light, the light without any patch,
-    the patches as given [n, H, W], and what it takes to make others."""
+    """Sunny hours [n] at the pixels [m] that sun patches reach or pass by: captured light, the
+    light without any patch, the patches as given [n, H, W], and what it takes to make others.
+    """
 
     data: Dataset
     rows: NDArray[np.intp]
@@ -53,8 +56,12 @@ class Evidence:
         assert self.data.patch_cdm2 is not None
         return moved(self.data.patch_cdm2[self.rows], self.pixels, right_px, down_px)
 
-    def computed(self, turn_deg: float = 0.0, fast_min: float = 0.0, *, whole: bool = False) -> Array:
-        """The room's patches if it stood turned and the clock were fast, [n, m] (whole: [n, H, W])."""
+    def computed(
+        self, turn_deg: float = 0.0, fast_min: float = 0.0, *, whole: bool = False
+    ) -> Array:
+        """The room's patches if it stood turned and the clock were fast, [n, m] (whole: [n, H,
+        W]).
+        """
         points = self.everywhere if whole else self.points
         assert points is not None
         light = self.data.light[self.rows]
@@ -62,11 +69,18 @@ class Evidence:
             light.sun_altitude_deg - fast_min * self.rates[0],
             light.sun_azimuth_deg - turn_deg - fast_min * self.rates[1],
         )
-        maps = [points.direct(d) * e for d, e in zip(points.scene.to_room(towards), light.direct_lx, strict=True)]
-        return np.stack(maps).reshape(len(maps), *(self.data.shape if whole else (len(self.pixels),)))
+        maps = [
+            points.direct(d) * e
+            for d, e in zip(points.scene.to_room(towards), light.direct_lx, strict=True)
+        ]
+        return np.stack(maps).reshape(
+            len(maps), *(self.data.shape if whole else (len(self.pixels),))
+        )
 
     def walled(self, turn_deg: float) -> Array:
-        """The room's patches if it alone stood turned: sun and camera stay, all it holds moves across the picture."""
+        """The room's patches if it alone stood turned: sun and camera stay, all it holds moves
+        across the picture.
+        """
         right_px = turn_deg * self.data.shape[1] / 360.0
         return moved(self.computed(turn_deg, whole=True), self.pixels, right_px, 0.0)
 
@@ -75,13 +89,17 @@ class Evidence:
         return np.log(self.background + gain * patch)
 
     def misfit(self, patch: Array, gain: float) -> Array:
-        """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log errors that saturate, so
-        that a sunlit pixel taken for a dark one counts one and shades of grey count little."""
+        """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log
+        errors that saturate, so that a sunlit pixel taken for a dark one counts one and shades
+        of grey count little.
+        """
         error = (self.light(patch, gain) - self.log_seen) ** 2
         return (error / (error + WIDTH**2)) @ self.weights
 
 
-def moved(maps: NDArray[np.floating], pixels: NDArray[np.intp], right_px: float, down_px: float) -> Array:
+def moved(
+    maps: NDArray[np.floating], pixels: NDArray[np.intp], right_px: float, down_px: float
+) -> Array:
     """maps [n, H, W] moved right and down, linear between pixels, at flat `pixels`, [n, m]."""
     height, width = maps.shape[1:]
     row, column = np.divmod(pixels, width)
@@ -104,14 +122,24 @@ def evidence_of(data: Dataset) -> Evidence | None:
     if len(rows) < LEAST_HOURS:
         return None
     light, site = data.light[rows], data.setup.site
-    now, then = (sun.position([t + timedelta(minutes=m) for t in light.t_utc], site) for m in (-0.5, 0.5))
+    now, then = (
+        sun.position([t + timedelta(minutes=m) for t in light.t_utc], site) for m in (-0.5, 0.5)
+    )
     azimuth = (then.azimuth_deg - now.azimuth_deg + 180.0) % 360.0 - 180.0
     days = data.days[rows]
     parts = Evidence(
-        data, rows, np.empty(0, np.intp), np.empty(0), np.empty(0), np.empty(0),
+        data,
+        rows,
+        np.empty(0, np.intp),
+        np.empty(0),
+        np.empty(0),
+        np.empty(0),
         days if len(np.unique(days)) >= LEAST_HOURS else np.arange(len(rows)),
-        None, None, (then.altitude_deg - now.altitude_deg, azimuth), (1.0, 1.0),
-    )  # fmt: skip
+        None,
+        None,
+        (then.altitude_deg - now.altitude_deg, azimuth),
+        (1.0, 1.0),
+    )
     return _filled(parts, data)
 
 
@@ -136,37 +164,50 @@ def _filled(parts: Evidence, data: Dataset) -> Evidence | None:
         return None
     weights = equirect_solid_angles(*data.shape).ravel()[pixels]
     if len(pixels) > PIXELS:
-        drawn = np.random.default_rng(0).choice(len(pixels), PIXELS, replace=False, p=weights / weights.sum())
+        drawn = np.random.default_rng(0).choice(
+            len(pixels), PIXELS, replace=False, p=weights / weights.sum()
+        )
         pixels, weights = np.sort(pixels[drawn]), np.ones(PIXELS)
     points = None if view is None else view.sun_points(pixels)
     seen, background = _without_patches(data, pixels)
     background = background[parts.rows]
     seen = seen[parts.rows]
     parts = replace(
-        parts, pixels=pixels, weights=weights / weights.sum(), log_seen=np.log(seen), background=background,
+        parts,
+        pixels=pixels,
+        weights=weights / weights.sum(),
+        log_seen=np.log(seen),
+        background=background,
         points=points,
-    )  # fmt: skip
+    )
     made = [parts.given(), parts.given() if points is None else parts.computed()]
     given, computed = (_brightness(seen - background, patch) for patch in made)
     return replace(parts, gains=(given, computed))
 
 
 def _without_patches(data: Dataset, pixels: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Captured light, and what robust rounds find below the patches without knowing them, [n, m] each."""
+    """Captured light, and what robust rounds find below the patches without knowing them, [n, m]
+    each.
+    """
     only = np.zeros(data.seen.size, bool)
     only[pixels] = True
     material = material_of(replace(data, seen=only.reshape(data.shape)), with_patch=False)
     kernel = Kernel(facades_of(data.setup.room))
     basis = basis_of(kernel(material.features, material.features), WITHOUT_PATCH.rank)
     found = fit_pixels(material, basis, WITHOUT_PATCH)
-    surface = np.maximum(basis.values @ found.b.T, found.least) * material.light.total_lx[:, None] * found.scale
+    surface = (
+        np.maximum(basis.values @ found.b.T, found.least)
+        * material.light.total_lx[:, None]
+        * found.scale
+    )
     background = surface + found.sky_gain * material.sky
     return np.maximum(material.luminance, LEAST_CDM2), np.maximum(background, LEAST_CDM2)
 
 
 def _brightness(excess: Array, patch: Array) -> float:
-    """The patches' gain wherever they lie: in each hour the brighter half of the pixels that a patch must fill, against
-    as many of the brightest pixels; the median over hours."""
+    """The patches' gain wherever they lie: in each hour the brighter half of the pixels that a
+    patch must fill, against as many of the brightest pixels; the median over hours.
+    """
     ratios = []
     for over, lit in zip(excess, patch, strict=True):
         count = int((lit > 0.0).sum() + 1) // 2

@@ -1,4 +1,6 @@
-"""From captures to what is solved: pixels in rows, patches as columns, the sky seen through the windows."""
+"""From captures to what is solved: pixels in rows, patches as columns, the sky seen through the
+windows.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.light import Facades, Features, Light, facades_of, facades_unknown, light_features, one_facade
+from fieldlum.light import (
+    Facades,
+    Features,
+    Light,
+    facades_of,
+    facades_unknown,
+    light_features,
+    one_facade,
+)
 from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles
 
 if TYPE_CHECKING:
@@ -17,25 +27,35 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 CELL_ROWS = CELL_COLUMNS = 23  # cells of the patch descriptor: about 8 x 16 degrees
-MOST_PATCH_CDM2 = 3e4  # for the descriptor only: a sunlit white wall; above it is a window pixel or a disc
+MOST_PATCH_CDM2 = (
+    3e4  # for the descriptor only: a sunlit white wall; above it is a window pixel or a disc
+)
 LEAST_CDM2 = 0.1  # below it relative errors mean nothing
 FAINT_SUN_LX = 20.0
 DISC_MARGIN = 2  # pixels around the sun that taking its disc out may have touched
 LOWEST_SUN_DEG = 1.0  # for what readings of the horizontal say about the sun's normal
 UNSURE = 1e-2  # relative variance of the light outside at which an hour counts half
 WINDOW_SHARE = 0.05  # a pixel with less than this share of open sky is treated as a surface
-WINDOW_SCATTER = 0.5  # window pixels follow the sky behind them at least twice as closely as the total light
+WINDOW_SCATTER = (
+    0.5  # window pixels follow the sky behind them at least twice as closely as the total light
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Patchwork:
-    """How patch maps become descriptors: cell edges come from the shape, these norms from the training hours."""
+    """How patch maps become descriptors: cell edges come from the shape, these norms from the
+    training hours.
+    """
 
     flux_norm: float
     cells_norm: float
 
-    def add(self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray) -> Features:
-        """`features` with the direct flux in view; patch [n, H, W] cd/m2; open_sky [H, W] marks window pixels."""
+    def add(
+        self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray
+    ) -> Features:
+        """`features` with the direct flux in view; patch [n, H, W] cd/m2; open_sky [H, W] marks
+        window pixels.
+        """
         flux, cells = patch_flux(patch, open_sky)
         total = light.total_lx
         return replace(
@@ -49,7 +69,9 @@ def _edges(size: int, count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, size, min(count, size) + 1).astype(int))[:-1]
 
 
-def patch_flux(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> tuple[Array, NDArray[np.float32]]:
+def patch_flux(
+    patch: NDArray[np.floating], open_sky: NDArray[np.bool_]
+) -> tuple[Array, NDArray[np.float32]]:
     """Direct flux in view, [n] lx, and by cells over the root of their solid angle, [n, c]."""
     height, width = patch.shape[1:]
     rows, columns = _edges(height, CELL_ROWS), _edges(width, CELL_COLUMNS)
@@ -63,8 +85,12 @@ def patch_flux(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> tupl
     return np.asarray(out.sum(axis=1), float), np.asarray(out / np.sqrt(areas).ravel(), np.float32)
 
 
-def patchwork_of(patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]) -> Patchwork:
-    """Norms that make the descriptors about one when the sun is in the room (75th percentile over sunny hours)."""
+def patchwork_of(
+    patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]
+) -> Patchwork:
+    """Norms that make the descriptors about one when the sun is in the room (75th percentile
+    over sunny hours).
+    """
     flux, cells = patch_flux(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
     if not sunny.any() or not flux[sunny].any():
@@ -77,9 +103,11 @@ def patchwork_of(patch: NDArray[np.floating], light: Light, open_sky: NDArray[np
 
 
 def facades_seen(data: Dataset) -> Facades:
-    """Walls that let the sun in: from the room's windows, else from the sun directions of hours with a patch.
+    """Walls that let the sun in: from the room's windows, else from the sun directions of hours
+    with a patch.
 
-    Without a room, non-negative least squares of the direct flux in view on the cosines to sixteen azimuths.
+    Without a room, non-negative least squares of the direct flux in view on the cosines to sixteen
+    azimuths.
     """
     if data.setup.room is not None and data.setup.room.kind == "box" and data.setup.room.window:
         return facades_of(data.setup.room)
@@ -102,12 +130,15 @@ def facades_seen(data: Dataset) -> Facades:
     return Facades(azimuths[keep], np.sqrt(share[keep] / share.max()))
 
 
-# ---------------------------------------------------------------------------------------------- window pixels
+# ----------------------------------------------------------------------------------------------
+# window pixels
 
 
 @dataclass(frozen=True, slots=True)
 class OpenSky:
-    """Pixels (of those seen) that show sky through glass: index [k], share [k] of open sky times transmittance."""
+    """Pixels (of those seen) that show sky through glass: index [k], share [k] of open sky times
+    transmittance.
+    """
 
     index: NDArray[np.intp]
     share: NDArray[np.float32]
@@ -129,11 +160,12 @@ class OpenSky:
 def open_sky_from_captures(
     luminance: NDArray[np.floating], patch: NDArray[np.floating] | None, light: Light, rays: Array
 ) -> OpenSky:
-    """Find the window pixels without any geometry: those that follow the Perez sky in their direction.
+    """Find the window pixels without any geometry: those that follow the Perez sky in their
+    direction.
 
-    luminance, patch: [n, P]; rays [P, 3]. A pixel counts when the logarithm of its ratio to the sky scatters less than
-    half as much as that of its ratio to the total light. Its share is a low quantile of the ratio, so that
-    what is taken off is never more than what was there.
+    luminance, patch: [n, P]; rays [P, 3]. A pixel counts when the logarithm of its ratio to the sky
+    scatters less than half as much as that of its ratio to the total light. Its share is a low
+    quantile of the ratio, so that what is taken off is never more than what was there.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     behind = light.sky_at(rays[above])
@@ -151,16 +183,17 @@ def open_sky_from_captures(
     return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
 
 
-# ---------------------------------------------------------------------------------------------- material
+# ----------------------------------------------------------------------------------------------
+# material
 
 
 @dataclass(frozen=True, slots=True)
 class Material:
     """Captures as the solver wants them: n hours, P seen pixels.
 
-    weights [P] mean 1; patch is in cd/m2 of this room (a gain found before is in it); sky the known window sky;
-    filled [n, P] marks values that were not seen (where the sun's disc was taken out): they teach nothing. unsure [n]:
-    relative variance of the light outside (`light_variance`).
+    weights [P] mean 1; patch is in cd/m2 of this room (a gain found before is in it); sky the known
+    window sky; filled [n, P] marks values that were not seen (where the sun's disc was taken out):
+    they teach nothing. unsure [n]: relative variance of the light outside (`light_variance`).
     """
 
     light: Light
@@ -212,18 +245,28 @@ def material_of(data: Dataset, *, with_patch: bool) -> Material:
         patchwork = patchwork_of(data.patch_cdm2, data.light, mask)
         features = patchwork.add(features, data.patch_cdm2, data.light, mask)
     return Material(
-        data.light, features, luminance, patch, sky, around_disc(data)[:, data.seen], data.weights[data.seen],
-        data.days, light_variance(data), open_sky, patchwork,
+        data.light,
+        features,
+        luminance,
+        patch,
+        sky,
+        around_disc(data)[:, data.seen],
+        data.weights[data.seen],
+        data.days,
+        light_variance(data),
+        open_sky,
+        patchwork,
         facades_seen(data) if with_patch else facades_of(data.setup.room),
-    )  # fmt: skip
+    )
 
 
 def light_variance(data: Dataset) -> Array:
     """Relative variance of the light outside by its own readings, [n].
 
-    Their range over the bracket (change or noise) is taken for that of a rectangular distribution (JCGM 100:2008,
-    4.3.7). Two horizontal readings give the sun's normal by dividing through the sine of its altitude, and with it what
-    they are off by.
+    Their range over the bracket (change or noise) is taken for that of a rectangular distribution
+    (JCGM 100:2008,
+    4.3.7). Two horizontal readings give the sun's normal by dividing through the sine of its
+    altitude, and with it what they are off by.
     """
     altitude = np.radians(np.maximum(data.light.sun_altitude_deg, LOWEST_SUN_DEG))
     return (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
@@ -246,13 +289,17 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
 
 
 def pixel_scale(material: Material, gain: float = 1.0) -> Array:
-    """Mean light of each pixel per unit of total light, over the hours without direct sun on it, [P].
+    """Mean light of each pixel per unit of total light, over the hours without direct sun on it,
+    [P].
 
-    Fewer than three such hours: what there is within the range of the others, else the median of all pixels.
+    Fewer than three such hours: what there is within the range of the others, else the median of
+    all pixels.
     """
     total = material.light.total_lx[:, None]
     luminance = np.maximum(material.luminance, LEAST_CDM2)
-    direct = material.sky if material.patch is None else material.sky + np.float32(gain) * material.patch
+    direct = (
+        material.sky if material.patch is None else material.sky + np.float32(gain) * material.patch
+    )
     unlit = (material.sky <= 0.5 * luminance) & ~material.filled
     if material.patch is not None:
         unlit &= gain * material.patch <= 0.3 * luminance
@@ -261,6 +308,8 @@ def pixel_scale(material: Material, gain: float = 1.0) -> Array:
     mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)
     many, some = count >= 3, count > 0
     if not many.any():
-        return np.exp(np.where(some, mean, np.median(mean[some]) if some.any() else np.median(logs)))
+        return np.exp(
+            np.where(some, mean, np.median(mean[some]) if some.any() else np.median(logs))
+        )
     low, middle, high = np.percentile(mean[many], (1, 50, 99))
     return np.exp(np.where(many, mean, np.where(some, np.clip(mean, low, high), middle)))

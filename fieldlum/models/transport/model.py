@@ -53,7 +53,9 @@ PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece")
 
 @dataclass(frozen=True)
 class Transport:
-    """A room's light transport. Pixel arrays run over the seen pixels; `train` are the captured hours' features."""
+    """A room's light transport. Pixel arrays run over the seen pixels; `train` are the captured
+    hours' features.
+    """
 
     shape: tuple[int, int]
     seen: NDArray[np.bool_]
@@ -78,13 +80,19 @@ class Transport:
     @property
     def parameters(self) -> int:
         """Numbers held per pixel and per captured hour."""
-        return int(self.pixels.b.size + self.pixels.second.size + 4 * len(self.pixels.scale) + self.projector.size)
+        return int(
+            self.pixels.b.size
+            + self.pixels.second.size
+            + 4 * len(self.pixels.scale)
+            + self.projector.size
+        )
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Maps of the hours of `light` without the sun's disc, [n, H, W]; work memory is bounded, the answer is not.
+        """Maps of the hours of `light` without the sun's disc, [n, H, W]; work memory is bounded,
+        the answer is not.
 
-        patch_cdm2 [n, H, W]: direct sun on surfaces, without the disc; needed exactly when the model was fitted with
-        patches. Raises InputError otherwise.
+        patch_cdm2 [n, H, W]: direct sun on surfaces, without the disc; needed exactly when the
+        model was fitted with patches. Raises InputError otherwise.
         """
         self._check(light, patch_cdm2)
         height, width = self.shape
@@ -100,11 +108,20 @@ class Transport:
 
     def _check(self, light: Light, patch: NDArray[np.float32] | None) -> None:
         if self.patchwork is not None and patch is None:
-            raise InputError("the model", "was fitted with sun patches", "patches of the hours to predict",
-                             "give the site a [room], or train with --patch none")  # fmt: skip
+            raise InputError(
+                "the model",
+                "was fitted with sun patches",
+                "patches of the hours to predict",
+                "give the site a [room], or train with --patch none",
+            )
         if patch is not None and patch.shape != (len(light), *self.shape):
             wanted = f"{len(light)} x {self.shape[0]} x {self.shape[1]}"
-            raise InputError("sun patches", " x ".join(map(str, patch.shape)), wanted, "make them at the model's size")
+            raise InputError(
+                "sun patches",
+                " x ".join(map(str, patch.shape)),
+                wanted,
+                "make them at the model's size",
+            )
 
     def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
         """What the kernel looks at in these hours."""
@@ -115,7 +132,9 @@ class Transport:
             return features
         return self.patchwork.add(features, patch, light, self.open_sky.mask(self.seen))
 
-    def _predict(self, light: Light, patch: NDArray[np.float32] | None) -> tuple[NDArray, NDArray, Array, NDArray]:
+    def _predict(
+        self, light: Light, patch: NDArray[np.float32] | None
+    ) -> tuple[NDArray, NDArray, Array, NDArray]:
         """Maps and sd of the seen pixels [n, P], expected MSE and trust [n]."""
         features, pixels = self.features(light, patch), self.pixels
         cross = self.kernel(features, self.train)
@@ -128,11 +147,19 @@ class Transport:
         surface *= scale
         share: NDArray[np.floating] | float = 0.0
         if patch is not None:
-            share = patch[:, self.seen] * (np.float32(self.patch_scale) * pixels.patch_gain.astype(np.float32))
+            share = patch[:, self.seen] * (
+                np.float32(self.patch_scale) * pixels.patch_gain.astype(np.float32)
+            )
             surface += share
         where = self.open_sky.index
-        surface[:, where] += pixels.sky_gain[where].astype(np.float32) * self.open_sky.luminance(light)
-        near = self._second(light, features) if len(pixels.second) else np.empty((len(light), 0), np.float32)
+        surface[:, where] += pixels.sky_gain[where].astype(np.float32) * self.open_sky.luminance(
+            light
+        )
+        near = (
+            self._second(light, features)
+            if len(pixels.second)
+            else np.empty((len(light), 0), np.float32)
+        )
         if len(pixels.second):
             surface *= np.exp(near @ pixels.second)
         luminance = np.maximum(surface, np.float32(LEAST_CDM2))
@@ -141,7 +168,9 @@ class Transport:
         doubt = self.trust.sun_doubt(features.beam, near)
         sd = log_sd(total * scale / luminance, share, variance, doubt, noise, self.trust.patch)
         sd *= (LOG10_E * self.trust.factor(features.beam, variance)).astype(np.float32)[:, None]
-        expected = self.trust.mse * np.einsum("ij,ij,j->i", sd, sd, self._weights(), dtype=np.float64)
+        expected = self.trust.mse * np.einsum(
+            "ij,ij,j->i", sd, sd, self._weights(), dtype=np.float64
+        )
         trusted = self.trust.trusted(variance)
         if self.recipe.second and self.held_out_mse is not None:
             known = self.train_light, self.train.beam, self.held_out_mse
@@ -152,7 +181,11 @@ class Transport:
             slip_px = self.trust.slip_deg * self.shape[0] / 180.0
             slip = np.float32(LOG10_E**2) * slip_variance(patch, self.seen, gain, dark, slip_px)
             off = (slip @ self._weights()).astype(float)
-            sd, expected, trusted = np.sqrt(sd**2 + slip), expected + off, trusted & (off < SLIP_MSE)
+            sd, expected, trusted = (
+                np.sqrt(sd**2 + slip),
+                expected + off,
+                trusted & (off < SLIP_MSE),
+            )
         return surface, sd, expected, trusted
 
     def doubting(self, slip_deg: float) -> Transport:
@@ -161,7 +194,9 @@ class Transport:
 
     def _second(self, light: Light, features: Features) -> NDArray[np.float32]:
         width = self.recipe.second
-        return second_covariance(light, self.train_light, features.beam, self.train.beam, width).astype(np.float32)
+        return second_covariance(
+            light, self.train_light, features.beam, self.train.beam, width
+        ).astype(np.float32)
 
     def _weights(self) -> Array:
         from fieldlum.projection import equirect_solid_angles
@@ -169,11 +204,14 @@ class Transport:
         weights = equirect_solid_angles(*self.shape)[self.seen]
         return (weights / weights.sum()).astype(np.float32)
 
-    # ------------------------------------------------------------------------------------------ state
+    # ------------------------------------------------------------------------------------------
+    # state
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Settings for config.json and plain arrays for weights.npz."""
-        kernel = {f.name: getattr(self.kernel, f.name) for f in fields(Kernel) if f.name != "facades"}
+        kernel = {
+            f.name: getattr(self.kernel, f.name) for f in fields(Kernel) if f.name != "facades"
+        }
         config = {
             "heading_deg": self.heading_deg,
             "transport": {
@@ -182,18 +220,29 @@ class Transport:
                 "patch_scale": self.patch_scale,
                 "room": None if self.physics is None else plain(self.physics.room),
                 "patchwork": None if self.patchwork is None else asdict(self.patchwork),
-                "trust": {name: getattr(self.trust, name) for name in ("novelty", "patch", "mse", "slip_deg")},
+                "trust": {
+                    name: getattr(self.trust, name)
+                    for name in ("novelty", "patch", "mse", "slip_deg")
+                },
                 "tried": list(self.table),
             },
         }
         arrays: dict[str, NDArray[Any]] = {
-            "seen": self.seen, "projector": self.projector, "noise_dull": self.noise_dull.astype(np.float32),
-            "noise_sun": self.noise_sun.astype(np.float32), "facade_azimuths": self.kernel.facades.azimuths_deg,
-            "facade_weights": self.kernel.facades.weights, "trust_inverse": self.trust.inverse,
-            "trust_factors": self.trust.factors, "trust_variances": self.trust.variances,
+            "seen": self.seen,
+            "projector": self.projector,
+            "noise_dull": self.noise_dull.astype(np.float32),
+            "noise_sun": self.noise_sun.astype(np.float32),
+            "facade_azimuths": self.kernel.facades.azimuths_deg,
+            "facade_weights": self.kernel.facades.weights,
+            "trust_inverse": self.trust.inverse,
+            "trust_factors": self.trust.factors,
+            "trust_variances": self.trust.variances,
             "trust_second": self.trust.second,
-        }  # fmt: skip
-        arrays |= {f"pixel_{f.name}": getattr(self.pixels, f.name).astype(np.float32) for f in fields(Pixels)}
+        }
+        arrays |= {
+            f"pixel_{f.name}": getattr(self.pixels, f.name).astype(np.float32)
+            for f in fields(Pixels)
+        }
         arrays |= {f"sky_{f.name}": getattr(self.open_sky, f.name) for f in fields(OpenSky)}
         for f in fields(Features):
             value = getattr(self.train, f.name)
@@ -210,7 +259,9 @@ class Transport:
 
 
 def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Transport:
-    """Inverse of `Transport.state`. Raises KeyError, TypeError or ValueError for what is missing or wrong."""
+    """Inverse of `Transport.state`. Raises KeyError, TypeError or ValueError for what is missing
+    or wrong.
+    """
     own = config["transport"]
     facades = Facades(arrays["facade_azimuths"], arrays["facade_weights"])
     altitude, azimuth = arrays["train_sun"]
@@ -222,7 +273,9 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
         room = build(Room, own["room"], "the model's room")
         given = {name: arrays[f"physics_{name}"] for name in PHYSICS_ARRAYS}
         physics = Physics(room, **given, norm=float(arrays["physics_norm"]))
-    known = {name: arrays[f"trust_{name}"] for name in ("inverse", "factors", "variances", "second")}
+    known = {
+        name: arrays[f"trust_{name}"] for name in ("inverse", "factors", "variances", "second")
+    }
     trust = Trust(**{**own["trust"], **known})
     return Transport(
         shape=arrays["seen"].shape,  # pyright: ignore[reportArgumentType]
@@ -257,13 +310,16 @@ def fit(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> Transport:
-    """Learn a room from captures in closed form; takes seconds, so that `budget_s` is never reached.
+    """Learn a room from captures in closed form; takes seconds, so that `budget_s` is never
+    reached.
 
-    patch "absolute": data.patch_cdm2 is in cd/m2; "gain": right up to one unknown factor; "none": not used.
-    Raises NotEnoughDataError for fewer than three captures.
+    patch "absolute": data.patch_cdm2 is in cd/m2; "gain": right up to one unknown factor; "none":
+    not used. Raises NotEnoughDataError for fewer than three captures.
     """
     if len(data) < LEAST_HOURS:
-        raise NotEnoughDataError(f"{len(data)} captures: light transport needs at least {LEAST_HOURS}")
+        raise NotEnoughDataError(
+            f"{len(data)} captures: light transport needs at least {LEAST_HOURS}"
+        )
     if data.patch_cdm2 is None:
         patch = "none"
     progress(0, 100, "describing light")
@@ -277,12 +333,17 @@ def fit(
     physics = physics_of(data.setup, data.light)
     progress(10, 100, "choosing by held-out days")
     drawn = _draw(material, seed)
-    chosen = choose_model(material[drawn], kernel, patch, None if physics is None else physics.features(data.light))
+    chosen = choose_model(
+        material[drawn], kernel, patch, None if physics is None else physics.features(data.light)
+    )
     if chosen.features.bounced is None:
         physics = None
     material = replace(material, features=chosen.features)
     pixels = fit_pixels(
-        material, chosen.basis, chosen.recipe, lambda done, total: progress(20 + 70 * done // total, 100, "fitting")
+        material,
+        chosen.basis,
+        chosen.recipe,
+        lambda done, total: progress(20 + 70 * done // total, 100, "fitting"),
     )
     progress(90, 100, "calibrating uncertainty")
     return _finish(data, material, chosen, pixels, drawn, scale, physics)
@@ -296,21 +357,46 @@ def _draw(material: Material, seed: int) -> NDArray[np.intp]:
 
 
 def _finish(
-    data: Dataset, material: Material, chosen: Chosen, pixels: Pixels, drawn: NDArray[np.intp], scale: float,
+    data: Dataset,
+    material: Material,
+    chosen: Chosen,
+    pixels: Pixels,
+    drawn: NDArray[np.intp],
+    scale: float,
     physics: Physics | None,
-) -> Transport:  # fmt: skip
+) -> Transport:
     """The model with its uncertainty, by the pixels `drawn`."""
     recipe, covariance, count = chosen.recipe, chosen.covariance, len(material.weights)
     model = Transport(
-        shape=data.shape, seen=data.seen, heading_deg=data.heading_deg, kernel=chosen.kernel, train=material.features,
-        train_light=data.light, projector=chosen.basis.projector, pixels=pixels, open_sky=material.open_sky,
-        patchwork=material.patchwork, patch_scale=scale, physics=physics,
-        noise_dull=np.zeros(count), noise_sun=np.zeros(count),
-        trust=Trust(np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))), 0.0, np.ones((1, 3)),
-                    np.ones((1, 3)), 0.0, 1.0, np.empty((0, 0))),
-        recipe=recipe, held_out_mse=chosen.held.per_hour,
-        table=tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in chosen.table),
-    )  # fmt: skip
+        shape=data.shape,
+        seen=data.seen,
+        heading_deg=data.heading_deg,
+        kernel=chosen.kernel,
+        train=material.features,
+        train_light=data.light,
+        projector=chosen.basis.projector,
+        pixels=pixels,
+        open_sky=material.open_sky,
+        patchwork=material.patchwork,
+        patch_scale=scale,
+        physics=physics,
+        noise_dull=np.zeros(count),
+        noise_sun=np.zeros(count),
+        trust=Trust(
+            np.linalg.inv(covariance + recipe.noise * np.eye(len(covariance))),
+            0.0,
+            np.ones((1, 3)),
+            np.ones((1, 3)),
+            0.0,
+            1.0,
+            np.empty((0, 0)),
+        ),
+        recipe=recipe,
+        held_out_mse=chosen.held.per_hour,
+        table=tuple(
+            {**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in chosen.table
+        ),
+    )
     patch = None if material.patch is None else data.patch_cdm2
     parts = [
         model._predict(data.light[rows], None if patch is None else patch[rows])[0]
@@ -324,5 +410,7 @@ def _finish(
     some = residual[0][drawn], residual[1][drawn]
     second = second_inverse(material, recipe)
     held = chosen.held, covariance, recipe.noise, some, doubt, second
-    trust = calibrate(material[drawn], *held, apart=hold_out_seasons(material[drawn], chosen.basis, recipe))
+    trust = calibrate(
+        material[drawn], *held, apart=hold_out_seasons(material[drawn], chosen.basis, recipe)
+    )
     return replace(model, noise_dull=residual[0], noise_sun=residual[1], trust=trust)

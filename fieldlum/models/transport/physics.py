@@ -1,8 +1,9 @@
-"""Where the sun's light would go in the room as [room] describes it: a coarse prior that captures then correct.
+"""Where the sun's light would go in the room as [room] describes it: a coarse prior that captures
+then correct.
 
-A room file is rough: furniture is missing, reflectances are guesses. So the computed light is not added to anything. It
-only says which hours are alike: two hours that light the room's surfaces in the same way teach about each other, also
-when the sun has just cleared the house across the street.
+A room file is rough: furniture is missing, reflectances are guesses. So the computed light is not
+added to anything. It only says which hours are alike: two hours that light the room's surfaces in
+the same way teach about each other, also when the sun has just cleared the house across the street.
 """
 
 from __future__ import annotations
@@ -33,10 +34,12 @@ FAINT_SUN_LX = 20.0
 
 @dataclass(frozen=True)
 class Physics:
-    """modes [k, p]: singular modes of what the camera gets, after all bounces, from sun on the room's p surface pieces,
-    over `norm`, so that their features are about one with the sun in the room.
+    """modes [k, p]: singular modes of what the camera gets, after all bounces, from sun on the
+    room's p surface pieces, over `norm`, so that their features are about one with the sun in the
+    room.
 
-    position [m, 3], axis, sign, share, piece [m]: points of the pieces that look for the sun, in room coordinates.
+    position [m, 3], axis, sign, share, piece [m]: points of the pieces that look for the sun, in
+    room coordinates.
     """
 
     room: Room
@@ -55,7 +58,15 @@ class Physics:
 
         place = self.position.astype(float)
         pieces = self.modes.shape[1]
-        return sun_points(build(self.room), place, self.axis, self.sign, self.share.astype(float), self.piece, pieces)
+        return sun_points(
+            build(self.room),
+            place,
+            self.axis,
+            self.sign,
+            self.share.astype(float),
+            self.piece,
+            pieces,
+        )
 
     def features(self, light: Light) -> NDArray[np.float32]:
         """Coarse bounced sunlight of each hour per unit of total light, [n, k]."""
@@ -73,7 +84,9 @@ class Physics:
 
 
 def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Physics | None:
-    """The room's physics with its norm set on the captured hours; None without a box room or without any sun."""
+    """The room's physics with its norm set on the captured hours; None without a box room or
+    without any sun.
+    """
     room = setup.room
     if room is None or room.kind != "box" or not room.window:
         return None
@@ -91,10 +104,14 @@ def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Phy
     _, values, modes = np.linalg.svd(whole, full_matrices=False)
     pieces = truth.pieces
     rough = Physics(
-        room, np.asarray(values[:MODES, None] * modes[:MODES], np.float32), pieces.position.astype(np.float32),
-        pieces.axis[pieces.piece], pieces.sign[pieces.piece], pieces.share.astype(np.float32),
+        room,
+        np.asarray(values[:MODES, None] * modes[:MODES], np.float32),
+        pieces.position.astype(np.float32),
+        pieces.axis[pieces.piece],
+        pieces.sign[pieces.piece],
+        pieces.share.astype(np.float32),
         pieces.piece.astype(np.int32),
-    )  # fmt: skip
+    )
     size = np.linalg.norm(rough.features(light), axis=1)
     sunny = (light.direct_lx > FAINT_SUN_LX) & (size > 0.0)
     if not sunny.any():

@@ -1,4 +1,6 @@
-"""The fit: features from the kernel, per-pixel ridge, robust rounds, and what held-out days say about it."""
+"""The fit: features from the kernel, per-pixel ridge, robust rounds, and what held-out days say
+about it.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ SKY_GAIN_VARIANCE = 0.04
 ROBUST_WIDTH = 0.15  # log residual at which a capture counts half
 SECOND_NOISE = 0.06
 SECOND_SEASON = 0.02  # variance of what changes with the season whether the sun shines or not
-DARK_SHARE = 0.03  # of its usual light: a pixel darker than that (a hand before the lens) gets no more weight
+# of its usual light: a pixel darker than that (a hand before the lens) gets no more weight
+DARK_SHARE = 0.03
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 SEASONS_APART_DEG = 10.0  # gap in the declinations of the captures' days that parts two seasons
 LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no lower
@@ -38,9 +41,11 @@ LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no low
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What is left to choose. noise is relative variance; patch_variance the prior variance of each pixel's patch gain;
-    rounds of robust reweighting; second: width of the second stage on the log residual (0: none); below: doubtful
-    patches do not teach the light, it is found below them as if there were none, and they are added as they are."""
+    """What is left to choose. noise is relative variance; patch_variance the prior variance of
+    each pixel's patch gain; rounds of robust reweighting; second: width of the second stage on
+    the log residual (0: none); below: doubtful patches do not teach the light, it is found below
+    them as if there were none, and they are added as they are.
+    """
 
     noise: float
     patch_variance: float = 0.0025
@@ -52,7 +57,9 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """Eigenfeatures of the kernel on the training hours: values [n, r]; a new hour's are k(hour, train) @ projector."""
+    """Eigenfeatures of the kernel on the training hours: values [n, r]; a new hour's are k(hour,
+    train) @ projector.
+    """
 
     values: Array
     projector: Array  # [n, r]
@@ -74,8 +81,10 @@ def leading(basis: Basis, rank: int) -> Basis:
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
-    """What is known of each pixel: scale [P] light per unit of total light; b [P, r]; gains of patch and sky [P];
-    least [P] of the surface part, in units of the scale; second [m, P] weights of the second stage (m may be 0)."""
+    """What is known of each pixel: scale [P] light per unit of total light; b [P, r]; gains of
+    patch and sky [P]; least [P] of the surface part, in units of the scale; second [m, P]
+    weights of the second stage (m may be 0).
+    """
 
     scale: Array
     b: NDArray[np.floating]
@@ -92,7 +101,9 @@ def _teaching(material: Material, recipe: Recipe) -> Material:
 
 def _with_patches(surface: Array, material: Material, unit: Array, recipe: Recipe) -> Array:
     """A fit and the patches that it was not taught, [n, P]."""
-    return surface + material.patch / unit if recipe.below and material.patch is not None else surface
+    return (
+        surface + material.patch / unit if recipe.below and material.patch is not None else surface
+    )
 
 
 def _columns(material: Material, unit: Array, recipe: Recipe) -> Columns:
@@ -113,7 +124,9 @@ class _Fitted:
     gains: Array
 
 
-def _fit_chunk(material: Material, scale: Array, basis: Basis, recipe: Recipe, products: tuple) -> _Fitted:
+def _fit_chunk(
+    material: Material, scale: Array, basis: Basis, recipe: Recipe, products: tuple
+) -> _Fitted:
     unit = material.light.total_lx[:, None] * scale
     seen = np.maximum(material.luminance, LEAST_CDM2)
     target = seen / unit
@@ -141,12 +154,15 @@ def _least(material: Material, fit: _Fitted, basis: Basis, scale: Array) -> Arra
 
 
 def compose(surface: Array, least: Array, gains: Array, columns: NDArray[np.floating]) -> Array:
-    """Surface part (kept above `least`) plus the columns with gains that are never negative; [n, P]."""
+    """Surface part (kept above `least`) plus the columns with gains that are never negative; [n,
+    P].
+    """
     return np.maximum(surface, least) + np.einsum("knp,pk->np", columns, np.maximum(gains, 0.0))
 
 
 def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width: float) -> Array:
-    """Covariance of the second stage between hours: what the sun does from nearly the same direction, and the season.
+    """Covariance of the second stage between hours: what the sun does from nearly the same
+    direction, and the season.
 
     share: the sun's share of the total light.
     """
@@ -156,16 +172,23 @@ def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width:
 
 
 def fit_pixels(
-    material: Material, basis: Basis, recipe: Recipe, tick: Callable[[int, int], None] = lambda done, total: None
+    material: Material,
+    basis: Basis,
+    recipe: Recipe,
+    tick: Callable[[int, int], None] = lambda done, total: None,
 ) -> Pixels:
     """Fit all pixels in chunks of bounded memory."""
     count, r = material.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
     taught = _teaching(material, recipe)
     out = Pixels(
-        pixel_scale(taught), np.empty((count, r), np.float32), np.ones(count), np.ones(count), np.empty(count),
+        pixel_scale(taught),
+        np.empty((count, r), np.float32),
+        np.ones(count),
+        np.ones(count),
+        np.empty(count),
         np.empty((len(material.light) if recipe.second else 0, count), np.float32),
-    )  # fmt: skip
+    )
     inverse = second_inverse(material, recipe)
 
     def one(part: slice) -> None:
@@ -177,7 +200,9 @@ def fit_pixels(
         out.least[part] = _least(some, fit, basis, scale)
         if recipe.second:
             found = compose(basis.values @ fit.b.T, out.least[part], fit.gains, fit.columns.values)
-            found = _with_patches(found, material[part], material.light.total_lx[:, None] * scale, recipe)
+            found = _with_patches(
+                found, material[part], material.light.total_lx[:, None] * scale, recipe
+            )
             out.second[:, part] = inverse @ np.log(fit.target / found)
 
     for done in each_chunk(one, count):
@@ -197,22 +222,29 @@ def second_own(material: Material, recipe: Recipe) -> Array:
     return second_covariance(material.light, material.light, share, share, recipe.second)
 
 
-# ---------------------------------------------------------------------------------------------- held-out days
+# ----------------------------------------------------------------------------------------------
+# held-out days
 
 
 def _declination_deg(days: NDArray) -> Array:
     """The sun's declination at the beginning of each day, [n]."""
     names, inverse = np.unique(days.astype("datetime64[D]"), return_inverse=True)
-    return sun.declination_deg([day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()])[inverse]
+    return sun.declination_deg(
+        [day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()]
+    )[inverse]
 
 
 def one_season(days: NDArray) -> bool:
-    """Whether the sun's declination hardly moved between the captures' days: what they say of others is little."""
+    """Whether the sun's declination hardly moved between the captures' days: what they say of
+    others is little.
+    """
     return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
 
 
 def seasons(days: NDArray) -> NDArray[np.intp]:
-    """Number of the season that each day belongs to: declinations with a gap between them are of two, [n]."""
+    """Number of the season that each day belongs to: declinations with a gap between them are of
+    two, [n].
+    """
     declination = _declination_deg(days)
     known = np.unique(declination)
     starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
@@ -221,8 +253,9 @@ def seasons(days: NDArray) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of 1 cd/m2; sureness [n]
-    of the hours."""
+    """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of
+    1 cd/m2; sureness [n] of the hours.
+    """
 
     luminance: Array
     error: Array
@@ -236,7 +269,9 @@ class HeldOut:
 
     @property
     def judged(self) -> Array:
-        """What choices are made by, [n]: as `per_hour`, but an hour of unsteady light counts less."""
+        """What choices are made by, [n]: as `per_hour`, but an hour of unsteady light counts
+        less.
+        """
         return self.per_hour * self.sureness / self.sureness.mean()
 
 
@@ -247,7 +282,9 @@ def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _First:
-    """The first stage's prediction of each hour without its day, and what was seen, [n, P] in units of the scale."""
+    """The first stage's prediction of each hour without its day, and what was seen, [n, P] in
+    units of the scale.
+    """
 
     found: Array
     target: Array
@@ -255,20 +292,28 @@ class _First:
 
 
 def _hold_out_first(material: Material, basis: Basis, recipe: Recipe) -> _First:
-    """Leave one day out in closed form: features, robust weights and pixel scales are those of the full fit."""
+    """Leave one day out in closed form: features, robust weights and pixel scales are those of
+    the full fit.
+    """
     taught = _teaching(material, recipe)
     scale = pixel_scale(taught)
     fit = _fit_chunk(taught, scale, basis, recipe, pair_products(basis.values))
     least = _least(taught, fit, basis, scale)
-    whole = held_out_days(basis.values, fit.columns, fit.target, fit.weights, recipe.noise, material.days)
+    whole = held_out_days(
+        basis.values, fit.columns, fit.target, fit.weights, recipe.noise, material.days
+    )
     direct = np.einsum("knp,pk->np", fit.columns.values, fit.gains)
     found = compose(whole - direct, least, fit.gains, fit.columns.values)
     found = _with_patches(found, material, material.light.total_lx[:, None] * scale, recipe)
     return _First(found, fit.target, scale)
 
 
-def hold_out(material: Material, basis: Basis, recipe: Recipe, first: _First | None = None) -> HeldOut:
-    """What each hour would be predicted as by the others without its day; `first` where it is known already."""
+def hold_out(
+    material: Material, basis: Basis, recipe: Recipe, first: _First | None = None
+) -> HeldOut:
+    """What each hour would be predicted as by the others without its day; `first` where it is
+    known already.
+    """
     first = first or _hold_out_first(material, basis, recipe)
     found = first.found
     if recipe.second:
@@ -288,8 +333,8 @@ def hold_out_seasons(material: Material, basis: Basis, recipe: Recipe) -> HeldOu
 def find_patch_gain(material: Material, kernel: Kernel, noise: float = 1e-2) -> float:
     """One factor for all patches of unknown scale.
 
-    Starts at the median of (L - median(L / E) E) / s over lit entries, then three times a robust fit of pixels that are
-    lit at least three times. 1.0 when no pixel ever is.
+    Starts at the median of (L - median(L / E) E) / s over lit entries, then three times a robust
+    fit of pixels that are lit at least three times. 1.0 when no pixel ever is.
     """
     patch = material.patch
     assert patch is not None
@@ -315,8 +360,12 @@ def find_patch_gain(material: Material, kernel: Kernel, noise: float = 1e-2) -> 
     return gain
 
 
-def choose(material: Material, basis: Basis, recipes: list[Recipe]) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
-    """The recipe of least error on held-out days, and the table (recipe, error, its standard error over days)."""
+def choose(
+    material: Material, basis: Basis, recipes: list[Recipe]
+) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
+    """The recipe of least error on held-out days, and the table (recipe, error, its standard
+    error over days).
+    """
     table, firsts = [], dict[Recipe, _First]()
     for recipe in recipes:
         alone = replace(recipe, second=0.0)

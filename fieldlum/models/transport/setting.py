@@ -1,8 +1,10 @@
-"""What the captures say about their own setting: north, clock, and how camera and room stand, by where the sun falls.
+"""What the captures say about their own setting: north, clock, and how camera and room stand, by
+where the sun falls.
 
-Sun patches have edges as sharp as the pixels. Where computed ones lie beside the captured ones, a sunlit pixel is
-predicted dark and a dark one sunlit, in every capture alike: held-out days show a poor fit, and not its cause. Here
-patches are computed anew for other settings, and the setting under which they cover the captured ones is looked for.
+Sun patches have edges as sharp as the pixels. Where computed ones lie beside the captured ones, a
+sunlit pixel is predicted dark and a dark one sunlit, in every capture alike: held-out days show a
+poor fit, and not its cause. Here patches are computed anew for other settings, and the setting
+under which they cover the captured ones is looked for.
 """
 
 from __future__ import annotations
@@ -29,15 +31,20 @@ MINUTES, SHIFTS_PX = (20.0, 4.0, 0.5), (float(MOST_SHIFT_PX), 1.0, 0.25)
 RESAMPLES = 200
 MOST_MOVES = 6
 SURE = 3.0  # standard errors that an amount must have
-LEAST_GAIN = 0.005  # share of the misfit that another setting must take away, and in most of the days
+LEAST_GAIN = (
+    0.005  # share of the misfit that another setting must take away, and in most of the days
+)
 ALIKE = 0.8  # a cause that takes away so much of what the best one does may be it as well
-BLUR_PX = 0.25  # patches moved by parts of a pixel are blurred, which draws the best amount to whole pixels
+# patches moved by parts of a pixel are blurred, which draws the best amount to whole pixels
+BLUR_PX = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one cause alone would explain: the amounts by which it is off, their standard errors over days, the misfit
-    that is left and that of the setting as stated, and by how many standard errors over days it is less."""
+    """What one cause alone would explain: the amounts by which it is off, their standard errors
+    over days, the misfit that is left and that of the setting as stated, and by how many
+    standard errors over days it is less.
+    """
 
     cause: str
     amount: Amount
@@ -59,12 +66,13 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Findings, those that explain most first: "north" (deg: room and camera stand so much further clockwise than
-    stated), "clock" (min: the stated times are so much after the true ones), "north and clock" (both), "wall" (deg: the
-    room alone stands further clockwise), "camera" (px: patches must move right and down). misfit is the share of the
-    pixels near sun patches that are wrong, over `hours` sunny hours. alike: other causes that explain nearly as much
-    as the first. slip_deg: how far the patches lie beside the captured ones, seen from the camera; 0 when no cause is
-    sure: then the setting is right as far as the captures can tell.
+    """Findings, those that explain most first: "north" (deg: room and camera stand so much further
+    clockwise than stated), "clock" (min: the stated times are so much after the true ones), "north
+    and clock" (both), "wall" (deg: the room alone stands further clockwise), "camera" (px: patches
+    must move right and down). misfit is the share of the pixels near sun patches that are wrong,
+    over `hours` sunny hours. alike: other causes that explain nearly as much as the first.
+    slip_deg: how far the patches lie beside the captured ones, seen from the camera; 0 when no
+    cause is sure: then the setting is right as far as the captures can tell.
     """
 
     findings: tuple[Finding, ...]
@@ -78,7 +86,8 @@ class Setting:
         return self.findings[0] if self.slip_deg > 0.0 else None
 
 
-# ---------------------------------------------------------------------------------------------- search
+# ----------------------------------------------------------------------------------------------
+# search
 
 
 class _Curve:
@@ -138,7 +147,9 @@ def _jointly(curve: _Curve, start: Amount) -> None:
 
 
 def _spread(curve: _Curve, groups: NDArray) -> Amount:
-    """Standard errors of the best amount among those tried: whole groups drawn again with replacement."""
+    """Standard errors of the best amount among those tried: whole groups drawn again with
+    replacement.
+    """
     amounts = np.array(list(curve.tried))
     losses = np.array(list(curve.tried.values()))
     unique, which = np.unique(groups, return_inverse=True)
@@ -159,7 +170,8 @@ def _sigmas(gain: Array, groups: NDArray) -> float:
 def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
     """Which setting makes the computed sun patches cover the captured ones.
 
-    Needs patches; north, clock and wall need a box room too. None where too few hours have direct sun in view.
+    Needs patches; north, clock and wall need a box room too. None where too few hours have direct
+    sun in view.
     """
     progress(0, 100, "setting: light without patches")
     found = evidence_of(data)
@@ -179,17 +191,24 @@ def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
     for k, (cause, curve) in enumerate(curves.items()):
         progress(30 + 14 * k, 100, f"setting: {cause}")
         if cause == "north and clock":
-            single = max((f for f in findings if f.cause in ("north", "clock")), key=lambda f: f.gain)
+            single = max(
+                (f for f in findings if f.cause in ("north", "clock")), key=lambda f: f.gain
+            )
             if not single.sure:
                 continue
-            _jointly(curve, (single.amount[0], 0.0) if single.cause == "north" else (0.0, single.amount[0]))
+            _jointly(
+                curve,
+                (single.amount[0], 0.0) if single.cause == "north" else (0.0, single.amount[0]),
+            )
             steps = TURNS_DEG[2], MINUTES[2]
         elif cause == "camera":
             _across(curve, *SHIFTS_PX)
             steps = BLUR_PX, BLUR_PX
         else:
             _along(curve, *(MINUTES if cause == "clock" else TURNS_DEG))
-            steps = {"clock": (MINUTES[2] / 2,), "wall": (BLUR_PX * pixel_deg,)}.get(cause, (TURNS_DEG[2] / 2,))
+            steps = {"clock": (MINUTES[2] / 2,), "wall": (BLUR_PX * pixel_deg,)}.get(
+                cause, (TURNS_DEG[2] / 2,)
+            )
         findings.append(_finding(cause, curve, found.groups, steps))
     findings = _ranked(findings)
     if not any(f.sure for f in findings):
@@ -208,24 +227,39 @@ def _misfit(found: Evidence, cause: str, make: Callable[..., Array]) -> Callable
 def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) -> Finding:
     best = curve.best()
     misfit, stated = curve.at(*best), curve.at(*(0.0,) * len(best))
-    error = tuple(float(np.hypot(s, e)) for s, e in zip(_spread(curve, groups), least_error, strict=True))
-    return Finding(cause, best, error, float(misfit.mean()), float(stated.mean()), _sigmas(stated - misfit, groups))
+    error = tuple(
+        float(np.hypot(s, e)) for s, e in zip(_spread(curve, groups), least_error, strict=True)
+    )
+    return Finding(
+        cause,
+        best,
+        error,
+        float(misfit.mean()),
+        float(stated.mean()),
+        _sigmas(stated - misfit, groups),
+    )
 
 
 def _ranked(findings: list[Finding]) -> list[Finding]:
-    """By what they take away, the most first; two causes at once must each be sure and do better by far."""
+    """By what they take away, the most first; two causes at once must each be sure and do better
+    by far.
+    """
     single = [f for f in findings if f.cause != "north and clock"]
     most = max(f.gain for f in single)
     both = [
-        f for f in findings
-        if f not in single and ALIKE * f.gain > most
+        f
+        for f in findings
+        if f not in single
+        and ALIKE * f.gain > most
         and min(abs(a) / e for a, e in zip(f.amount, f.error, strict=True)) > SURE
-    ]  # fmt: skip
+    ]
     return sorted(single + both, key=lambda f: -f.gain)
 
 
 def _slip_deg(found: Evidence, cause: str, best: Array) -> float:
-    """The shift across edges whose expected square equals that between the patches as stated and at best."""
+    """The shift across edges whose expected square equals that between the patches as stated and
+    at best.
+    """
     camera = cause == "camera"
     assert found.data.patch_cdm2 is not None
     maps = found.data.patch_cdm2[found.rows] if camera else found.computed(whole=True)

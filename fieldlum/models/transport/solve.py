@@ -1,6 +1,8 @@
-"""Weighted Bayesian ridge for all pixels at once, and what each held-out day would have been predicted as.
+"""Weighted Bayesian ridge for all pixels at once, and what each held-out day would have been
+predicted as.
 
-Each pixel minimises  sum_t w_t (y_t - F_t b - C_t g)^2 / noise + |b|^2 + sum_k (g_k - mean_k)^2 / variance_k,
+Each pixel minimises  sum_t w_t (y_t - F_t b - C_t g)^2 / noise + |b|^2 + sum_k (g_k - mean_k)^2 /
+variance_k,
 with features F shared by all pixels and columns C of its own. Everything is closed-form.
 """
 
@@ -18,14 +20,18 @@ from threadpoolctl import threadpool_limits
 
 Array = NDArray[Any]
 
-CHUNK = 1024  # pixels at a time and core: bounds the memory of the normal matrices to some 100 MB each
+CHUNK = (
+    1024  # pixels at a time and core: bounds the memory of the normal matrices to some 100 MB each
+)
 HELD_OUT_CHUNK = 128
 MOST_THREADS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Covariates that each pixel has for itself, values [k, n, P], with a Gaussian prior on their gains, [k]."""
+    """Covariates that each pixel has for itself, values [k, n, P], with a Gaussian prior on
+    their gains, [k].
+    """
 
     values: NDArray[np.floating]
     mean: Array
@@ -43,7 +49,8 @@ def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
 def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> Iterator[int]:
     """Call `work` for every chunk, on all cores; yields how far it is.
 
-    BLAS keeps to one thread meanwhile: on systems of a hundred unknowns its own threads wait for each other.
+    BLAS keeps to one thread meanwhile: on systems of a hundred unknowns its own threads wait for
+    each other.
     """
     parts = list(chunks(count, size))
     workers = min(os.cpu_count() or 1, MOST_THREADS)
@@ -59,11 +66,18 @@ def pair_products(features: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.
 
 
 def normal_matrices(
-    features: Array, columns: Columns, target: Array, weights: Array, noise: float, products: tuple | None = None
+    features: Array,
+    columns: Columns,
+    target: Array,
+    weights: Array,
+    noise: float,
+    products: tuple | None = None,
 ) -> tuple[Array, Array]:
-    """(A [P, r + k, r + k], b [P, r + k]) of the normal equations A x = b for the deviations from the prior mean.
+    """(A [P, r + k, r + k], b [P, r + k]) of the normal equations A x = b for the deviations from
+    the prior mean.
 
-    target, weights: [n, P]. The shared block of all pixels is one matrix product of weights and `pair_products`.
+    target, weights: [n, P]. The shared block of all pixels is one matrix product of weights and
+    `pair_products`.
     """
     count, r, k = target.shape[1], features.shape[1], len(columns.mean)
     both, i, j = products or pair_products(features)
@@ -88,7 +102,12 @@ def normal_matrices(
 
 
 def solve(
-    features: Array, columns: Columns, target: Array, weights: Array, noise: float, products: tuple | None = None
+    features: Array,
+    columns: Columns,
+    target: Array,
+    weights: Array,
+    noise: float,
+    products: tuple | None = None,
 ) -> tuple[Array, Array]:
     """(b [P, r], gains [P, k]) of every pixel."""
     r = features.shape[1]
@@ -102,14 +121,17 @@ def held_out_days(
 ) -> Array:
     """What each hour would be predicted as by a fit without its whole day, [n, P].
 
-    With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals without the day are
-    (1 - H_DD)^-1 e_D (block form of the leave-one-out identity): no refit is needed. Features and weights stay.
+    With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals
+    without the day are (1 - H_DD)^-1 e_D (block form of the leave-one-out identity): no refit is
+    needed. Features and weights stay.
     """
     out = np.empty(target.shape)
     products = pair_products(features)
 
     def one(part: slice) -> None:
-        out[:, part] = _held_out(features, columns[part], target[:, part], weights[:, part], noise, days, products)
+        out[:, part] = _held_out(
+            features, columns[part], target[:, part], weights[:, part], noise, days, products
+        )
 
     for _ in each_chunk(one, target.shape[1], HELD_OUT_CHUNK):
         pass
@@ -117,13 +139,21 @@ def held_out_days(
 
 
 def _held_out(
-    features: Array, columns: Columns, target: Array, weights: Array, noise: float, days: NDArray, products: tuple
+    features: Array,
+    columns: Columns,
+    target: Array,
+    weights: Array,
+    noise: float,
+    days: NDArray,
+    products: tuple,
 ) -> Array:
     count = target.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     shared = np.broadcast_to(features, (count, *features.shape))
     design = np.concatenate((shared, columns.values.transpose(2, 1, 0)), axis=2)
-    solved = np.linalg.solve(matrix, np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2))
+    solved = np.linalg.solve(
+        matrix, np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2)
+    )
     offset = np.einsum("knp,k->pn", columns.values, columns.mean)
     residual = target.T - offset - np.einsum("pna,pa->pn", design, solved[:, :, 0])
     w = weights.T / noise
@@ -137,7 +167,9 @@ def _held_out(
 
 
 def held_out_days_shared(covariance: Array, noise: float, target: Array, days: NDArray) -> Array:
-    """As `held_out_days` for a Gaussian process that all pixels share: covariance [n, n], target [n, P]."""
+    """As `held_out_days` for a Gaussian process that all pixels share: covariance [n, n], target
+    [n, P].
+    """
     inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
     solved = inverse @ target
     out = np.empty(target.shape)

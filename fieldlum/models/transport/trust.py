@@ -18,18 +18,31 @@ Array = NDArray[Any]
 
 LOG10_E = float(np.log10(np.e))
 NORMAL_90 = 1.6449  # 90 % of a normal distribution lie within so many standard deviations
-CLASSES = (0.05, 0.5)  # the sun's share of the light that parts overcast, intermediate and clear hours
+CLASSES = (
+    0.05,
+    0.5,
+)  # the sun's share of the light that parts overcast, intermediate and clear hours
 MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)
 LEAST_SD = 1e-4
 LEAST_VARIANCE = 1e-9
-MOST_SD = 2.3  # a factor of ten, in ln L: more says nothing, and a single such pixel would rule the mean of an hour
-NEAR_SUN, NEAR_BEAM, FEW = 0.2, 0.1, 0.1  # hours alike: chord of the sun's direction, its share; weight of the guess
-SLIP_MSE = 0.01  # log10: an hour that a shift of its sun patch would put off by over a quarter is not trusted
-NOVEL = 1.5  # an hour may be so much further from the captures than a held-out day was, and still be trusted
+# a factor of ten, in ln L: more says nothing, and a single such pixel would rule the mean of an
+# hour
+MOST_SD = 2.3
+NEAR_SUN, NEAR_BEAM, FEW = (
+    0.2,
+    0.1,
+    0.1,
+)  # hours alike: chord of the sun's direction, its share; weight of the guess
+# log10: an hour that a shift of its sun patch would put off by over a quarter is not trusted
+SLIP_MSE = 0.01
+# an hour may be so much further from the captures than a held-out day was, and still be trusted
+NOVEL = 1.5
 
 
 def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
-    """Predictive variance of each hour by the others without its day, in units of the kernel, [n]; noise [n]."""
+    """Predictive variance of each hour by the others without its day, in units of the kernel,
+    [n]; noise [n].
+    """
     inverse = np.linalg.inv(covariance + np.diag(noise))
     out = np.empty(len(days))
     for day in np.unique(days):
@@ -40,11 +53,14 @@ def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Trust:
-    """inverse [n, n] of (K + noise over sureness); novelty that a held-out day had at most; factors on the standard
-    deviation in overcast, intermediate and clear hours, by held-out days and, where there are several, by held-out
-    seasons [1 or 2, 3], and the predictive variances that these had [1 or 2, 3]; patch: relative sd of a lit pixel's
-    patch; mse: ratio of held-out error to its guess; second [n, n]: as inverse, of the second stage (n may be 0);
-    slip_deg: how far the computed sun patches lie beside the captured ones, where the captures say so (`setting`)."""
+    """inverse [n, n] of (K + noise over sureness); novelty that a held-out day had at most;
+    factors on the standard deviation in overcast, intermediate and clear hours, by held-out days
+    and, where there are several, by held-out seasons [1 or 2, 3], and the predictive variances
+    that these had [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out
+    error to its guess; second [n, n]: as inverse, of the second stage (n may be 0); slip_deg:
+    how far the computed sun patches lie beside the captured ones, where the captures say so
+    (`setting`).
+    """
 
     inverse: Array
     novelty: float
@@ -56,26 +72,36 @@ class Trust:
     slip_deg: float = 0.0
 
     def variance(self, cross: Array, own: Array) -> Array:
-        """Predictive variance of hours with covariance `cross` [m, n] to the captures and `own` [m] prior variance."""
+        """Predictive variance of hours with covariance `cross` [m, n] to the captures and `own`
+        [m] prior variance.
+        """
         return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
 
     def sun_doubt(self, beam: Array, cross: Array) -> Array:
-        """What a pixel's sun noise is multiplied by, [m]: the sun's share; with a second stage, how far the sun stands
-        from where it was captured. cross [m, n]: covariance of the second stage."""
+        """What a pixel's sun noise is multiplied by, [m]: the sun's share; with a second stage,
+        how far the sun stands from where it was captured. cross [m, n]: covariance of the second
+        stage.
+        """
         if not len(self.second):
             return beam
         return np.sqrt(
-            np.maximum(beam**2 + SECOND_SEASON - np.einsum("ij,ij->i", cross @ self.second, cross), LEAST_SD)
+            np.maximum(
+                beam**2 + SECOND_SEASON - np.einsum("ij,ij->i", cross @ self.second, cross),
+                LEAST_SD,
+            )
         )
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
         return variance <= NOVEL * self.novelty
 
     def factor(self, beam: Array, variance: Array) -> Array:
-        """[m] of each hour's class, blended between the classes' middles so that nothing jumps; of held-out days for
-        hours as well known as those were, of held-out seasons for hours as new as those."""
+        """[m] of each hour's class, blended between the classes' middles so that nothing jumps;
+        of held-out days for hours as well known as those were, of held-out seasons for hours as
+        new as those.
+        """
         factors, variances = (
-            [np.interp(beam, MIDDLES, row) for row in np.log(a)] for a in (self.factors, self.variances)
+            [np.interp(beam, MIDDLES, row) for row in np.log(a)]
+            for a in (self.factors, self.variances)
         )
         if len(factors) == 1:
             return np.exp(factors[0])
@@ -86,23 +112,32 @@ class Trust:
 
 
 def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
-    """Least and most of sun patches [n, H, W] within `slip_px` of each pixel (one at least), and how likely a pixel in
-    that range is on the other side of an edge which is off by so much: a straight edge has both its sides in it."""
+    """Least and most of sun patches [n, H, W] within `slip_px` of each pixel (one at least), and
+    how likely a pixel in that range is on the other side of an edge which is off by so much: a
+    straight edge has both its sides in it.
+    """
     from scipy.ndimage import maximum_filter, minimum_filter
 
     reach = max(1, math.ceil(slip_px))
     size = (1, 2 * reach + 1, 2 * reach + 1)
     wide = np.pad(patch, ((0, 0), (0, 0), (reach, reach)), mode="wrap")
     inner = (slice(None), slice(None), slice(reach, -reach))
-    low, high = minimum_filter(wide, size, mode="nearest"), maximum_filter(wide, size, mode="nearest")
+    low, high = (
+        minimum_filter(wide, size, mode="nearest"),
+        maximum_filter(wide, size, mode="nearest"),
+    )
     return low[inner], high[inner], slip_px / (2.0 * reach)
 
 
 def slip_variance(
-    patch: NDArray[np.float32], seen: NDArray[np.bool_], gain: NDArray[np.float32], dark: NDArray[np.floating],
+    patch: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    gain: NDArray[np.float32],
+    dark: NDArray[np.floating],
     slip_px: float,
-) -> NDArray[np.floating]:  # fmt: skip
-    """Variance of ln L from sun patches [n, H, W] that may lie `slip_px` beside the true ones, [n, P].
+) -> NDArray[np.floating]:
+    """Variance of ln L from sun patches [n, H, W] that may lie `slip_px` beside the true ones, [n,
+    P].
 
     dark [n, P]: luminance without the patch; gain [P] of the patch.
     """
@@ -111,11 +146,17 @@ def slip_variance(
     return np.float32(odds) * span**2
 
 
-def experience(light: Light, beam: Array, train: Light, train_beam: Array, held_out_mse: Array, guess: Array) -> Array:
-    """Mean held-out error of the captures with the sun near there and as strong, [m]; never under the `guess` [m],
-    which also stands where there is none such. beam, train_beam: the sun's share of the light."""
+def experience(
+    light: Light, beam: Array, train: Light, train_beam: Array, held_out_mse: Array, guess: Array
+) -> Array:
+    """Mean held-out error of the captures with the sun near there and as strong, [m]; never
+    under the `guess` [m], which also stands where there is none such. beam, train_beam: the
+    sun's share of the light.
+    """
     cosine = np.clip(light.sun_direction @ train.sun_direction.T, -1.0, 1.0)
-    near = np.exp((cosine - 1.0) / NEAR_SUN**2 - (beam[:, None] - train_beam) ** 2 / (2.0 * NEAR_BEAM**2))
+    near = np.exp(
+        (cosine - 1.0) / NEAR_SUN**2 - (beam[:, None] - train_beam) ** 2 / (2.0 * NEAR_BEAM**2)
+    )
     return np.maximum((near @ held_out_mse + FEW * guess) / (near.sum(axis=1) + FEW), guess)
 
 
@@ -129,8 +170,8 @@ def log_sd(
 ) -> NDArray[np.floating]:
     """Uncalibrated standard deviation of ln L, [m, P].
 
-    surface_share: unit of the pixel over L; patch_share: patch over L; noise: each pixel's residual sd, and its growth
-    with `doubt` about the sun [m].
+    surface_share: unit of the pixel over L; patch_share: patch over L; noise: each pixel's residual
+    sd, and its growth with `doubt` about the sun [m].
     """
     kind = surface_share.dtype
     total = surface_share**2 * variance.astype(kind)[:, None]
@@ -139,8 +180,12 @@ def log_sd(
     return np.minimum(np.sqrt(total), kind.type(MOST_SD))
 
 
-def residual_noise(material: Material, fitted: NDArray[np.floating], doubt: Array) -> tuple[Array, Array]:
-    """Residual sd of ln L of each pixel in dull hours, and what the sun adds per unit of doubt about it, [P] each."""
+def residual_noise(
+    material: Material, fitted: NDArray[np.floating], doubt: Array
+) -> tuple[Array, Array]:
+    """Residual sd of ln L of each pixel in dull hours, and what the sun adds per unit of doubt
+    about it, [P] each.
+    """
     error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(material.luminance, FLOOR_CDM2))
     error = np.where(material.filled, 0.0, error) ** 2
     beam = material.features.beam
@@ -148,7 +193,9 @@ def residual_noise(material: Material, fitted: NDArray[np.floating], doubt: Arra
     base = error[dull].mean(axis=0) if dull.any() else error.min(axis=0)
     if dull.all():
         return np.sqrt(base), np.zeros(error.shape[1])
-    extra = np.maximum(error[~dull] - base, 0.0).mean(axis=0) / max((doubt[~dull] ** 2).mean(), LEAST_SD)
+    extra = np.maximum(error[~dull] - base, 0.0).mean(axis=0) / max(
+        (doubt[~dull] ** 2).mean(), LEAST_SD
+    )
     return np.sqrt(base), np.sqrt(extra)
 
 
@@ -162,17 +209,21 @@ def calibrate(
     second: Array,
     apart: HeldOut | None = None,
 ) -> Trust:
-    """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in each class.
+    """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in
+    each class.
 
-    Days of one season flatter each other: there the class that fares worst speaks for all three. Of several seasons
-    with gaps between them, `apart` holds out each as a whole: its factors, where they are larger, are for hours as new
-    as those were.
+    Days of one season flatter each other: there the class that fares worst speaks for all three. Of
+    several seasons with gaps between them, `apart` holds out each as a whole: its factors, where
+    they are larger, are for hours as new as those were.
     """
     groups = [(held, material.days)] + ([] if apart is None else [(apart, seasons(material.days))])
     patch_sd = max(_patch_sd(material, h) for h, _ in groups)
     unsure = noise / material.sureness  # an hour of unsteady light says little of others
     variance = [held_out_variance(covariance, unsure, days) for _, days in groups]
-    sds = [_held_out_sd(material, h, v, doubt, residual, patch_sd) for (h, _), v in zip(groups, variance, strict=True)]
+    sds = [
+        _held_out_sd(material, h, v, doubt, residual, patch_sd)
+        for (h, _), v in zip(groups, variance, strict=True)
+    ]
     factors = np.array([_factors(material, h, sd) for (h, _), sd in zip(groups, sds, strict=True)])
     factors = np.maximum.accumulate(np.maximum(factors, 1e-3))
     if one_season(material.days):
@@ -197,7 +248,12 @@ def _patch_sd(material: Material, held: HeldOut) -> float:
 
 
 def _held_out_sd(
-    material: Material, held: HeldOut, variance: Array, doubt: Array, residual: tuple[Array, Array], patch_sd: float
+    material: Material,
+    held: HeldOut,
+    variance: Array,
+    doubt: Array,
+    residual: tuple[Array, Array],
+    patch_sd: float,
 ) -> Array:
     """Uncalibrated standard deviation of ln L of held-out predictions, [n, P]."""
     seen = np.maximum(held.luminance, LEAST_CDM2)
@@ -211,10 +267,16 @@ def _factors(material: Material, held: HeldOut, sd: Array) -> Array:
     """What sd [n, P] must be multiplied by in overcast, intermediate and clear hours, [3]."""
     ratio = np.abs(held.error) / LOG10_E / sd
     valid = ~material.filled
-    return _of_classes(material.features.beam, lambda rows: np.quantile(ratio[rows][valid[rows]], 0.9) / NORMAL_90)
+    return _of_classes(
+        material.features.beam, lambda rows: np.quantile(ratio[rows][valid[rows]], 0.9) / NORMAL_90
+    )
 
 
 def _of_classes(beam: Array, figure: Callable[[NDArray[np.bool_]], Any]) -> Array:
-    """A figure of the overcast, intermediate and clear hours, [3]; of all hours where there are fewer than five."""
+    """A figure of the overcast, intermediate and clear hours, [3]; of all hours where there are
+    fewer than five.
+    """
     classes = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
-    return np.array([float(figure(rows if rows.sum() >= 5 else np.ones(len(beam), bool))) for rows in classes])
+    return np.array(
+        [float(figure(rows if rows.sum() >= 5 else np.ones(len(beam), bool))) for rows in classes]
+    )
