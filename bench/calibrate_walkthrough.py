@@ -24,7 +24,7 @@ from fieldlum.calibrate.frames import geometry_of
 from fieldlum.cli import main
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
-from fieldlum.devices.simulated.world import Light
+from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.images import write_panorama
 from fieldlum.merge import merge_frames
 from fieldlum.photometry import illuminance_lx, response_table, vignetting_at
@@ -55,8 +55,8 @@ class Still:
     def scene(self, t_utc: datetime) -> Panorama:
         return self.panorama
 
-    def irradiance(self, t_utc: datetime) -> Light:
-        return Light(0.0, 0.0, 0.0)
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        return SimulatedLight(0.0, 0.0, 0.0)
 
 
 def _picture(rgb: np.ndarray) -> Panorama:

@@ -19,7 +19,7 @@ from fieldlum.train import fit_and_score
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
-    from fieldlum.train.choice import Trial
+    from fieldlum.train.selection import Trial
 
 
 def daily(trial: Trial, data: Dataset) -> np.ndarray:

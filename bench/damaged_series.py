@@ -34,8 +34,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from fieldlum import irradiance
 from fieldlum.devices import ascii_lines, spn1, toa5
-from fieldlum.devices.agreeing import said_twice
-from fieldlum.devices.line_form import LineForm
+from fieldlum.devices.ask_twice import said_twice
+from fieldlum.devices.learned_format import LineForm
 from fieldlum.errors import FieldlumError
 
 Array = NDArray[np.float64]

@@ -26,7 +26,7 @@ from fieldlum.bench import machine, markdown
 from fieldlum.bench.charts import _figure
 from fieldlum.bench.rows import without_training_hours
 from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.dense_state import Plan
+from fieldlum.models.dense_state import TrainingPlan
 from fieldlum.models.scores import Truth, evaluate, summary, truth
 
 PAPER = {
@@ -61,7 +61,7 @@ def coarse(data: Dataset, height: int) -> Dataset:
     )
 
 
-def one(data: Any, test: Truth, plan: Plan, **shape: Any) -> dict[str, Any]:
+def one(data: Any, test: Truth, plan: TrainingPlan, **shape: Any) -> dict[str, Any]:
     start = time.monotonic()
     fitted = models.fit("dense", data, plan=plan, seed=0, **shape)
     seconds = time.monotonic() - start
@@ -101,7 +101,7 @@ def main() -> None:
     )
     test = truth(fresh.take(some))
     maps = f"{data.shape[1]}x{data.shape[0]} maps, {len(data)} captures, {len(some)} test hours"
-    plan = Plan("short", steps=asked.steps, batch_pixels=asked.batch)
+    plan = TrainingPlan("short", steps=asked.steps, batch_pixels=asked.batch)
     rows = [
         {"network": name}
         | dict(zip(("published_log10_mse", "published_rer"), PAPER[name], strict=True))
@@ -117,7 +117,7 @@ def main() -> None:
     rows = [{"depth": d, "width": 600} for d in DEPTHS] + [
         {"depth": 4, "width": w} for w in WIDTHS if w != 600
     ]
-    short = Plan("short", steps=asked.figure_steps, batch_pixels=asked.batch)
+    short = TrainingPlan("short", steps=asked.figure_steps, batch_pixels=asked.batch)
     size = f"{maps}, {asked.figure_steps} updates of {asked.batch} pixels"
     grid = run(asked.out / "figure8.csv", rows, size, lambda row: one(data, test, short, **row))
     _write(asked.out, table, grid, f"{grid[0]['size']} ({grid[0]['epochs']} epochs); {machine()}")

@@ -30,7 +30,7 @@ from fieldlum.glare import (
 )
 from fieldlum.light import Light
 from fieldlum.models.data import load_pairs
-from fieldlum.predict.blocks import Room, blocks
+from fieldlum.predict.blocks import ModelRoom, blocks
 from fieldlum.predict.year import ViewRegions, light_of, panorama_views, view_figures
 from fieldlum.scene import sun_patches
 from fieldlum.weather import read_weather, shipped_seattle
@@ -80,7 +80,7 @@ def main() -> None:
         f"{len(light)} hours, {width} x {height}, {args.views} directions; fit {fit_s:.1f} s",
         file=sys.stderr,
     )
-    room = Room(data.setup, height, width, data.heading_deg, patch is not None)
+    room = ModelRoom(data.setup, height, width, data.heading_deg, patch is not None)
     table = year(fitted, room, light, args.views, args.sample, whole / len(light))
     print(
         f"| {whole} hours ({len(light)} computed), {width} x {height}, {args.views} directions | "
@@ -97,7 +97,7 @@ def _clocks() -> np.ndarray:
 
 
 def year(
-    fitted: models.Fitted, room: Room, light: Light, views: int, sample: int, scale: float
+    fitted: models.Fitted, room: ModelRoom, light: Light, views: int, sample: int, scale: float
 ) -> dict[str, str]:
     """Times of maps and of metrics apart, memory, and the same view-hours by evalglare from a
     sample.

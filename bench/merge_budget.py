@@ -26,9 +26,9 @@ from fieldlum.devices.simulated.sensor import RawSensor
 from fieldlum.merge.bracket import look_through
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
+from fieldlum.merge.project import SensorMap, blend, finish, lens_geometry, u_of_edges, view_through
 from fieldlum.merge.ratios import RatioCurve
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots, true_shutter_s
-from fieldlum.merge.stitch import SensorMap, blend, finish, lens_geometry, u_of_edges, view_through
 from fieldlum.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
 from fieldlum.profiles import (
     Bracket,

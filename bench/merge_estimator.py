@@ -15,9 +15,9 @@ import argparse
 import numpy as np
 
 from fieldlum.merge.estimator import merge_signals
+from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.ratios import bracket_pairs, take_samples
-from fieldlum.merge.store import FrameStore
 from fieldlum.photometry import fit_ratios, prior_u_log, snap_shutter_s
 
 GAIN, READ_E, BLACK, SATURATION, WHITE = 4.0, 6.0, 512.0, 15000.0, 16383.0

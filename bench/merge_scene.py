@@ -18,8 +18,8 @@ import numpy as np
 
 from fieldlum.images import read_panorama
 from fieldlum.merge.bracket import merge_shots
+from fieldlum.merge.project import u_of_edges
 from fieldlum.merge.shots import shots_of_slot
-from fieldlum.merge.stitch import u_of_edges
 from fieldlum.profiles import load_camera_profile
 from fieldlum.projection import Equirect
 from fieldlum.records import Flag

@@ -20,7 +20,7 @@ import numpy as np
 from transport_office import draw, errors, read
 
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport import choice, fit
+from fieldlum.models.transport import fit, selection
 
 SIZES = (5, 10, 20, 40, 60, 100)
 KINDS = {"clean": (0.0, 0.0), "pixels 5 %": (0.05, 0.0), "levels 10 %": (0.0, 0.1)}
@@ -57,10 +57,10 @@ def main() -> None:
         for kind, noise in KINDS.items():
             train = disturbed(clean, *noise)
             for size in (*SIZES, None):
-                free = choice.FEWER, choice.FEWER_COST
+                free = selection.FEWER, selection.FEWER_COST
                 fewer, cost = free if size is None else ((size,), np.inf)
                 start = time.process_time()
-                with mock.patch.multiple(choice, FEWER=fewer, FEWER_COST=cost):
+                with mock.patch.multiple(selection, FEWER=fewer, FEWER_COST=cost):
                     model = fit(train)
                 fitted = time.process_time()
                 maps = model.predict(test.light, test.patch_cdm2).luminance_cdm2

@@ -299,7 +299,7 @@ def _upright(a: Array, b: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class GreedySelection:
     """index [k] into the pool in the order of choice; variance [k + 1]: mean predictive variance
     over the year before any choice and after each, as a share of the prior variance.
     """
@@ -318,7 +318,7 @@ def greedy_hours(
     noise: float = 3e-3,
     weights: Array | None = None,
     progress: Progress = quiet,
-) -> Chosen:
+) -> GreedySelection:
     """Choose from `pool`, one after the other, the hour that most lowers the summed variance over
     `year`.
 
@@ -353,4 +353,4 @@ def greedy_hours(
         cross = cross - np.outer(cross[:, best], row)
         own = own - np.outer(own[:, best], row)
         progress(step + 1, count, "hours chosen")
-    return Chosen(np.array(index, np.intp), np.array(variance))
+    return GreedySelection(np.array(index, np.intp), np.array(variance))

@@ -9,9 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum.calibrate import boards, colour, keep, lens, order, response, scale, vignette
+from fieldlum.calibrate import (
+    boards,
+    colour,
+    lens,
+    model_selection,
+    response,
+    save_calibration,
+    scale,
+    vignette,
+)
 from fieldlum.calibrate.frames import linear_frame, transmission
-from fieldlum.calibrate.keep import read_table
+from fieldlum.calibrate.readings_csv import read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark, write_panorama
 from fieldlum.photometry import response_table, snap_shutter_s, vignetting_at, z_per_cdm2
@@ -69,17 +78,28 @@ def _raw(path: Path, rgb_cdm2: np.ndarray, exposure: Exposure, rng: np.random.Ge
 def test_analytic_the_smallest_of_equals_is_chosen() -> None:
     rng = np.random.default_rng(1)
     noise = rng.chisquare(1, 200)
-    same = order.choose(
-        "x", [order.Candidate("small", 0, noise * 1.001), order.Candidate("large", 3, noise)]
+    same = model_selection.choose(
+        "x",
+        [
+            model_selection.Candidate("small", 0, noise * 1.001),
+            model_selection.Candidate("large", 3, noise),
+        ],
     )
     assert same.index == 0 or "large" in same.line
-    better = order.choose(
-        "x", [order.Candidate("small", 0, noise * 2), order.Candidate("large", 3, noise)]
+    better = model_selection.choose(
+        "x",
+        [
+            model_selection.Candidate("small", 0, noise * 2),
+            model_selection.Candidate("large", 3, noise),
+        ],
     )
     assert better.index == 1
-    shuffled = order.choose(
+    shuffled = model_selection.choose(
         "x",
-        [order.Candidate("small", 0, rng.permutation(noise)), order.Candidate("large", 3, noise)],
+        [
+            model_selection.Candidate("small", 0, rng.permutation(noise)),
+            model_selection.Candidate("large", 3, noise),
+        ],
     )
     assert shuffled.index == 0
 
@@ -87,7 +107,7 @@ def test_analytic_the_smallest_of_equals_is_chosen() -> None:
 @settings(deadline=None)
 @given(st.lists(st.integers(0, 60), min_size=2, max_size=80))
 def test_property_folds_hold_out_every_datum_once(groups: list[int]) -> None:
-    held = np.sum(list(order.folds(np.array(groups))), axis=0)
+    held = np.sum(list(model_selection.folds(np.array(groups))), axis=0)
     assert (held == 1).all()
 
 
@@ -269,7 +289,7 @@ def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
     )
 
 
-def _fitted(folder: Path) -> response.Fit:
+def _fitted(folder: Path) -> response.ResponseFit:
     return response.fit(
         response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
     )
@@ -357,9 +377,9 @@ def test_analytic_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
     assert "does not say with which k" in scale.from_table(table, PROFILE)[2][0]
 
 
-def _readings(meter: list[float], image: list[float]) -> list[scale.Reading]:
+def _readings(meter: list[float], image: list[float]) -> list[scale.LuminanceReading]:
     pairs = enumerate(zip(meter, image, strict=True))
-    return [scale.Reading("spot", f"spot {i}", m, p, 0.02) for i, (m, p) in pairs]
+    return [scale.LuminanceReading("spot", f"spot {i}", m, p, 0.02) for i, (m, p) in pairs]
 
 
 def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path: Path) -> None:
@@ -692,10 +712,12 @@ def test_profiles_keep_figures_hashes_and_reasons(tmp_path: Path) -> None:
     frame = tmp_path / "f.bin"
     frame.write_bytes(b"x")
     out = tmp_path / "new.toml"
-    first = keep(
+    first = save_calibration(
         out, PROFILE, [frame], ["response: srgb"], date(2027, 1, 2), response=Response(kind="srgb")
     )
-    again = keep(out, load_camera_profile(out), [frame], ["scale: one factor"], date(2027, 1, 3))
+    again = save_calibration(
+        out, load_camera_profile(out), [frame], ["scale: one factor"], date(2027, 1, 3)
+    )
     assert load_camera_profile(out) == again and first.response.kind == "srgb"
     assert len(again.provenance.frames_sha256) == 1 and len(again.provenance.log) == 2
     assert again.camera.date == "2027-01-03" and again.provenance.log[0].startswith(

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
-from fieldlum.devices.simulated.world import Light
+from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.images import write_panorama
 from fieldlum.photometry import vignetting_at
 from fieldlum.profiles import Lens, Response, load_camera_profile, save_profile
@@ -31,8 +31,8 @@ class Still:
     def scene(self, t_utc: datetime) -> Panorama:
         return self._panorama
 
-    def irradiance(self, t_utc: datetime) -> Light:
-        return Light(0.0, 0.0, 0.0)
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        return SimulatedLight(0.0, 0.0, 0.0)
 
 
 TRUTH = load_camera_profile("sim-fisheye")

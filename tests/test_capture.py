@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldlum.capture.refusals import refuse_what_is_not_offered
+from fieldlum.capture.preflight import refuse_what_is_not_offered
 from fieldlum.capture.runner import Live, Options, run
 from fieldlum.capture.state import SlotState, fold, owed
 from fieldlum.capture.status import status
-from fieldlum.capture.steady import SteadyClock
+from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import doubts
 from fieldlum.devices.clock import ClockFault, FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
@@ -758,8 +758,8 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
 def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
     site: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fieldlum.capture.keeper import Keeper
     from fieldlum.capture.logger import Logger
+    from fieldlum.capture.reconnect import Keeper
     from fieldlum.capture.recorder import Recorder
 
     steady = SteadyClock(site.clock, lambda: False)

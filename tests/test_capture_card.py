@@ -14,10 +14,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fieldlum.capture import adopt
+from fieldlum.capture import import_card
 from fieldlum.capture.card import of_the_session
 from fieldlum.capture.card_clock import clock_parts, doubt
-from fieldlum.capture.group import CardFrame, Group, Offset, in_order
+from fieldlum.capture.match_card import CardFrame, Group, Offset, in_order
 from fieldlum.capture.state import fold
 from fieldlum.errors import InputError
 from fieldlum.profiles import load_camera_profile, save_profile
@@ -117,9 +117,9 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
             LADDER[0],
             slot.t_utc + timedelta(seconds=clock_s),
         )
-    told = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    told = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
     assert "the clock was set between" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
-    report = adopt.run(session, tmp_path / "card")
+    report = import_card.run(session, tmp_path / "card")
     assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
     assert (
         len(report.notes) == 1
@@ -157,12 +157,12 @@ def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path)
                 LADDER[0],
                 slot.t_utc + timedelta(seconds=clock_s(i)),
             )
-    report = adopt.run(make_session(tmp_path / "a", plan), tmp_path / "day")
+    report = import_card.run(make_session(tmp_path / "a", plan), tmp_path / "day")
     assert (
         "60 of 72 brackets lie near slots, with an offset +24 h from this 72 would"
         in report.notes[0]
     )
-    report = adopt.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
+    report = import_card.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
     assert report.brackets == 36 and report.slots == tuple(slot.id for slot in plan[:36])
     assert "DSC_0036.jpg and 35 brackets after it: brackets of 2015-01-01" in report.left_out[0]
 
@@ -175,7 +175,7 @@ def test_a_card_folder_that_holds_its_own_copy_makes_whole_brackets(tmp_path: Pa
             t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
             write(tmp_path / "card" / "DCIM" / f"DSC_{3 * i + k:04d}.jpg", exposure, t)
     shutil.copytree(tmp_path / "card" / "DCIM", tmp_path / "card" / "backup")
-    report = adopt.run(session, tmp_path / "card")
+    report = import_card.run(session, tmp_path / "card")
     assert (report.brackets, report.frames, report.notes) == (12, 36, ())
     assert report.left_out == (
         f"{tmp_path / 'card' / 'backup' / 'DSC_0000.jpg'}: a copy of another frame, and 35 more",
@@ -195,7 +195,7 @@ def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
                     t + timedelta(seconds=1),
                     "EOS 5D",
                 )
-    report = adopt.run(session, tmp_path / "card")
+    report = import_card.run(session, tmp_path / "card")
     assert (report.brackets, report.frames) == (12, 36)
     assert report.left_out == ("33 frames of EOS 5D: the session's camera is D850",)
     names = {
@@ -240,7 +240,7 @@ def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
                 ):
                     write(tmp_path / "card" / f"{file}.jpg", exposure, t, model)
                     write(tmp_path / "card" / f"{file}.dng", exposure, t, model)
-        assert adopt.run(session, tmp_path / "card", utc_offset_s=PST_S).frames == 12
+        assert import_card.run(session, tmp_path / "card", utc_offset_s=PST_S).frames == 12
         files = {
             frame.file
             for state in fold(read_journal(session)).slots.values()
@@ -267,7 +267,7 @@ def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> N
             if (i, k) not in ((3, 1), (5, 3)):
                 t = slot.t_utc + timedelta(seconds=PST_S + 2 * k)
                 write(tmp_path / "card" / f"DSC_{4 * i + k:04d}.jpg", exposure, t)
-    report = adopt.run(session, tmp_path / "card")
+    report = import_card.run(session, tmp_path / "card")
     assert report.brackets == 12 and len(report.notes) == 2
     one, filtered = report.notes
     assert f"lacks 1 of {plan[3].id}'s frames: 1/60 f/5.6 ISO100" in one and "filter" not in one
@@ -292,7 +292,7 @@ def test_pictures_that_cannot_be_merged_are_named(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"no raw or JPEG frames in it, but 2 .heic files, but 1 .mpo files.*raw"
     ):
-        adopt.run(session, folder)
+        import_card.run(session, folder)
     for i, slot in enumerate(MONTH[:12]):
         for k, exposure in enumerate(LADDER):
             write(
@@ -300,7 +300,7 @@ def test_pictures_that_cannot_be_merged_are_named(tmp_path: Path) -> None:
                 exposure,
                 slot.t_utc + timedelta(seconds=PST_S + 2 * k),
             )
-    said = adopt.run(session, folder).left_out
+    said = import_card.run(session, folder).left_out
     assert [text.partition(": ")[2] for text in said] == [
         "2 .heic files, which cannot be merged",
         "1 .mpo files, which cannot be merged",

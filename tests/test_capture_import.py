@@ -14,8 +14,9 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldlum.capture import adopt
-from fieldlum.capture.group import (
+from fieldlum.capture import import_card
+from fieldlum.capture.logger_rows import add_samples, adopt_rows
+from fieldlum.capture.match_card import (
     CardFrame,
     Offset,
     campaigns,
@@ -24,7 +25,6 @@ from fieldlum.capture.group import (
     match_groups,
     refine_offset,
 )
-from fieldlum.capture.logger_rows import add_samples, adopt_rows
 from fieldlum.capture.state import fold
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -132,7 +132,7 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     groups = group_frames(frames_at(DAWN, shot), plan, headings=2)
     assert [len(g.frames) for g in groups] == [12]
     slot = Slot(DAWN, 10.0, 120.0, plan)
-    assert [adopt.meant(groups[0], i, slot, setup) for i in (0, 5, 6, 11)] == [
+    assert [import_card.meant(groups[0], i, slot, setup) for i in (0, 5, 6, 11)] == [
         (plan[0], 0.0),
         (plan[5], 0.0),
         (plan[0], 180.0),
@@ -172,7 +172,7 @@ def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     write_card(folder, card(PLAN[:10], PDT_S, late_s=37.0))
     (folder / "broken.jpg").write_bytes(b"\xff\xd8 no picture")
     before = {p: sha256(p) for p in folder.iterdir()}
-    report = adopt.run(session, folder.parent)
+    report = import_card.run(session, folder.parent)
     assert (report.brackets, report.frames, report.known) == (10, 50, 0)
     assert "broken.jpg" in report.left_out[0]
     assert report.offsets[0].seconds == pytest.approx(PDT_S + 37, abs=1)
@@ -182,7 +182,7 @@ def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     assert [f["exposure"]["shutter_s"] for f in note["frames"]] == [e.shutter_s for e in LADDER]
     assert all(sha256(session.raw / PLAN[0].id / f["file"]) == f["sha256"] for f in note["frames"])
     assert [fold(read_journal(session)).slots[s.id].outcome for s in PLAN[:10]] == ["done"] * 10
-    again = adopt.run(session, folder.parent)
+    again = import_card.run(session, folder.parent)
     assert (again.brackets, again.known) == (0, 10)
 
 
@@ -191,37 +191,37 @@ def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_
     and nothing is lost.
     """
     write_card(tmp_path / "card", card(PLAN[2:8], PDT_S))
-    wrong = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S - 3600.0)
+    wrong = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S - 3600.0)
     assert wrong.slots == tuple(slot.id for slot in PLAN[3:9])
     merged = session.panoramas / f"{PLAN[3].id}.exr"
     merged.parent.mkdir(exist_ok=True)
     merged.write_bytes(b"of the wrong hour")
-    right = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    right = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
     assert right.moved == wrong.slots and right.slots == tuple(slot.id for slot in PLAN[2:8])
     assert sorted(p.name for p in session.raw.glob("[0-9]*Z")) == [slot.id for slot in PLAN[2:8]]
     assert len(list((session.raw / "withdrawn").iterdir())) == 6 and not merged.exists()
     states = fold(read_journal(session)).slots
     assert [states[slot.id].outcome for slot in PLAN[2:9]] == ["done"] * 6 + [""]
-    again = adopt.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    again = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
     assert (again.brackets, again.known, again.moved) == (0, 6, ())
 
 
 def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
-        adopt.run(session, tmp_path / "nowhere")
+        import_card.run(session, tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no raw or JPEG"):
-        adopt.run(session, tmp_path / "empty")
+        import_card.run(session, tmp_path / "empty")
     write_card(tmp_path / "other", frames_at(DAWN + timedelta(days=200)))
     with pytest.raises(NotEnoughDataError, match="matches the plan"):
-        adopt.run(session, tmp_path / "other", utc_offset_s=0.0)
+        import_card.run(session, tmp_path / "other", utc_offset_s=0.0)
     with pytest.raises(
         InputError, match=r"brackets of 2027-10-06 14:30 .* the plan's slots, the nearest at 2027"
     ):
-        adopt.run(session, tmp_path / "other")
+        import_card.run(session, tmp_path / "other")
     write_card(tmp_path / "few", card(PLAN[3:6], 2.5 * 3600.0))  # neither UTC nor the place's
     with pytest.raises(InputError, match=r"several UTC offsets .* --utc-offset"):
-        adopt.run(session, tmp_path / "few")
+        import_card.run(session, tmp_path / "few")
     assert read_journal(session) == []
 
 

@@ -14,7 +14,7 @@ from fieldlum.devices.settings import nearest
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.sensor import camera_from_scene, true_shutter_s
-from fieldlum.devices.simulated.world import Light, TruthWorld
+from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.images import write_panorama
 from fieldlum.photometry import vignetting_at, z_per_cdm2
@@ -35,8 +35,8 @@ class Still:
     def scene(self, t_utc: datetime) -> Panorama:
         return self.panorama
 
-    def irradiance(self, t_utc: datetime) -> Light:
-        return Light(0.0, 0.0, 0.0)
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        return SimulatedLight(0.0, 0.0, 0.0)
 
 
 def uniform(level_cdm2: float, heading_deg: float = 180.0, height: int = 46) -> Panorama:
@@ -209,8 +209,8 @@ def test_truth_folder(tmp_path: Path) -> None:
     )
     world = TruthWorld(tmp_path)
     assert world.scene(START).luminance_cdm2[0, 0] == 5.0
-    assert world.irradiance(START) == Light(150.0, 60.0, 300.0)
-    assert world.irradiance(datetime(2027, 3, 21, 8, tzinfo=UTC)) == Light(0.0, 0.0, 0.0)
+    assert world.irradiance(START) == SimulatedLight(150.0, 60.0, 300.0)
+    assert world.irradiance(datetime(2027, 3, 21, 8, tzinfo=UTC)) == SimulatedLight(0.0, 0.0, 0.0)
     with pytest.raises(DeviceError, match="it is dark here"):
         world.scene(datetime(2027, 3, 21, 8, tzinfo=UTC))
     (tmp_path / "irradiance.csv").write_text("t_utc,ghi_wm2\n2027-03-20T19:00:00Z,many\n")

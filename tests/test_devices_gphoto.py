@@ -17,8 +17,8 @@ import pytest
 
 from fieldlum.capture.verify import doubts
 from fieldlum.devices import not_offered, open_camera
-from fieldlum.devices.child import Child
 from fieldlum.devices.clock import FastClock
+from fieldlum.devices.driver_process import Child
 from fieldlum.devices.gphoto import GphotoCamera, choose, setting_value
 from fieldlum.devices.gphoto_child import serve
 from fieldlum.errors import DeviceError

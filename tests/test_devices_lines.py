@@ -35,7 +35,7 @@ from fieldlum.devices.cl200a import (
     unframe,
 )
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.line_form import LineForm
+from fieldlum.devices.learned_format import LineForm
 from fieldlum.devices.serial_lines import LineInstrument
 from fieldlum.devices.simulated.spn1 import PtyInstrument
 from fieldlum.devices.toa5 import parse_toa5

@@ -16,7 +16,7 @@ from fieldlum.devices import open_pyranometer
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.serial_spn1 import Spn1
 from fieldlum.devices.simulated.spn1 import PtyInstrument, Spn1Voice
-from fieldlum.devices.simulated.world import Light
+from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.devices.spn1 import Spn1Reading, parse_reading, parse_status
 from fieldlum.errors import DeviceError
 
@@ -82,8 +82,8 @@ def test_property_a_lost_or_added_byte_is_noticed(at: int, put: bytes, cut: int)
 class Wire:
     """Answers as the simulated SPN1, with a fault in between."""
 
-    def __init__(self, light: Light | None = None, noise_wm2: float = 0.0) -> None:
-        self.light, self.sent = light or Light(812.4, 104.9, 900.0), b""
+    def __init__(self, light: SimulatedLight | None = None, noise_wm2: float = 0.0) -> None:
+        self.light, self.sent = light or SimulatedLight(812.4, 104.9, 900.0), b""
         self.fault: Callable[[bytes], bytes] = lambda reply: reply
         self.time = 0.0
         self._voice = Spn1Voice(
@@ -122,17 +122,17 @@ def test_the_real_driver_reads_the_simulated_bytes() -> None:
 
 
 def test_analytic_time_constant() -> None:
-    wire = Wire(Light(0.0, 0.0, 0.0))
+    wire = Wire(SimulatedLight(0.0, 0.0, 0.0))
     with spn1(wire) as device:
         device.read()
-        wire.light, wire.time = Light(1000.0, 100.0, 900.0), 0.1
+        wire.light, wire.time = SimulatedLight(1000.0, 100.0, 900.0), 0.1
         assert device.read().ghi_wm2 == pytest.approx(632.1, abs=0.1)
         wire.time = 5.0
         assert device.read().ghi_wm2 == 1000.0
 
 
 def test_total_below_diffuse_is_marked() -> None:
-    with spn1(Wire(Light(50.0, 60.0, 0.0))) as device:
+    with spn1(Wire(SimulatedLight(50.0, 60.0, 0.0))) as device:
         assert device.read().status == "total below diffuse"
 
 
@@ -226,7 +226,7 @@ def test_contract_the_rest_of_a_late_reply_is_not_the_next_one() -> None:
         wire.fault = lambda reply: reply if reply == b"\xaf" else reply[:7]
         with pytest.raises(DeviceError):
             device.read()
-        wire.light, wire.time = Light(400.0, 300.0, 100.0), 60.0
+        wire.light, wire.time = SimulatedLight(400.0, 300.0, 100.0), 60.0
         wire.fault = lambda reply: b"4, 104.9,1\r\xaf" if reply == b"\xaf" else reply
         with pytest.raises(DeviceError, match="when woken"):
             device.read()

@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
-from fieldlum.devices.simulated.world import Light
+from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.errors import InputError
 from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.first_look import NO_PLATEAU
+from fieldlum.merge.frame_checks import NO_PLATEAU
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
+from fieldlum.merge.project import LensView, blend, vignetting_of
 from fieldlum.merge.shots import sorted_shots
-from fieldlum.merge.stitch import View, blend, vignetting_of
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import (
     CameraProfile,
@@ -175,8 +175,8 @@ class StillWorld:
     def scene(self, t_utc: datetime) -> Panorama:
         return self.panorama
 
-    def irradiance(self, t_utc: datetime) -> Light:
-        return Light(0.0, 0.0, 0.0)
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        return SimulatedLight(0.0, 0.0, 0.0)
 
 
 def photograph(
@@ -390,9 +390,9 @@ def test_a_sun_behind_the_only_lens_takes_nothing_out_and_says_nothing() -> None
 
 
 def test_a_spoilt_lens_gives_way() -> None:  # analytic
-    def view(value: float, flags: int) -> View:
+    def view(value: float, flags: int) -> LensView:
         one = np.ones(3)
-        return View(
+        return LensView(
             value * one,
             one,
             one,

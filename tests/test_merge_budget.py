@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.ratios import Neighbours, Sample, ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
-from fieldlum.merge.stitch import View, blend
 from fieldlum.photometry import PairRatio, fit_ratios
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, NeutralDensity, ShutterTime
 from fieldlum.records import Exposure
@@ -97,9 +97,9 @@ def test_a_turned_lens_keeps_its_one_curve() -> (
 ):  # analytic: two headings of one lens do not average its error
     front, back = Lens((1.0, 1.0), 1.0, 180.0, name="a"), Lens((1.0, 1.0), 1.0, 180.0, name="b")
 
-    def view(lens: Lens) -> View:
+    def view(lens: Lens) -> LensView:
         one = np.ones(1)
-        return View(
+        return LensView(
             10 * one,
             one,
             one,

@@ -12,12 +12,12 @@ import pytest
 from fieldlum.errors import InputError
 from fieldlum.merge import Shot, merge_frames, merge_sensor, shots_of_files
 from fieldlum.merge.bracket import SensorMerge
-from fieldlum.merge.first_look import held_otherwise
+from fieldlum.merge.frame_checks import held_otherwise
+from fieldlum.merge.jpeg_noise import footprint_px
+from fieldlum.merge.project import u_of_edges
 from fieldlum.merge.quality import Offsets, verdict
 from fieldlum.merge.ratios import beyond, free_fit
-from fieldlum.merge.scatter import footprint_px
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
-from fieldlum.merge.stitch import u_of_edges
 from fieldlum.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.projection import Equirect

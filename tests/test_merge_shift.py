@@ -9,10 +9,10 @@ import pytest
 
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
-from fieldlum.devices.simulated.world import Light
+from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import Shot, merge_frames
+from fieldlum.merge.session_summary import COLUMNS
 from fieldlum.merge.shift import reduced, shifts
-from fieldlum.merge.survey import COLUMNS
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import CameraProfile, bracket_exposures, load_camera_profile
 from fieldlum.projection import LensGeometry, lens_pixels, lens_rays
@@ -41,8 +41,8 @@ class StillWorld:
     def scene(self, t_utc: datetime) -> Panorama:
         return self.panorama
 
-    def irradiance(self, t_utc: datetime) -> Light:
-        return Light(0.0, 0.0, 0.0)
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        return SimulatedLight(0.0, 0.0, 0.0)
 
 
 def small_camera(name: str) -> CameraProfile:

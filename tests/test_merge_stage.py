@@ -15,7 +15,7 @@ from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, read_radiance_hdr
 from fieldlum.merge import stage
-from fieldlum.merge.survey import drift_percent, shutter_table
+from fieldlum.merge.session_summary import drift_percent, shutter_table
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import (
     Bracket,

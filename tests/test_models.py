@@ -14,15 +14,15 @@ from learning_room import dataset
 
 from fieldlum import models
 from fieldlum.errors import InputError
-from fieldlum.models import dense, dense_training, ranks
+from fieldlum.models import dense, dense_training, distributed
 from fieldlum.models.dense import Net, Shape, decode, encode, parameter_count
-from fieldlum.models.dense_state import Plan, Run
+from fieldlum.models.dense_state import Run, TrainingPlan
 from fieldlum.models.scores import compare, evaluate, summary, truth
 
 DATA = dataset(("2027-03-20", "2027-03-21"), height=8)
 TEST = dataset(("2027-03-22",), seed=1, height=8)
 SMALL = {"width": 24, "patch_width": 12, "depth": 2}
-FEW = Plan("short", steps=100, batch_pixels=256)
+FEW = TrainingPlan("short", steps=100, batch_pixels=256)
 
 
 @pytest.mark.parametrize(("sky_map", "count"), [(False, 1_688_601), (True, 1_689_201)])
@@ -97,11 +97,11 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
 
     def parts_and_gradient(members: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
         net.zero_grad()
-        monkeypatch.setattr(ranks, "world", lambda: len(members))
-        monkeypatch.setattr(ranks, "total", lambda tensor: tensor)
+        monkeypatch.setattr(distributed, "world", lambda: len(members))
+        monkeypatch.setattr(distributed, "total", lambda tensor: tensor)
         total = torch.zeros(3, dtype=torch.float64)
         for mine in members:
-            monkeypatch.setattr(ranks, "rank", lambda mine=mine: mine)
+            monkeypatch.setattr(distributed, "rank", lambda mine=mine: mine)
             total += dense_training._loss_parts(net, pixels, numbers, 50, half=False, learn=True)
         return total, torch.cat(
             [p.grad.reshape(-1).clone() for p in net.parameters() if p.grad is not None]
@@ -113,7 +113,7 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
 
 def test_the_network_learns_a_tiny_set_by_heart() -> None:
     one = DATA.take(np.array([2]))  # a lone image validates itself
-    plan = Plan("short", steps=400, batch_pixels=128)
+    plan = TrainingPlan("short", steps=400, batch_pixels=128)
     fitted = models.fit("dense", one, plan=plan, width=128, patch_width=32, bfloat16=False)
     error = compare(fitted.predict(one.light, one.patch_cdm2), one, one.weights)
     assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
@@ -121,7 +121,7 @@ def test_the_network_learns_a_tiny_set_by_heart() -> None:
 
 @pytest.mark.parametrize("schedule", ["paper", "short"])
 def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> None:
-    plan = Plan("paper", epochs=4) if schedule == "paper" else FEW
+    plan = TrainingPlan("paper", epochs=4) if schedule == "paper" else FEW
     options = {"plan": plan, "seed": 5, **SMALL}
     straight = models.fit("dense", DATA, **options)
     kept = tmp_path / "checkpoint.pt"
@@ -216,7 +216,7 @@ def test_hours_far_from_the_captured_ones_are_not_trusted() -> None:
 
 def test_a_network_without_patches_and_its_other_forms() -> None:
     for options in ({"sky_map": False}, {"form": "cnn"}, {"curve": "gamma"}):
-        fitted = models.fit("dense", DATA, plan=Plan("paper", epochs=2), **SMALL, **options)
+        fitted = models.fit("dense", DATA, plan=TrainingPlan("paper", epochs=2), **SMALL, **options)
         assert np.isfinite(fitted.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2).all()
     bare = models.fit("dense", DATA, plan=FEW, patch="none", **SMALL)
     assert bare.predict(TEST.light).luminance_cdm2.shape == TEST.luminance_cdm2.shape
@@ -237,9 +237,13 @@ def test_the_papers_schedule_halves_rate_and_batch() -> None:
 def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
     """analytic: in the middle of a short schedule the rate is half of what it starts from."""
     run = Run(step=500)
-    assert dense_training._short_rate(Plan("short", steps=1000), run, None) == pytest.approx(5e-4)
+    assert dense_training._short_rate(
+        TrainingPlan("short", steps=1000), run, None
+    ) == pytest.approx(5e-4)
     run.rate /= 2.0
-    assert dense_training._short_rate(Plan("short", steps=1000), run, None) == pytest.approx(2.5e-4)
+    assert dense_training._short_rate(
+        TrainingPlan("short", steps=1000), run, None
+    ) == pytest.approx(2.5e-4)
 
 
 def test_a_loss_that_is_no_number_changes_nothing() -> None:

@@ -17,7 +17,7 @@ from fieldlum import irradiance, pair, sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.interval import Log, outside, read_clean
-from fieldlum.pair.source import Seen, complete_sun
+from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.records import (
     CameraSetup,
     IrradianceSample,

@@ -16,7 +16,7 @@ from fieldlum.errors import InputError
 from fieldlum.light import Features
 from fieldlum.plan import calendar, choose, coming, makeup
 from fieldlum.plan.coverage import band_directions, coverage, irradiance_figure, sun_figure
-from fieldlum.plan.days import Hours, daylight_hours, set_days, span
+from fieldlum.plan.days import DaylightHours, daylight_hours, set_days, span
 from fieldlum.profiles import save_profile, site_table
 from fieldlum.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
 from fieldlum.session import Journal, create_session, open_session
@@ -33,11 +33,11 @@ def weather() -> Weather:
 
 
 @pytest.fixture(scope="module")
-def year() -> Hours:
+def year() -> DaylightHours:
     return daylight_hours(span(date(2027, 1, 1), 365), SEATTLE)
 
 
-def _set(name: str) -> Hours:
+def _set(name: str) -> DaylightHours:
     return daylight_hours(set_days(name, SEATTLE, date(2027, 1, 1), None, 2027, None), SEATTLE)
 
 
@@ -64,7 +64,7 @@ def test_analytic_medoids_find_clusters() -> None:
     assert sorted(choose.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
 
 
-def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: Hours) -> None:
+def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: DaylightHours) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)
     rng = np.random.default_rng(1)
     left = {
@@ -167,7 +167,7 @@ def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
 # make-ups, coming hours
 
 
-def _session(folder: Path, hours: Hours, done: int) -> Path:
+def _session(folder: Path, hours: DaylightHours, done: int) -> Path:
     slots = plan.make_slots(hours, _setup(), EXPOSURES)
     about = {"set": "month", "revision": 0, "seconds_per_slot": 30.0, "megabytes_per_slot": 50.0}
     session = create_session(folder / "s", _setup(), slots, about)
@@ -283,7 +283,9 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
         coming.trained_kernel(session)
 
 
-def test_analytic_single_gain_is_the_drop_of_the_variance(weather: Weather, year: Hours) -> None:
+def test_analytic_single_gain_is_the_drop_of_the_variance(
+    weather: Weather, year: DaylightHours
+) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)
     _, features = choose.features_at(year[np.arange(0, len(year), 200)], task)
     captured, one = features[:8], features[8:9]

@@ -21,7 +21,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.glare import standards
 from fieldlum.predict import Annual, read_annual, read_pictures, run
 from fieldlum.predict.annual import rounded
-from fieldlum.predict.blocks import Room, blocks, guessed_disc
+from fieldlum.predict.blocks import ModelRoom, blocks, guessed_disc
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.year import light_of
 from fieldlum.records import Room as Room3d
@@ -82,7 +82,7 @@ def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Pa
 def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Path) -> None:
     """property: predicting hours one by one gives what blocks gave."""
     config = models.read_config(model)
-    room = Room(DATA.setup, config["height"], config["width"], config["heading_deg"], False)
+    room = ModelRoom(DATA.setup, config["height"], config["width"], config["heading_deg"], False)
     light = light_of(read_weather(weather, DATA.setup.site).daylight())
     found = list(blocks(models.load(model), room, light[[3]]))
     import xarray as xr
@@ -161,7 +161,7 @@ def test_it_says_that_hourly_means_are_not_instants(year: Annual) -> None:
 
 def test_the_disc_is_guessed_from_sky_in_its_pixel() -> None:
     light = DATA.light[np.flatnonzero(DATA.light.sun_altitude_deg > 20)[:3]]
-    room = Room(DATA.setup, 16, 32, DATA.heading_deg, False)
+    room = ModelRoom(DATA.setup, 16, 32, DATA.heading_deg, False)
     maps = np.full((3, 16, 32), 1.0, np.float32)
     assert guessed_disc(maps, light, room) == pytest.approx(0.0)
     sky = np.array([light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(3)])
@@ -257,12 +257,12 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     """analytic: a map known exactly leaves only the disc's share."""
     from fieldlum.glare import panorama_views
     from fieldlum.models import Prediction
-    from fieldlum.predict.blocks import Block
+    from fieldlum.predict.blocks import HourBlock
     from fieldlum.predict.year import U_DISC, _relative
 
     light = DATA.light[[3]]
     maps = np.full((1, *DATA.shape), 50.0, np.float32)
-    block = Block(
+    block = HourBlock(
         slice(0, 1),
         light,
         Prediction(maps, np.zeros_like(maps), np.zeros(1), np.ones(1, bool)),

@@ -15,9 +15,9 @@ from fieldlum.light import light_at
 from fieldlum.models import Fitted
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
-from fieldlum.models.transport.evidence import moved
-from fieldlum.models.transport.setting import Finding, Setting, setting_scan
-from fieldlum.models.transport.trust import edge_range, experience, slip_variance
+from fieldlum.models.transport.misalignment import moved
+from fieldlum.models.transport.setting_scan import Setting, SettingFinding, setting_scan
+from fieldlum.models.transport.uncertainty import edge_range, experience, slip_variance
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
 from fieldlum.train.setting import settle, warnings_of
@@ -190,7 +190,7 @@ def test_analytic_moved_by_whole_and_half_pixels() -> None:
 @pytest.mark.parametrize("cause", ["north", "clock", "north and clock", "wall", "camera"])
 def test_contract_every_cause_has_words_and_a_remedy(cause: str) -> None:
     amount = (1.0, 2.0) if cause in ("camera", "north and clock") else (1.0,)
-    finding = Finding(cause, amount, (0.1,) * len(amount), 0.02, 0.04, 5.0)
+    finding = SettingFinding(cause, amount, (0.1,) * len(amount), 0.02, 0.04, 5.0)
     lines = warnings_of(Setting((finding,), (), 0.5, 40), SETUP, 4.5)
     assert len(lines) == 2 and lines[0].startswith("WARNING") and lines[1].startswith("to mend")
     assert warnings_of(Setting((finding,), (), 0.0, 40), SETUP, 4.5) == []

@@ -12,11 +12,11 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
-from fieldlum.models.transport.choice import recipes_for
-from fieldlum.models.transport.material import material_of
 from fieldlum.models.transport.physics import physics_of
-from fieldlum.models.transport.recipe import RANK, Recipe, basis_of, fit_pixels, seasons
+from fieldlum.models.transport.pixel_fit import RANK, Recipe, basis_of, fit_pixels, seasons
+from fieldlum.models.transport.selection import recipes_for
 from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
+from fieldlum.models.transport.training_arrays import material_of
 from fieldlum.projection import equirect_rays
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.sky import reinhart_patches

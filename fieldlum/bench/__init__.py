@@ -153,7 +153,7 @@ def run(
     from fieldlum.bench import charts, stress
     from fieldlum.bench.cost import radiance_row
     from fieldlum.bench.rows import over_seeds, parse_specs, score_table, without_training_hours
-    from fieldlum.train.choice import choose
+    from fieldlum.train.selection import choose
 
     specs = parse_specs(models)
     if test is not None:

@@ -16,8 +16,8 @@ from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Truth, evaluate, summary, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.train import Spent, evaluate_folds, fit_timed, patch_mode
-from fieldlum.train.choice import Trial
 from fieldlum.train.folds import day_folds
+from fieldlum.train.selection import Trial
 
 SPREAD = (
     "log10_mse_weighted",

@@ -2,9 +2,10 @@
 itself said so.
 
 A regime changes the training data, the test data, or both, from a normal case of its own kind.
-"Told" means that the training warned (`train.doubts`), or the model expected at least a third of
-the error that came, or did not trust most of the hours that went wrong. A wild map is one that is
-off by over a factor of 1.6 (log10 MSE over 0.04); none may be trusted and expected to be good.
+"Reported" means that the training warned (`train.consistency_warnings`), or that the model expected
+at least a third of the error, or that it did not trust most of the hours that went wrong. A gross
+error is a map off by more than a factor of 1.6 (log10 MSE over 0.04); none may be trusted and
+expected to be good.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, evaluate, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.train import fit_timed, patch_mode
-from fieldlum.train.doubts import doubts
+from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import settle
 
 FEWEST = 8  # hours on either side that a regime needs

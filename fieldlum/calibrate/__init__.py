@@ -5,7 +5,16 @@ standard error of the best; it says so in a line that goes into the profile.
 """
 
 from fieldlum.calibrate.frames import LinearFrame, Patch, linear_frame
-from fieldlum.calibrate.keep import keep
-from fieldlum.calibrate.order import Candidate, Choice, choose, folds
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.readings_csv import save_calibration
 
-__all__ = ["Candidate", "Choice", "LinearFrame", "Patch", "choose", "folds", "keep", "linear_frame"]
+__all__ = [
+    "Candidate",
+    "LinearFrame",
+    "OrderSelection",
+    "Patch",
+    "choose",
+    "folds",
+    "linear_frame",
+    "save_calibration",
+]

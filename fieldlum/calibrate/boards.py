@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate import lens as lenses
-from fieldlum.calibrate.lens import Fit, Targets, grey_picture
+from fieldlum.calibrate.lens import LensFit, Targets, grey_picture
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, lens_pixels
@@ -100,7 +100,7 @@ def from_boards(
     return Boards(np.stack([np.asarray(corners[i], float) for i in kept]), board[0], poses, targets)
 
 
-def fit(boards: Boards, lens: Lens) -> Fit:
+def fit(boards: Boards, lens: Lens) -> LensFit:
     """Mapping by the model's rays, then its figures by the corners themselves; rms_px is what
     corners miss by.
     """

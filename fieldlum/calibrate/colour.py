@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fieldlum.calibrate.chart import CHART_Y, find_chart, in_order, patch_centres
 from fieldlum.calibrate.frames import LinearFrame, linear_frame, nearest_lens, transmission
-from fieldlum.calibrate.keep import needed, read_table
-from fieldlum.calibrate.order import Candidate, Choice, choose
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
+from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import CameraProfile
 
@@ -41,12 +41,12 @@ class Colours:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ColourFit:
     y_from_rgb: tuple[float, float, float]
     scale: float  # luminance over a . rgb with the new figures: what k would be multiplied by
     u_rel: float  # rms of the held-out errors
     residual: Array
-    choice: Choice
+    choice: OrderSelection
 
 
 # ----------------------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
     return found
 
 
-def fit(colours: Colours, profile: CameraProfile) -> Fit:
+def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     """Ridge towards the prior; how far to leave it is chosen on readings left out one by one.
 
     The new coefficients give the mean colour of the readings the same luminance as the prior did:
@@ -179,7 +179,7 @@ def fit(colours: Colours, profile: CameraProfile) -> Fit:
         raise InputError(colours.frames[0], found, f"at most {100 * MOST_U:.0f} %", remedy)
     if slips:
         choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(slips)}")
-    return Fit(
+    return ColourFit(
         (round(float(a[0]), 6), round(float(a[1]), 6), round(float(a[2]), 6)),
         scale,
         max(u, 0.001),

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.keep import needed, read_table
-from fieldlum.calibrate.order import Candidate, Choice, choose, folds
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
@@ -51,7 +51,7 @@ class Targets:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class LensFit:
     lens: Lens
     rms_px: float  # held-out
     rms_deg: float
@@ -59,7 +59,7 @@ class Fit:
     widest_deg: (
         float  # the largest angle that a target had: beyond it the mapping is an extrapolation
     )
-    choice: Choice
+    choice: OrderSelection
     doubts: tuple[str, ...] = ()  # targets left out; a pose far from the profile's
 
 
@@ -121,7 +121,7 @@ def _solve(
     return least_squares(misses, start, x_scale=scale, loss="soft_l1", f_scale=2.0, max_nfev=400).x
 
 
-def fit(targets: Targets, lens: Lens) -> Fit:
+def fit(targets: Targets, lens: Lens) -> LensFit:
     """Centre, radius, pose and mapping by robust least squares in pixels, from the profile's lens
     as a start.
 
@@ -177,7 +177,7 @@ def fit(targets: Targets, lens: Lens) -> Fit:
         )
     per_px = lens.full_angle_deg / 2 / found.radius_px
     doubts = _doubts(targets, residual, near, new, lens)
-    return Fit(
+    return LensFit(
         new, rms, rms * per_px, residual, float(np.degrees(angle[near].max())), choice, doubts
     )
 

@@ -54,7 +54,7 @@ def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> 
     axes.set(xlabel=label, ylabel="reading less fit [%]")
 
 
-def of_response(places: response.Places, found: response.Fit) -> Figure:
+def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
     figure, left, right = _two(
         f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %"
     )
@@ -79,7 +79,9 @@ def of_response(places: response.Places, found: response.Fit) -> Figure:
     return figure
 
 
-def of_vignette(samples: vignette.Samples, found: vignette.Fit, half_angle_deg: float) -> Figure:
+def of_vignette(
+    samples: vignette.Samples, found: vignette.VignettingFit, half_angle_deg: float
+) -> Figure:
     figure, left, right = _two(
         f"vignetting at f/{samples.f_number:g}; held-out rms {100 * found.u_rel:.2g} %"
     )
@@ -109,7 +111,7 @@ def of_vignette(samples: vignette.Samples, found: vignette.Fit, half_angle_deg: 
     return figure
 
 
-def of_scale(readings: list[scale.Reading], found: scale.Fit) -> Figure:
+def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> Figure:
     figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
     meter, image = (
         np.array([r.meter for r in readings]),
@@ -136,7 +138,7 @@ def of_scale(readings: list[scale.Reading], found: scale.Fit) -> Figure:
     return figure
 
 
-def of_lens(targets: lens.Targets, found: lens.Fit) -> Figure:
+def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
     figure, left, right = _two(
         f"lens, {found.lens.mapping}; held-out rms {found.rms_px:.2g} px ({found.rms_deg:.2g} deg)"
     )
@@ -176,7 +178,7 @@ def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
     return figure
 
 
-def of_colour(colours: colour.Colours, found: colour.Fit) -> Figure:
+def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
     figure, left, right = _two(f"colour to luminance; held-out rms {100 * found.u_rel:.2g} %")
     new = colours.rgb @ np.array(found.y_from_rgb) * found.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
@@ -194,7 +196,7 @@ def of_colour(colours: colour.Colours, found: colour.Fit) -> Figure:
     return figure
 
 
-def of_shutter(found: shutter.Fit) -> Figure:
+def of_shutter(found: shutter.ShutterFit) -> Figure:
     figure, left, right = _two(
         f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1)
     )
@@ -219,7 +221,7 @@ def of_shutter(found: shutter.Fit) -> Figure:
     return figure
 
 
-def of_pixels(found: pixels.Found, width_px: int, height_px: int) -> Figure:
+def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
     figure, left, right = _two(
         f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1)
     )

@@ -40,7 +40,7 @@ Detail = NDArray[np.int8]
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class PixelDefects:
     """Columns and rows on the sensor; views that were told apart; frames that helped; pixels
     expected by chance.
     """
@@ -52,7 +52,7 @@ class Found:
     line: str
 
 
-def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> Found:
+def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> PixelDefects:
     """sources: frames, or folders of frames of one view each. dark: with the cap on, each frame
     counts as a view.
 
@@ -89,7 +89,7 @@ def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False)
 
 def _decide(
     views: list[Mask], frames: tuple[Path, ...], pixels: int, dark: bool, plain: int
-) -> Found:
+) -> PixelDefects:
     from scipy.stats import binom
 
     least = LEAST_DARK if dark else LEAST_VIEWS
@@ -132,7 +132,7 @@ def _decide(
         f"pixels: {len(rows)} deviate in {need} or more of {len(views)} {kind}; by chance "
         f"{by_chance[need]:.2g}"
     )
-    return Found(
+    return PixelDefects(
         tuple((int(x), int(y)) for y, x in zip(rows, columns, strict=True)),
         len(views),
         frames,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.frames import check_size, true_shutter_s
-from fieldlum.calibrate.order import Candidate, Choice, choose, folds
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import dark_floor, fit_response, response_table
 from fieldlum.profiles import CameraProfile, Response
@@ -40,10 +40,10 @@ class Places:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ResponseFit:
     response: Response
     residual: tuple[float, float, float]  # rms of ln z of each colour, held-out
-    choice: Choice
+    choice: OrderSelection
 
 
 def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
@@ -180,7 +180,7 @@ def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDAr
     ]
 
 
-def fit(places: Places) -> Fit:
+def fit(places: Places) -> ResponseFit:
     """Standard curves first, then monotone tables from stiff to supple; chosen on held-out places.
 
     Whole brackets are held out where there are three or more, else every eighth of the places.
@@ -220,7 +220,7 @@ def fit(places: Places) -> Fit:
             f"camera or the light move?"
         )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
-    return Fit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)
+    return ResponseFit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)
 
 
 def _with_u(response: Response, u: float, low: int) -> Response:

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.keep import needed, read_table
-from fieldlum.calibrate.order import Candidate, Choice, choose
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
+from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import calibration_mark, read_panorama
 from fieldlum.photometry import illuminance_lx
@@ -40,7 +40,7 @@ _LIKE = 0.06  # relative, of a slip's factor
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class LuminanceReading:
     """One comparison: what the meter read and what the picture says there, in the same unit."""
 
     kind: str  # spot or illuminance
@@ -51,17 +51,17 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ScaleFit:
     factor: float  # multiplies the profile's k
     u_rel: float
     residual: NDArray[np.float64]  # meter over corrected image, less one, [n]
     far: tuple[str, ...]
-    choice: Choice
+    choice: OrderSelection
 
 
 def from_table(
     path: Path, profile: CameraProfile
-) -> tuple[list[Reading], list[Path], tuple[str, ...]]:
+) -> tuple[list[LuminanceReading], list[Path], tuple[str, ...]]:
     """Readings from a csv: panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or
     illuminance_lx; u_rel optional.
 
@@ -91,11 +91,15 @@ def from_table(
         if spot is not None:
             image, u_image = spot_cdm2(picture, azimuth, altitude, file)
             found.append(
-                Reading("spot", label, spot, image * to_k[file], float(np.hypot(u, u_image)))
+                LuminanceReading(
+                    "spot", label, spot, image * to_k[file], float(np.hypot(u, u_image))
+                )
             )
         else:
             image = _plane_lx(picture, azimuth, altitude, file)
-            found.append(Reading("illuminance", label, plane or 0.0, image * to_k[file], u))
+            found.append(
+                LuminanceReading("illuminance", label, plane or 0.0, image * to_k[file], u)
+            )
     unmarked = [file.name for file, picture in pictures.items() if "k" not in picture.attributes]
     notes = (
         f"{', '.join(unmarked)} does not say with which k it was merged: taken for the profile's",
@@ -187,7 +191,9 @@ def spot_cdm2(
     return float(trim_mean(values, 0.1)), spread
 
 
-def fit(readings: list[Reading], meter_u: float = METER_U, source: Path | str = "scale") -> Fit:
+def fit(
+    readings: list[LuminanceReading], meter_u: float = METER_U, source: Path | str = "scale"
+) -> ScaleFit:
     """k by weighted least squares of ln(meter / image) with Huber weights; u(k) holds the meter's
     own u.
 
@@ -223,10 +229,10 @@ def fit(readings: list[Reading], meter_u: float = METER_U, source: Path | str = 
     spots = np.array([r.kind == "spot" for r in readings])
     choice = _choice(meter, image, u, log, spots)
     residual = meter / (image * np.exp(centre)) - 1.0
-    return Fit(float(np.exp(centre)), float(np.hypot(u_log, meter_u)), residual, far, choice)
+    return ScaleFit(float(np.exp(centre)), float(np.hypot(u_log, meter_u)), residual, far, choice)
 
 
-def slips(readings: list[Reading], found: Fit) -> list[str]:
+def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
     """What may have been typed wrong: readings off by a factor that units or a decimal point
     make.
     """
@@ -247,7 +253,7 @@ def _slip(ratio: float) -> str:
     )
 
 
-def check_level(found: Fit, profile: CameraProfile, path: Path) -> str:
+def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
     """A doubt about k as a whole, or "". Raises InputError for a k that no camera with such a
     profile can have.
     """
@@ -290,11 +296,11 @@ def _choice(
     u: NDArray[np.float64],
     log: NDArray[np.float64],
     spots: NDArray[np.bool_],
-) -> Choice:
+) -> OrderSelection:
     """One factor, or a factor and an offset, on spots left out one by one."""
     n = len(log)
     if n < 2:
-        return Choice(0, "scale: one reading, one factor: nothing to hold out")
+        return OrderSelection(0, "scale: one reading, one factor: nothing to hold out")
     plain = (
         np.array([log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in range(n)]) ** 2
     )

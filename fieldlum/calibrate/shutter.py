@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.order import Candidate, choose, folds
+from fieldlum.calibrate.model_selection import Candidate, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import prior_u_log, snap_shutter_s
 from fieldlum.profiles import CameraProfile, ShutterTime
@@ -38,7 +38,7 @@ Pair = tuple[float, float]  # nominal times of the longer and the shorter frame 
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ShutterReading:
     """ln of true over assumed exposure of the shorter frame less that of the longer, its u,
     seconds between them.
     """
@@ -50,7 +50,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class PairTable:
+class FramePairTable:
     """One pair over all brackets: median, spread beyond its noise, standard error (all
     logarithms), seconds between.
     """
@@ -64,7 +64,7 @@ class PairTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ShutterFit:
     """times replace the profile's of the same nominal value; assumed_s and brackets (that show
     it) of each.
     """
@@ -82,7 +82,7 @@ class Fit:
 
 def from_session(
     session: Session, profile_sha256: str
-) -> tuple[list[list[Reading]], tuple[Path, ...]]:
+) -> tuple[list[list[ShutterReading]], tuple[Path, ...]]:
     """Readings of every bracket that was merged with this very profile, and their sidecars.
 
     Raises NotEnoughDataError when there is none; InputError when another profile merged them.
@@ -114,7 +114,7 @@ def from_session(
     return brackets, tuple(files)
 
 
-def readings_of(quality: dict[str, Any]) -> list[Reading]:
+def readings_of(quality: dict[str, Any]) -> list[ShutterReading]:
     """Of one bracket, without frames through a filter and pairs of two ISOs: these have errors
     of their own.
     """
@@ -140,7 +140,7 @@ def readings_of(quality: dict[str, Any]) -> list[Reading]:
 
 def _reading(
     long: dict[str, Any], short: dict[str, Any], neighbour: dict[str, Any]
-) -> Reading | None:
+) -> ShutterReading | None:
     exposures = parse_exposure(long["exposure"]), parse_exposure(short["exposure"])
     a, b = (e.shutter_s for e in exposures)
     if (
@@ -155,13 +155,15 @@ def _reading(
         return None
     times = [parse_utc(f["t_utc"]).timestamp() if f.get("t_utc") else None for f in (long, short)]
     apart = None if times[0] is None or times[1] is None else times[1] - times[0]
-    return Reading((a, b), log_ratio, u_log, apart)
+    return ShutterReading((a, b), log_ratio, u_log, apart)
 
 
 # ---------------------------------------------------------------------------------------------- fit
 
 
-def pool(brackets: Sequence[Sequence[Reading]], drift: bool = True) -> dict[Pair, PairTable]:
+def pool(
+    brackets: Sequence[Sequence[ShutterReading]], drift: bool = True
+) -> dict[Pair, FramePairTable]:
     """Every pair's median over brackets, before and then after each bracket's own change of
     light is taken off.
     """
@@ -175,17 +177,17 @@ def pool(brackets: Sequence[Sequence[Reading]], drift: bool = True) -> dict[Pair
     return {pair: _pair_table(pair, np.array(values)) for pair, values in logs.items()}
 
 
-def _pair_table(pair: Pair, values: NDArray[np.float64]) -> PairTable:
+def _pair_table(pair: Pair, values: NDArray[np.float64]) -> FramePairTable:
     """values: log ratio, its u, seconds; [brackets, 3]."""
     n, median = len(values), float(np.median(values[:, 0]))
     apart = 1.4826 * float(np.median(np.abs(values[:, 0] - median)))
     noise = float(np.median(values[:, 1]))
     error = np.hypot(1.2533 * max(apart, noise) / np.sqrt(n), _LINEAR)
     spread, seconds = float(np.sqrt(max(apart**2 - noise**2, 0.0))), float(np.median(values[:, 2]))
-    return PairTable(pair, median, spread, float(error), n, seconds)
+    return FramePairTable(pair, median, spread, float(error), n, seconds)
 
 
-def _drift_per_s(bracket: Sequence[Reading], pooled: dict[Pair, PairTable]) -> float:
+def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePairTable]) -> float:
     """Relative change of the light a second, by what the pooled pairs leave of one bracket; 0
     where it cannot tell.
     """
@@ -197,7 +199,7 @@ def _drift_per_s(bracket: Sequence[Reading], pooled: dict[Pair, PairTable]) -> f
     return float((weight * left).sum() / (weight * seconds).sum())
 
 
-def _drift_error(brackets: Sequence[Sequence[Reading]]) -> float:
+def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
     """Standard error of the brackets' common drift, which nothing tells from a shutter's habit.
     [1/s]
     """
@@ -207,7 +209,7 @@ def _drift_error(brackets: Sequence[Sequence[Reading]]) -> float:
     return float(1.2533 * spread / np.sqrt(len(rates)))
 
 
-def fit(brackets: Sequence[Sequence[Reading]], profile: CameraProfile) -> Fit:
+def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) -> ShutterFit:
     """True times of the largest chain of settings that enough brackets show alike.
 
     Raises NotEnoughDataError when brackets are too few, disagree, or tell no better than the times
@@ -247,7 +249,7 @@ def fit(brackets: Sequence[Sequence[Reading]], profile: CameraProfile) -> Fit:
         true_s = assumed[number][0] * float(np.exp(delta[number]))
         times.append(ShutterTime(time, float(f"{true_s:.7g}"), round(max(u_rel, _FLOOR), 6)))
         counts.append(max(t.brackets for t in mine))
-    return Fit(
+    return ShutterFit(
         tuple(times),
         tuple(known_s for known_s, _ in assumed),
         tuple(counts),
@@ -256,16 +258,16 @@ def fit(brackets: Sequence[Sequence[Reading]], profile: CameraProfile) -> Fit:
     )
 
 
-def _why(table: PairTable) -> str:
+def _why(table: FramePairTable) -> str:
     a, b = map(shutter_text, table.pair)
     if table.brackets < LEAST:
         return f"{a} to {b} s: {table.brackets} of {LEAST} brackets"
     return f"{a} to {b} s: brackets differ by {100 * table.spread:.1f} %"
 
 
-def _largest_chain(tables: Sequence[PairTable]) -> list[PairTable]:
+def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:
     """The pairs that hang together with most times."""
-    chains: list[list[PairTable]] = []
+    chains: list[list[FramePairTable]] = []
     for table in tables:
         touching = [c for c in chains if any(set(table.pair) & set(t.pair) for t in c)]
         chains = [c for c in chains if c not in touching] + [
@@ -274,7 +276,9 @@ def _largest_chain(tables: Sequence[PairTable]) -> list[PairTable]:
     return max(chains, key=lambda c: len({time for t in c for time in t.pair}), default=[])
 
 
-def _held_out(brackets: Sequence[Sequence[Reading]], pairs: set[Pair]) -> NDArray[np.float64]:
+def _held_out(
+    brackets: Sequence[Sequence[ShutterReading]], pairs: set[Pair]
+) -> NDArray[np.float64]:
     """Squared errors [2, n] of the ratios of brackets held out: as assumed, and by the table of
     the other brackets.
     """
@@ -299,7 +303,7 @@ def assumed_s(nominal_s: float, profile: CameraProfile) -> tuple[float, float]:
 
 
 def _levelled(
-    chain: Sequence[PairTable],
+    chain: Sequence[FramePairTable],
     nominal: Sequence[float],
     u_prior: NDArray[np.float64],
     u_drift_per_s: float,
@@ -323,7 +327,7 @@ def _levelled(
     )
 
 
-def with_times(profile: CameraProfile, found: Fit) -> tuple[ShutterTime, ...]:
+def with_times(profile: CameraProfile, found: ShutterFit) -> tuple[ShutterTime, ...]:
     """The profile's table with the fitted times in place of the old ones; longest first."""
     kept = [
         s

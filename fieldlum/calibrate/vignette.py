@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.frames import geometry_of, linear_frame, nearest_lens, relative_angle
-from fieldlum.calibrate.keep import columns_of, needed, read_table
-from fieldlum.calibrate.order import Candidate, Choice, choose, folds
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.readings_csv import columns_of, needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import check_vignetting, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens, Vignetting
@@ -48,12 +48,12 @@ class Samples:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class VignettingFit:
     coefficients: tuple[float, ...]  # powers of r, c_0 = 1
     level: float  # the value on the axis
     u_rel: float
     residual_rel: Array
-    choice: Choice
+    choice: OrderSelection
 
 
 # ----------------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
     return theta * scale
 
 
-def fit(samples: Samples) -> Fit:
+def fit(samples: Samples) -> VignettingFit:
     """Raises NotEnoughDataError under five readings, InputError for a curve that rises towards
     the edge.
     """
@@ -228,7 +228,7 @@ def fit(samples: Samples) -> Fit:
     if wrong:
         raise InputError(samples.frames[0], wrong, "a loss towards the edge")
     u_rel = float(np.sqrt(candidates[choice.index].errors.mean()))
-    return Fit(tuple(coefficients), float(theta[0]), max(u_rel, 0.001), residual, choice)
+    return VignettingFit(tuple(coefficients), float(theta[0]), max(u_rel, 0.001), residual, choice)
 
 
 def _slips(samples: Samples) -> NDArray[np.bool_]:
@@ -281,7 +281,7 @@ def _refuse_rising(samples: Samples) -> None:
         raise InputError(samples.frames[0], found, "a loss towards the edge", remedy)
 
 
-def with_curve(lens: Lens, f_number: float, found: Fit) -> Lens:
+def with_curve(lens: Lens, f_number: float, found: VignettingFit) -> Lens:
     """The lens with this aperture's curve in place of an older one."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
     curve = Vignetting(

@@ -13,10 +13,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from fieldlum.capture.keeper import FIRST_PAUSE_S, LONGEST_PAUSE_S, Keeper, plain_info
+from fieldlum.capture.reconnect import FIRST_PAUSE_S, LONGEST_PAUSE_S, Keeper, plain_info
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.state import Frame, SlotState, frame_fields
-from fieldlum.capture.steady import SteadyClock
+from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
 from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter
 from fieldlum.errors import DeviceError
@@ -30,7 +30,7 @@ Check = Callable[[Path, Exposure], str]
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class FrameRequest:
     index: int
     exposure: Exposure
     heading_deg: float | None
@@ -43,15 +43,15 @@ class Shot:
         )
 
 
-def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[Shot, ...]:
+def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
     """Every exposure, for every heading of a turned head."""
     headings: tuple[float | None, ...] = setup.headings or (None,)
     pairs = [(exposure, heading) for heading in headings for exposure in exposures]
-    return tuple(Shot(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
+    return tuple(FrameRequest(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
 
 
 @dataclass(slots=True)
-class Bracket:
+class BracketCapture:
     """Takes the frames of one slot. `between` runs after each frame (log a sample, refresh the
     display).
     """
@@ -133,7 +133,7 @@ class Bracket:
         slot: Slot,
         folder: Path,
         state: SlotState,
-        shot: Shot,
+        shot: FrameRequest,
         doubtful: Frame,
         deadline: datetime,
     ) -> SlotState:
@@ -165,7 +165,12 @@ class Bracket:
         return replace(state, frames=(*others, second))
 
     def _opened(
-        self, slot: Slot, folder: Path, state: SlotState, wanted: Sequence[Shot], deadline: datetime
+        self,
+        slot: Slot,
+        folder: Path,
+        state: SlotState,
+        wanted: Sequence[FrameRequest],
+        deadline: datetime,
     ) -> SlotState:
         """Read each frame's pixels now that the camera is done; one that does not open is taken
         again in time.
@@ -204,7 +209,9 @@ class Bracket:
         sync_folder(folder)
         return self._start(slot, state.attempt + 1)
 
-    def _expose(self, shot: Shot, folder: Path, attempt: int, instead_of: str = "") -> Frame:
+    def _expose(
+        self, shot: FrameRequest, folder: Path, attempt: int, instead_of: str = ""
+    ) -> Frame:
         if self.camera.get() is None:
             raise _Away("camera is away")
         self.recorder.claim(self.frame_bytes)
@@ -239,7 +246,7 @@ class Bracket:
         doubt = self.check(written, asked)
         return doubt, as_taken(written, asked) if doubt else asked
 
-    def _takes_whole_brackets(self, wanted: Sequence[Shot]) -> bool:
+    def _takes_whole_brackets(self, wanted: Sequence[FrameRequest]) -> bool:
         """A camera that brackets by itself is several times faster than one asked frame by
         frame.
         """
@@ -249,7 +256,7 @@ class Bracket:
             still and isinstance(camera, BracketingCamera) and len(wanted) in camera.bracket_shots
         )
 
-    def _expose_whole(self, wanted: Sequence[Shot], folder: Path) -> list[Frame]:
+    def _expose_whole(self, wanted: Sequence[FrameRequest], folder: Path) -> list[Frame]:
         """All frames in one go; nothing is acknowledged before all are here."""
         self.recorder.claim(self.frame_bytes * len(wanted))
         folder.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fieldlum.capture.group import CardFrame
+from fieldlum.capture.match_card import CardFrame
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraBody, load_camera_profile
 from fieldlum.raw import JPEG_SUFFIXES, read_exif, same_model

@@ -11,7 +11,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.capture.group import (
+from fieldlum.capture.match_card import (
     WITHIN_S,
     Group,
     Offset,

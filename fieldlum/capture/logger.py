@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 
-from fieldlum.capture.keeper import Keeper, plain_info
+from fieldlum.capture.reconnect import Keeper, plain_info
 from fieldlum.capture.recorder import Recorder
-from fieldlum.capture.steady import SteadyClock
+from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.devices import Pyranometer, Streaming, open_pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.records import IrradianceSample

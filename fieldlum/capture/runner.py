@@ -16,14 +16,14 @@ from shutil import disk_usage
 from typing import Any
 
 from fieldlum import __version__
-from fieldlum.capture.bracket import Bracket, Check, shots
-from fieldlum.capture.keeper import Keeper, plain_info
+from fieldlum.capture.bracket import BracketCapture, Check, shots
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.options import DEFAULTS, Options
+from fieldlum.capture.preflight import refuse_a_past_plan, refuse_what_is_not_offered
+from fieldlum.capture.reconnect import Keeper, plain_info
 from fieldlum.capture.recorder import Recorder
-from fieldlum.capture.refusals import refuse_a_past_plan, refuse_what_is_not_offered
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
-from fieldlum.capture.steady import SteadyClock, boot_id, synchronised
+from fieldlum.capture.utc_clock import SteadyClock, boot_id, synchronised
 from fieldlum.devices import (
     Camera,
     IlluminanceMeter,
@@ -251,7 +251,7 @@ class _Runner:
 
     def work(self) -> None:
         assert self.camera is not None
-        bracket = Bracket(
+        bracket = BracketCapture(
             self.session,
             self.setup.camera,
             self.camera,
@@ -310,7 +310,7 @@ class _Runner:
             return self._plan_stamp
 
     def _take(
-        self, bracket: Bracket, slot: Slot, state: SlotState, deadline: datetime
+        self, bracket: BracketCapture, slot: Slot, state: SlotState, deadline: datetime
     ) -> SlotState:
         """A bracket; whatever goes wrong in it costs this slot, never the month."""
         try:
@@ -321,7 +321,9 @@ class _Runner:
                 known = fold(read_journal(self.session)).slots.get(slot.id, state)
             return bracket.abort(slot, known, f"{type(error).__name__}: {error}"[:300])
 
-    def _too_late(self, bracket: Bracket, slot: Slot, state: SlotState, late_s: float) -> SlotState:
+    def _too_late(
+        self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
+    ) -> SlotState:
         if state.outcome == "started":
             return bracket.abort(
                 slot,

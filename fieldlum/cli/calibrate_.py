@@ -70,9 +70,9 @@ def _write(
     as_json: bool,
     **changed: Any,
 ) -> None:
-    from fieldlum.calibrate import keep
+    from fieldlum.calibrate import save_calibration
 
-    keep(out, profile, frames, lines, datetime.now(UTC).date(), **changed)
+    save_calibration(out, profile, frames, lines, datetime.now(UTC).date(), **changed)
     if as_json:
         terminal.emit_json({**figures, "why": lines, "profile": str(out)})
     else:

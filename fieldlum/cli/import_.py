@@ -81,12 +81,12 @@ def command(
     """
     if folder is None and logger is None:
         raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
-    from fieldlum.capture import adopt
+    from fieldlum.capture import import_card
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
     with terminal.progress("import") as progress:
-        report = adopt.run(
+        report = import_card.run(
             session,
             folder,
             logger=logger,
@@ -111,7 +111,7 @@ def command(
 def _summary(report: object) -> list[str]:
     from statistics import median
 
-    from fieldlum.capture.adopt import Report
+    from fieldlum.capture.import_card import Report
 
     assert isinstance(report, Report)
     lines = [f"camera clock: UTC {_hms(offset.seconds)}, {offset.how}" for offset in report.offsets]

@@ -79,7 +79,7 @@ def _value(six: str) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Colour:
+class ChromaticityReading:
     illuminance_lx: float
     x: float
     y: float
@@ -87,7 +87,7 @@ class Colour:
     too_dark: bool
 
 
-def parse_answer(reply: bytes) -> Colour:
+def parse_answer(reply: bytes) -> ChromaticityReading:
     """Illuminance and chromaticity of command 02. Raises DeviceError for damage and for the
     meter's own errors.
     """
@@ -110,7 +110,7 @@ def parse_answer(reply: bytes) -> Colour:
         raise DeviceError(
             f"CL-200A: {values[0]:g} lx at x {values[1]:g}, y {values[2]:g}: out of its range"
         )
-    return Colour(values[0], values[1], values[2], match[6] == "1", match[4] == "6")
+    return ChromaticityReading(values[0], values[1], values[2], match[6] == "1", match[4] == "6")
 
 
 class Cl200a:

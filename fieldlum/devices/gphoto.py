@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fieldlum.devices import CameraInfo
-from fieldlum.devices.child import Child, Serve
+from fieldlum.devices.driver_process import Child, Serve
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, whole
 from fieldlum.errors import DeviceError

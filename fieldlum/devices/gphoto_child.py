@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from fieldlum.devices.child import failure
+from fieldlum.devices.driver_process import failure
 
 # What brands call the three settings; the first that a camera has is used.
 WIDGETS = {

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.registers import (
-    Block,
     Decoded,
     Line,
+    RegisterBlock,
     RegisterProfile,
     decode,
     load_register_profile,
@@ -118,7 +118,7 @@ class ModbusPyranometer:
             raw="; ".join(words),
         )
 
-    def _ask(self, unit: Unit, blocks: tuple[Block, ...]) -> tuple[Decoded, str]:
+    def _ask(self, unit: Unit, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
         """The blocks of one unit, decoded and as hexadecimal words."""
         import minimalmodbus
 

@@ -35,7 +35,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class RegisterBlock:
     """Registers that are read in one request, and so belong to one moment."""
 
     start: int
@@ -65,10 +65,10 @@ class RegisterProfile:
     maker: str
     models: tuple[str, ...]
     source: str
-    poll: tuple[Block, ...]
+    poll: tuple[RegisterBlock, ...]
     entry: tuple[Entry, ...]
     function: Literal[3, 4] = 3  # read holding or input registers: nothing else is ever sent
-    at_open: tuple[Block, ...] = ()
+    at_open: tuple[RegisterBlock, ...] = ()
     largest_request: int = 125
     line: Line = field(default_factory=Line)
     note: str = ""

@@ -9,7 +9,7 @@ from statistics import median
 from fieldlum.devices import FORM_ALONE, InstrumentInfo
 from fieldlum.devices.ascii_lines import AsciiProfile, body_of, parse_line, sample_of
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.line_form import LineForm
+from fieldlum.devices.learned_format import LineForm
 from fieldlum.devices.serial_port import SerialPort
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample

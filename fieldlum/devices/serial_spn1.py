@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from fieldlum.devices import InstrumentInfo
-from fieldlum.devices.agreeing import said_twice
+from fieldlum.devices.ask_twice import said_twice
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialPort
 from fieldlum.devices.spn1 import (

@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from fieldlum.devices.ascii_lines import sample_of
-from fieldlum.devices.line_form import ENOUGH, constant
+from fieldlum.devices.learned_format import ENOUGH, constant
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample

@@ -28,7 +28,7 @@ VIEW_TYPES = {"a": "equidistant", "h": "hemispherical", "s": "stereographic", "v
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class PictureView:
     """A Radiance view: kind a, h, s or v; unit vectors; full angles. [deg]"""
 
     kind: str
@@ -55,7 +55,7 @@ class Picture:
     """
 
     panorama: Panorama
-    view: View | None
+    view: PictureView | None
     covered_sr: float
     directed: bool = True
 
@@ -125,7 +125,7 @@ def _read_exr(path: Path) -> _Found:
 # VIEW
 
 
-def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> View:
+def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView:
     """Radiance's view options; without -vd the view is level and faces `heading_deg` (Radiance's
     own default is north).
 
@@ -159,7 +159,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> View:
                 HOW.replace("-vta", "-vta"),
             )
     up = up - forward * float(up @ forward)
-    return View(kind, forward, up / np.linalg.norm(up), *angles)
+    return PictureView(kind, forward, up / np.linalg.norm(up), *angles)
 
 
 def _options(text: str, source: Path) -> dict[str, str]:
@@ -220,7 +220,7 @@ def _reach(kind: str, angle_deg: float) -> float:
     )
 
 
-def _check_shape(view: View, height: int, width: int, source: Path) -> None:
+def _check_shape(view: PictureView, height: int, width: int, source: Path) -> None:
     """Square pixels: the picture's proportion must be that of its angles."""
     expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
     if abs(width / height / expected - 1.0) > 0.02 + 1.0 / min(width, height):
@@ -237,7 +237,7 @@ def _check_shape(view: View, height: int, width: int, source: Path) -> None:
 
 
 def to_panorama(
-    pixels: Float, view: View, height: int | None = None
+    pixels: Float, view: PictureView, height: int | None = None
 ) -> tuple[NDArray[np.float32], float]:
     """The picture's luminance on a panorama whose centre faces the view, 0 where it does not look;
     covered sr in front.

@@ -3,7 +3,7 @@ uncertainty and flags.
 """
 
 from fieldlum.merge.bracket import MergeResult, merge_frames, merge_sensor, merge_shots
-from fieldlum.merge.picture import files_to_picture
+from fieldlum.merge.merge_files import files_to_picture
 from fieldlum.merge.shots import Shot, shots_of_files, shots_of_slot
 from fieldlum.merge.stage import Verdict, run
 

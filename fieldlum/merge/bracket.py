@@ -13,7 +13,8 @@ import numpy as np
 from fieldlum.images import calibration_mark
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.first_look import FirstLook, first_look, held_otherwise
+from fieldlum.merge.frame_cache import FRAMES_BYTES, FrameStore
+from fieldlum.merge.frame_checks import FirstLook, first_look, held_otherwise
 from fieldlum.merge.frames import (
     Crop,
     lens_crop,
@@ -22,8 +23,10 @@ from fieldlum.merge.frames import (
     over_colours,
     over_mosaic,
 )
+from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
 from fieldlum.merge.motion import leave_out_moved
 from fieldlum.merge.noise import SeenNoise, seen_noise
+from fieldlum.merge.project import LensView, SensorMap, blend, finish, lens_geometry, view_through
 from fieldlum.merge.quality import Offsets, quality_of, verdict
 from fieldlum.merge.ratios import (
     Neighbours,
@@ -36,7 +39,6 @@ from fieldlum.merge.ratios import (
     take_samples,
     unexplained,
 )
-from fieldlum.merge.scatter import footprint_px, with_seen_noise
 from fieldlum.merge.shift import Moved, shifts
 from fieldlum.merge.shots import (
     Shot,
@@ -45,8 +47,6 @@ from fieldlum.merge.shots import (
     sorted_shots,
     true_shutter_s,
 )
-from fieldlum.merge.stitch import SensorMap, View, blend, finish, lens_geometry, view_through
-from fieldlum.merge.store import FRAMES_BYTES, FrameStore
 from fieldlum.photometry import RatioFit, fit_ratios
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
@@ -179,7 +179,7 @@ def look_through(
     fit: bool | None = None,
     drop_moved: bool = False,
     progress: Progress = quiet,
-) -> tuple[list[SensorMerge], list[View]]:
+) -> tuple[list[SensorMerge], list[LensView]]:
     """Merge each heading of sorted shots on the sensor, and look at the target grid through
     every lens of each.
     """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.merge.estimator import Strip
-from fieldlum.merge.first_look import Plateau
+from fieldlum.merge.frame_checks import Plateau
 from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot, nd_factors
 from fieldlum.photometry import response_table, z_per_cdm2

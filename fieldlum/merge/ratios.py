@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.merge.estimator import Signal
+from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.frames import RawSignal
-from fieldlum.merge.store import FrameStore
 from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels

@@ -21,8 +21,8 @@ from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
 from fieldlum.merge.disc import CLIPPED, disc_px, mosaic_u_rel, take_out_sun
+from fieldlum.merge.session_summary import survey_owed, write_survey
 from fieldlum.merge.shots import Shot, shots_of_slot
-from fieldlum.merge.survey import survey_owed, write_survey
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
@@ -45,7 +45,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class _Job:
+class _MergeJob:
     session: Session
     slot: str
     profile: CameraProfile
@@ -63,7 +63,7 @@ def captured_slots(session: Session) -> list[str]:
     return sorted(p.name for p in session.raw.glob("[0-9]*Z") if p.is_dir())
 
 
-def _recipe(job: _Job, shots: list[Shot]) -> dict[str, Any]:
+def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
     """What a panorama depends on; two equal recipes give the same picture."""
     frames = [
         {
@@ -118,7 +118,7 @@ def _slot_time(note: dict[str, Any], slot: str, shots: list[Shot]) -> datetime:
         return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
 
 
-def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
+def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
     """One bracket, from frames to files. A failure is a verdict too: one bad bracket stops
     nothing.
     """
@@ -152,7 +152,7 @@ def merge_slot(job: _Job, progress: Progress = quiet) -> Verdict:
 
 
 def _merged_without_lost(
-    job: _Job, shots: list[Shot], progress: Progress
+    job: _MergeJob, shots: list[Shot], progress: Progress
 ) -> tuple[MergeResult, list[str]]:
     """The bracket, and which frames it had to do without: a few that cannot be read are no
     reason to lose an hour.
@@ -179,7 +179,7 @@ def _merged_without_lost(
         return merged([s for s in shots if s.path.name not in lost]), lost
 
 
-def _write(job: _Job, result: MergeResult, recipe: dict[str, Any]) -> None:
+def _write(job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
     """The picture first, then its sidecar: a picture without one is made again."""
     picture = job.session.panoramas / f"{job.slot}.exr"
     with replacing_path(picture) as path:
@@ -254,7 +254,7 @@ def _start_worker() -> None:
         threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
-def _merged(jobs: list[_Job], workers: int, progress: Progress) -> Iterator[Verdict]:
+def _merged(jobs: list[_MergeJob], workers: int, progress: Progress) -> Iterator[Verdict]:
     if workers <= 1 or len(jobs) <= 1:
         for job in jobs:
             yield merge_slot(job)
@@ -272,13 +272,15 @@ def _jobs(
     fit: bool | None,
     drop_moved: bool,
     force: bool,
-) -> list[_Job]:
+) -> list[_MergeJob]:
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
     profile = load_camera_profile(path)
     digest = sha256(path)
     return [
-        _Job(session, s, profile, digest, setup.camera, setup.site, height, fit, drop_moved, force)
+        _MergeJob(
+            session, s, profile, digest, setup.camera, setup.site, height, fit, drop_moved, force
+        )
         for s in slots
     ]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.models import Fitted, Patch, Prediction
-from fieldlum.models.domain import Domain, captured
+from fieldlum.models.training_domain import Domain, captured
 from fieldlum.records import Progress, quiet
 
 if TYPE_CHECKING:

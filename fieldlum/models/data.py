@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import PANORAMA_LINE, read_panorama
-from fieldlum.models.plausible import Stated, check_plausible
+from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_pixel, equirect_solid_angles
 from fieldlum.records import Flag, Panorama, Progress, SiteFile, parse_utc, quiet, slot_id
@@ -188,7 +188,7 @@ def split_disc(
 
 
 @dataclass(frozen=True, slots=True)
-class _Row:
+class _PairRow:
     line: int
     t_utc: datetime
     panorama: Path
@@ -227,7 +227,7 @@ def _irradiance(path: Path, line: int, name: str, text: str) -> float:
     return max(value, 0.0)
 
 
-def _read_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
+def _read_row(path: Path, line: int, cells: dict[str, str]) -> _PairRow:
     try:
         t_utc = parse_utc(cells["t_utc"])
     except ValueError as error:
@@ -246,7 +246,7 @@ def _read_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
         raise InputError(
             path, f"line {line}: panorama is empty", "a picture's path", "fill it, or set ok = 0"
         )
-    return _Row(
+    return _PairRow(
         line,
         t_utc,
         pictures[0],
@@ -260,7 +260,7 @@ def _read_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
     )
 
 
-def _read_rows(path: Path) -> tuple[list[_Row], int]:
+def _read_rows(path: Path) -> tuple[list[_PairRow], int]:
     """Usable rows and how many are marked not ok. Raises InputError naming the line."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -278,7 +278,7 @@ def _read_rows(path: Path) -> tuple[list[_Row], int]:
         raise InputError(
             path, f"no column {', '.join(missing)}", f"a csv with {', '.join(NEEDED)}", remedy
         )
-    rows: list[_Row] = []
+    rows: list[_PairRow] = []
     refused = 0
     for cells in reader:
         if None in cells or any(value is None for value in cells.values()):
@@ -338,7 +338,7 @@ def load_pairs(
 
 
 def _assemble(
-    path: Path, rows: list[_Row], setup: SiteFile, notes: list[str], progress: Progress
+    path: Path, rows: list[_PairRow], setup: SiteFile, notes: list[str], progress: Progress
 ) -> Dataset:
     from fieldlum.light import Light
 
@@ -376,7 +376,7 @@ def _assemble(
     )
 
 
-def _stated(rows: list[_Row]) -> Stated:
+def _stated(rows: list[_PairRow]) -> Stated:
     numbers = np.array(
         [(row.dni_wm2, row.dhi_wm2, row.altitude_deg, row.azimuth_deg) for row in rows]
     ).T
@@ -389,7 +389,7 @@ def _stated(rows: list[_Row]) -> Stated:
 
 
 def _sun_columns(
-    rows: list[_Row], setup: SiteFile
+    rows: list[_PairRow], setup: SiteFile
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Altitude and azimuth as the csv gives them; where it does not, by SPA. [deg]"""
     altitude = np.array([row.altitude_deg for row in rows])
@@ -405,7 +405,7 @@ def _sun_columns(
 
 def _read_pictures(
     path: Path,
-    rows: list[_Row],
+    rows: list[_PairRow],
     altitude: NDArray[np.float64],
     azimuth: NDArray[np.float64],
     setup: SiteFile,

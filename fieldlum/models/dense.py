@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from fieldlum.models import Patch, Prediction
-from fieldlum.models.domain import Domain, captured
+from fieldlum.models.training_domain import Domain, captured
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Progress, quiet
 
@@ -142,7 +142,7 @@ def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
 
 
 @dataclass(frozen=True, slots=True)
-class Hours:
+class HourInputs:
     """What belongs to an hour and not to a pixel: [n, 4] altitude, azimuth, DNI, DHI; encoded sky
     [n, 2306].
 
@@ -152,11 +152,11 @@ class Hours:
     sun: Tensor
     sky: Tensor | None
 
-    def to(self, device: torch.device) -> Hours:
-        return Hours(self.sun.to(device), None if self.sky is None else self.sky.to(device))
+    def to(self, device: torch.device) -> HourInputs:
+        return HourInputs(self.sun.to(device), None if self.sky is None else self.sky.to(device))
 
 
-def hours(light: Light, shape: Shape) -> Hours:
+def hours(light: Light, shape: Shape) -> HourInputs:
     from_south = (light.sun_azimuth_deg - 180.0 + 180.0) % 360.0 - 180.0  # west positive
     columns = (
         light.sun_altitude_deg / 90.0,
@@ -167,10 +167,10 @@ def hours(light: Light, shape: Shape) -> Hours:
     sky = None
     if shape.sky_map:
         sky = torch.from_numpy(np.pad(encode(light.sky_cdm2, shape.curve), ((0, 0), (0, 1))))
-    return Hours(torch.from_numpy(np.stack(columns, axis=1).astype(np.float32)), sky)
+    return HourInputs(torch.from_numpy(np.stack(columns, axis=1).astype(np.float32)), sky)
 
 
-def scene_inputs(canvas: Canvas, hours: Hours, hour: Tensor, pixel: Tensor) -> Tensor:
+def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor) -> Tensor:
     """Branch one's input for pairs of (hour, pixel), [b, 7 or 8]."""
     fixed, sun = canvas.fixed[pixel], hours.sun[hour]
     columns = [fixed[:, :2], sun, fixed[:, 2:]]

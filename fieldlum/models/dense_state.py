@@ -29,7 +29,7 @@ STAGE_EPOCHS = 30
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class TrainingPlan:
     """paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, the
     rate falling to 0.
     """
@@ -89,7 +89,7 @@ def keep(
     net: Net,
     optimiser: torch.optim.Optimizer,
     run: Run,
-    plan: Plan,
+    plan: TrainingPlan,
     shape: Shape,
     mark: str,
     best: dict[str, Tensor],
@@ -110,7 +110,7 @@ def keep(
 
 def restore(
     path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape, mark: str
-) -> tuple[Plan, dict[str, Tensor]]:
+) -> tuple[TrainingPlan, dict[str, Tensor]]:
     """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but
     tensors and numbers.
     """
@@ -126,7 +126,7 @@ def restore(
         optimiser.load_state_dict(state["optimiser"])
         for name, value in state["run"].items():
             setattr(run, name, value)
-        return Plan(**state["plan"]), state["best"]
+        return TrainingPlan(**state["plan"]), state["best"]
     except (
         pickle.UnpicklingError,
         Warning,

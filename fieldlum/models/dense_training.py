@@ -21,10 +21,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fieldlum.models import ranks
+from fieldlum.models import distributed
 from fieldlum.models.dense import (
     Canvas,
-    Hours,
+    HourInputs,
     Net,
     Shape,
     bfloat16_pays,
@@ -34,7 +34,15 @@ from fieldlum.models.dense import (
     pick_device,
     scene_inputs,
 )
-from fieldlum.models.dense_state import STAGE_EPOCHS, STAGES, Plan, Run, fingerprint, keep, restore
+from fieldlum.models.dense_state import (
+    STAGE_EPOCHS,
+    STAGES,
+    Run,
+    TrainingPlan,
+    fingerprint,
+    keep,
+    restore,
+)
 from fieldlum.records import Progress, quiet
 
 if TYPE_CHECKING:
@@ -56,13 +64,13 @@ SHORT_BATCH = (512, 8192)
 
 
 @dataclass(frozen=True, slots=True)
-class Pixels:
+class PixelSampler:
     """All (hour, seen pixel) pairs of some hours, on the device. A pair's number is hour * P +
     place in `seen`.
     """
 
     canvas: Canvas
-    hours: Hours
+    hours: HourInputs
     target: Tensor  # [n, P]
     patch: Tensor | None  # [n, P]
     weight: Tensor  # [P]
@@ -82,7 +90,7 @@ class Pixels:
 
 def _pixels(
     data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: torch.device
-) -> Pixels:
+) -> PixelSampler:
     seen = np.flatnonzero(data.seen)
 
     def flat(maps: NDArray[np.float32]) -> Tensor:
@@ -91,7 +99,7 @@ def _pixels(
 
     use_patch = patch != "none" and data.patch_cdm2 is not None
     weight = torch.from_numpy(data.weights.reshape(-1)[seen].astype(np.float32))
-    return Pixels(
+    return PixelSampler(
         base.to(device),
         hours(data.light, shape).to(device),
         flat(data.luminance_cdm2),
@@ -106,13 +114,13 @@ def _pixels(
 
 
 def _loss_parts(
-    net: Net, pixels: Pixels, numbers: Tensor, micro: int, half: bool, learn: bool
+    net: Net, pixels: PixelSampler, numbers: Tensor, micro: int, half: bool, learn: bool
 ) -> Tensor:
     """[S_error, S_target, count] summed over the batch and all ranks; with `learn`, gradients of
     S_error are added.
     """
     parts = torch.zeros(3, dtype=torch.float64)
-    for mine in numbers[ranks.rank() :: ranks.world()].split(micro):
+    for mine in numbers[distributed.rank() :: distributed.world()].split(micro):
         scene, direct, target, weight = pixels.batch(mine)
         with torch.set_grad_enabled(learn):
             with torch.autocast(scene.device.type, torch.bfloat16, enabled=half):
@@ -122,7 +130,7 @@ def _loss_parts(
             squares.backward()
         target2 = (weight * target.square()).sum()
         parts += torch.tensor([squares.item(), target2.item(), len(mine)], dtype=torch.float64)
-    return ranks.total(parts.to(pixels.target.device)).cpu()
+    return distributed.total(parts.to(pixels.target.device)).cpu()
 
 
 def loss_value(parts: Tensor) -> float:
@@ -134,7 +142,7 @@ def loss_value(parts: Tensor) -> float:
 def _step(
     net: Net,
     optimiser: torch.optim.Optimizer,
-    pixels: Pixels,
+    pixels: PixelSampler,
     numbers: Tensor,
     micro: int,
     half: bool,
@@ -150,7 +158,7 @@ def _step(
     factor = 1.0 / count + 0.5 * RER_SHARE / math.sqrt(max(error * target, 1e-24))
     for parameter in net.parameters():
         if parameter.grad is not None:
-            ranks.total(parameter.grad).mul_(factor)
+            distributed.total(parameter.grad).mul_(factor)
     optimiser.step()
     return loss_value(parts)
 
@@ -160,7 +168,7 @@ def _step(
 
 
 def _epoch_batches(
-    pixels: Pixels, plan: Plan, run: Run, shape: Shape, seed: int
+    pixels: PixelSampler, plan: TrainingPlan, run: Run, shape: Shape, seed: int
 ) -> Iterator[Tensor]:
     """The epoch's batches of pair numbers; they follow from (seed, epoch) alone, so that
     resuming repeats nothing.
@@ -192,7 +200,7 @@ def _whole_images(group: Tensor, per_image: int) -> Tensor:
     return (group[:, None] * per_image + torch.arange(per_image)).reshape(-1)
 
 
-def _short_rate(plan: Plan, run: Run, budget_s: float | None) -> float:
+def _short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
     """A short warm-up, then a cosine to zero over the steps, or over the time when that runs out
     first.
     """
@@ -223,7 +231,7 @@ def train(
     patch: Patch = "absolute",
     seed: int = 0,
     budget_s: float | None = None,
-    plan: Plan | None = None,
+    plan: TrainingPlan | None = None,
     checkpoint: Path | None = None,
     stop_after_epochs: int | None = None,
     bfloat16: bool | None = None,
@@ -238,7 +246,7 @@ def train(
     """
     clock = _Clock(time.monotonic(), time.process_time())
     device = pick_device()
-    ranks.join(device)
+    distributed.join(device)
     half = bfloat16_pays(device) if bfloat16 is None else bfloat16
     if shape.form == "cnn":
         shape = replace(shape, patch_width=200)
@@ -272,7 +280,7 @@ def train(
         run.cpu_s = loop.clock.cpu_s()
         if plan.schedule == "paper":
             _paper_rate(run, improved)
-        if checkpoint is not None and ranks.rank() == 0:
+        if checkpoint is not None and distributed.rank() == 0:
             keep(checkpoint, net, optimiser, run, plan, shape, mark, best)
         if stop_after_epochs is not None and run.epoch - first_epoch >= stop_after_epochs:
             break
@@ -325,8 +333,8 @@ class _Loop:
 
     net: Net
     optimiser: torch.optim.Optimizer
-    pixels: Pixels
-    plan: Plan
+    pixels: PixelSampler
+    plan: TrainingPlan
     run: Run
     shape: Shape
     seed: int
@@ -345,7 +353,7 @@ class _Loop:
             self.optimiser.param_groups[0]["lr"] = rate
             loss = _step(self.net, self.optimiser, self.pixels, batch, plan.micro_pixels, self.half)
             run.step += 1
-            run.elapsed_s = ranks.agreed(self.clock.elapsed_s(), self.pixels.target.device)
+            run.elapsed_s = distributed.agreed(self.clock.elapsed_s(), self.pixels.target.device)
             self.progress(
                 *_how_far(run, plan, self.budget_s), f"loss {loss:.4f}  best {run.best:.4f}"
             )
@@ -357,7 +365,7 @@ class _Loop:
                 break
 
 
-def _passes(run: Run, plan: Plan, pixels: Pixels) -> float:
+def _passes(run: Run, plan: TrainingPlan, pixels: PixelSampler) -> float:
     """How often each training pixel was seen on average: the epochs in the paper's sense."""
     return (
         run.step * plan.batch_pixels / len(pixels) if plan.schedule == "short" else float(run.epoch)
@@ -371,7 +379,7 @@ def _validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.
     return (np.sort(order[cut:]), np.sort(order[:cut])) if n > 1 else (order, order)
 
 
-def _exam_numbers(total: int, plan: Plan, seed: int) -> Tensor:
+def _exam_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
     """All validation pixels; a fixed random part of them in the short schedule."""
     numbers = torch.arange(total)
     if plan.schedule == "short" and total > SHORT_VALIDATION_PIXELS:
@@ -381,7 +389,7 @@ def _exam_numbers(total: int, plan: Plan, seed: int) -> Tensor:
     return numbers
 
 
-def _finished(run: Run, plan: Plan, budget_s: float | None) -> bool:
+def _finished(run: Run, plan: TrainingPlan, budget_s: float | None) -> bool:
     if budget_s and run.elapsed_s >= budget_s:
         return True
     if plan.schedule == "short":
@@ -389,7 +397,7 @@ def _finished(run: Run, plan: Plan, budget_s: float | None) -> bool:
     return run.epoch >= plan.epochs or run.stage >= len(STAGES)
 
 
-def _how_far(run: Run, plan: Plan, budget_s: float | None) -> tuple[int, int]:
+def _how_far(run: Run, plan: TrainingPlan, budget_s: float | None) -> tuple[int, int]:
     """Thousandths of the training: by steps or epochs, or by time when that ends it."""
     done = (
         run.step / max(plan.steps, 1)
@@ -401,25 +409,25 @@ def _how_far(run: Run, plan: Plan, budget_s: float | None) -> tuple[int, int]:
     return min(1000, int(1000 * done)), 1000
 
 
-def _make_plan(net: Net, pixels: Pixels, budget_s: float | None, half: bool) -> Plan:
+def _make_plan(net: Net, pixels: PixelSampler, budget_s: float | None, half: bool) -> TrainingPlan:
     """The paper's schedule without a budget or when it fits in; else as many steps as the
     measured speed allows.
     """
     micro = 8192 if pixels.target.device.type == "cpu" else 131_072
     if budget_s is None:
-        return Plan(micro_pixels=micro)
-    speed = ranks.agreed(_pixels_per_second(net, pixels, micro, half), pixels.target.device)
+        return TrainingPlan(micro_pixels=micro)
+    speed = distributed.agreed(_pixels_per_second(net, pixels, micro, half), pixels.target.device)
     affordable = speed * budget_s
-    if affordable >= Plan().epochs * len(pixels):
-        return Plan(micro_pixels=micro)
+    if affordable >= TrainingPlan().epochs * len(pixels):
+        return TrainingPlan(micro_pixels=micro)
     batch = int(np.clip(affordable / SHORT_STEPS, *SHORT_BATCH))
     steps = max(SHORT_EPOCHS, int(affordable / batch))
-    return Plan("short", steps=steps, batch_pixels=batch, micro_pixels=micro)
+    return TrainingPlan("short", steps=steps, batch_pixels=batch, micro_pixels=micro)
 
 
-def _pixels_per_second(net: Net, pixels: Pixels, micro: int, half: bool) -> float:
+def _pixels_per_second(net: Net, pixels: PixelSampler, micro: int, half: bool) -> float:
     numbers = torch.arange(min(micro, len(pixels)), device=pixels.target.device).repeat(
-        ranks.world()
+        distributed.world()
     )
     _loss_parts(
         net, pixels, numbers, micro, half, learn=True

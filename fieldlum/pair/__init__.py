@@ -20,7 +20,7 @@ from fieldlum.images import read_panorama, write_panorama
 from fieldlum.light_clock import lit_at_night
 from fieldlum.pair.interval import Log, Outside, outside, read_clean
 from fieldlum.pair.patches import seen_and_patches
-from fieldlum.pair.source import Seen, complete_sun
+from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.records import (
     Panorama,
     Progress,

@@ -15,7 +15,7 @@ import numpy as np
 
 from fieldlum import sun
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.pair.source import Seen
+from fieldlum.pair.sun_strength import Seen
 from fieldlum.profiles import plain
 from fieldlum.records import Float, Panorama, Progress, Room, SiteFile, utc_text
 from fieldlum.session import Session, replacing, replacing_path

@@ -18,7 +18,14 @@ from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.plan import choose
 from fieldlum.plan.coverage import Coverage, coverage
-from fieldlum.plan.days import Hours, dark_days, daylight_hours, hours_of, season_tag, set_days
+from fieldlum.plan.days import (
+    DaylightHours,
+    dark_days,
+    daylight_hours,
+    hours_of,
+    season_tag,
+    set_days,
+)
 from fieldlum.plan.days import today_at as today_at
 from fieldlum.plan.window import sun_enters, sun_in_view
 from fieldlum.profiles import Bracket, bracket_exposures, load_camera_profile
@@ -67,7 +74,7 @@ class Plan:
     warnings: tuple[str, ...]
 
     @property
-    def hours(self) -> Hours:
+    def hours(self) -> DaylightHours:
         return hours_of(self.slots)
 
     def about(self, request: Request) -> dict[str, Any]:
@@ -126,11 +133,11 @@ def make_plan(
 
 def _chosen(
     request: Request,
-    hours: Hours,
+    hours: DaylightHours,
     weather: Weather | None,
     task: choose.Learning | None,
     progress: Progress,
-) -> Hours:
+) -> DaylightHours:
     if request.set == "even":
         return hours[
             choose.even(
@@ -158,7 +165,9 @@ def _months(task: choose.Learning, days: int, year: int, left: float) -> Months:
 # slots
 
 
-def make_slots(hours: Hours, setup: SiteFile, exposures: Sequence[Exposure]) -> tuple[Slot, ...]:
+def make_slots(
+    hours: DaylightHours, setup: SiteFile, exposures: Sequence[Exposure]
+) -> tuple[Slot, ...]:
     """Hours to slots, in time order, tagged: season, low-sun, sun-enters (a window), sun-in-view
     (of the camera).
     """
@@ -190,7 +199,9 @@ def make_slots(hours: Hours, setup: SiteFile, exposures: Sequence[Exposure]) -> 
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
 
 
-def _at_the_window(hours: Hours, setup: SiteFile) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _at_the_window(
+    hours: DaylightHours, setup: SiteFile
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Without a box room nothing is known, and nothing is tagged."""
     if setup.room is None or setup.room.kind != "box":
         return np.zeros(len(hours), bool), np.zeros(len(hours), bool)
@@ -211,7 +222,9 @@ def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
 # what to say
 
 
-def _warnings(days: Sequence[date], hours: Hours, site: Site, request: Request) -> list[str]:
+def _warnings(
+    days: Sequence[date], hours: DaylightHours, site: Site, request: Request
+) -> list[str]:
     said, all_year = [], request.set in ("even", "best")
     dark = [] if all_year else dark_days(days, hours, site)
     if dark:
@@ -249,7 +262,7 @@ def _from_to(days: Sequence[date]) -> str:
     return ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
 
 
-def _per_day(hours: Hours, site: Site) -> dict[date, int]:
+def _per_day(hours: DaylightHours, site: Site) -> dict[date, int]:
     count: dict[date, int] = {}
     for t in hours.t_utc:
         day = sun.standard_date(t, site.timezone)

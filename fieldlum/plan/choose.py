@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.light import Features, Kernel, facades_of, greedy_hours, light_at, light_features
-from fieldlum.plan.days import Hours, span
+from fieldlum.plan.days import DaylightHours, span
 from fieldlum.records import Progress, Room, Site, quiet
 from fieldlum.weather import Weather
 
@@ -67,7 +67,9 @@ def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -
     return np.sort(np.array(sorted(chosen), np.intp))
 
 
-def even(hours: Hours, weather: Weather | None, count: int, rng: np.random.Generator) -> Index:
+def even(
+    hours: DaylightHours, weather: Weather | None, count: int, rng: np.random.Generator
+) -> Index:
     """Hours spread evenly: over sun position and sky by k-means medoids (the paper's way), or
     over suns alone.
     """
@@ -109,7 +111,7 @@ def learning(
     return Learning(kernel or Kernel(facades_of(room)), light_features(light), site, weather)
 
 
-def features_at(hours: Hours, task: Learning) -> tuple[Index, Features]:
+def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
     """Features under the weather year's sky, of the hours that it knows; with their indices."""
     found = task.weather.at(hours.t_utc)
     known = np.flatnonzero(np.isfinite(found.dni_wm2 + found.dhi_wm2) & (found.dhi_wm2 > 0))
@@ -130,7 +132,7 @@ def variance_left(task: Learning, captured: Features) -> float:
     return float((prior - (towards**2).sum(axis=0)).clip(0).sum() / prior.sum())
 
 
-def best(hours: Hours, task: Learning, count: int, progress: Progress = quiet) -> Index:
+def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Index:
     """Indices [count], ascending, of the hours that most lower the year's summed predictive
     variance, greedily.
     """

@@ -18,7 +18,7 @@ from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
 from fieldlum.plan import choose
-from fieldlum.plan.days import Hours, daylight_hours, span
+from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
 from fieldlum.records import Progress, Site, parse_utc, quiet, slot_id, utc_text
 from fieldlum.session import Session
@@ -41,7 +41,7 @@ class ComingHour:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class RankedHours:
     model: str  # whose kernel it is; empty: of no trained model, by the room's facades
     captured: int
     variance_left_percent: float  # of the prior's, over the year
@@ -127,7 +127,7 @@ def _paired(session: Session) -> tuple[list[datetime], list[float], list[float]]
 
 
 def _reductions(
-    task: choose.Learning, captured: Features, hours: Hours, progress: Progress
+    task: choose.Learning, captured: Features, hours: DaylightHours, progress: Progress
 ) -> NDArray[np.float64]:
     """Expected drop of the year's variance by each hour [n], as a share of what is left, over
     its season's skies.
@@ -165,7 +165,7 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
 
 def run(
     session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
-) -> Answer:
+) -> RankedHours:
     """Rank the daylight hours of the coming two weeks. Raises NotEnoughDataError when the sun
     does not rise in them.
     """
@@ -203,12 +203,12 @@ def run(
     ).variance
     gained = float(1.0 - more[-1] / more[0])
     model = trained[1] if trained else ""
-    return Answer(
+    return RankedHours(
         model, len(captured), 100 * float(more[0]), tuple(best), 100 * gained, gained >= WORTH
     )
 
 
-def as_table(answer: Answer) -> dict[str, Any]:
+def as_table(answer: RankedHours) -> dict[str, Any]:
     return {
         "model": answer.model or None,
         "captured": answer.captured,
@@ -232,7 +232,7 @@ def as_table(answer: Answer) -> dict[str, Any]:
     }
 
 
-def sentences(answer: Answer, site: Site) -> list[str]:
+def sentences(answer: RankedHours, site: Site) -> list[str]:
     zone = ZoneInfo(site.timezone)
     left = f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
     said = [

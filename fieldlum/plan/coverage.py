@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum import sun
-from fieldlum.plan.days import Hours
+from fieldlum.plan.days import DaylightHours
 from fieldlum.records import Site
 from fieldlum.weather import Weather
 
@@ -57,7 +57,7 @@ def band_directions(site: Site) -> NDArray[np.float64]:
     return np.stack([east, north, up], axis=-1)[up > 0]
 
 
-def sun_band_percent(hours: Hours, site: Site) -> float:
+def sun_band_percent(hours: DaylightHours, site: Site) -> float:
     band = band_directions(site)
     if not len(hours) or not len(band):
         return 0.0
@@ -78,7 +78,7 @@ def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
     return dni * 1000 + dhi
 
 
-def coverage(hours: Hours, site: Site, weather: Weather | None = None) -> Coverage:
+def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
     """What of the year the hours cover; with a weather file, what of its hours."""
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
@@ -100,7 +100,7 @@ def coverage(hours: Hours, site: Site, weather: Weather | None = None) -> Covera
 # plots
 
 
-def sun_figure(hours: Hours, site: Site) -> Figure:
+def sun_figure(hours: DaylightHours, site: Site) -> Figure:
     """The band of sun positions on a sky chart, north up and east right, with the planned suns (the
     paper's Figure 15).
 
@@ -183,7 +183,7 @@ def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.floa
     return np.where(up, at.azimuth_deg, np.nan), np.where(up, at.altitude_deg, np.nan)
 
 
-def irradiance_figure(hours: Hours, site: Site, weather: Weather) -> Figure:
+def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
     """Joint density of direct normal and diffuse of the weather year, with the planned hours
     (Figures 16, 17).
     """

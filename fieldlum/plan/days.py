@@ -21,7 +21,7 @@ SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-
 
 
 @dataclass(frozen=True, slots=True)
-class Hours:
+class DaylightHours:
     """Daylight hours of some days: the candidates of every set. Angles are true ones, [n] deg."""
 
     t_utc: tuple[datetime, ...]
@@ -31,23 +31,23 @@ class Hours:
     def __len__(self) -> int:
         return len(self.t_utc)
 
-    def __getitem__(self, chosen: Iterable[int]) -> Hours:
+    def __getitem__(self, chosen: Iterable[int]) -> DaylightHours:
         index = [int(i) for i in chosen]
-        return Hours(
+        return DaylightHours(
             tuple(self.t_utc[i] for i in index), self.altitude_deg[index], self.azimuth_deg[index]
         )
 
 
-def hours_of(slots: Sequence[Slot]) -> Hours:
+def hours_of(slots: Sequence[Slot]) -> DaylightHours:
     """The moments of slots, and where their suns stand."""
     altitude, azimuth = (
         np.array([getattr(s, f"sun_{n}_deg") for s in slots], float)
         for n in ("altitude", "azimuth")
     )
-    return Hours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
+    return DaylightHours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
-def daylight_hours(days: Iterable[date], site: Site) -> Hours:
+def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
     """The hh:30 moments of local standard time on `days` with the centre of the sun above the
     horizon.
     """
@@ -56,7 +56,9 @@ def daylight_hours(days: Iterable[date], site: Site) -> Hours:
         midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)
     ]
     at = sun.position(times, site)
-    return Hours(tuple(times), at.altitude_deg, at.azimuth_deg)[np.flatnonzero(at.altitude_deg > 0)]
+    return DaylightHours(tuple(times), at.altitude_deg, at.azimuth_deg)[
+        np.flatnonzero(at.altitude_deg > 0)
+    ]
 
 
 def span(first: date, count: int) -> list[date]:
@@ -123,7 +125,7 @@ def season_tag(day: date, site: Site, within_days: int = 1) -> str:
     return ""
 
 
-def dark_days(days: Iterable[date], hours: Hours, site: Site) -> list[date]:
+def dark_days(days: Iterable[date], hours: DaylightHours, site: Site) -> list[date]:
     """Days without a single slot: polar night."""
     lit = {sun.standard_date(t, site.timezone) for t in hours.t_utc}
     return [day for day in sorted(set(days)) if day not in lit]

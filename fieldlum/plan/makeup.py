@@ -33,7 +33,7 @@ class MakeUp:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class MakeUpPlan:
     missed: int  # planned hours that are over without a capture, of their own or of a make-up
     made_up: tuple[MakeUp, ...]
     lost: tuple[str, ...]  # missed slots that no coming hour can make up
@@ -129,7 +129,7 @@ def _made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
     return found
 
 
-def run(session: Session, now_utc: datetime) -> Answer:
+def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     """Add make-up slots to plan.csv. Nothing is ever taken out of it; the plan before is kept as
     plan.N.csv.
     """
@@ -156,7 +156,7 @@ def run(session: Session, now_utc: datetime) -> Answer:
         name: round(coverage(hours_of(some), setup.site).sun_band_percent, 1)
         for name, some in (("planned", slots), ("without", left), ("with", [*left, *added]))
     }
-    return Answer(
+    return MakeUpPlan(
         len(missed),
         tuple(pairs),
         tuple(slot.id for slot in lost),
@@ -204,11 +204,11 @@ def _resumed(session: Session) -> dict[str, Any]:
     return about
 
 
-def as_table(answer: Answer) -> dict[str, Any]:
+def as_table(answer: MakeUpPlan) -> dict[str, Any]:
     return asdict(answer)
 
 
-def sentences(answer: Answer) -> list[str]:
+def sentences(answer: MakeUpPlan) -> list[str]:
     again = f"; {answer.recovered} more were made up since" if answer.recovered else ""
     if not answer.missed:
         return [f"nothing {'is missing' if again else 'was missed'}: the plan stands{again}"]

@@ -26,7 +26,7 @@ DISC_SHARE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class HourBlock:
     """Some hours: maps without the disc [k, H, W], the disc's illuminance at the lens [k] lx,
     the model's doubts.
     """
@@ -38,7 +38,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class ModelRoom:
     """What a model folder says about its pictures."""
 
     setup: SiteFile
@@ -68,7 +68,7 @@ def wants_patch(config: dict[str, Any]) -> bool:
     )
 
 
-def room_of(config: dict[str, Any], folder: Path) -> Room:
+def room_of(config: dict[str, Any], folder: Path) -> ModelRoom:
     """Raises InputError when the config lacks place or size, or when patches are needed and no
     room is known.
     """
@@ -92,12 +92,12 @@ def room_of(config: dict[str, Any], folder: Path) -> Room:
             "a room, or a model without patches",
             "add [room] to the site and train again, or train --patch none",
         )
-    return Room(setup, height, width, heading, wants_patch(config))
+    return ModelRoom(setup, height, width, heading, wants_patch(config))
 
 
 def blocks(
-    fitted: Fitted, room: Room, light: Light, *, progress: Progress = quiet
-) -> Iterator[Block]:
+    fitted: Fitted, room: ModelRoom, light: Light, *, progress: Progress = quiet
+) -> Iterator[HourBlock]:
     """Predict all hours of `light` in blocks. Raises InputError when maps have another size than
     the model says.
     """
@@ -119,11 +119,11 @@ def blocks(
             )
         disc = guessed_disc(maps, part, room) if known_disc_lx is None else known_disc_lx
         progress(rows.stop, count, "hours predicted")
-        yield Block(rows, part, prediction, disc)
+        yield HourBlock(rows, part, prediction, disc)
 
 
 def _patches(
-    room: Room, light: Light
+    room: ModelRoom, light: Light
 ) -> Iterator[tuple[NDArray[np.float32] | None, NDArray[np.float64] | None, slice]]:
     """Sun patches where the model wants them, the visible disc [lx] where a room is known, and
     which hours.
@@ -153,7 +153,7 @@ def _patches(
             yield part.luminance_cdm2, part.disc_lx, rows
 
 
-def guessed_disc(maps: NDArray[np.float32], light: Light, room: Room) -> NDArray[np.float64]:
+def guessed_disc(maps: NDArray[np.float32], light: Light, room: ModelRoom) -> NDArray[np.float64]:
     """The disc's illuminance at the lens where no geometry is known, [k] lx.
 
     The pixel where the sun stands shows sky when its luminance is that of the Perez sky there,

@@ -11,7 +11,7 @@ from typing import Any
 from fieldlum import __version__
 from fieldlum.errors import InputError
 from fieldlum.predict.annual import Annual, read_annual
-from fieldlum.predict.blocks import Room
+from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
 from fieldlum.session import open_session, sha256
@@ -30,7 +30,7 @@ def default_folder(model_folder: Path) -> Path:
     )
 
 
-def check_session(model_folder: Path, room: Room) -> None:
+def check_session(model_folder: Path, room: ModelRoom) -> None:
     """A model that stands in a session must have been trained on its place, heading and picture
     size.
     """

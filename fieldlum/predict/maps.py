@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.predict.annual import rounded
-from fieldlum.predict.blocks import Block
+from fieldlum.predict.blocks import HourBlock
 from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
 
 
@@ -34,7 +34,7 @@ class MapStore:
         shutil.rmtree(self._work, ignore_errors=True)
         return self
 
-    def append(self, block: Block) -> None:
+    def append(self, block: HourBlock) -> None:
         dataset = self._dataset(block)
         options: dict[str, Any] = {"append_dim": "time"}
         if not self._started:
@@ -45,7 +45,7 @@ class MapStore:
         dataset.to_zarr(self._work, zarr_format=3, consolidated=False, **options)
         self._started = True
 
-    def _dataset(self, block: Block) -> Any:
+    def _dataset(self, block: HourBlock) -> Any:
         import xarray as xr
 
         height, width = self._size

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.predict.annual import Annual, Pictures
-from fieldlum.predict.blocks import Room, blocks
+from fieldlum.predict.blocks import ModelRoom, blocks
 from fieldlum.sun import standard_date
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
     return np.flatnonzero(days == sunniest)
 
 
-def telling_pictures(fitted: Fitted, room: Room, light: Light, annual: Annual) -> Pictures:
+def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
     """The maps of `telling_hours`, predicted again: keeping all of them for this would take a
     gigabyte.
     """

@@ -23,10 +23,10 @@ from fieldlum.predict.annual import (
     write_hourly,
     write_pictures,
 )
-from fieldlum.predict.blocks import Block, Room, blocks, room_of
+from fieldlum.predict.blocks import HourBlock, ModelRoom, blocks, room_of
 from fieldlum.predict.checks import already, begin_anew, check_session, default_folder, inputs_of
+from fieldlum.predict.glare_summary import about_year, judge
 from fieldlum.predict.maps import MapStore
-from fieldlum.predict.meaning import about_year, judge
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
@@ -103,7 +103,7 @@ def light_of(weather: Weather) -> Light:
 
 def measure(
     fitted: Fitted,
-    room: Room,
+    room: ModelRoom,
     light: Light,
     azimuths_deg: NDArray[np.float64],
     folder: Path,
@@ -135,7 +135,7 @@ def measure(
     return Annual(folder, {}, light.t_utc, np.asarray(azimuths_deg, float), hours, figures)
 
 
-def _hour_figures(block: Block) -> dict[str, NDArray[Any]]:
+def _hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
     light, told = block.light, block.prediction
     return {
         "dni_wm2": light.dni_wm2,
@@ -150,7 +150,7 @@ def _hour_figures(block: Block) -> dict[str, NDArray[Any]]:
 
 
 def view_figures(
-    block: Block, room: Room, views: Views, regions: ViewRegions
+    block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
 ) -> dict[str, NDArray[np.float64]]:
     """`VIEW_COLUMNS` of a block, [k, d] each."""
     maps = block.prediction.luminance_cdm2
@@ -171,7 +171,7 @@ def view_figures(
 
 
 def _relative(
-    block: Block, views: Views, found: dict[str, NDArray[np.float64]]
+    block: HourBlock, views: Views, found: dict[str, NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Relative standard uncertainty of Ev and of the sources' luminance, [k, d]; NaN where the
     model says nothing.
@@ -193,7 +193,9 @@ def _relative(
     )
 
 
-def _relative_of_map(block: Block, views: Views) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _relative_of_map(
+    block: HourBlock, views: Views
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     told = block.prediction
     shape = (len(told.trusted), len(views.azimuths_deg))
     if told.log10_sd is None:

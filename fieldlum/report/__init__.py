@@ -25,7 +25,7 @@ MODEL_FILES = ("config.json", "weights.npz")
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SessionArtefacts:
     """What a session holds that can be reported."""
 
     model: Path | None
@@ -34,7 +34,7 @@ class Found:
     annual: Annual | None
 
 
-def find(session: Session) -> Found:
+def find(session: Session) -> SessionArtefacts:
     """The newest model and the newest predicted year of a session."""
     from fieldlum.models import read_config
     from fieldlum.predict import read_annual
@@ -53,10 +53,10 @@ def find(session: Session) -> Found:
     scores: dict[str, Any] = {}
     if newest is not None and (newest / "scores.json").is_file():
         scores = json.loads((newest / "scores.json").read_text(encoding="utf-8"))
-    return Found(newest, read_config(newest) if newest else {}, scores, annual)
+    return SessionArtefacts(newest, read_config(newest) if newest else {}, scores, annual)
 
 
-def _evidence(session: Session, found: Found, progress: Progress) -> Section | None:
+def _evidence(session: Session, found: SessionArtefacts, progress: Progress) -> Section | None:
     if found.model is None or not session.pairs.is_file():
         return None
     from fieldlum.models.data import load_pairs
@@ -68,7 +68,7 @@ def _evidence(session: Session, found: Found, progress: Progress) -> Section | N
     )
 
 
-def _settings(session: Session, found: Found) -> Section:
+def _settings(session: Session, found: SessionArtefacts) -> Section:
     from fieldlum.report.page import Section, Table
 
     table = session.table()
@@ -109,7 +109,7 @@ def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
     ]
 
 
-def _page(session: Session, found: Found, progress: Progress) -> Page:
+def _page(session: Session, found: SessionArtefacts, progress: Progress) -> Page:
     from fieldlum.predict import read_pictures
     from fieldlum.report import annual, captured
     from fieldlum.report.page import Page
@@ -150,7 +150,7 @@ def _page(session: Session, found: Found, progress: Progress) -> Page:
     )
 
 
-def _facts(session: Session, found: Found, captures: int) -> tuple[tuple[str, str], ...]:
+def _facts(session: Session, found: SessionArtefacts, captures: int) -> tuple[tuple[str, str], ...]:
     site = session.site_file().site
     facts = [
         ("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"),

@@ -28,7 +28,7 @@ SHOWN = ("typical", "one in ten is worse", "worst")
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class HeldOutMaps:
     """Measured maps and what a model says of them that never saw their days; both without the
     disc, [n, H, W].
     """
@@ -41,7 +41,7 @@ class HeldOut:
 
 def held_out(
     data: Dataset, model: Path, config: dict[str, Any], progress: Progress = quiet
-) -> HeldOut | None:
+) -> HeldOutMaps | None:
     """Every fifth captured day left out and predicted by a refit; a slow model shows its own
     validation images.
     """
@@ -70,10 +70,10 @@ def held_out(
     predicted = fitted.predict(test.light, test.patch_cdm2).luminance_cdm2
     error = np.log10(np.maximum(predicted, 1.0)) - np.log10(np.maximum(test.luminance_cdm2, 1.0))
     mse = (error**2 * test.weights).mean(axis=(1, 2), dtype=float)
-    return HeldOut(test, predicted, mse, about)
+    return HeldOutMaps(test, predicted, mse, about)
 
 
-def _views_of(held: HeldOut, maps: NDArray[np.float32]) -> NDArray[np.float64]:
+def _views_of(held: HeldOutMaps, maps: NDArray[np.float32]) -> NDArray[np.float64]:
     """DGP of the paper's ten directions, [n, 10]."""
     height, width = held.data.shape
     azimuths = view_azimuths_deg(held.data.heading_deg)
@@ -84,7 +84,7 @@ def _views_of(held: HeldOut, maps: NDArray[np.float32]) -> NDArray[np.float64]:
     )["dgp"]
 
 
-def _maps_row(held: HeldOut) -> Row:
+def _maps_row(held: HeldOutMaps) -> Row:
     order = np.argsort(held.log10_mse)
     n = len(order)
     picks = [int(order[i]) for i in dict.fromkeys((n // 2, min(int(0.9 * n), n - 1), n - 1))]
@@ -100,7 +100,7 @@ def _maps_row(held: HeldOut) -> Row:
     )
 
 
-def _agreement_rows(held: HeldOut) -> tuple[Row, ...]:
+def _agreement_rows(held: HeldOutMaps) -> tuple[Row, ...]:
     measured, predicted = (
         _views_of(held, held.data.luminance_cdm2),
         _views_of(held, held.predicted_cdm2),
@@ -186,7 +186,7 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
     )
 
 
-def section(held: HeldOut | None, scores: dict[str, Any]) -> Section:
+def section(held: HeldOutMaps | None, scores: dict[str, Any]) -> Section:
     table = _score_table(scores)
     rows = (_maps_row(held), *_agreement_rows(held)) if held else ()
     if held:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class View:
+class SceneView:
     """The panorama's rays, traced once.
 
     Surface samples [m]: position [m, 3], axis and sign of the face's normal, box index, pixel, and
@@ -76,7 +76,7 @@ def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.in
 
 
 @lru_cache(maxsize=2)
-def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
+def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView:
     """Trace the panorama of a box room from its camera. Raises InputError for an impossible
     room.
     """
@@ -98,7 +98,7 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> View:
         np.concatenate(parts) for parts in zip(*seen, strict=True)
     )
     shape, straight = (height, 2 * height), len(seen[0][0])
-    return View(
+    return SceneView(
         scene,
         height,
         heading_deg,

@@ -21,7 +21,7 @@ from fieldlum.projection import equirect_rays
 from fieldlum.records import Panorama, Progress, SiteFile, SunSource, quiet
 from fieldlum.scene.patches import disc_visibility
 from fieldlum.scene.points import SunPoints, sun_points
-from fieldlum.scene.view import View, look
+from fieldlum.scene.view import SceneView, look
 from fieldlum.session import replacing_path
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
 
@@ -85,7 +85,7 @@ class GroundTruth:
     """
 
     setup: SiteFile
-    view: View
+    view: SceneView
     pieces: Pieces
     from_points: Any
     to_pixels: Any
@@ -307,7 +307,7 @@ def _gather_pieces(
     return (spread @ found).tocsr()
 
 
-def _pixel_points(view: View, smooth_px: int) -> tuple[NDArray[np.intp], Any, Array]:
+def _pixel_points(view: SceneView, smooth_px: int) -> tuple[NDArray[np.intp], Any, Array]:
     """Points to gather light at: one for each face in each pixel (and its mirror image). Rows of
     the view's samples, the matrix [H W, m] that turns their irradiance into luminance, and their
     normals.
@@ -332,7 +332,7 @@ def _pixel_points(view: View, smooth_px: int) -> tuple[NDArray[np.intp], Any, Ar
 
 
 def _neighbours(
-    pixel: NDArray[np.int32], face: NDArray[np.int64], position: Array, view: View, radius: int
+    pixel: NDArray[np.int32], face: NDArray[np.int64], position: Array, view: SceneView, radius: int
 ) -> Any:
     """Averaging [m, m] over points of the same face in pixels within `radius`, less for those
     further off in space.

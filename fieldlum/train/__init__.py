@@ -19,9 +19,9 @@ from fieldlum.models import Fitted, Patch
 from fieldlum.models.scores import Scores, evaluate, join, summary, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.session import replacing
-from fieldlum.train.choice import Choice, Trial, choose
-from fieldlum.train.doubts import doubts
+from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.folds import MOST_FOLDS, Fold, day_folds, one_day_only
+from fieldlum.train.selection import ModelSelection, Trial, choose
 from fieldlum.train.setting import settle
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Result:
 
     fitted: Fitted
     trials: tuple[Trial, ...]
-    choice: Choice
+    choice: ModelSelection
     fit_s: float
     notes: tuple[str, ...] = ()
     captures: dict[str, Any] = field(default_factory=dict)
@@ -188,7 +188,7 @@ def fit_and_score(
             if model == name:
                 raise
             left_out.append(f"{name} was not tried: {error}")
-    choice = choose(trials, data) if model == "auto" else Choice(model, "asked for")
+    choice = choose(trials, data) if model == "auto" else ModelSelection(model, "asked for")
     more = {"checkpoint": checkpoint} if checkpoint is not None and choice.name in SLOW else {}
     fitted, spent = fit_timed(
         choice.name,
@@ -243,7 +243,7 @@ def run(
     A dense training that was cut off goes on from `out`/checkpoint.pt when the data, the model and
     the seed are the same. captures: also say how many captures would have been enough.
     """
-    from fieldlum.models import ranks
+    from fieldlum.models import distributed
     from fieldlum.train.captures import how_many
 
     same = hashlib.sha256(" ".join((str(seed), patch, *data.slots)).encode()).hexdigest()[:12]
@@ -271,7 +271,7 @@ def run(
     }
     text = json.dumps(answer, default=lambda value: value.tolist())
     answer = json.loads(text, parse_constant=lambda _: None)  # JSON has no NaN
-    if ranks.rank() == 0:
+    if distributed.rank() == 0:
         mode = patch_mode(data, patch)
         models.save(
             out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason

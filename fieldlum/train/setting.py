@@ -11,7 +11,7 @@ from fieldlum.records import Progress, SiteFile, quiet
 if TYPE_CHECKING:
     from fieldlum.models import Fitted, Patch
     from fieldlum.models.data import Dataset
-    from fieldlum.models.transport.setting import Finding, Setting
+    from fieldlum.models.transport.setting_scan import Setting, SettingFinding
 
 
 def settle(
@@ -23,7 +23,7 @@ def settle(
     Nothing is corrected: a wrong north is to be mended in SITE.toml, where all stages read it.
     """
     from fieldlum.models.transport.model import Transport
-    from fieldlum.models.transport.setting import setting_scan
+    from fieldlum.models.transport.setting_scan import setting_scan
 
     if patch == "none" or data.patch_cdm2 is None:
         return fitted, []
@@ -53,7 +53,7 @@ def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
     return lines
 
 
-def _words(finding: Finding) -> str:
+def _words(finding: SettingFinding) -> str:
     a, e = finding.amount, finding.error
     texts = {
         "north": lambda: f"north is off by {a[0]:+.1f} +- {e[0]:.1f} degrees",
@@ -74,7 +74,7 @@ def _words(finding: Finding) -> str:
     return texts[finding.cause]()
 
 
-def _remedy(finding: Finding, setup: SiteFile, pixel_deg: float) -> str:
+def _remedy(finding: SettingFinding, setup: SiteFile, pixel_deg: float) -> str:
     """What to write into SITE.toml, or what else to do."""
     a = finding.amount
     room = setup.room

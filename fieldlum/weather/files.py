@@ -17,7 +17,7 @@ from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import shipped
 from fieldlum.records import Site, parse_utc
-from fieldlum.weather.sense import check_hourly, check_sense
+from fieldlum.weather.plausibility import check_hourly, check_sense
 from fieldlum.weather.year import TYPICAL_YEAR, Weather
 
 HIGHEST_WM2 = 1600.0
@@ -33,7 +33,7 @@ _HOUR = timedelta(hours=1)
 
 
 @dataclass(frozen=True, slots=True)
-class _Row:
+class _WeatherRow:
     line: int
     when: datetime  # middle of the hour, UTC; year as the file has it
     dni: float  # NaN: missing
@@ -47,7 +47,7 @@ class _File:
     it was measured.
     """
 
-    rows: list[_Row]
+    rows: list[_WeatherRow]
     typical: bool
     name: str
     place: Site | None = None
@@ -165,7 +165,7 @@ def _read_epw(path: Path, lines: list[str]) -> _File:
         ghi, dni, dhi = (
             _number(path, number, n, cells[k]) for k, n in ((13, "GHI"), (14, "DNI"), (15, "DHI"))
         )
-        rows.append(_Row(number, start + timedelta(minutes=30) - offset, dni, dhi, ghi))
+        rows.append(_WeatherRow(number, start + timedelta(minutes=30) - offset, dni, dhi, ghi))
     return _File(rows, True, f"{path.name} ({place.name})", place)
 
 
@@ -211,7 +211,7 @@ def _read_tmy3(path: Path, lines: list[str]) -> _File:
         ghi, dni, dhi = (
             _number(path, number, name, cells[k]) for name, k in zip(wanted, at, strict=True)
         )
-        rows.append(_Row(number, end - timedelta(minutes=30) - offset, dni, dhi, ghi))
+        rows.append(_WeatherRow(number, end - timedelta(minutes=30) - offset, dni, dhi, ghi))
     return _File(rows, True, f"{path.name} ({place.name})", place)
 
 
@@ -244,7 +244,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> _File:
         dni, dhi, ghi = (
             _number(path, number, n, cells.get(n, "")) for n in ("dni_wm2", "dhi_wm2", "ghi_wm2")
         )
-        rows.append(_Row(number, when, dni, dhi, ghi))
+        rows.append(_WeatherRow(number, when, dni, dhi, ghi))
     return _File(rows, not dated, path.name, place)
 
 
@@ -355,7 +355,7 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     )
 
 
-def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[_Row]:
+def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[_WeatherRow]:
     """Typical years put into TYPICAL_YEAR of local standard time, 29 February out; sorted; no
     hour twice.
     """
@@ -384,7 +384,7 @@ def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[
     return rows
 
 
-def _values(rows: list[_Row], repairs: list[str]) -> NDArray[np.float64]:
+def _values(rows: list[_WeatherRow], repairs: list[str]) -> NDArray[np.float64]:
     """dni, dhi, ghi, [3, n]; small negative readings set to zero and said so."""
     values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T
     negative = values < 0
@@ -398,7 +398,11 @@ def _values(rows: list[_Row], repairs: list[str]) -> NDArray[np.float64]:
 
 
 def _fill_gaps(
-    found: _File, site: Site, rows: list[_Row], columns: NDArray[np.float64], repairs: list[str]
+    found: _File,
+    site: Site,
+    rows: list[_WeatherRow],
+    columns: NDArray[np.float64],
+    repairs: list[str],
 ) -> Weather:
     """Hours without values: interpolated where few, left out where many; both are said."""
     times = [row.when for row in rows]
@@ -466,7 +470,11 @@ def _check_night(path: Path, weather: Weather) -> None:
 
 
 def _check_sense(
-    path: Path, found: _File, rows: list[_Row], columns: NDArray[np.float64], weather: Weather
+    path: Path,
+    found: _File,
+    rows: list[_WeatherRow],
+    columns: NDArray[np.float64],
+    weather: Weather,
 ) -> None:
     """With the global irradiance only where the file itself gave it: elsewhere it was made from
     the other two.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import projection, sun
-from fieldlum.devices.simulated.world import Light
+from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.records import CameraSetup, Panorama, Room, Site, SiteFile, SunSource, Window
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
@@ -142,13 +142,13 @@ class Office:
         self._scene_of = lru_cache(maxsize=2)(self._scene)
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
-    def irradiance(self, t_utc: datetime) -> Light:
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
         """Ineichen's clear sky thinned by clouds, every ten minutes; linear between."""
         part, step = math.modf(t_utc.timestamp() / _LIGHT_STEP_S)
         before, after = self._light_of(int(step)), self._light_of(int(step) + 1)
-        return Light(*(a + part * (b - a) for a, b in zip(before, after, strict=True)))
+        return SimulatedLight(*(a + part * (b - a) for a, b in zip(before, after, strict=True)))
 
-    def _light_at(self, step: int) -> Light:
+    def _light_at(self, step: int) -> SimulatedLight:
         t_utc = datetime.fromtimestamp(step * _LIGHT_STEP_S, UTC)
         clear, clouds = sun.clearsky([t_utc], self.setup.site), self._cloudiness(t_utc)
         altitude = np.radians(sun.position([t_utc], self.setup.site).altitude_deg[0])
@@ -156,7 +156,7 @@ class Office:
         dhi = float(clear.dhi_wm2[0]) * (
             1.0 + 1.6 * clouds * (1.0 - clouds)
         ) + 0.25 * clouds * float(clear.ghi_wm2[0])
-        return Light(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
+        return SimulatedLight(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
 
     def _cloudiness(self, t_utc: datetime) -> float:
         """0 to 1: a clear, mixed or grey day, with hours that differ a little."""

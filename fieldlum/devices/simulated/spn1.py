@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldlum.devices import Pyranometer
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.simulated.world import Light, World
+from fieldlum.devices.simulated.world import SimulatedLight, World
 from fieldlum.errors import DeviceError
 
 TIME_CONSTANT_S = 0.1  # the SPN1's: 200 ms to 95 %
@@ -66,7 +66,7 @@ class Spn1Voice:
 
     def __init__(
         self,
-        light: Callable[[], tuple[float, Light]],
+        light: Callable[[], tuple[float, SimulatedLight]],
         rng: np.random.Generator,
         noise_wm2: float,
         serial: int,

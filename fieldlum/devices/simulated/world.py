@@ -22,7 +22,7 @@ from fieldlum.session import Session
 NEAREST_TRUTH = timedelta(minutes=45)
 
 
-class Light(NamedTuple):
+class SimulatedLight(NamedTuple):
     """Horizontal global and diffuse, and direct normal irradiance. [W/m2]"""
 
     ghi_wm2: float
@@ -33,7 +33,7 @@ class Light(NamedTuple):
 class World(Protocol):
     def scene(self, t_utc: datetime) -> Panorama: ...
 
-    def irradiance(self, t_utc: datetime) -> Light: ...
+    def irradiance(self, t_utc: datetime) -> SimulatedLight: ...
 
 
 class TruthWorld:
@@ -56,11 +56,13 @@ class TruthWorld:
             )
         return self._read(self._panoramas[nearest])
 
-    def irradiance(self, t_utc: datetime) -> Light:
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
         now = t_utc.timestamp()
         if not self._times[0] <= now <= self._times[-1]:
-            return Light(0.0, 0.0, 0.0)
-        return Light(*(float(np.interp(now, self._times, column)) for column in self._light))
+            return SimulatedLight(0.0, 0.0, 0.0)
+        return SimulatedLight(
+            *(float(np.interp(now, self._times, column)) for column in self._light)
+        )
 
 
 def _read_panorama(path: Path) -> Panorama:

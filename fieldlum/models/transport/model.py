@@ -12,12 +12,10 @@ from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Facades, Features, Kernel, Light, light_features
 from fieldlum.models import Patch, Prediction
-from fieldlum.models.transport.choice import Chosen, choose_model
-from fieldlum.models.transport.material import LEAST_CDM2, Material, OpenSky, Patchwork, material_of
 from fieldlum.models.transport.physics import Physics, physics_of
-from fieldlum.models.transport.recipe import (
+from fieldlum.models.transport.pixel_fit import (
     SECOND_NOISE,
-    Pixels,
+    PixelFit,
     Recipe,
     find_patch_gain,
     fit_pixels,
@@ -26,7 +24,15 @@ from fieldlum.models.transport.recipe import (
     second_inverse,
     second_own,
 )
-from fieldlum.models.transport.trust import (
+from fieldlum.models.transport.selection import SelectedRecipe, choose_model
+from fieldlum.models.transport.training_arrays import (
+    LEAST_CDM2,
+    Material,
+    OpenSky,
+    Patchwork,
+    material_of,
+)
+from fieldlum.models.transport.uncertainty import (
     LOG10_E,
     SLIP_MSE,
     Trust,
@@ -64,7 +70,7 @@ class Transport:
     train: Features
     train_light: Light
     projector: Array
-    pixels: Pixels
+    pixels: PixelFit
     open_sky: OpenSky
     patchwork: Patchwork | None
     patch_scale: float
@@ -241,7 +247,7 @@ class Transport:
         }
         arrays |= {
             f"pixel_{f.name}": getattr(self.pixels, f.name).astype(np.float32)
-            for f in fields(Pixels)
+            for f in fields(PixelFit)
         }
         arrays |= {f"sky_{f.name}": getattr(self.open_sky, f.name) for f in fields(OpenSky)}
         for f in fields(Features):
@@ -285,7 +291,7 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trans
         train=train,
         train_light=Light(times, nothing, nothing, altitude, azimuth),
         projector=arrays["projector"],
-        pixels=Pixels(*(arrays[f"pixel_{f.name}"] for f in fields(Pixels))),
+        pixels=PixelFit(*(arrays[f"pixel_{f.name}"] for f in fields(PixelFit))),
         open_sky=OpenSky(*(arrays[f"sky_{f.name}"] for f in fields(OpenSky))),
         patchwork=None if own["patchwork"] is None else Patchwork(**own["patchwork"]),
         patch_scale=float(own["patch_scale"]),
@@ -359,8 +365,8 @@ def _draw(material: Material, seed: int) -> NDArray[np.intp]:
 def _finish(
     data: Dataset,
     material: Material,
-    chosen: Chosen,
-    pixels: Pixels,
+    chosen: SelectedRecipe,
+    pixels: PixelFit,
     drawn: NDArray[np.intp],
     scale: float,
     physics: Physics | None,

@@ -16,8 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.models.transport.evidence import MOST_SHIFT_PX, MOST_TURN_DEG, Evidence, evidence_of
-from fieldlum.models.transport.trust import edge_range
+from fieldlum.models.transport.misalignment import (
+    MOST_SHIFT_PX,
+    MOST_TURN_DEG,
+    Evidence,
+    evidence_of,
+)
+from fieldlum.models.transport.uncertainty import edge_range
 from fieldlum.records import Progress, quiet
 
 if TYPE_CHECKING:
@@ -40,7 +45,7 @@ BLUR_PX = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class SettingFinding:
     """What one cause alone would explain: the amounts by which it is off, their standard errors
     over days, the misfit that is left and that of the setting as stated, and by how many
     standard errors over days it is less.
@@ -75,13 +80,13 @@ class Setting:
     cause is sure: then the setting is right as far as the captures can tell.
     """
 
-    findings: tuple[Finding, ...]
-    alike: tuple[Finding, ...]
+    findings: tuple[SettingFinding, ...]
+    alike: tuple[SettingFinding, ...]
     slip_deg: float
     hours: int
 
     @property
-    def wrong(self) -> Finding | None:
+    def wrong(self) -> SettingFinding | None:
         """What explains most, when any cause is sure."""
         return self.findings[0] if self.slip_deg > 0.0 else None
 
@@ -187,7 +192,7 @@ def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
         }
     curves = {cause: _Curve(_misfit(found, cause, make)) for cause, make in makers.items()}
     pixel_deg = 360.0 / data.shape[1]
-    findings: list[Finding] = []
+    findings: list[SettingFinding] = []
     for k, (cause, curve) in enumerate(curves.items()):
         progress(30 + 14 * k, 100, f"setting: {cause}")
         if cause == "north and clock":
@@ -224,13 +229,13 @@ def _misfit(found: Evidence, cause: str, make: Callable[..., Array]) -> Callable
     return lambda *amount: found.misfit(make(*amount), gain)
 
 
-def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) -> Finding:
+def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) -> SettingFinding:
     best = curve.best()
     misfit, stated = curve.at(*best), curve.at(*(0.0,) * len(best))
     error = tuple(
         float(np.hypot(s, e)) for s, e in zip(_spread(curve, groups), least_error, strict=True)
     )
-    return Finding(
+    return SettingFinding(
         cause,
         best,
         error,
@@ -240,7 +245,7 @@ def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) ->
     )
 
 
-def _ranked(findings: list[Finding]) -> list[Finding]:
+def _ranked(findings: list[SettingFinding]) -> list[SettingFinding]:
     """By what they take away, the most first; two causes at once must each be sure and do better
     by far.
     """

@@ -23,7 +23,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class OrderSelection:
     index: int
     line: str  # what was tried, and why this one
 
@@ -34,7 +34,7 @@ def choose(
     unit: str = "%",
     scale: float = 100.0,
     negligible: float = 0.0,
-) -> Choice:
+) -> OrderSelection:
     """The smallest candidate whose mean held-out error is within one standard error of the best
     one's.
 
@@ -59,7 +59,9 @@ def choose(
         if chosen == best
         else f"smaller than the best, {candidates[best].name}, and no worse that matters"
     )
-    return Choice(chosen, f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}")
+    return OrderSelection(
+        chosen, f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}"
+    )
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:

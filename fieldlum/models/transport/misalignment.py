@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.light import Kernel, facades_of
-from fieldlum.models.transport.material import LEAST_CDM2, material_of, patch_flux
-from fieldlum.models.transport.recipe import Recipe, basis_of, fit_pixels
+from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
+from fieldlum.models.transport.training_arrays import LEAST_CDM2, material_of, patch_flux
 from fieldlum.projection import equirect_solid_angles
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from fieldlum.capture.group import Match, Offset, true_time
+from fieldlum.capture.match_card import Match, Offset, true_time
 from fieldlum.capture.state import Ledger, SlotState
 from fieldlum.session import Journal, Session, sha256
 

@@ -94,7 +94,7 @@ def needed(row: dict[str, Any], name: str, path: Path) -> Any:
     return row[name]
 
 
-def keep(
+def save_calibration(
     out: Path,
     profile: CameraProfile,
     frames: Iterable[Path],

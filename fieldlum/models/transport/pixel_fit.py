@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.light import Kernel, Light
-from fieldlum.models.transport.material import LEAST_CDM2, Material, pixel_scale
 from fieldlum.models.transport.solve import (
     Columns,
     each_chunk,
@@ -23,6 +22,7 @@ from fieldlum.models.transport.solve import (
     pair_products,
     solve,
 )
+from fieldlum.models.transport.training_arrays import LEAST_CDM2, Material, pixel_scale
 
 Array = NDArray[Any]
 
@@ -80,7 +80,7 @@ def leading(basis: Basis, rank: int) -> Basis:
 
 
 @dataclass(frozen=True, slots=True)
-class Pixels:
+class PixelFit:
     """What is known of each pixel: scale [P] light per unit of total light; b [P, r]; gains of
     patch and sky [P]; least [P] of the surface part, in units of the scale; second [m, P]
     weights of the second stage (m may be 0).
@@ -176,12 +176,12 @@ def fit_pixels(
     basis: Basis,
     recipe: Recipe,
     tick: Callable[[int, int], None] = lambda done, total: None,
-) -> Pixels:
+) -> PixelFit:
     """Fit all pixels in chunks of bounded memory."""
     count, r = material.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
     taught = _teaching(material, recipe)
-    out = Pixels(
+    out = PixelFit(
         pixel_scale(taught),
         np.empty((count, r), np.float32),
         np.ones(count),
@@ -252,7 +252,7 @@ def seasons(days: NDArray) -> NDArray[np.intp]:
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class HeldOutFit:
     """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of
     1 cd/m2; sureness [n] of the hours.
     """
@@ -310,7 +310,7 @@ def _hold_out_first(material: Material, basis: Basis, recipe: Recipe) -> _First:
 
 def hold_out(
     material: Material, basis: Basis, recipe: Recipe, first: _First | None = None
-) -> HeldOut:
+) -> HeldOutFit:
     """What each hour would be predicted as by the others without its day; `first` where it is
     known already.
     """
@@ -321,10 +321,12 @@ def hold_out(
         own = second_own(material, recipe)
         found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, material.days))
     luminance = found * material.light.total_lx[:, None] * first.scale
-    return HeldOut(luminance, score(luminance, material.luminance), first.scale, material.sureness)
+    return HeldOutFit(
+        luminance, score(luminance, material.luminance), first.scale, material.sureness
+    )
 
 
-def hold_out_seasons(material: Material, basis: Basis, recipe: Recipe) -> HeldOut | None:
+def hold_out_seasons(material: Material, basis: Basis, recipe: Recipe) -> HeldOutFit | None:
     """As `hold_out` with whole seasons left out; None where there are no gaps between seasons."""
     groups = seasons(material.days)
     return hold_out(replace(material, days=groups), basis, recipe) if groups.max() > 0 else None

@@ -25,7 +25,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ModelSelection:
     name: str
     reason: str
 
@@ -43,7 +43,7 @@ def _daily(trial: Trial, data: Dataset, slots: set[str]) -> NDArray[np.float64]:
     return by_day(trial.scores.mse_weighted[rows], days)[1]
 
 
-def choose(trials: list[Trial], data: Dataset) -> Choice:
+def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
     """One-standard-error rule, smallest first, among the candidates that were asked about the most
     hours.
 
@@ -67,11 +67,11 @@ def choose(trials: list[Trial], data: Dataset) -> Choice:
                 f"{trial.name} is better than {winner.name} by {gain.mean():.2e} on the "
                 f"{len(gain)} days it was asked"
             )
-            winner, choice = trial, Choice(trial.name, said)
+            winner, choice = trial, ModelSelection(trial.name, said)
     return choice
 
 
-def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, Choice]:
+def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSelection]:
     """The smallest trial within one standard error of the best; the error is that of the best's
     mean over days.
     """
@@ -87,11 +87,11 @@ def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, Choice]:
     )
     spread = f"{means[best]:.2e} +- {slack:.1e} over {len(daily[best])} held-out days"
     if chosen.name == best:
-        return chosen, Choice(
+        return chosen, ModelSelection(
             best, f"{best} is best ({spread}) and nothing smaller is within one standard error"
         )
     said = (
         f"{chosen.name} ({means[chosen.name]:.2e}) is the smallest within one standard error "
         f"of {best} ({spread})"
     )
-    return chosen, Choice(chosen.name, said)
+    return chosen, ModelSelection(chosen.name, said)

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from fieldlum.light import Features, Kernel
 from fieldlum.models import Patch
-from fieldlum.models.transport.material import Material
-from fieldlum.models.transport.recipe import (
+from fieldlum.models.transport.pixel_fit import (
     RANK,
     Basis,
-    HeldOut,
+    HeldOutFit,
     Recipe,
     basis_of,
     choose,
@@ -25,6 +24,7 @@ from fieldlum.models.transport.recipe import (
     leading,
     one_season,
 )
+from fieldlum.models.transport.training_arrays import Material
 
 Array = NDArray[Any]
 
@@ -67,7 +67,7 @@ def recipes_for(patch: Patch, one_season: bool) -> list[Recipe]:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class SelectedRecipe:
     """What held-out days chose: the kernel, what it looks at, the recipe; table of all that was
     tried.
     """
@@ -77,13 +77,13 @@ class Chosen:
     covariance: Array
     basis: Basis
     recipe: Recipe
-    held: HeldOut
+    held: HeldOutFit
     table: list[tuple[Recipe, float, float]]
 
 
 def choose_model(
     drawn: Material, kernel: Kernel, patch: Patch, bounced: NDArray[np.float32] | None
-) -> Chosen:
+) -> SelectedRecipe:
     """What serves held-out days best, asked of the pixels `drawn`; bounced: what a room model
     makes of the sun.
     """
@@ -98,7 +98,7 @@ def choose_model(
 
 def _choose_kernel(
     drawn: Material, kernel: Kernel, recipes: list[Recipe], bounced: NDArray[np.float32] | None
-) -> Chosen:
+) -> SelectedRecipe:
     """The kernel and recipe that serve held-out days best, asked of some pixels.
 
     A room model (its features `bounced`) speaks for suns that no capture had, held-out days do not:
@@ -106,11 +106,11 @@ def _choose_kernel(
     counts less.
     """
 
-    def tried(kernel: Kernel, features: Features) -> Chosen:
+    def tried(kernel: Kernel, features: Features) -> SelectedRecipe:
         covariance = kernel(features, features)
         basis = basis_of(covariance, RANK)
         recipe, table = choose(drawn[slice(CHOOSING)], basis, recipes)
-        return Chosen(
+        return SelectedRecipe(
             kernel, features, covariance, basis, recipe, hold_out(drawn, basis, recipe), table
         )
 
@@ -128,8 +128,8 @@ def _doubted(
     kernel: Kernel,
     one_season: bool,
     bounced: NDArray[np.float32] | None,
-    trusting: Chosen,
-) -> Chosen:
+    trusting: SelectedRecipe,
+) -> SelectedRecipe:
     """Where held-out days had to mend patches, they are asked too whether the light is better
     learnt without them.
     """
@@ -139,7 +139,7 @@ def _doubted(
     return replace(best, table=[*trusting.table, *doubting.table])
 
 
-def fewest_features(drawn: Material, chosen: Chosen) -> Chosen:
+def fewest_features(drawn: Material, chosen: SelectedRecipe) -> SelectedRecipe:
     """No more features than held-out days ask for: the first of FEWER that costs at most 5 % of the
     error of them all.
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from fieldlum.capture.bracket import shots, write_capture
 from fieldlum.capture.card import card_files, of_the_session, read_card, without_copies
 from fieldlum.capture.card_clock import clock_offset, clock_parts, clock_steps, doubt, tells_utc
-from fieldlum.capture.group import (
+from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.match_card import (
     Group,
     Match,
     Offset,
@@ -22,8 +23,7 @@ from fieldlum.capture.group import (
     same_exposure,
     true_time,
 )
-from fieldlum.capture.logger_rows import adopt_rows
-from fieldlum.capture.misplaced import withdraw
+from fieldlum.capture.reassign_slots import withdraw
 from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.records import CameraSetup, Exposure, Progress, Slot, quiet, shutter_text, utc_text

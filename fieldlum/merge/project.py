@@ -15,8 +15,8 @@ from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop
+from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.ratios import RatioCurve
-from fieldlum.merge.scatter import footprint_px
 from fieldlum.photometry import check_vignetting, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import Equirect, LensGeometry, Resampler, resampler
@@ -49,7 +49,7 @@ class SensorMap:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class LensView:
     """Flat arrays [n] of the target: luminance, random variance, share covered, flags, camera
     RGB, relative u's.
     """
@@ -153,7 +153,7 @@ def _project(
     return np.stack(rgb, axis=1).astype(np.float64), np.stack(var, axis=1).astype(np.float64), flags
 
 
-def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: Target) -> View:
+def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: Target) -> LensView:
     """One lens's contribution, vignetting undone."""
     geometry = lens_geometry(lens, sensor.crop, sensor.turn_deg)
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
@@ -170,12 +170,12 @@ def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: 
     edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
-    return View(
+    return LensView(
         rgb @ weights, var @ weights**2, coverage, edge, u_vignetting, u_ratio, flags, rgb, lens
     )
 
 
-def blend(views: Sequence[View]) -> View:
+def blend(views: Sequence[LensView]) -> LensView:
     """Inverse-variance mean of all lenses and headings that see a pixel.
 
     The variance is that of the common luminance (of the noisy one it would pull towards the darker
@@ -214,7 +214,7 @@ def blend(views: Sequence[View]) -> View:
         by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
     u_vignetting = np.sqrt(sum(u**2 for u in by_lens.values()))
     u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)  # one shutter
-    return View(
+    return LensView(
         (share * luminance).sum(0),
         (share**2 * variance).sum(0),
         coverage.max(0),
@@ -226,7 +226,7 @@ def blend(views: Sequence[View]) -> View:
     )
 
 
-def finish(view: View, profile: CameraProfile, target: Target) -> Map:
+def finish(view: LensView, profile: CameraProfile, target: Target) -> Map:
     """The GUM budget and the flags of the finished map.
 
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2

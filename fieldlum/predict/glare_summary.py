@@ -18,7 +18,7 @@ from fieldlum.glare.standards import (
     protection,
 )
 from fieldlum.predict.annual import Annual
-from fieldlum.predict.blocks import Room
+from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
 from fieldlum.records import utc_text
@@ -75,7 +75,7 @@ def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[dict[s
 
 
 def about_year(
-    room: Room,
+    room: ModelRoom,
     config: dict[str, Any],
     weather: Weather,
     inputs: dict[str, Any],
@@ -117,7 +117,7 @@ def about_year(
     }
 
 
-def _notes(weather: Weather, room: Room, untrusted: float, days: int) -> list[str]:
+def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> list[str]:
     notes = [HOURLY_MEANS]
     if days < WHOLE_YEAR_DAYS:
         notes.append(f"the weather holds {days} days, not a year: classes are for these days only")

@@ -11,8 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Light
-from fieldlum.models.transport.material import LEAST_CDM2, Material
-from fieldlum.models.transport.recipe import FLOOR_CDM2, SECOND_SEASON, HeldOut, one_season, seasons
+from fieldlum.models.transport.pixel_fit import (
+    FLOOR_CDM2,
+    SECOND_SEASON,
+    HeldOutFit,
+    one_season,
+    seasons,
+)
+from fieldlum.models.transport.training_arrays import LEAST_CDM2, Material
 
 Array = NDArray[Any]
 
@@ -201,13 +207,13 @@ def residual_noise(
 
 def calibrate(
     material: Material,
-    held: HeldOut,
+    held: HeldOutFit,
     covariance: Array,
     noise: float,
     residual: tuple[Array, Array],
     doubt: Array,
     second: Array,
-    apart: HeldOut | None = None,
+    apart: HeldOutFit | None = None,
 ) -> Trust:
     """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in
     each class.
@@ -238,7 +244,7 @@ def calibrate(
     return replace(trust, mse=float((counts * held.error**2).sum() / (counts * guess).sum()))
 
 
-def _patch_sd(material: Material, held: HeldOut) -> float:
+def _patch_sd(material: Material, held: HeldOutFit) -> float:
     """Relative sd of a sun patch, by held-out pixels that it rules."""
     if material.patch is None:
         return 0.0
@@ -249,7 +255,7 @@ def _patch_sd(material: Material, held: HeldOut) -> float:
 
 def _held_out_sd(
     material: Material,
-    held: HeldOut,
+    held: HeldOutFit,
     variance: Array,
     doubt: Array,
     residual: tuple[Array, Array],
@@ -263,7 +269,7 @@ def _held_out_sd(
     return np.maximum(np.sqrt(sd**2 + material.unsure[:, None]), LEAST_SD)
 
 
-def _factors(material: Material, held: HeldOut, sd: Array) -> Array:
+def _factors(material: Material, held: HeldOutFit, sd: Array) -> Array:
     """What sd [n, P] must be multiplied by in overcast, intermediate and clear hours, [3]."""
     ratio = np.abs(held.error) / LOG10_E / sd
     valid = ~material.filled

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.merge.estimator import Merged, Signal, Strip
-from fieldlum.merge.store import FrameStore
+from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.projection import LensGeometry
 from fieldlum.projection.resample import Target
 from fieldlum.records import Flag
