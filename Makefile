@@ -1,7 +1,7 @@
 # Each target alone sets up .venv and does its job; only Python 3.11 or newer and a package index are needed.
 PYTHON ?= python3.11
 
-.PHONY: demo test clean
+.PHONY: demo test golden clean
 
 demo: .venv/ready
 	.venv/bin/fieldlum demo demo
@@ -16,6 +16,10 @@ test: .venv/ready
 	.venv/bin/python -m pip install -q --upgrade "pip>=25.1"
 	.venv/bin/python -m pip install -q -c constraints.txt -e . --group dev
 	touch .venv/ready
+
+# Stores the results of the whole chain again, after an intended change of results.
+golden: .venv/ready
+	.venv/bin/python tests/golden_chain.py
 
 clean:
 	rm -rf .venv demo
