@@ -17,6 +17,8 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fieldlum.projection import direction as direction  # callers read sun.direction
+from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Site
 
 if TYPE_CHECKING:
@@ -69,17 +71,6 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
         np.asarray(found["apparent_elevation"], float),
         np.asarray(found["azimuth"], float) % 360.0,
     )
-
-
-def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
-    """Unit vectors towards the sun, [..., 3]: x east, y north, z up."""
-    altitude, azimuth = np.radians(altitude_deg), np.radians(azimuth_deg)
-    parts = (
-        np.cos(altitude) * np.sin(azimuth),
-        np.cos(altitude) * np.cos(azimuth),
-        np.sin(altitude),
-    )
-    return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -191,7 +182,7 @@ def season(year: int, which: int) -> datetime:
     for _ in range(
         8
     ):  # Newton with the mean rate of the longitude: each step shrinks the error by about 30
-        behind = (target - _apparent_longitude_deg(moment) + 180.0) % 360.0 - 180.0
+        behind = float(signed_angle_deg(target - _apparent_longitude_deg(moment)))
         moment += behind / 360.0 * 365.2422 * 86400.0
     return datetime.fromtimestamp(round(moment), UTC)
 

@@ -17,6 +17,7 @@ from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import CameraProfile
+from fieldlum.statistics import robust_sigma
 
 Array = NDArray[np.floating]
 READING_U = 0.02
@@ -195,7 +196,7 @@ def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, t
     offs = [np.log((colours.rgb @ start) / colours.y) for start, _ in priors(colours, profile)]
     offs = [off - np.median(off) for off in offs]
     off = min(offs, key=lambda o: float(np.median(np.abs(o))))
-    far = np.abs(off) > max(FAR, 5 * 1.4826 * float(np.median(np.abs(off))))
+    far = np.abs(off) > max(FAR, 5 * robust_sigma(off, 0.0))
     if not far.any() or far.mean() > 0.25 or len(off) - far.sum() < LEAST:
         return colours, ()
     told = [

@@ -16,7 +16,8 @@ from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
-from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
+from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays, signed_angle_deg
+from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
 LEAST = 8
@@ -168,7 +169,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
         coefficients=tuple(round(c, 7) for c in found.coefficients),
     )
     if not targets.pose_known:
-        azimuth = round((found.azimuth_deg + 180) % 360 - 180, 4)
+        azimuth = round(float(signed_angle_deg(found.azimuth_deg)), 4)
         new = replace(
             new,
             azimuth_deg=azimuth,
@@ -396,7 +397,7 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
 
     found = least_squares(misses, (x, y, r), loss="soft_l1", f_scale=0.5)
     cx, cy, radius = (float(v) for v in found.x)
-    return Circle((cx, cy), radius, float(1.4826 * np.median(np.abs(misses(found.x)))))
+    return Circle((cx, cy), radius, robust_sigma(misses(found.x), 0.0))
 
 
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:

@@ -26,6 +26,7 @@ from fieldlum.photometry import prior_u_log, snap_shutter_s
 from fieldlum.profiles import CameraProfile, ShutterTime
 from fieldlum.records import parse_utc, shutter_text
 from fieldlum.session import Session, parse_exposure
+from fieldlum.statistics import median_standard_error, robust_sigma
 
 LEAST = 5  # brackets that must show a pair of times
 WIDEST = 0.02  # relative spread of a pair over brackets: beyond it light or shutter wandered
@@ -180,9 +181,9 @@ def pool(
 def _pair_table(pair: Pair, values: NDArray[np.float64]) -> FramePairTable:
     """values: log ratio, its u, seconds; [brackets, 3]."""
     n, median = len(values), float(np.median(values[:, 0]))
-    apart = 1.4826 * float(np.median(np.abs(values[:, 0] - median)))
+    apart = robust_sigma(values[:, 0])
     noise = float(np.median(values[:, 1]))
-    error = np.hypot(1.2533 * max(apart, noise) / np.sqrt(n), _LINEAR)
+    error = np.hypot(median_standard_error(max(apart, noise), n), _LINEAR)
     spread, seconds = float(np.sqrt(max(apart**2 - noise**2, 0.0))), float(np.median(values[:, 2]))
     return FramePairTable(pair, median, spread, float(error), n, seconds)
 
@@ -205,8 +206,7 @@ def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
     """
     pooled = pool(brackets, drift=False)
     rates = np.array([_drift_per_s(bracket, pooled) for bracket in brackets])
-    spread = 1.4826 * float(np.median(np.abs(rates - np.median(rates))))
-    return float(1.2533 * spread / np.sqrt(len(rates)))
+    return median_standard_error(robust_sigma(rates), len(rates))
 
 
 def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) -> ShutterFit:

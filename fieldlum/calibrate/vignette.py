@@ -19,6 +19,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.photometry import check_vignetting, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens, Vignetting
 from fieldlum.projection import angle_of_radius
+from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
 ORDERS = (0, 2, 4, 6, 8)
@@ -143,9 +144,7 @@ def _rings(r: Array, value: Array, good: NDArray[np.bool_]) -> list[tuple[float,
     for number in range(BINS):
         inside = value[good & (ring == number)]
         if len(inside) >= 20:
-            spread = (
-                1.4826 * float(np.median(np.abs(inside - np.median(inside)))) / np.sqrt(len(inside))
-            )
+            spread = robust_sigma(inside) / np.sqrt(len(inside))
             middle = float(np.median(inside))
             found.append(
                 ((number + 0.5) / BINS, middle, float(np.hypot(1.25 * spread / middle, 0.001)))
@@ -242,10 +241,10 @@ def _slips(samples: Samples) -> NDArray[np.bool_]:
     order, nearby = (4 if len(r) < 12 else 6), np.abs(r[:, None] - r) < 2 * BESIDE
     off = np.array([v / np.median(value[row]) - 1.0 for v, row in zip(value, nearby, strict=True)])
     for _ in range(8):
-        sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-4)
+        sigma = max(robust_sigma(off, 0.0), 1e-4)
         weight = np.minimum(2 * sigma / np.maximum(np.abs(off), 1e-12), 1.0) ** 2
         off = value / (_design(r, order) @ _falling(r, value, u / np.sqrt(weight), order)) - 1.0
-    limit = max(FAR_SIGMA * 1.4826 * float(np.median(np.abs(off))), FAR)
+    limit = max(FAR_SIGMA * robust_sigma(off, 0.0), FAR)
     slips = np.abs(off) > limit
     for i in np.flatnonzero(slips):
         away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))

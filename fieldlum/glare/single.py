@@ -17,7 +17,12 @@ from fieldlum.glare.metrics import METRICS, glare_directions
 from fieldlum.glare.pictures import Picture, read_picture
 from fieldlum.glare.reference import reference_glare
 from fieldlum.glare.sources import group_pixels, widen
-from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.projection import (
+    direction,
+    equirect_rays,
+    equirect_solid_angles,
+    signed_angle_deg,
+)
 from fieldlum.records import Flag, Float, Panorama, SunSource, utc_text
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
@@ -131,7 +136,7 @@ def _azimuths(picture: Picture, asked: Sequence[float], path: Path) -> np.ndarra
             "a level view",
             "take it with a level head",
         )
-    if asked and max(abs((a - view.azimuth_deg + 180.0) % 360.0 - 180.0) for a in asked) > 1e-3:
+    if asked and np.abs(signed_angle_deg(np.asarray(asked) - view.azimuth_deg)).max() > 1e-3:
         raise InputError(
             path,
             f"--view-azimuth on a fisheye that looks to {view.azimuth_deg:.1f}",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fieldlum.merge.shots import Shot
 from fieldlum.photometry import saturation_plateau
 from fieldlum.profiles import CameraProfile
+from fieldlum.projection import signed_angle_deg
 from fieldlum.raw import channel_positions, read_mosaic, roll_deg_of
 
 Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
@@ -73,7 +74,7 @@ def held_otherwise(shots: Sequence[Shot], profile: CameraProfile) -> str:
     told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(told) > 1:
         return f"the camera was turned within the bracket, by its EXIF: roll {_degrees(told)}"
-    off = (told.pop() - lens.roll_deg + 180.0) % 360.0 - 180.0 if told else 0.0
+    off = float(signed_angle_deg(told.pop() - lens.roll_deg)) if told else 0.0
     if abs(off) <= _HELD_DEG:
         return ""
     return (

@@ -22,6 +22,7 @@ from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.projection import LensGeometry
 from fieldlum.projection.resample import Target
 from fieldlum.records import Flag
+from fieldlum.statistics import MAD_TO_SIGMA
 
 _BANDS = 64  # rows of cells that are looked at: enough for a field that is smooth
 _IN_A_STEP, _MOST_STEPS = (
@@ -134,7 +135,7 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
     share /= share.sum(axis=1, keepdims=True)
     variance = (share**2 * (u2_a / a**2 + u2_b / b**2)).sum(axis=1)
     found = (share * apart).sum(axis=1) ** 2 / variance
-    pull2[enough] = np.minimum(found, (_FAR * 1.4826) ** 2 * np.median(found))
+    pull2[enough] = np.minimum(found, (_FAR * MAD_TO_SIGMA) ** 2 * np.median(found))
     return pull2
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.ratios import Sample
 from fieldlum.photometry import PairRatio
+from fieldlum.statistics import robust_sigma
 
 _STEPS = 12  # levels of a pair that are looked at
 _IN_A_STEP, _MOST = 200, 12_000  # pixels of a step, of a pair
@@ -97,7 +98,7 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
         r = ratio[step]
         light = np.maximum(y_long[step], 0.0)
         off = y_short[step] - r * y_long[step] + dither[step]
-        spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+        spread = robust_sigma(off)
         shot = float(np.median(r * light / b.gain_e_per_dn + r**2 * light / a.gain_e_per_dn))
         read = float(np.median(b.noise_dn2 + r**2 * a.noise_dn2))
         found.append((shot, read, max(spread**2 - _ROUNDED_DN2, _ROUNDED_DN2)))

@@ -19,7 +19,7 @@ from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.ratios import RatioCurve
 from fieldlum.photometry import check_vignetting, vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import Equirect, LensGeometry, Resampler, resampler
+from fieldlum.projection import Equirect, LensGeometry, Resampler, resampler, signed_angle_deg
 from fieldlum.projection.resample import Target
 from fieldlum.records import Flag
 
@@ -81,7 +81,7 @@ class Map:
 def lens_geometry(lens: Lens, crop: Crop, turn_deg: float) -> LensGeometry:
     """The lens over a crop of its sensor, the camera turned."""
     x, y = lens.centre_px
-    turned_deg = (lens.azimuth_deg + turn_deg + 180.0) % 360.0 - 180.0
+    turned_deg = float(signed_angle_deg(lens.azimuth_deg + turn_deg))
     return replace(lens.geometry, centre_px=(x - crop.left, y - crop.top), azimuth_deg=turned_deg)
 
 

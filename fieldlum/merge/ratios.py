@@ -12,6 +12,7 @@ from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.frames import RawSignal
 from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
+from fieldlum.statistics import robust_sigma
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
 _SNR_LONG = 30.0
@@ -136,7 +137,7 @@ def unexplained(left: Sequence[Neighbours], explained: float) -> float:
     """
     if not left:
         return 0.0
-    apart = 1.4826 * float(np.median([abs(n.residual_percent) for n in left])) / 100
+    apart = robust_sigma([n.residual_percent for n in left], 0.0) / 100
     noise = float(np.median([n.u_percent for n in left])) / 100
     return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from fieldlum.images import read_panorama
 from fieldlum.records import parse_utc
 from fieldlum.session import Session, parse_exposure, read_day, replacing
+from fieldlum.statistics import median_standard_error, robust_sigma
 
 COLUMNS = (
     "slot",
@@ -77,8 +78,8 @@ def shutter_table(qualities: Sequence[dict[str, Any]]) -> list[ShutterEntry]:
     table = []
     for text, values in found.items():
         logs = np.log(values)
-        spread = 1.4826 * float(np.median(np.abs(logs - np.median(logs))))
-        u = max(1.2533 * spread / np.sqrt(len(logs)), 2e-4)
+        spread = robust_sigma(logs)
+        u = max(median_standard_error(spread, len(logs)), 2e-4)
         table.append(
             ShutterEntry(
                 text, parse_exposure(text).shutter_s, float(np.exp(np.median(logs))), u, len(logs)

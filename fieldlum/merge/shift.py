@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
+from fieldlum.statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float32]
 LONGEST = 800  # of the reduced frames' sides
@@ -222,7 +223,7 @@ def _solve(
             return None
         x = np.linalg.solve(normal, design.T @ (weight * target))
         left = np.abs(target - design @ x)
-        weight = np.minimum(1.0, 1.5 * 1.4826 * np.median(left) / np.maximum(left, 1e-9))
+        weight = np.minimum(1.0, 1.5 * MAD_TO_SIGMA * np.median(left) / np.maximum(left, 1e-9))
     weighed = design * weight[:, None]
     names = np.unique(block)
     parts = [block == name for name in names]

@@ -20,7 +20,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
-from fieldlum.projection import equirect_pixel, equirect_solid_angles
+from fieldlum.projection import equirect_pixel, equirect_solid_angles, signed_angle_deg
 from fieldlum.records import Flag, Panorama, Progress, SiteFile, parse_utc, quiet, slot_id
 from fieldlum.session import Session, open_session
 
@@ -479,7 +479,7 @@ def _checked(
     if found != shape:
         said = f"{found[1]} x {found[0]} pixels", f"{shape[1]} x {shape[0]} as in the first row"
         raise InputError(path, *said, remedy)
-    if abs((_heading(panorama, path, setup) - heading + 180.0) % 360.0 - 180.0) > 0.01:
+    if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
         found = f"heading {_heading(panorama, path, setup):g}"
         raise InputError(path, found, f"{heading:g} as in the first row", remedy)
     return panorama

@@ -23,7 +23,7 @@ from torch.nn import functional as F
 
 from fieldlum.models import Patch, Prediction
 from fieldlum.models.training_domain import Domain, captured
-from fieldlum.projection import equirect_rays
+from fieldlum.projection import equirect_rays, signed_angle_deg
 from fieldlum.records import Progress, quiet
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class HourInputs:
 
 
 def hours(light: Light, shape: Shape) -> HourInputs:
-    from_south = (light.sun_azimuth_deg - 180.0 + 180.0) % 360.0 - 180.0  # west positive
+    from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
     columns = (
         light.sun_altitude_deg / 90.0,
         (from_south + 180.0) / 360.0,

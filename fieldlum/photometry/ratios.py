@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.statistics import robust_sigma
+
 MIN_PIXELS = 50
 _SYSTEMATIC = 5e-4  # floor of a pair's uncertainty: linearity of the sensor, light within a second
 PRIOR_LONG, PRIOR_SHORT, SHORT_S = (
@@ -76,7 +78,7 @@ def pair_ratio(
     centre, spread, robust = _weighted_median(r, weight), 1.0, weight
     for _ in range(8):
         pull = np.abs(r - centre) * np.sqrt(weight)
-        spread = max(1.0, 1.4826 * float(np.median(pull)))
+        spread = max(1.0, robust_sigma(pull, 0.0))
         robust = weight * np.minimum(1.0, 2.5 * spread / np.maximum(pull, 1e-12))
         centre = float((robust * r).sum() / robust.sum())
     if not centre > 0:

@@ -14,6 +14,7 @@ from fieldlum.predict.annual import Annual, read_annual
 from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
+from fieldlum.projection import signed_angle_deg
 from fieldlum.session import open_session, sha256
 
 
@@ -69,7 +70,7 @@ def check_session(model_folder: Path, room: ModelRoom) -> None:
             raise InputError(
                 model_folder, found, f"{width} x {height} as in this session", "train it again"
             )
-        if abs((first.heading_deg - room.heading_deg + 180.0) % 360.0 - 180.0) > 0.1:
+        if abs(signed_angle_deg(first.heading_deg - room.heading_deg)) > 0.1:
             found = f"a model that faces {room.heading_deg:g}"
             raise InputError(
                 model_folder, found, f"{first.heading_deg:g} as in this session", "train it again"

@@ -20,6 +20,7 @@ from fieldlum.projection.panorama import (
     equirect_solid_angles,
     row_altitudes_deg,
     row_solid_angles,
+    signed_angle_deg,
 )
 from fieldlum.projection.resample import Equirect, Fisheye, Resampler, resampler
 
@@ -40,4 +41,5 @@ __all__ = [
     "resampler",
     "row_altitudes_deg",
     "row_solid_angles",
+    "signed_angle_deg",
 ]

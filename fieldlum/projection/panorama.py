@@ -30,6 +30,11 @@ def row_altitudes_deg(height: int) -> NDArray[np.float64]:
     return 90.0 - (np.arange(height) + 0.5) / height * 180.0
 
 
+def signed_angle_deg(angle_deg: ArrayLike) -> NDArray[np.float64]:
+    """Return the same angle in [-180, 180): a difference of two azimuths as a signed turn. [deg]"""
+    return np.asarray((np.asarray(angle_deg, float) + 180.0) % 360.0 - 180.0, np.float64)
+
+
 def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
     """Unit vectors (x east, y north, z up), [..., 3]."""
     alt, az = np.radians(altitude_deg), np.radians(azimuth_deg)

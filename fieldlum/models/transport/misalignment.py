@@ -15,7 +15,7 @@ from fieldlum import sun
 from fieldlum.light import Kernel, facades_of
 from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
 from fieldlum.models.transport.training_arrays import LEAST_CDM2, material_of, patch_flux
-from fieldlum.projection import equirect_solid_angles
+from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -125,7 +125,7 @@ def evidence_of(data: Dataset) -> Evidence | None:
     now, then = (
         sun.position([t + timedelta(minutes=m) for t in light.t_utc], site) for m in (-0.5, 0.5)
     )
-    azimuth = (then.azimuth_deg - now.azimuth_deg + 180.0) % 360.0 - 180.0
+    azimuth = signed_angle_deg(then.azimuth_deg - now.azimuth_deg)
     days = data.days[rows]
     parts = Evidence(
         data,

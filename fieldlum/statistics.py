@@ -1,0 +1,65 @@
+"""Robust spread, standard errors and the one-standard-error rule, the same in every stage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Standard deviation of a normal distribution over its median absolute deviation: 1 / 0.6745.
+MAD_TO_SIGMA = 1.4826
+# Standard error of a median over that of a mean, for normal values: sqrt(pi / 2).
+_MEDIAN_OVER_MEAN_ERROR = 1.2533
+
+
+def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
+    """Return the standard deviation that the median absolute deviation of `values` implies.
+
+    centre: where deviations are measured from; the median of `values` unless given. One half of
+    the values may be gross errors (Rousseeuw and Croux, J. Am. Stat. Assoc. 88, 1993).
+    """
+    array = np.asarray(values, float)
+    middle = np.median(array) if centre is None else centre
+    return MAD_TO_SIGMA * float(np.median(np.abs(array - middle)))
+
+
+def median_standard_error(sigma: float, count: int) -> float:
+    """Return the standard error of the median of `count` values of standard deviation `sigma`."""
+    return float(_MEDIAN_OVER_MEAN_ERROR * sigma / np.sqrt(count))
+
+
+def standard_error(values: NDArray[np.floating], groups: NDArray[Any] | None = None) -> float:
+    """Return the standard error of the mean of `values`, [n]; NaN for one value or one group.
+
+    groups [n]: values of one group (hours of one day) share their errors, so that groups are what
+    is independent: cluster-robust with Bessel's correction (Cameron and Miller, J. Human Resources
+    50, 2015, eq. 11 with a constant as the only regressor).
+    """
+    values = np.asarray(values, float)
+    if groups is None:
+        if len(values) < 2:
+            return float("nan")
+        return float(values.std(ddof=1) / np.sqrt(len(values)))
+    _, group = np.unique(groups, return_inverse=True)  # [n], 0 to count - 1
+    sums = np.bincount(group, weights=values - values.mean())  # [groups]
+    count = len(sums)
+    if count < 2:
+        return float("nan")
+    return float(np.sqrt((sums**2).sum() * count / (count - 1)) / len(values))
+
+
+def is_no_worse(
+    errors: NDArray[np.floating],
+    best_errors: NDArray[np.floating],
+    groups: NDArray[Any] | None = None,
+) -> bool:
+    """Return whether a model's held-out errors are within one standard error of the best model's.
+
+    errors, best_errors [n]: of the same data in the same order. The standard error is that of the
+    paired differences, by `groups` as in `standard_error`: easy and difficult days are the same
+    for both models, so that their spread says nothing about the difference. With one datum or one
+    group the standard error counts as 0.
+    """
+    difference = np.asarray(errors, float) - np.asarray(best_errors, float)
+    return bool(difference.mean() <= np.nan_to_num(standard_error(difference, groups)))
