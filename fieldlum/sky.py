@@ -16,6 +16,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fieldlum.rowwise import cosines
+
 Array = NDArray[np.float64]
 
 SOLAR_CONSTANT_WM2 = 1367.0  # as gendaylit has it
@@ -362,7 +364,9 @@ def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
     )
     x = _SHAPE[np.searchsorted(_BINS, clearness, side="right")]
     terms = np.stack((np.ones_like(zenith), zenith, brightness, brightness * zenith), axis=-1)
-    shape = np.einsum("nij,nj->ni", x, terms)
+    shape = np.zeros((len(x), 5))
+    for j in range(4):  # in this order, so that an hour does not depend on the others
+        shape += x[:, :, j] * terms[:, j, None]
     overcast = clearness < _BINS[0]
     c, d = x[overcast, 2], x[overcast, 3]
     z, delta = zenith[overcast], brightness[overcast]
@@ -481,7 +485,7 @@ def perez_luminance(
     sun = np.atleast_2d(np.asarray(sun_direction, dtype))
     rays = np.atleast_2d(np.asarray(directions, dtype))
     up = rays[:, 2].astype(np.float64)
-    gamma = np.arccos(np.clip(sun @ rays.T, -1.0, 1.0))
+    gamma = np.arccos(np.clip(cosines(sun, rays), -1.0, 1.0))  # [n, m]
     shape = sky.shape.astype(dtype)[:, None, :]
     bright = (
         _relative(shape, np.maximum(up, 0.01).astype(dtype), gamma)

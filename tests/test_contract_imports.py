@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
     {"errors", "records"},
-    {"photometry", "projection", "statistics", "sun", "sky", "light", "light_clock"},
+    {"photometry", "projection", "rowwise", "statistics", "sun", "sky", "light", "light_clock"},
     {"images", "raw", "profiles", "session", "scene", "weather"},
     {"devices"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},

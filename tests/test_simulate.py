@@ -121,6 +121,21 @@ def test_linear_in_light(truth: simulate.GroundTruth) -> None:
     assert two.disc_lx == pytest.approx(2 * one.disc_lx)
 
 
+@pytest.mark.property
+@pytest.mark.numeric
+def test_an_hour_does_not_depend_on_its_company(truth: simulate.GroundTruth) -> None:
+    """A resumed run renders an hour with other hours, and its file must be the same."""
+    times = [datetime(2027, 3 + k % 7, 3 + k, 15 + k % 9, 30, tzinfo=UTC) for k in range(17)]
+    rng = np.random.default_rng(3)
+    light = light_at(times, SMALL.site, rng.uniform(0, 800, 17), rng.uniform(20, 300, 17))
+    together = truth.render(light)
+    for rows in ([0], [16], [5, 4], list(range(16, 0, -1))):
+        part = truth.render(light[rows])
+        assert np.array_equal(part.luminance_cdm2, together.luminance_cdm2[rows])
+        assert np.array_equal(part.patch_cdm2, together.patch_cdm2[rows])
+        assert np.array_equal(part.disc_lx, together.disc_lx[rows])
+
+
 def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.GroundTruth) -> None:
     """The winter sun stands in the window: the map stays under any sunlit surface, its energy is
     in the source.
@@ -174,6 +189,7 @@ def _toml(path: Path) -> Path:
     return path
 
 
+@pytest.mark.numeric
 def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     out = tmp_path / "session"
     command = ["simulate", str(_toml(tmp_path / "site.toml")), "--out", str(out), "--size", "16x8"]

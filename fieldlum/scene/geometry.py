@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.records import Room, Window
+from fieldlum.rowwise import turned
 
 Array = NDArray[np.float64]
 
@@ -114,7 +115,7 @@ class BoxScene:
 
     def to_room(self, world: ArrayLike) -> Array:
         """Directions [..., 3] (x east, y north) in room axes."""
-        return np.asarray(world, float) @ self.turn.T
+        return turned(self.turn, world)
 
     def of_kind(self, *kinds: str) -> list[int]:
         return [k for k, box in enumerate(self.boxes) if box.kind in kinds]

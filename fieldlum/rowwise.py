@@ -1,0 +1,29 @@
+"""Products of direction vectors whose every row is the same whatever is computed with it.
+
+A BLAS library picks its kernel by the shape of a product, and kernels add in different orders: a
+row computed alone then differs in the last bit from the same row among twelve. What is written to
+a file that a resumed run must write again, bit by bit, is computed with these functions instead:
+three products, added in the order x, y, z.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def cosines(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    """Return the scalar products [n, m] of vectors a [n, 3] and b [m, 3], in their own dtype."""
+    out = a[:, None, 0] * b[:, 0]  # [n, m]
+    out += a[:, None, 1] * b[:, 1]
+    out += a[:, None, 2] * b[:, 2]
+    return out
+
+
+def turned(matrix: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
+    """Return matrix [3, 3] times each of the vectors [..., 3]."""
+    rows = np.asarray(matrix, np.float64)
+    x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
+    return np.stack([r[0] * x + r[1] * y + r[2] * z for r in rows], axis=-1)
