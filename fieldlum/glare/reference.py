@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 
 from fieldlum.errors import FieldlumError
 from fieldlum.glare.fisheye import FISHEYE_VIEW
-from fieldlum.images import write_radiance_hdr
+from fieldlum.images import radiance_program, write_radiance_hdr
 from fieldlum.records import Float
 
 FLAGS = ("-b", "2000", "-C", "l-", "-d")
@@ -38,17 +38,15 @@ class ReferenceGlare:
     flags: str
 
 
-def _binary(name: str) -> str:
-    from pyradiance.anci import BINPATH
-
-    return str(Path(BINPATH) / name)
-
-
 @lru_cache(maxsize=1)
 def reference_version() -> str:
     """Such as ``evalglare 3.06 release 25.06.2024 by J.Wienold, EPFL``."""
     shown = subprocess.run(
-        [_binary("evalglare"), "-v"], capture_output=True, text=True, check=False, timeout=60
+        [radiance_program("evalglare"), "-v"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
     return (shown.stdout or shown.stderr).strip()
 
@@ -66,7 +64,10 @@ def reference_glare(fisheye_cdm2: Float, flags: tuple[str, ...] = FLAGS) -> Refe
 def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
     """As `reference_glare`, of a picture on disk that has a VIEW; flags must hold -d."""
     done = subprocess.run(
-        [_binary("evalglare"), *flags, str(path)], capture_output=True, text=True, check=False
+        [radiance_program("evalglare"), *flags, str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return _parse(done.stdout, f"{done.stderr.strip()} (exit {done.returncode})", " ".join(flags))
 

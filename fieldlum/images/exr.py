@@ -1,0 +1,271 @@
+"""OpenEXR pictures: fieldlum's own panoramas out and in, and RGB or luminance of other programs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.images.primaries import BT709_CHROMATICITIES, luminance_weights
+from fieldlum.images.radiance_header import MAX_PIXELS
+from fieldlum.profiles import CameraProfile, plain
+from fieldlum.records import Flag, Panorama, SunSource, parse_utc, utc_text
+
+_MAX_VALUES = 4 * MAX_PIXELS  # of all channels together, 2.6 GB: what decoding may take
+# 1 cd/m2 for an RGB of 1: where a file has no attribute whiteLuminance its unit is not stated.
+_WHITE_CDM2_UNSTATED = 1.0
+NO_UNIT = "the EXR states no whiteLuminance: its values count as cd/m2"
+
+# ----------------------------------------------------------------------------------------------
+# writing
+
+
+def calibration_mark(profile: CameraProfile) -> dict[str, str]:
+    """Attributes of a picture that tell which camera and calibration it was merged with, its k by
+    itself.
+
+    A new k is the old one times what meters say: without the old one the same readings would move k
+    twice.
+    """
+    p = profile
+    parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return {"camera": p.camera.name, "k": f"{p.scale.k:.8g}", "calibration": digest[:16]}
+
+
+def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
+    """Float32 EXR with channels Y, u, flags (and R, G, B) and attributes view, heading_deg, t_utc,
+    sun.
+
+    view: for a picture that is no panorama its Radiance view options.
+    """
+    import OpenEXR
+
+    channels = {"Y": np.ascontiguousarray(panorama.luminance_cdm2, np.float32)}
+    if panorama.u_cdm2 is not None:
+        channels["u"] = np.ascontiguousarray(panorama.u_cdm2, np.float32)
+    if panorama.flags is not None:
+        channels["flags"] = np.ascontiguousarray(panorama.flags, np.float32)
+    if panorama.rgb is not None:
+        channels |= {
+            c: np.ascontiguousarray(panorama.rgb[..., i], np.float32) for i, c in enumerate("RGB")
+        }
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "view": view,
+        "heading_deg": f"{panorama.heading_deg:.6g}",
+        **({"t_utc": utc_text(panorama.t_utc)} if panorama.t_utc else {}),
+        **({"sun": _sun_text(panorama.sun)} if panorama.sun else {}),
+        **{f"fieldlum:{key}": value for key, value in panorama.attributes.items()},
+    }
+    OpenEXR.File(header, channels).write(str(path))
+
+
+def _sun_text(sun: SunSource) -> str:
+    return (
+        f"{sun.altitude_deg:.4f} {sun.azimuth_deg:.4f} {sun.normal_illuminance_lx:.6g}"
+        f" {sun.visible_fraction:.4f} {sun.origin or 'unknown'}"
+    )
+
+
+def _sun_parse(text: str) -> SunSource:
+    altitude, azimuth, normal, fraction, origin = text.split(maxsplit=4)
+    return SunSource(float(altitude), float(azimuth), float(normal), float(fraction), origin)
+
+
+# ----------------------------------------------------------------------------------------------
+# reading
+
+
+def read_exr(path: Path) -> tuple[Panorama, str]:
+    """Read a luminance picture, and its view: ``equirect``, Radiance's view options, or "".
+
+    The luminance is channel Y, or R, G and B weighed by the attribute chromaticities (BT.709
+    without it) times whiteLuminance (1 cd/m2 without it; `Panorama.attributes["note"]` says so).
+    What lies outside the data window is flagged as outside the lens.
+
+    Raises InputError for what is no EXR, is broken, too large, or has neither Y nor R, G, B.
+    """
+    header = _header(path)
+    _check_size(header, path)
+    channels, header = _channels(path)
+    luminance, note = _luminance(channels, header, path)
+    own = {
+        str(key).removeprefix("fieldlum:"): str(value)
+        for key, value in header.items()
+        if str(key).startswith("fieldlum:")
+    }
+    try:
+        heading = float(header.get("heading_deg", 180.0))
+        t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
+        sun = _sun_parse(header["sun"]) if header.get("sun") else None
+        view = str(header.get("view", ""))
+    except (ValueError, TypeError, AttributeError) as error:
+        # a damaged attribute comes as bytes of no known type
+        raise InputError(
+            path, f"attribute {error}", "heading_deg, t_utc and sun as fieldlum writes them"
+        ) from None
+    rgb = np.stack([channels[c] for c in "RGB"], axis=-1) if set("RGB") <= set(channels) else None
+    flags = channels["flags"].astype(np.uint16) if "flags" in channels else None
+    panorama = Panorama(luminance, heading, channels.get("u"), flags, t_utc, sun, rgb, own | note)
+    return _on_display_window(panorama, header), view
+
+
+def _header(path: Path) -> dict[str, Any]:
+    """Return the attributes of the first part. Raises InputError for what is no EXR."""
+    import OpenEXR
+
+    # OpenEXR prints to stderr by itself: it must not see what is no EXR at all
+    with path.open("rb") as file:
+        if file.read(4) != b"\x76\x2f\x31\x01":
+            raise InputError(path, "no OpenEXR file", "a panorama .exr", "check what wrote it")
+    try:
+        with OpenEXR.File(str(path), header_only=True) as exr:
+            return dict(exr.header())
+    except Exception as error:
+        raise _broken(path, error) from None
+
+
+def _broken(path: Path, error: Exception) -> InputError:
+    return InputError(
+        path, f"broken EXR ({error})".replace("\n", " "), "a complete file", "copy it again"
+    )
+
+
+def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int] | None:
+    """Left, top, width and height of a window, or None where the header has none. [px]"""
+    try:
+        (x0, y0), (x1, y1) = header[name]
+        return int(x0), int(y0), int(x1) - int(x0) + 1, int(y1) - int(y0) + 1
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _check_size(header: Mapping[str, Any], path: Path) -> None:
+    """Raise InputError for more pixels than `MAX_PIXELS`, before anything is decoded."""
+    if "deep" in str(header.get("type", "")).lower():
+        raise InputError(path, "deep data", "a flat picture", "flatten it with the program's own")
+    channels = max(1, len(header.get("channels") or ()))
+    for name in ("dataWindow", "displayWindow"):
+        window = _window(header, name)
+        if window is None:
+            continue
+        width, height = window[2:]
+        pixels = width * height
+        if min(width, height) < 1 or pixels > MAX_PIXELS or pixels * channels > _MAX_VALUES:
+            raise InputError(
+                path,
+                f"{width} x {height} pixels of {channels} channels",
+                f"1 to {MAX_PIXELS:,} pixels",
+                "reduce the picture, or copy the file again",
+            )
+
+
+def _channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Return channels [H, W] by their plain name, and the attributes, of the first part."""
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as exr:
+            header = dict(exr.header())
+            wanted = _chosen_layer(list(exr.channels()))
+            pixels = {
+                plain_name: np.asarray(exr.channels()[name].pixels).astype(np.float32, copy=False)
+                for name, plain_name in wanted.items()
+            }
+    except Exception as error:
+        raise _broken(path, error) from None
+    return pixels, header
+
+
+def _chosen_layer(names: list[str]) -> dict[str, str]:
+    """Return file name and plain name of the channels to read: the plain ones, or those of the
+    only layer with Y or R, G, B.
+    """
+    kept = ("Y", "R", "G", "B", "u", "flags")
+    if {"Y"} <= set(names) or set("RGB") <= set(names):
+        return {name: name for name in names if name in kept}
+    layers = {name.rpartition(".")[0] for name in names}
+    complete = [
+        layer
+        for layer in sorted(layers)
+        if {f"{layer}.Y"} <= set(names) or {f"{layer}.{c}" for c in "RGB"} <= set(names)
+    ]
+    if len(complete) != 1:
+        return {name: name for name in names}
+    return {f"{complete[0]}.{c}": c for c in ("Y", *"RGB") if f"{complete[0]}.{c}" in names}
+
+
+def _luminance(
+    channels: Mapping[str, NDArray[np.float32]], header: Mapping[str, Any], path: Path
+) -> tuple[NDArray[np.float32], dict[str, str]]:
+    """Luminance [H, W] [cd/m2], and a note where the file does not state its unit."""
+    white = header.get("whiteLuminance")
+    scale = float(white) if isinstance(white, int | float) and white > 0 else _WHITE_CDM2_UNSTATED
+    ours = any(str(key).startswith("fieldlum:") or key == "heading_deg" for key in header)
+    note = {} if ours or scale != _WHITE_CDM2_UNSTATED or white else {"note": NO_UNIT}
+    if "Y" in channels:
+        luminance = channels["Y"]
+        return (luminance if scale == 1.0 else luminance * np.float32(scale)), note
+    if not set("RGB") <= set(channels):
+        shown = ", ".join(sorted(channels))[:120]
+        raise InputError(
+            path,
+            f"channels {shown}",
+            "a channel Y in cd/m2, or R, G and B, of one layer",
+            "write that layer alone",
+        )
+    try:
+        stated = header.get("chromaticities")
+        weights = luminance_weights(BT709_CHROMATICITIES if stated is None else tuple(stated))
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            path, f"attribute chromaticities ({error})", "x and y of R, G, B and white"
+        ) from None
+    luminance = np.zeros_like(channels["R"])
+    for name, weight in zip("RGB", weights * scale, strict=True):
+        luminance += channels[name] * np.float32(weight)
+    return luminance, note
+
+
+def _on_display_window(panorama: Panorama, header: Mapping[str, Any]) -> Panorama:
+    """Return the picture on the display window; what the data window lacks is outside the lens."""
+    data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
+    if data is None or display is None or data == display:
+        return panorama
+    left, top = data[0] - display[0], data[1] - display[1]
+    width, height = display[2:]
+    into = (slice(max(top, 0), top + data[3]), slice(max(left, 0), left + data[2]))
+    out_of = (
+        slice(max(-top, 0), max(-top, 0) + max(0, min(height - max(top, 0), data[3]))),
+        slice(max(-left, 0), max(-left, 0) + max(0, min(width - max(left, 0), data[2]))),
+    )
+
+    def placed(values: NDArray[Any] | None, empty: float) -> NDArray[Any] | None:
+        if values is None:
+            return None
+        out = np.full((height, width, *values.shape[2:]), empty, values.dtype)
+        part = values[out_of]
+        out[into][: part.shape[0], : part.shape[1]] = part
+        return out
+
+    flags = panorama.flags
+    if flags is None:
+        flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16)
+    luminance = placed(panorama.luminance_cdm2, np.nan)
+    assert luminance is not None
+    return replace(
+        panorama,
+        luminance_cdm2=luminance,
+        u_cdm2=placed(panorama.u_cdm2, np.nan),
+        flags=placed(flags, int(Flag.OUTSIDE_LENS)),
+        rgb=placed(panorama.rgb, np.nan),
+    )

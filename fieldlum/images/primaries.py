@@ -1,0 +1,44 @@
+"""Luminance of RGB values whose primaries a file states by their chromaticities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Radiance's primaries, red, green, blue and white, as CIE xy (Ward Larson and Shakespeare 1998;
+# src/common/color.h). Every picture of rpict 6 states them.
+RADIANCE_CHROMATICITIES = (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1.0 / 3.0, 1.0 / 3.0)
+# ITU-R BT.709, which OpenEXR assumes where a file has no attribute `chromaticities`.
+BT709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
+_SAME_XY = 5e-4  # half a unit of the third decimal, to which programs write chromaticities
+
+
+def same_chromaticities(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Return whether two sets of eight chromaticities are equal to three decimals."""
+    return bool(np.max(np.abs(np.subtract(a, b))) < _SAME_XY)
+
+
+def rgb_to_xyz(chromaticities: Sequence[float]) -> NDArray[np.float64]:
+    """Return the matrix from RGB to XYZ with Y = 1 for R = G = B = 1, [3, 3].
+
+    chromaticities : x, y of red, green, blue and white, [8].
+    Raises ValueError for chromaticities that span no triangle.
+    """
+    xy = np.asarray(chromaticities, float).reshape(4, 2)
+    if not np.isfinite(xy).all() or (xy[:, 1] <= 0).any():
+        raise ValueError("chromaticities must be finite numbers with y above 0")
+    xyz = np.stack([xy[:, 0], xy[:, 1], 1.0 - xy.sum(axis=1)], axis=1) / xy[:, 1:]  # [4, 3]
+    columns = xyz[:3].T  # [3, 3]
+    if abs(float(np.linalg.det(columns))) < 1e-6:
+        raise ValueError("the three primaries lie on one line")
+    return columns * np.linalg.solve(columns, xyz[3])
+
+
+def luminance_weights(chromaticities: Sequence[float]) -> NDArray[np.float64]:
+    """Return what R, G and B contribute to luminance, with sum 1, [3]. Raises ValueError."""
+    weights = rgb_to_xyz(chromaticities)[1]
+    if (weights < 0).any():
+        raise ValueError("a primary has a negative luminance")
+    return weights

@@ -1,0 +1,249 @@
+"""The text in front of a Radiance picture's pixels: format, exposure, primaries, view, orientation.
+
+Rules of Radiance's file format (filefmts.pdf; src/common/header.c, color.h, resolu.h): EXPOSURE and
+COLORCORR lines multiply; a line that begins with a tab was inherited from an input picture and
+describes that one; the resolution line states the order of the pixels by two signed axes, and its
+numbers may be padded.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.images.primaries import (
+    RADIANCE_CHROMATICITIES,
+    luminance_weights,
+    same_chromaticities,
+)
+
+RADIANCE_LM_PER_W = 179.0  # Radiance's own white; not 683 and not a luminous efficacy of daylight
+# luminance of Radiance's primaries (Ward Larson and Shakespeare 1998)
+RADIANCE_Y = (0.265, 0.670, 0.065)
+PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
+# 12 bytes a pixel: 1.9 GB. The largest pictures in use, panoramas of 16k x 8k, have 134 million.
+MAX_PIXELS = 160_000_000
+_MAX_HEADER_BYTES = 4_000_000  # a year of pcomb and pcompos lines has a few thousand
+_RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
+_FORMATS = ("32-bit_rle_rgbe", "32-bit_rle_xyze")
+_CONVERT = {
+    "Radiance_spectra": "convert it with Radiance's pcomb: pcomb -f none IN > OUT",
+    "float": "convert it with Radiance's rmtxop: rmtxop -fc IN > OUT.hdr",
+    "double": "convert it with Radiance's rmtxop: rmtxop -fc IN > OUT.hdr",
+    "ascii": "convert it with Radiance's rmtxop: rmtxop -fc IN > OUT.hdr",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """Scanlines and pixels in file order: `axes` such as ("-Y", "+X"), `counts` [px] of each."""
+
+    axes: tuple[str, str]
+    counts: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the upright picture."""
+        first, second = self.counts
+        return (first, second) if self.axes[0][1] == "Y" else (second, first)
+
+    def upright(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return pixels [first, second, ...] as rows from the top and columns from the left."""
+        axes = self.axes
+        if axes[0][1] == "X":
+            pixels = pixels.swapaxes(0, 1)
+            axes = (axes[1], axes[0])
+        rows = slice(None, None, -1) if axes[0] == "+Y" else slice(None)
+        columns = slice(None, None, -1) if axes[1] == "-X" else slice(None)
+        return np.ascontiguousarray(pixels[rows, columns])
+
+
+@dataclass(frozen=True, slots=True)
+class RadianceHeader:
+    """What the header of a picture states.
+
+    exposure : [3] divide the decoded channels by it. views : the picture's own VIEW lines in
+    order; inherited_views : those of its input pictures. pixel_aspect : height over width of a
+    pixel. start : position of the first byte of pixels.
+    """
+
+    lines: tuple[str, ...]
+    resolution: Resolution
+    xyze: bool
+    exposure: NDArray[np.float64]
+    chromaticities: tuple[float, ...]
+    views: tuple[str, ...]
+    inherited_views: tuple[str, ...]
+    heading_deg: float | None
+    pixel_aspect: float
+    start: int
+
+    @property
+    def view(self) -> str:
+        """The picture's view, or the only one that it inherited, or an empty text."""
+        if self.views:
+            return " ".join(self.views)
+        return self.inherited_views[0] if len(set(self.inherited_views)) == 1 else ""
+
+    @property
+    def view_is_inherited(self) -> bool:
+        return not self.views and bool(self.view)
+
+    @property
+    def cdm2_per_unit(self) -> NDArray[np.float64]:
+        """Luminance of one unit of each decoded channel, [3]. [cd/m2]
+
+        XYZE holds Y in cd/m2: ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
+        """
+        if self.xyze:
+            return np.array([0.0, 1.0, 0.0]) / self.exposure
+        weights = (
+            np.asarray(RADIANCE_Y)
+            if same_chromaticities(self.chromaticities, RADIANCE_CHROMATICITIES)
+            else luminance_weights(self.chromaticities)
+        )
+        return RADIANCE_LM_PER_W * weights / self.exposure
+
+
+def read_header(file: BinaryIO, path: Path) -> RadianceHeader:
+    """Read up to the first byte of the pixels. Raises InputError for what is no Radiance picture
+    or cannot be read as one.
+    """
+    lines = _header_lines(file, path)
+    formats = [line[7:].strip() for line in lines if line.startswith("FORMAT=")]
+    if not lines[0].startswith("#?") and not formats:
+        raise _not_radiance(path)
+    kind = formats[-1] if formats else _FORMATS[0]
+    if kind not in _FORMATS:
+        remedy = _CONVERT.get(kind, "write it again as Radiance RGBE or XYZE")
+        raise InputError(path, f"pixel format {kind[:40]}", "Radiance RGBE or XYZE", remedy)
+    resolution = _resolution(file.readline(200), path)
+    marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
+    return RadianceHeader(
+        lines=tuple(lines[1:] if lines[0].startswith("#?") else lines),
+        resolution=resolution,
+        xyze=kind == _FORMATS[1],
+        exposure=_exposure(lines, path),
+        chromaticities=_chromaticities(lines, path),
+        views=tuple(_view_texts(lines)),
+        inherited_views=tuple(_view_texts([x.lstrip("\t ") for x in lines if x[:1] in "\t "])),
+        heading_deg=_heading(marks[-1], path) if marks else None,
+        pixel_aspect=float(np.prod(_numbers(lines, "PIXASPECT=", 1, path))),
+        start=file.tell(),
+    )
+
+
+def _not_radiance(path: Path) -> InputError:
+    return InputError(path, "no Radiance header", "a Radiance .hdr picture", "check what wrote it")
+
+
+def _header_lines(file: BinaryIO, path: Path) -> list[str]:
+    lines: list[str] = []
+    size = 0
+    while True:
+        line = file.readline(_MAX_HEADER_BYTES)
+        size += len(line)
+        if not line.endswith(b"\n") or size > _MAX_HEADER_BYTES or (not lines and b"\0" in line):
+            raise _not_radiance(path)
+        text = line.decode("latin-1").rstrip("\r\n")
+        if not text and lines:
+            return lines
+        if text or lines:
+            lines.append(text)
+
+
+def _resolution(line: bytes, path: Path) -> Resolution:
+    match = _RESOLUTION.fullmatch(line)
+    axes = (match[1] + match[2], match[4] + match[5]) if match else (b"", b"")
+    if match is None or axes[0][1:] == axes[1][1:]:
+        shown = line[:40].decode("latin-1").strip()
+        raise InputError(
+            path,
+            f"resolution line {shown!r}",
+            "two axes and their pixels, such as -Y 800 +X 800",
+            "the file is damaged: copy it again",
+        )
+    counts = (int(match[3]), int(match[6]))
+    if not 0 < counts[0] * counts[1] <= MAX_PIXELS:
+        raise InputError(
+            path,
+            f"{counts[1]} x {counts[0]} pixels",
+            f"1 to {MAX_PIXELS:,} pixels",
+            "reduce it with Radiance's pfilt -1 -x 4000 -y 4000, or copy the file again",
+        )
+    return Resolution((axes[0].decode(), axes[1].decode()), counts)
+
+
+def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> NDArray[np.float64]:
+    """Values of all lines that begin with `key`, [lines, count]; each must be above 0."""
+    rows = []
+    for line in lines:
+        if not line.startswith(key):
+            continue
+        try:
+            row = [float(word) for word in line[len(key) :].split()[:count]]
+        except ValueError:
+            row = []
+        if len(row) != count or not all(np.isfinite(v) and v > 0 for v in row):
+            needed = "a number" if count == 1 else f"{count} numbers"
+            raise InputError(
+                path, repr(line)[:80], f"{key} and {needed} above 0", "correct the header line"
+            )
+        rows.append(row)
+    return np.asarray(rows, float).reshape(-1, count)
+
+
+def _exposure(lines: Sequence[str], path: Path) -> NDArray[np.float64]:
+    """Product of all EXPOSURE and COLORCORR lines, [3]."""
+    exposure = float(np.prod(_numbers(lines, "EXPOSURE=", 1, path)))
+    total = np.prod(_numbers(lines, "COLORCORR=", 3, path), axis=0) * exposure  # [3]
+    if not (np.isfinite(total).all() and (total > 0).all()):
+        raise InputError(
+            path, f"EXPOSURE {exposure:g}", "a number above 0", "correct the header line"
+        )
+    return total
+
+
+def _chromaticities(lines: Sequence[str], path: Path) -> tuple[float, ...]:
+    """Return the eight numbers of the last PRIMARIES line; Radiance's own where there is none, or
+    where all are 0 (Adobe Photoshop).
+    """
+    stated = [line[10:] for line in lines if line.startswith("PRIMARIES=")]
+    if not stated or not stated[-1].replace("0", "").replace(".", "").strip():
+        return RADIANCE_CHROMATICITIES
+    try:
+        values = tuple(float(word) for word in stated[-1].split())
+        if len(values) != 8:
+            raise ValueError(f"{len(values)} numbers")
+        luminance_weights(values)
+    except ValueError as error:
+        raise InputError(
+            path,
+            f"PRIMARIES= {stated[-1].strip()[:60]!r} ({error})",
+            "x and y of red, green, blue and white",
+            "correct the header line, or remove it for Radiance's own primaries",
+        ) from None
+    return values
+
+
+def _view_texts(lines: Sequence[str]) -> list[str]:
+    return [line[5:].strip() for line in lines if line.startswith("VIEW=")]
+
+
+def _heading(line: str, path: Path) -> float:
+    try:
+        heading = float((line.removeprefix(PANORAMA_LINE).split() or [""])[0])
+    except ValueError:
+        heading = np.nan
+    if not np.isfinite(heading):
+        raise InputError(
+            path, repr(line)[:80], f"{PANORAMA_LINE} and a number", "correct the header line"
+        )
+    return heading

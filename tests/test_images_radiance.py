@@ -1,0 +1,218 @@
+"""Radiance pictures as Radiance's own programs and others write them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fieldlum.errors import InputError
+from fieldlum.images import (
+    RADIANCE_Y,
+    encode_rgbe,
+    radiance_program,
+    read_radiance_hdr,
+    read_radiance_header,
+    read_radiance_luminance,
+    write_radiance_hdr,
+)
+
+SCENE = """
+void glow sky 0 0 4 5 6 9 0
+sky source all 0 0 4 0 0 1 360
+void glow lamp 0 0 4 900 700 300 0
+lamp sphere ball 0 0 4 1 3 .5 .4
+"""
+STEPS = (
+    ("pfilt", "-1", "-e", "2.5"),
+    ("pfilt", "-1", "-eg", "1.5", "-eb", ".5"),
+    ("pfilt", "-1", "-x", "13", "-y", "11"),
+    ("pflip", "-h"),
+    ("pflip", "-v"),
+    ("protate",),
+    ("protate", "-r"),
+    ("pcomb", "-s", "3"),
+    ("pcomb", "-o", "-s", ".2"),
+    ("pcompos", "-x", "12", "-y", "9", "-", "-2", "-3"),
+    ("ra_xyze",),
+    ("ra_xyze", "-r"),
+    ("ra_xyze", "-r", "-u"),
+)
+
+
+def _radiance(*command: str, stdin: bytes = b"") -> bytes:
+    from pyradiance.anci import BINPATH
+
+    environment = {**os.environ, "RAYPATH": str(Path(BINPATH).parent / "lib")}
+    program = [radiance_program(command[0]), *command[1:]]
+    return subprocess.run(
+        program, input=stdin, capture_output=True, check=True, env=environment
+    ).stdout
+
+
+@pytest.fixture(scope="module")
+def rendering(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    folder = tmp_path_factory.mktemp("radiance")
+    (folder / "a.rad").write_text(SCENE, encoding="ascii")
+    (folder / "a.oct").write_bytes(_radiance("oconv", str(folder / "a.rad")))
+    options = "-vta -vd 0 1 0 -vu 0 0 1 -vh 180 -vv 140 -x 24 -y 24 -ab 0"
+    return _radiance("rpict", *options.split(), str(folder / "a.oct"))
+
+
+def _pvalue(path: Path) -> np.ndarray:
+    """Original values as pvalue prints them, upright, [H, W, 3]; its y counts from the bottom."""
+    lines = _radiance("pvalue", "-h", "-o", str(path)).decode().splitlines()
+    table = np.array([line.split() for line in lines[1:]], float)
+    x, y = table[:, 0].astype(int), table[:, 1].astype(int)
+    out = np.full((y.max() + 1, x.max() + 1, 3), np.nan)
+    out[y.max() - y, x] = table[:, 2:]
+    return out
+
+
+@settings(
+    deadline=None,
+    max_examples=40,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(steps=st.lists(st.sampled_from(STEPS), max_size=4))
+def test_property_any_radiance_pipeline_gives_the_values_of_pvalue(
+    tmp_path: Path, rendering: bytes, steps: list[tuple[str, ...]]
+) -> None:
+    picture = rendering
+    for step in steps:
+        command = step if step[0] == "pcompos" else (*step, "-") if step[0] == "pcomb" else step
+        if step[0] in ("pflip", "protate", "ra_xyze", "pfilt"):
+            (tmp_path / "in.hdr").write_bytes(picture)
+            command = (*step, str(tmp_path / "in.hdr"))
+        picture = _radiance(*command, stdin=picture)
+    path = tmp_path / "out.hdr"
+    path.write_bytes(picture)
+    luminance, header = read_radiance_luminance(path)
+    expected = _pvalue(path)
+    tolerance = {"rtol": 2e-3, "atol": 1e-6 * np.nanmax(expected)}  # pvalue prints four digits
+    if header.xyze:
+        np.testing.assert_allclose(luminance, expected[..., 1], **tolerance)
+    else:
+        np.testing.assert_allclose(
+            luminance, expected @ (179.0 * np.array(RADIANCE_Y)), **tolerance
+        )
+        np.testing.assert_allclose(read_radiance_hdr(path).rgb, expected, **tolerance)
+    np.testing.assert_allclose(
+        read_radiance_hdr(path).luminance_cdm2, luminance, rtol=1e-3, atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("first", ["-Y", "+Y", "-X", "+X"])
+@pytest.mark.parametrize("second", ["-", "+"])
+def test_all_eight_orientations_give_the_same_picture(
+    tmp_path: Path, first: str, second: str
+) -> None:
+    truth = np.arange(1.0, 13.0).reshape(3, 4)
+    rows_first = first[1] == "Y"
+    second = second + ("X" if rows_first else "Y")
+    stored = truth if rows_first else truth.T
+    if first in ("+Y", "-X"):
+        stored = stored[::-1]
+    if second in ("-X", "+Y"):
+        stored = stored[:, ::-1]
+    size = f"{first} {stored.shape[0]:8d} {second} {stored.shape[1]:8d}\n"
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}"
+    pixels = encode_rgbe(np.repeat(stored[..., None], 3, axis=-1)).tobytes()
+    (tmp_path / "a.hdr").write_bytes(head.encode() + pixels)
+    found = read_radiance_luminance(tmp_path / "a.hdr")[0] / 179.0
+    np.testing.assert_allclose(found, truth, rtol=0.004)
+
+
+def test_authority_xyze_and_other_primaries_keep_their_luminance(
+    tmp_path: Path, rendering: bytes
+) -> None:
+    """ra_xyze between colour spaces: the luminance of each pixel stays, to RGBE's steps."""
+    plain = tmp_path / "plain.hdr"
+    plain.write_bytes(rendering)
+    truth = read_radiance_luminance(plain)[0]
+    rec709 = [".64", ".33", ".3", ".6", ".15", ".06", ".3127", ".329"]
+    for name, options in (("xyze", ()), ("rec709", ("-r", "-p", *rec709))):
+        path = tmp_path / f"{name}.hdr"
+        path.write_bytes(_radiance("ra_xyze", *options, str(plain)))
+        np.testing.assert_allclose(read_radiance_luminance(path)[0], truth, rtol=0.02, err_msg=name)
+        np.testing.assert_allclose(read_radiance_hdr(path).luminance_cdm2, truth, rtol=0.02)
+
+
+def test_old_run_length_coding_is_read(tmp_path: Path) -> None:
+    """A pixel, then 1 1 1 n: n more of it, with the count's high byte in the next run."""
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 300\n"
+    pixels = bytes((128, 64, 32, 129)) + bytes((1, 1, 1, 43)) + bytes((1, 1, 1, 1))
+    (tmp_path / "a.hdr").write_bytes(head + pixels)
+    found = read_radiance_hdr(tmp_path / "a.hdr").rgb
+    assert found.shape == (1, 300, 3)
+    np.testing.assert_allclose(found[0, 299], np.array([128.5, 64.5, 32.5]) / 128.0)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "#?RGBE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 3\n",  # OpenCV
+        "#?RADIANCE\n# Made with FreeImage 3.18.0\nFORMAT=32-bit_rle_rgbe\nGAMMA=1\nEXPOSURE=1\n\n"
+        "-Y 2 +X 3\n",  # imageio
+        "#?RADIANCE\n# PFStools writer to Radiance RGBE format\nFORMAT=32-bit_rle_rgbe\n\n"
+        "-Y 2 +X 3\n",
+        "#?RADIANCE\nGAMMA=1\nPRIMARIES=0 0 0 0 0 0 0 0\nFORMAT=32-bit_rle_rgbe\n\n"
+        "-Y 2 +X 3\n",  # Adobe Photoshop
+        "#?RADIANCE\r\nFORMAT=32-bit_rle_rgbe\r\n\r\n-Y 2 +X 3\n",
+    ],
+)
+def test_headers_of_other_programs(tmp_path: Path, head: str) -> None:
+    pixels = encode_rgbe(np.full((2, 3, 3), 7.0)).tobytes()
+    (tmp_path / "a.hdr").write_bytes(head.encode() + pixels)
+    found = read_radiance_luminance(tmp_path / "a.hdr")[0]
+    np.testing.assert_allclose(found, 7.0 * 179.0, rtol=0.004)
+
+
+def test_opencv_and_imageio_files_are_read(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2")
+    truth = np.random.default_rng(1).lognormal(0, 2, (20, 30, 3)).astype(np.float32)
+    cv2.imwrite(str(tmp_path / "cv.hdr"), truth[..., ::-1])
+    found = read_radiance_hdr(tmp_path / "cv.hdr").rgb
+    error = np.abs(found - truth) / truth.max(axis=-1, keepdims=True)
+    assert error.max() < 1 / 128  # RGBE: one step of the largest channel
+
+
+def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) -> None:
+    own, inherited = "VIEW= -vta -vh 180 -vv 180", "\tVIEW= -vth -vh 180 -vv 180"
+    path = tmp_path / "a.hdr"
+    write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, own))
+    header = read_radiance_header(path)
+    assert "-vta" in header.view and not header.view_is_inherited
+    write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, inherited))
+    header = read_radiance_header(path)
+    assert "-vth" in header.view and header.view_is_inherited
+    write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, "\t" + own))
+    assert read_radiance_header(path).view == ""
+
+
+@pytest.mark.parametrize(
+    ("lines", "size", "stated"),
+    [
+        ("FORMAT=Radiance_spectra\n", "-Y 2 +X 3", "pcomb"),
+        ("FORMAT=float\n", "-Y 2 +X 3", "rmtxop"),
+        ("FORMAT=32-bit_rle_rgbe\n", "-Y 2 +Y 3", "two axes"),
+        ("FORMAT=32-bit_rle_rgbe\n", "-Y 90000 +X 90000", "pixels"),
+        ("FORMAT=32-bit_rle_rgbe\nEXPOSURE=0\n", "-Y 2 +X 3", "above 0"),
+        ("FORMAT=32-bit_rle_rgbe\nCOLORCORR= 1 1\n", "-Y 2 +X 3", "3 numbers"),
+        ("FORMAT=32-bit_rle_rgbe\nPRIMARIES= 1 1 1 1 1 1 1 1\n", "-Y 2 +X 3", "PRIMARIES"),
+        ("FORMAT=32-bit_rle_rgbe\n", "-Y 20 +X 30", "cut short"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_in_one_line(
+    tmp_path: Path, lines: str, size: str, stated: str
+) -> None:
+    path = tmp_path / "a.hdr"
+    path.write_bytes(f"#?RADIANCE\n{lines}\n{size}\n".encode() + bytes(24))
+    with pytest.raises(InputError, match=stated) as refused:
+        read_radiance_luminance(path)
+    assert "\n" not in str(refused.value)
