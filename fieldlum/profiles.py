@@ -16,7 +16,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from fieldlum import sun
 from fieldlum.errors import InputError
-from fieldlum.projection import LensGeometry, angle_of_radius
+from fieldlum.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
 from fieldlum.records import CameraSetup, Exposure, SiteFile
 
 T = TypeVar("T")
@@ -360,6 +360,25 @@ class CameraProfile:
     glare_floor_rel: float = 0.0005  # veiling glare of the lens, as a share of the mean luminance
     expires: str = ""  # ISO date; doctor warns after it
     provenance: Provenance = field(default_factory=Provenance)
+
+
+def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
+    """Return which view directions these lenses and headings can judge; empty when they see all.
+
+    With one lens and no turned head the remedy names headings that would see all.
+    """
+    lenses = [lens.geometry for lens in profile.lens]
+    headings = setup.headings or (setup.heading_deg,)
+    turns = [heading - setup.heading_deg for heading in headings]
+    text = judged_text(seen_by_lenses(lenses, turns), setup.heading_deg)
+    if not text:
+        return ""
+    opposite = [setup.heading_deg % 360.0, (setup.heading_deg + 180.0) % 360.0]
+    seen = seen_by_lenses(lenses, [heading - setup.heading_deg for heading in opposite])
+    if judged_text(seen, setup.heading_deg):
+        return f"{text}; take a lens that sees more, or turn the camera to several headings"
+    named = ", ".join(f"{heading:g}" for heading in opposite)
+    return f"{text}; for all directions write headings = [{named}] under [camera] in SITE.toml"
 
 
 DEFAULT_CAMERA = "sim-dual-fisheye"

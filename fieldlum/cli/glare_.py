@@ -56,12 +56,18 @@ def _table(answer: dict[str, Any]) -> None:
     click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")
     click.echo("  view     DGP   DGPs     Ev   m-EDI*   UGR    DGI   window:task  verdict")
     for view in answer["views"]:
+        if view["dgp"] is None:
+            click.echo(f"  {view['azimuth_deg']:5.1f}°  {view['verdict']}")
+            continue
         shown = {k: "    -" if v is None else v for k, v in view.items()}
+        bounds = (
+            f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}" if "dgp_low" in view else ""
+        )
         click.echo(
             f"  {view['azimuth_deg']:5.1f}°  {view['dgp']:.3f}  {view['dgps']:.3f}  "
             f"{view['ev_lx']:6.0f}"
             f"  {view['melanopic_edi_lx']:6.0f}  {_figure(shown['ugr'])}  {_figure(shown['dgi'])}"
-            f"  {_figure(shown['window_to_task'])}        {view['verdict']}"
+            f"  {_figure(shown['window_to_task'])}        {view['verdict']}{bounds}"
         )
     click.echo("  * an estimate: Ev with the spectrum of D65")
 

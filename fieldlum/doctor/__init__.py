@@ -30,7 +30,7 @@ from fieldlum.devices import (
 from fieldlum.devices.clock import RealClock
 from fieldlum.doctor.awake import Lock, has_lid, inhibitors, lock_to_be_had
 from fieldlum.errors import FieldlumError, InputError
-from fieldlum.profiles import CameraProfile, load_camera_profile
+from fieldlum.profiles import CameraProfile, coverage_text, load_camera_profile
 from fieldlum.raw import same_model
 from fieldlum.records import IrradianceSample, Progress, Site, SiteFile, Slot, quiet
 from fieldlum.session import Session, outcomes, sha256
@@ -140,7 +140,9 @@ def check_profile(session: Session, today: date) -> list[Finding]:
     """The camera profile reads, is not out of date, and fits the planned exposures."""
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
-    return [_age(profile, today), *_fit(profile, session.slots())]
+    blind = coverage_text(profile, setup.camera)
+    coverage = [Finding("coverage", "warn", blind)] if blind else []
+    return [_age(profile, today), *_fit(profile, session.slots()), *coverage]
 
 
 def _age(profile: CameraProfile, today: date) -> Finding:

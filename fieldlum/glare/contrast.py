@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.glare.geometry import view_frame
-from fieldlum.projection import equirect_rays, equirect_solid_angles
+from fieldlum.projection import FULLY_SEEN_SHARE, equirect_rays, equirect_solid_angles
 from fieldlum.records import Float
 
 RAMMG_LEVELS = 5
@@ -90,7 +90,15 @@ class ViewRegions:
     hour.
     """
 
-    def __init__(self, height: int, width: int, heading_deg: float, azimuths_deg: Float) -> None:
+    def __init__(
+        self,
+        height: int,
+        width: int,
+        heading_deg: float,
+        azimuths_deg: Float,
+        seen: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """seen [H, W]: pixels that a lens saw; a region that was not seen gives NaN."""
         rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
         omega = equirect_solid_angles(height, width).ravel()
         task, band, half = [], [], []
@@ -103,6 +111,7 @@ class ViewRegions:
         self.task, self.band, self.half = (
             np.array(part, np.float32).T for part in (task, band, half)
         )
+        self._known = [_region_seen(part, seen) for part in (self.task, self.band, self.half)]
 
     def ratios(
         self, luminance_cdm2: Float, window_cdm2: float = 2000.0
@@ -121,8 +130,18 @@ class ViewRegions:
         window = np.divide(power, area, out=np.full_like(power, np.nan), where=area > 0)
         mean = flat @ self.band / self.band.sum(axis=0)
         inverse = (1.0 / np.maximum(flat, 0.1)) @ self.band / self.band.sum(axis=0)
+        task_known, band_known, half_known = self._known
+        ratio = window / np.maximum(task, 1e-6)
+        uniformity = 1.0 / np.maximum(inverse * mean, 1e-9)
         return {
-            "task_cdm2": task.astype(float),
-            "window_to_task": (window / np.maximum(task, 1e-6)).astype(float),
-            "uniformity": (1.0 / np.maximum(inverse * mean, 1e-9)).astype(float),
+            "task_cdm2": np.where(task_known, task, np.nan).astype(float),
+            "window_to_task": np.where(task_known & half_known, ratio, np.nan).astype(float),
+            "uniformity": np.where(band_known, uniformity, np.nan).astype(float),
         }
+
+
+def _region_seen(weights: NDArray[np.float32], seen: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """Whether lenses saw the regions with these weights [H * W, d], [d]."""
+    if seen is None or seen.all():
+        return np.ones(weights.shape[1], bool)
+    return seen.ravel() @ weights >= FULLY_SEEN_SHARE * weights.sum(axis=0)

@@ -12,12 +12,15 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx, rammg, rammg_lightness
 from fieldlum.glare.fisheye import panorama_to_fisheye
-from fieldlum.glare.geometry import view_azimuths_deg
+from fieldlum.glare.geometry import panorama_views, view_azimuths_deg
 from fieldlum.glare.metrics import METRICS, glare_directions
 from fieldlum.glare.pictures import Picture, read_picture
 from fieldlum.glare.reference import reference_glare
 from fieldlum.glare.sources import group_pixels, widen
+from fieldlum.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
 from fieldlum.projection import (
+    NOT_SEEN,
+    SEEN,
     direction,
     equirect_rays,
     equirect_solid_angles,
@@ -41,6 +44,12 @@ def verdict(dgp: float) -> str:
     return next(name for limit, name in VERDICTS if dgp < limit)
 
 
+def _bounds_verdict(low: float, high: float) -> str:
+    """One grade, or both ends where the unseen part decides."""
+    least, most = verdict(low), verdict(high)
+    return least if least == most else f"{least} to {most}"
+
+
 def picture_glare(
     path: Path, azimuths_deg: Sequence[float] = (), *, reference: bool = False
 ) -> dict[str, Any]:
@@ -55,17 +64,28 @@ def picture_glare(
     maps, sun = take_out_sun(maps, panorama.heading_deg, panorama.sun)
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
-    found = glare_directions(maps[None], panorama.heading_deg, azimuths, rays, disc)
     height, width = maps.shape
-    found = {name: found[name] for name in METRICS}
-    found |= ViewRegions(height, width, panorama.heading_deg, azimuths).ratios(maps[None])
+    seen = None if picture.view is not None else _seen(panorama)
+    grid = panorama_views(height, width, panorama.heading_deg, azimuths)
+    coverage = view_coverage(seen, grid)
+    parts = glare_directions(maps[None], panorama.heading_deg, azimuths, rays, disc, views=grid)
+    found = {name: parts[name] for name in METRICS}
+    found |= ViewRegions(height, width, panorama.heading_deg, azimuths, seen).ratios(maps[None])
+    most = np.zeros(1) if seen is None else brightest_cdm2(maps[None], seen)
+    low, high = unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], most)
     views = []
     for i, azimuth in enumerate(azimuths):
         row: dict[str, Any] = {"azimuth_deg": float(azimuth)}
         row |= {name: _plain(values[0, i]) for name, values in found.items()}
         row["melanopic_edi_lx"] = float(melanopic_edi_lx(found["ev_lx"][0, i]))
         row["verdict"] = verdict(row["dgp"])
-        if reference:
+        row |= {"seen": coverage.words[i], "seen_share": float(coverage.seen_share[i])}
+        if coverage.partly[i]:
+            row |= {"dgp_low": float(low[0, i]), "dgp_high": float(high[0, i])}
+            row["verdict"] = _bounds_verdict(row["dgp_low"], row["dgp_high"])
+        if not coverage.judged[i]:
+            row |= dict.fromkeys((*found, "melanopic_edi_lx")) | {"verdict": NOT_SEEN}
+        if reference and coverage.words[i] == SEEN:
             view = panorama_to_fisheye(maps, panorama.heading_deg, float(azimuth), sun=sun)
             row["reference"] = asdict(reference_glare(view))
         views.append(row)
@@ -154,7 +174,9 @@ def _sound(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
     if panorama.flags is not None and (outside := panorama.flags & Flag.OUTSIDE_LENS > 0).any():
         pixels = np.where(outside, np.float32(0.0), pixels)
         said.append(
-            f"{100 * outside.mean():.0f} % of the panorama was seen by no lens and counts as dark"
+            f"{100 * outside.mean():.0f} % of the panorama was seen by no lens: directions that "
+            f"need it have no result or bounds, in which the unseen part has 0 cd/m2 up to the "
+            f"luminance of the brightest hundredth of the seen part"
         )
     bad = int((~np.isfinite(pixels)).sum())
     if bad:
@@ -168,6 +190,14 @@ def _sound(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
     if dark:
         said.append(f"{dark} pixels below 0 cd/m2 count as 0")
     return np.maximum(pixels, 0.0), said
+
+
+def _seen(panorama: Panorama) -> np.ndarray | None:
+    """Pixels that a lens saw, [H, W]; None where all were."""
+    if panorama.flags is None:
+        return None
+    outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
+    return ~outside if outside.any() else None
 
 
 def _warnings(picture: Picture) -> list[str]:

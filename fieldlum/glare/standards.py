@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.glare.metrics import DGP_CONTRAST, DGP_EV
+from fieldlum.projection import NOT_SEEN, SEEN
 from fieldlum.records import Float
 
 CLASSES = (("high", 0.35), ("medium", 0.40), ("minimum", 0.45))  # from the strictest
 NO_CLASS = "none"
+NOT_SEEN_CLASS = NOT_SEEN  # no class at all: no lens saw enough of that direction
 EXCEEDED_SHARE = 0.05
 # share of the error's variance that all hours have in common: a model is wrong in the same way
 # often
@@ -30,7 +32,8 @@ class Protection:
 
     dgp_exceeded [d] the DGP that 5 % of the occupied hours exceed; hours_over [d, 3] hours above
     .35, .40, .45; low, high [d] or None where the model gives no uncertainty; classes [d]; certain
-    [d].
+    [d]; seen [d] "seen", "partly seen" or "not seen". A direction that was not seen has NaN figures
+    and the class "not seen".
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -41,11 +44,21 @@ class Protection:
     high: NDArray[np.float64] | None
     classes: tuple[str, ...]
     certain: NDArray[np.bool_]
+    seen: tuple[str, ...] = ()
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Directions that have a class, [d]."""
+        return np.array([name != NOT_SEEN_CLASS for name in self.classes])
 
     def sentence(self, i: int) -> str:
         """What can be said about one direction, in words."""
         value, name = self.dgp_exceeded[i], self.classes[i]
+        if name == NOT_SEEN_CLASS:
+            return "not seen: no lens saw enough of this direction"
         said = "no class" if name == NO_CLASS else f"class {name}"
+        if self.seen and self.seen[i] != SEEN:
+            said = f"{said}, from the seen part of the view"
         if self.low is None or self.high is None:
             return (
                 f"{said} (DGP {value:.3f} exceeded in 5 % of occupied hours); the model gives "
@@ -98,41 +111,83 @@ def dgp_uncertainty(
     return np.hypot(from_ev, 2.0 * slope * source_relative)
 
 
+@dataclass(frozen=True, slots=True)
+class GlareDoubt:
+    """What else than the model's own error makes the DGP of n hours and d directions uncertain.
+
+    seen [d] "seen", "partly seen" or "not seen"; least, most [n, d] DGP with the least and the most
+    that the unseen part of a view may hold; drawn [k, n, d] DGP with the sun's disc as k possible
+    rooms show it, or None where the room is certain.
+    """
+
+    seen: tuple[str, ...]
+    least: Float
+    most: Float
+    drawn: Float | None = None
+
+
 def protection(
     dgp: Float,
     u_dgp: Float | None,
     occupied_hours: int,
     azimuths_deg: Float,
     rng: np.random.Generator,
+    doubt: GlareDoubt | None = None,
 ) -> Protection:
     """Classes of d directions from the lit occupied hours' dgp [n, d] and its standard uncertainty
-    u_dgp [n, d].
+    u_dgp [n, d] by the model alone.
 
     The interval comes from `DRAWS` years with normal errors that share `COMMON_ERROR` of their
-    variance: a model's answer is its mean belief, and the truth lies around it.
+    variance: a model's answer is its mean belief, and the truth lies around it. Each drawn year
+    takes the sun's disc from one of the drawn rooms; its unseen parts are dark for the lower end,
+    bright for the upper one.
     """
-    point = exceeded_in_share(dgp, occupied_hours)
-    over = np.stack([(dgp > limit).sum(axis=0) for _, limit in CLASSES], axis=1)
-    classes = tuple(class_of(float(value)) for value in point)
     azimuths = np.asarray(azimuths_deg, float)
-    if u_dgp is None or not np.isfinite(u_dgp).all():
-        nobody = np.zeros(len(azimuths), bool)
-        return Protection(azimuths, occupied_hours, point, over, None, None, classes, nobody)
-    drawn = np.stack([_drawn_year(dgp, u_dgp, occupied_hours, rng) for _ in range(DRAWS)])
-    low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
+    doubt = doubt or GlareDoubt((SEEN,) * len(azimuths), dgp, dgp)
+    judged = np.array([word != NOT_SEEN for word in doubt.seen])
+    point = exceeded_in_share(dgp, occupied_hours)
+    point[~judged] = np.nan
+    over = np.stack([(dgp > limit).sum(axis=0) for _, limit in CLASSES], axis=1)
+    classes = tuple(
+        class_of(float(value)) if good else NOT_SEEN_CLASS
+        for value, good in zip(point, judged, strict=True)
+    )
+    nobody = np.zeros(len(azimuths), bool)
+    if u_dgp is None or not np.isfinite(u_dgp[:, judged]).all() or not judged.any():
+        return Protection(
+            azimuths, occupied_hours, point, over, None, None, classes, nobody, doubt.seen
+        )
+    low, high = _interval(dgp, u_dgp, occupied_hours, rng, doubt)
     low, high = np.minimum(low, point), np.maximum(high, point)
-    certain = np.array(
+    certain = judged & np.array(
         [class_of(float(a)) == class_of(float(b)) for a, b in zip(low, high, strict=True)]
     )
-    return Protection(azimuths, occupied_hours, point, over, low, high, classes, certain)
+    return Protection(
+        azimuths, occupied_hours, point, over, low, high, classes, certain, doubt.seen
+    )
 
 
-def _drawn_year(
-    dgp: Float, u_dgp: Float, occupied_hours: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    common = rng.standard_normal((1, dgp.shape[1])) * np.sqrt(COMMON_ERROR)
-    own = rng.standard_normal((len(dgp), 1)) * np.sqrt(1.0 - COMMON_ERROR)
-    return exceeded_in_share(np.clip(dgp + u_dgp * (common + own), 0.0, 1.0), occupied_hours)
+def _interval(
+    dgp: Float, u_dgp: Float, occupied_hours: int, rng: np.random.Generator, doubt: GlareDoubt
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """95 % interval of the exceeded DGP of each direction, [d] each."""
+    lows, highs = [], []
+    whole = bool(np.array_equal(doubt.least, doubt.most, equal_nan=True))
+    for k in range(DRAWS):
+        year = dgp if doubt.drawn is None else doubt.drawn[k % len(doubt.drawn)]
+        error = u_dgp * _year_error(dgp.shape, rng)
+        darkest = np.clip(year + (doubt.least - dgp) + error, 0.0, 1.0)
+        lows.append(exceeded_in_share(darkest, occupied_hours))
+        brightest = np.clip(year + (doubt.most - dgp) + error, 0.0, 1.0)
+        highs.append(lows[-1] if whole else exceeded_in_share(brightest, occupied_hours))
+    return np.percentile(lows, 2.5, axis=0), np.percentile(highs, 97.5, axis=0)
+
+
+def _year_error(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Standard normal errors [n, d] of one drawn year; hours share `COMMON_ERROR` of them."""
+    common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
+    own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)
+    return common + own
 
 
 def hours_to_capture(

@@ -96,6 +96,7 @@ def fit(name: str, data: Dataset, **options: Any) -> Fitted:
 def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
     """Write config.json and weights.npz, each whole or not at all; `more` goes into config.json."""
     config, arrays = fitted.state()
+    arrays = {"seen": data.seen, **arrays}
     with replacing(folder / "weights.npz") as file:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
     everything = {
@@ -127,6 +128,16 @@ def read_config(folder: Path) -> dict[str, Any]:
             path, "an unknown model", f"one of {', '.join(MODELS)}", "train the model again"
         )
     return config
+
+
+def seen_of(folder: Path) -> NDArray[np.bool_] | None:
+    """Return the pixels that the camera saw, [H, W]; None where a model of 0.1.0 has no mask."""
+    try:
+        with (folder / "weights.npz").open("rb") as file:
+            stored = np.load(file, allow_pickle=False)
+            return stored["seen"].astype(bool) if "seen" in stored.files else None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None  # `load` names the fault
 
 
 def load(folder: Path) -> Fitted:

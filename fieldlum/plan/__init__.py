@@ -28,7 +28,7 @@ from fieldlum.plan.days import (
 )
 from fieldlum.plan.days import today_at as today_at
 from fieldlum.plan.window import sun_enters, sun_in_view
-from fieldlum.profiles import Bracket, bracket_exposures, load_camera_profile
+from fieldlum.profiles import Bracket, bracket_exposures, coverage_text, load_camera_profile
 from fieldlum.records import Exposure, Progress, Site, SiteFile, Slot, quiet
 from fieldlum.session import Session, create_session, replacing
 from fieldlum.weather import Weather
@@ -116,7 +116,9 @@ def make_plan(
         )
     task = choose.learning(site, setup.room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)
-    bracket = load_camera_profile(setup.camera.profile).bracket
+    profile = load_camera_profile(setup.camera.profile)
+    bracket = profile.bracket
+    blind = coverage_text(profile, setup.camera)
     left = choose.variance_left(task, choose.features_at(chosen, task)[1]) if task else None
     return Plan(
         make_slots(chosen, setup, bracket_exposures(bracket)),
@@ -127,7 +129,11 @@ def make_plan(
         _months(task, len(days), days[0].year, left)
         if task and left and request.set == "month"
         else None,
-        (*_warnings(days, chosen, site, request), *(weather.repairs if weather else ())),
+        (
+            *([blind] if blind else []),
+            *_warnings(days, chosen, site, request),
+            *(weather.repairs if weather else ()),
+        ),
     )
 
 

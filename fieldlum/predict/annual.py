@@ -39,6 +39,8 @@ HOUR_COLUMNS = (
 VIEW_COLUMNS = {  # name: digits written
     "dgp": 4,
     "u_dgp": 4,
+    "dgp_low": 4,
+    "dgp_high": 4,
     "dgps": 4,
     "ev_lx": 1,
     "melanopic_edi_lx_estimate": 1,
@@ -48,6 +50,8 @@ VIEW_COLUMNS = {  # name: digits written
     "window_to_task": 2,
     "uniformity": 3,
 }
+# Years predicted by 0.1.0 lack these columns; they are NaN there.
+LATER_COLUMNS = ("dgp_low", "dgp_high")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +73,11 @@ class Annual:
     @property
     def occupied(self) -> NDArray[np.bool_]:
         return self.hours["occupied"] > 0
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Directions that have figures: not those that no lens saw, [d]."""
+        return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +176,10 @@ def read_annual(folder: Path) -> Annual:
         values = np.array([[float(cell) if cell else np.nan for cell in row[2:]] for row in body])
         column = {name: values[:, k] for k, name in enumerate(head[2:])}
         hours = {name: column[name] for name in HOUR_COLUMNS}
+        blank = np.full(len(body), np.nan)
+        for name in LATER_COLUMNS:
+            for a in azimuths:
+                column.setdefault(f"{name}@{azimuth_text(a)}", blank)
         views = {
             name: np.stack([column[f"{name}@{azimuth_text(a)}"] for a in azimuths], axis=1)
             for name in VIEW_COLUMNS

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
+from fieldlum.models import seen_of
 from fieldlum.projection import equirect_pixel
 from fieldlum.records import Progress, SiteFile, quiet
 
@@ -46,6 +47,7 @@ class ModelRoom:
     width: int
     heading_deg: float
     needs_patch: bool
+    seen: NDArray[np.bool_] | None = None  # [H, W]; None: every pixel, or a model of 0.1.0
 
     @property
     def disc_from(self) -> str:
@@ -92,7 +94,10 @@ def room_of(config: dict[str, Any], folder: Path) -> ModelRoom:
             "a room, or a model without patches",
             "add [room] to the site and train again, or train --patch none",
         )
-    return ModelRoom(setup, height, width, heading, wants_patch(config))
+    seen = seen_of(folder)
+    if seen is not None and seen.shape != (height, width):
+        seen = None  # `blocks` refuses the maps of such a model
+    return ModelRoom(setup, height, width, heading, wants_patch(config), seen)
 
 
 def blocks(

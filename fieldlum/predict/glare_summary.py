@@ -12,6 +12,7 @@ import numpy as np
 from fieldlum import __version__
 from fieldlum.glare.standards import (
     EXCEEDED_SHARE,
+    GlareDoubt,
     Protection,
     hours_to_capture,
     nearest_limits,
@@ -21,6 +22,7 @@ from fieldlum.predict.annual import Annual
 from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
+from fieldlum.projection import NOT_SEEN, PARTLY_SEEN, SEEN, compass_name, seen_shares
 from fieldlum.records import utc_text
 
 if TYPE_CHECKING:
@@ -38,22 +40,34 @@ HOURS_NAMED = 12
 WHOLE_YEAR_DAYS = 360
 
 
-def judge(annual: Annual, occupied_hours: int, seed: int) -> Protection:
+def judge(annual: Annual, doubt: GlareDoubt, occupied_hours: int, seed: int) -> Protection:
     """EN 17037 for each direction over the occupied hours."""
     used = annual.occupied
     u_dgp = annual.views["u_dgp"][used]
-    known = u_dgp if np.isfinite(u_dgp).all() else None
+    known = u_dgp if np.isfinite(u_dgp[:, annual.judged]).all() else None
+    some = GlareDoubt(
+        doubt.seen,
+        doubt.least[used],
+        doubt.most[used],
+        None if doubt.drawn is None else doubt.drawn[:, used],
+    )
     rng = np.random.default_rng(seed)
-    return protection(annual.views["dgp"][used], known, occupied_hours, annual.azimuths_deg, rng)
+    return protection(
+        annual.views["dgp"][used], known, occupied_hours, annual.azimuths_deg, rng, some
+    )
 
 
 def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[dict[str, Any]]:
-    """The occupied hours whose uncertainty keeps a class open, most first, at most one a day."""
-    if found.low is None or found.certain.all():
+    """The occupied hours whose uncertainty keeps a class open, most first, at most one a day.
+
+    A direction that was not fully seen stays open whatever is captured with the same lens.
+    """
+    undecided = ~found.certain & np.array([word == SEEN for word in found.seen])
+    if found.low is None or not undecided.any():
         return []
     used = np.flatnonzero(annual.occupied)
     dgp, u = annual.views["dgp"][used], annual.views["u_dgp"][used]
-    worth = hours_to_capture(dgp, u, ~found.certain, nearest_limits(found))
+    worth = hours_to_capture(dgp, u, undecided, nearest_limits(found))
     named, days = [], set()
     for k in np.argsort(worth)[::-1]:
         local = annual.t_utc[used[k]].astimezone(ZoneInfo(zone))
@@ -111,10 +125,35 @@ def about_year(
             "untrusted_share": untrusted,
         },
         "disc_from": room.disc_from,
-        "notes": _notes(weather, room, untrusted, days),
+        "seen_share": [] if room.seen is None else _shares(room, annual),
+        "notes": [*_notes(weather, room, untrusted, days), *_unseen_notes(found)],
         "protection": protection_table(found),
         "capture_next": hours_to_settle(annual, found, room.setup.site.timezone),
     }
+
+
+def _shares(room: ModelRoom, annual: Annual) -> list[float]:
+    assert room.seen is not None
+    shares = seen_shares(room.seen, room.heading_deg, annual.azimuths_deg)
+    return [round(float(share), 3) for share in shares]
+
+
+def _unseen_notes(found: Protection) -> list[str]:
+    """Which directions have no result, and which have bounds only."""
+    notes = []
+    for word, meaning in (
+        (NOT_SEEN, "have no result: no lens saw enough of them"),
+        (
+            PARTLY_SEEN,
+            "have bounds only: their intervals hold an unseen part of the view between 0 cd/m2 and "
+            "the larger of the sky's mean luminance and the brightest hundredth of what was seen",
+        ),
+    ):
+        of = [a for a, seen in zip(found.azimuths_deg, found.seen, strict=True) if seen == word]
+        if of:
+            named = ", ".join(f"{a:.0f}° ({compass_name(a)})" for a in of)
+            notes.append(f"the view directions {named} {meaning}")
+    return notes
 
 
 def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> list[str]:
@@ -135,18 +174,49 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
 
 
 def protection_table(found: Protection) -> list[dict[str, Any]]:
-    """One plain dict a direction."""
-    return [
-        {
-            "azimuth_deg": float(found.azimuths_deg[i]),
-            "class": found.classes[i],
-            "certain": bool(found.certain[i]),
-            "dgp_exceeded": float(found.dgp_exceeded[i]),
-            "low": None if found.low is None else float(found.low[i]),
-            "high": None if found.high is None else float(found.high[i]),
-            "share": EXCEEDED_SHARE,
-            "hours_over": {"0.35": int(over[0]), "0.40": int(over[1]), "0.45": int(over[2])},
-            "sentence": found.sentence(i),
-        }
-        for i, over in enumerate(found.hours_over)
-    ]
+    """One plain dict a direction; figures of a direction that was not seen are None."""
+    rows = []
+    for i, over in enumerate(found.hours_over):
+        judged = bool(found.judged[i])
+        low, high = (None if ends is None else ends[i] for ends in (found.low, found.high))
+        hours = zip(("0.35", "0.40", "0.45"), over, strict=True)
+        rows.append(
+            {
+                "azimuth_deg": float(found.azimuths_deg[i]),
+                "class": found.classes[i],
+                "certain": bool(found.certain[i]),
+                "seen": found.seen[i],
+                "dgp_exceeded": float(found.dgp_exceeded[i]) if judged else None,
+                "low": float(low) if judged and low is not None else None,
+                "high": float(high) if judged and high is not None else None,
+                "share": EXCEEDED_SHARE,
+                "hours_over": {name: int(count) if judged else None for name, count in hours},
+                "sentence": found.sentence(i),
+            }
+        )
+    return rows
+
+
+def best_and_worst(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Return the directions with the least and the most glare, for a page, its figures and the
+    terminal; None where no direction was seen.
+
+    A partly seen direction counts with the upper end of its interval as the best, and with its
+    lower figure as the worst: what was not seen makes no direction a recommendation.
+    """
+    judged = [row for row in rows if row["class"] != NOT_SEEN]
+    if not judged:
+        return None
+
+    def over(row: dict[str, Any]) -> int:
+        return sum(row["hours_over"].values())
+
+    def as_best(row: dict[str, Any]) -> tuple[float, int]:
+        whole = row.get("seen", SEEN) == SEEN
+        if whole:
+            return row["dgp_exceeded"], over(row)
+        return (1.0 if row["high"] is None else row["high"]), over(row)
+
+    best = min(judged, key=as_best)
+    worst = max(judged, key=lambda row: (row["dgp_exceeded"], over(row)))
+    return best, worst

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fieldlum.predict.annual import Annual, Pictures
 from fieldlum.predict.blocks import ModelRoom, blocks
+from fieldlum.predict.glare_summary import best_and_worst
 from fieldlum.sun import standard_date
 
 if TYPE_CHECKING:
@@ -23,12 +24,13 @@ def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
     """
     used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
     dgp = annual.views["dgp"][used]
-    at_95 = np.percentile(dgp, 95, axis=0)
-    for name, direction in (("worst", int(at_95.argmax())), ("best", int(at_95.argmin()))):
+    ends = best_and_worst(annual.about["protection"])
+    for name, row in () if ends is None else (("worst", ends[1]), ("best", ends[0])):
+        direction = int(np.argmin(np.abs(annual.azimuths_deg - row["azimuth_deg"])))
         order = used[np.argsort(dgp[:, direction], kind="stable")]
         for share, kind in ((0.5, "typical"), (0.95, "p95"), (1.0, "highest")):
-            row = order[min(int(share * len(order)), len(order) - 1)]
-            yield f"{kind} of {name} view {annual.azimuths_deg[direction]:g}", int(row)
+            hour = order[min(int(share * len(order)), len(order) - 1)]
+            yield f"{kind} of {name} view {annual.azimuths_deg[direction]:g}", int(hour)
     for row in clear_day(annual, zone):
         yield "clear day", int(row)
 

@@ -14,7 +14,13 @@ from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx
 from fieldlum.glare.geometry import Views, panorama_views, view_azimuths_deg
 from fieldlum.glare.metrics import glare_directions
 from fieldlum.glare.sources import SOURCE_CDM2
-from fieldlum.glare.standards import dgp_uncertainty
+from fieldlum.glare.standards import GlareDoubt, dgp_uncertainty
+from fieldlum.glare.unseen import (
+    ViewCoverage,
+    brightest_cdm2,
+    unseen_dgp_bounds,
+    view_coverage,
+)
 from fieldlum.predict.annual import (
     HOUR_COLUMNS,
     VIEW_COLUMNS,
@@ -31,6 +37,7 @@ from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_o
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 
+NORMAL_95 = 1.96  # standard deviations of a 95 % interval
 U_DISC = (
     0.05  # relative standard uncertainty of the disc's illuminance: luminous efficacy and glass
 )
@@ -78,11 +85,11 @@ def run(
     azimuths = view_azimuths_deg(room.heading_deg, views)
     fitted = load(model_folder)
     begin_anew(folder)
-    annual = measure(fitted, room, light, azimuths, folder, maps=maps, progress=progress)
+    annual, doubt = measure(fitted, room, light, azimuths, folder, maps=maps, progress=progress)
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    found = judge(annual, hours_used, seed)
+    found = judge(annual, doubt, hours_used, seed)
     annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found, days))
     # predict.json comes last: a folder that has it is whole.
     write_hourly(folder / "hourly.csv", annual, zone)
@@ -110,13 +117,18 @@ def measure(
     *,
     maps: bool = False,
     progress: Progress = quiet,
-) -> Annual:
-    """Predict every hour in blocks and keep its figures; with `maps`, the maps too."""
+) -> tuple[Annual, GlareDoubt]:
+    """Predict every hour in blocks and keep its figures; with `maps`, the maps too.
+
+    Figures of directions that no lens saw are NaN. The doubt [n, d] is of all hours.
+    """
     count, d = len(light), len(azimuths_deg)
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg)
-    regions = ViewRegions(room.height, room.width, room.heading_deg, azimuths_deg)
+    coverage = view_coverage(room.seen, views)
+    regions = ViewRegions(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
     hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
     figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
+    least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)
     folder.mkdir(parents=True, exist_ok=True)
     about = {"site": room.setup.site.name}
     store = (
@@ -128,11 +140,36 @@ def measure(
         for block in blocks(fitted, room, light, progress=progress):
             for name, values in _hour_figures(block).items():
                 hours[name][block.rows] = values
-            for name, values in view_figures(block, room, views, regions).items():
-                figures[name][block.rows] = values
+            found = view_figures(block, room, views, regions)
+            least[block.rows], most[block.rows] = _unseen_bounds(block, room, coverage, found)
+            for name in VIEW_COLUMNS.keys() & found.keys():
+                figures[name][block.rows] = found[name]
             if kept is not None:
                 kept.append(block)
-    return Annual(folder, {}, light.t_utc, np.asarray(azimuths_deg, float), hours, figures)
+    u = np.nan_to_num(figures["u_dgp"])
+    figures["dgp_low"] = np.clip(least - NORMAL_95 * u, 0.0, 1.0)
+    figures["dgp_high"] = np.clip(most + NORMAL_95 * u, 0.0, 1.0)
+    for values in figures.values():
+        values[:, ~coverage.judged] = np.nan
+    annual = Annual(folder, {}, light.t_utc, np.asarray(azimuths_deg, float), hours, figures)
+    return annual, GlareDoubt(coverage.words, least, most)
+
+
+def _unseen_bounds(
+    block: HourBlock,
+    room: ModelRoom,
+    coverage: ViewCoverage,
+    found: dict[str, NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """DGP with the least and the most light in the unseen part of each view, [k, d] each.
+
+    The most is the mean luminance of the sky, as a window there would show it, or the brightest
+    hundredth of what was seen.
+    """
+    most = block.light.diffuse_lx / np.pi
+    if room.seen is not None and coverage.partly.any():
+        most = np.maximum(most, brightest_cdm2(block.prediction.luminance_cdm2, room.seen))
+    return unseen_dgp_bounds(coverage, found["ev_lx"], found["contrast"], most)
 
 
 def _hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
@@ -152,7 +189,7 @@ def _hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
 def view_figures(
     block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
 ) -> dict[str, NDArray[np.float64]]:
-    """`VIEW_COLUMNS` of a block, [k, d] each."""
+    """`VIEW_COLUMNS` of a block and the contrast sums behind DGP, [k, d] each."""
     maps = block.prediction.luminance_cdm2
     found = glare_directions(
         maps,
@@ -165,7 +202,6 @@ def view_figures(
     found["u_dgp"] = dgp_uncertainty(
         found["ev_lx"], found["contrast"], *_relative(block, views, found)
     )
-    found = {name: values for name, values in found.items() if name in VIEW_COLUMNS}
     found["melanopic_edi_lx_estimate"] = melanopic_edi_lx(found["ev_lx"])
     return found | regions.ratios(maps)
 

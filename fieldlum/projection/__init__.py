@@ -5,6 +5,16 @@ the zenith, W = 2H; the azimuth of column centre j is heading + ((j + .5)/W - .5
 right is clockwise.
 """
 
+from fieldlum.projection.coverage import (
+    FULLY_SEEN_SHARE,
+    NOT_SEEN,
+    PARTLY_SEEN,
+    SEEN,
+    judged_text,
+    seen_by_lenses,
+    seen_shares,
+    seen_words,
+)
 from fieldlum.projection.lens import (
     LensGeometry,
     angle_of_radius,
@@ -14,6 +24,7 @@ from fieldlum.projection.lens import (
 )
 from fieldlum.projection.panorama import (
     column_azimuths_deg,
+    compass_name,
     direction,
     equirect_pixel,
     equirect_rays,
@@ -25,21 +36,30 @@ from fieldlum.projection.panorama import (
 from fieldlum.projection.resample import Equirect, Fisheye, Resampler, resampler
 
 __all__ = [
+    "FULLY_SEEN_SHARE",
+    "NOT_SEEN",
+    "PARTLY_SEEN",
+    "SEEN",
     "Equirect",
     "Fisheye",
     "LensGeometry",
     "Resampler",
     "angle_of_radius",
     "column_azimuths_deg",
+    "compass_name",
     "direction",
     "equirect_pixel",
     "equirect_rays",
     "equirect_solid_angles",
+    "judged_text",
     "lens_pixels",
     "lens_rays",
     "radius_of_angle",
     "resampler",
     "row_altitudes_deg",
     "row_solid_angles",
+    "seen_by_lenses",
+    "seen_shares",
+    "seen_words",
     "signed_angle_deg",
 ]

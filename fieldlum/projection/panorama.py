@@ -60,3 +60,11 @@ def equirect_pixel(
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
     turn = (np.asarray(azimuth_deg, float) - heading_deg) / 360.0 + 0.5
     return row, (turn % 1.0) * width
+
+
+_COMPASS = tuple("N NNE NE ENE E ESE SE SSE S SSW SW WSW W WNW NW NNW".split())  # noqa: SIM905
+
+
+def compass_name(azimuth_deg: float) -> str:
+    """Return the nearest of the sixteen points of the compass: N, NNE, NE ..."""
+    return _COMPASS[round(azimuth_deg / 22.5) % 16]

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from fieldlum.glare import panorama_to_fisheye
 from fieldlum.predict import Annual
 from fieldlum.predict.annual import Pictures
+from fieldlum.predict.glare_summary import best_and_worst
+from fieldlum.projection import NOT_SEEN, PARTLY_SEEN, compass_name
 from fieldlum.records import SunSource
 from fieldlum.report.figures import (
-    compass,
     exceedance_svg,
     false_colour,
     fisheyes_png,
@@ -44,24 +45,24 @@ CLASS_WORDS = {
     "high": "high protection",
     "medium": "medium protection",
     "minimum": "minimum protection",
-    "none": "no class",
+    "none": "worse than minimum protection",
 }
 
 
 def named(azimuth_deg: float) -> str:
-    return f"{compass(azimuth_deg)} ({azimuth_deg:.0f}°)"
-
-
-def best_and_worst(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The directions with the lowest and the highest DGP exceeded in 5 % of the occupied hours."""
-    ranked = sorted(rows, key=lambda row: (row["dgp_exceeded"], sum(row["hours_over"].values())))
-    return ranked[0], ranked[-1]
+    return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
 def answer(annual: Annual) -> tuple[str, str]:
     """In which direction to sit, and why; in words."""
     rows = annual.about["protection"]
-    best, worst = best_and_worst(rows)
+    ends = best_and_worst(rows)
+    if ends is None:
+        return (
+            "No view direction can be judged: the camera saw too little of every one.",
+            "Turn the camera on its head (headings in SITE.toml), or take a lens that sees more.",
+        )
+    best, worst = ends
     hours = annual.about["occupancy"]["hours"]
     first = f"Sit facing {named(best['azimuth_deg'])}: {_class_words(best)}."
     contrast = (
@@ -74,11 +75,21 @@ def answer(annual: Annual) -> tuple[str, str]:
         "in at most 5 % of "
         "the occupied hours."
     )
-    return first, contrast + limit
+    return first, f"{contrast}{_unseen_words(rows)}{limit}"
+
+
+def _unseen_words(rows: list[dict[str, Any]]) -> str:
+    """Which directions the answer is not about."""
+    blind = [named(row["azimuth_deg"]) for row in rows if row["class"] == NOT_SEEN]
+    if not blind:
+        return ""
+    return f"Nothing is known about {', '.join(blind)}: the camera did not see these directions. "
 
 
 def _class_words(row: dict[str, Any]) -> str:
     words = f"{CLASS_WORDS[row['class']]} from glare"
+    if row.get("seen") == PARTLY_SEEN and not row["certain"]:
+        return f"{words} by the part of the view that was seen"
     if row["low"] is None:
         return f"{words}, with a confidence that this model cannot give"
     return (
@@ -89,11 +100,12 @@ def _class_words(row: dict[str, Any]) -> str:
 def polar(annual: Annual) -> Figure:
     rows = annual.about["protection"]
     azimuths = np.array([row["azimuth_deg"] for row in rows])
-    exceeded = np.array([row["dgp_exceeded"] for row in rows])
-    bounds = [
-        None if rows[0][k] is None else np.array([row[k] for row in rows]) for k in ("low", "high")
-    ]
-    spoken = ", ".join(f"{named(row['azimuth_deg'])} {row['dgp_exceeded']:.2f}" for row in rows)
+    exceeded, *bounds = (
+        np.array([np.nan if row[k] is None else row[k] for row in rows], float)
+        for k in ("dgp_exceeded", "low", "high")
+    )
+    bounds = [None if np.isnan(ends).all() else ends for ends in bounds]
+    spoken = ", ".join(f"{named(row['azimuth_deg'])} {_figure(row)}" for row in rows)
     band = " The grey band is its 95 % interval." if bounds[0] is not None else ""
     return svg_figure(
         polar_svg(azimuths, exceeded, *bounds),
@@ -105,23 +117,33 @@ def polar(annual: Annual) -> Figure:
     )
 
 
+def _figure(row: dict[str, Any]) -> str:
+    """The DGP that 5 % of the occupied hours exceed, or that it is not known."""
+    return NOT_SEEN if row["dgp_exceeded"] is None else f"{row['dgp_exceeded']:.2f}"
+
+
+def _settled(row: dict[str, Any]) -> str:
+    if row["class"] == NOT_SEEN:
+        return "–"
+    if row["certain"]:
+        return "yes"
+    return "cannot tell yet" if row["low"] is not None else "no uncertainty known"
+
+
 def _direction_table(annual: Annual) -> Table:
     rows = []
     for row in annual.about["protection"]:
         interval = "–" if row["low"] is None else f"{row['low']:.2f} to {row['high']:.2f}"
         chip = {"kind": row["class"] if row["certain"] else "open", "text": row["class"]}
-        over = row["hours_over"]
-        sure = (
-            "yes"
-            if row["certain"]
-            else ("cannot tell yet" if row["low"] is not None else "no uncertainty known")
-        )
+        if row.get("seen") == PARTLY_SEEN:
+            chip["text"] += ", partly seen"
+        over = {k: "–" if v is None else v for k, v in row["hours_over"].items()}
         rows.append(
             (
                 named(row["azimuth_deg"]),
                 chip,
-                sure,
-                f"{row['dgp_exceeded']:.2f}",
+                _settled(row),
+                "–" if row["dgp_exceeded"] is None else f"{row['dgp_exceeded']:.2f}",
                 interval,
                 over["0.35"],
                 over["0.40"],
@@ -152,12 +174,16 @@ def directions_section(annual: Annual) -> Section:
         tables.append(
             Table(head, rows, "Hours like these, captured, would settle the open classes")
         )
+    ends = best_and_worst(annual.about["protection"])
     curve = svg_figure(
         exceedance_svg(
-            annual.views["dgp"][annual.occupied],
+            annual.views["dgp"][annual.occupied][:, annual.judged],
             annual.about["occupancy"]["hours"],
-            annual.azimuths_deg,
-        ),
+            annual.azimuths_deg[annual.judged],
+            (("worst", ends[1]["azimuth_deg"]), ("best", ends[0]["azimuth_deg"])),
+        )
+        if ends
+        else "",
         "Exceedance curves of DGP for each direction over the occupied hours.",
         "Share of the occupied hours in which a DGP is exceeded; each grey line is a direction.",
     )
@@ -165,7 +191,8 @@ def directions_section(annual: Annual) -> Section:
         f"Occupied hours: {annual.about['occupancy']['text']}. "
         f"{' '.join(annual.about['notes'][1:])}"
     )
-    return Section("directions", "Where to sit", text, (Row((curve,)),), tuple(tables))
+    rows = (Row((curve,)),) if ends else ()
+    return Section("directions", "Where to sit", text, rows, tuple(tables))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -186,6 +213,7 @@ def when_section(annual: Annual, zone: str) -> Section:
     days = max(365, int(day.max()))
     dgp = day_hour_grid(day, hour, annual.views["dgp"], days)
     ev = day_hour_grid(day, hour, annual.views["ev_lx"], days)
+    judged = annual.judged
     doubt = day_hour_grid(day, hour, np.where(annual.hours["trusted"] > 0, 0.0, 1.0)[:, None], days)
     quantities = (
         Quantity("DGP", "", dgp, 0.001, DGP_EDGES, DGP_COLOURS, (False, False, False, True), 2),
@@ -201,16 +229,21 @@ def when_section(annual: Annual, zone: str) -> Section:
         Quantity(
             "Light unlike any captured",
             "",
-            np.repeat(doubt, dgp.shape[2], axis=2),
+            np.where(judged, np.repeat(doubt, dgp.shape[2], axis=2), np.nan),
             1.0,
             (1.0,),
             ("#cfe6dc", "#8d6bb0"),
             (False, True),
         ),
     )
-    _, worst = best_and_worst(annual.about["protection"])
-    names = [named(a) for a in annual.azimuths_deg]
-    start = int(np.argmin(np.abs(annual.azimuths_deg - worst["azimuth_deg"])))
+    ends = best_and_worst(annual.about["protection"])
+    names = [
+        named(a) if good else f"{named(a)}: not seen"
+        for a, good in zip(annual.azimuths_deg, judged, strict=True)
+    ]
+    start = (
+        0 if ends is None else int(np.argmin(np.abs(annual.azimuths_deg - ends[1]["azimuth_deg"])))
+    )
     alt = (
         "Day by hour map of the year; days run to the right, hours of standard time upwards. "
         "Arrow keys read it."
@@ -243,17 +276,18 @@ def _sun_of(annual: Annual, row: int, disc_lx: float) -> SunSource | None:
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Figure:
     row = int(pictures.rows[k])
     sun = _sun_of(annual, row, float(pictures.disc_lx[k]))
+    shown = np.flatnonzero(annual.judged)[:10]
     views = np.stack(
         [
             panorama_to_fisheye(
                 pictures.luminance_cdm2[k], pictures.heading_deg, float(a), size=220, sun=sun
             )
-            for a in annual.azimuths_deg[:10]
+            for a in annual.azimuths_deg[shown]
         ]
     )
     axis = (np.arange(220) + 0.5) / 110.0 - 1.0
     views[:, np.hypot(axis[None, :], axis[:, None]) > 1.0] = np.nan
-    png = fisheyes_png(views, annual.azimuths_deg[:10], annual.views["dgp"][row, :10])
+    png = fisheyes_png(views, annual.azimuths_deg[shown], annual.views["dgp"][row, shown])
     when = _when(annual, row, zone)
     return png_figure(
         png, f"Fisheye views around the room at {when}.", f"Around the room, {when} (predicted)."
@@ -280,7 +314,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
         rows.append(
             Row(
                 (_fisheyes(annual, pictures, worst, zone),),
-                "Ten directions in the hour of the highest DGP",
+                "View directions in the hour of the highest DGP",
             )
         )
     day = [k for k, kind in enumerate(pictures.kinds) if kind == "clear day"]

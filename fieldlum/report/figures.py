@@ -15,6 +15,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fieldlum.projection import compass_name
 from fieldlum.records import Float
 
 LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)
@@ -153,7 +154,7 @@ def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
                 norm=LogNorm(*LUMINANCE_RANGE_CDM2),
                 cmap=colours,
             )
-            axes.set_title(f"{compass(azimuth)} {azimuth:.0f}°  DGP {value:.2f}", fontsize=9)
+            axes.set_title(f"{compass_name(azimuth)} {azimuth:.0f}°  DGP {value:.2f}", fontsize=9)
         return _png(figure)
 
 
@@ -228,35 +229,14 @@ def sky_domain_svg(
 # glare
 
 
-def compass(azimuth_deg: float) -> str:
-    names = (
-        "N",
-        "NNE",
-        "NE",
-        "ENE",
-        "E",
-        "ESE",
-        "SE",
-        "SSE",
-        "S",
-        "SSW",
-        "SW",
-        "WSW",
-        "W",
-        "WNW",
-        "NW",
-        "NNW",
-    )
-    return names[round(azimuth_deg / 22.5) % 16]
-
-
 def polar_svg(
     azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high: Float | None
 ) -> str:
     """DGP exceeded in 5 % of the occupied hours, per view direction, north up, over the three class
     limits.
 
-    Directions are drawn clockwise from north; low and high bound the 95 % interval.
+    Directions are drawn clockwise from north; low and high bound the 95 % interval. A NaN is a
+    direction that was not seen: the line has a gap there.
     """
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])
@@ -301,15 +281,20 @@ def polar_svg(
         return _svg(figure)
 
 
-def exceedance_svg(dgp: Float, occupied_hours: int, azimuths_deg: Float) -> str:
-    """Share of all occupied hours above a DGP, one line per direction; best and worst are named.
+def exceedance_svg(
+    dgp: Float,
+    occupied_hours: int,
+    azimuths_deg: Float,
+    ends: Sequence[tuple[str, float]],
+) -> str:
+    """Share of all occupied hours above a DGP, one line per direction; `ends` names the worst and
+    the best by their azimuths.
 
     dgp: [n, d] of the lit ones; the dark ones count as hours without glare, as in EN 17037.
     """
     n = len(dgp)
     share = 100.0 * np.arange(1, n + 1) / max(occupied_hours, 1)
     ranked = np.sort(dgp, axis=0)[::-1]
-    at_5 = ranked[min(int(0.05 * occupied_hours), n - 1)]
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.6, 3.4))
         axes = figure.add_subplot()
@@ -318,11 +303,9 @@ def exceedance_svg(dgp: Float, occupied_hours: int, azimuths_deg: Float) -> str:
             axes.text(30.2, limit, name, va="center", fontsize=8, color=CLASS_COLOURS[name])
         for i in range(dgp.shape[1]):
             axes.plot(share, ranked[:, i], color=PALE, lw=1)
-        for i, colour, text in (
-            (int(at_5.argmax()), CAPTURED, "worst"),
-            (int(at_5.argmin()), PREDICTED, "best"),
-        ):
-            label = f"{text}: {compass(azimuths_deg[i])} {azimuths_deg[i]:.0f}°"
+        for (text, azimuth), colour in zip(ends, (CAPTURED, PREDICTED), strict=True):
+            i = int(np.argmin(np.abs(azimuths_deg - azimuth)))
+            label = f"{text}: {compass_name(azimuths_deg[i])} {azimuths_deg[i]:.0f}°"
             axes.plot(share, ranked[:, i], color=colour, lw=2, label=label)
         axes.axvline(5, color=INK, lw=0.8)
         axes.set(

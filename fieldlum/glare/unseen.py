@@ -1,0 +1,109 @@
+"""Bounds of DGP where a part of the view was seen by no lens.
+
+Unseen is not dark. The unseen part of the view is given one luminance, from 0 up to the brightest
+that it could hold, and the least and the largest DGP of these are the bounds. More light on the eye
+can lower DGP (the contrast term falls with Ev), so the lower bound is not always at 0 cd/m2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare.geometry import Views, position_index
+from fieldlum.glare.metrics import dgp
+from fieldlum.glare.sources import SOURCE_CDM2
+from fieldlum.projection import NOT_SEEN, SEEN, equirect_solid_angles, seen_words
+from fieldlum.records import Float
+
+BRIGHTEST_SHARE = 0.01  # of the seen solid angle: a window pane, but no single pixel of a reflex
+_LEVELS = 12  # luminances tried between 1 cd/m2 and the brightest
+_THIN = 4  # every fourth row and column suffices for a percentile
+
+
+@dataclass(frozen=True, slots=True)
+class ViewCoverage:
+    """What the camera saw of d view directions.
+
+    seen_share [d] of the illuminance of a uniform field; unseen_illuminance [d] solid angle times
+    cosine of the unseen pixels [sr]; unseen_sources [d] their solid angle over the square of the
+    position index [sr].
+    """
+
+    seen_share: NDArray[np.float64]
+    unseen_illuminance: NDArray[np.float64]
+    unseen_sources: NDArray[np.float64]
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """ "seen", "partly seen" or "not seen" of each direction."""
+        return seen_words(self.seen_share)
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """Directions of which figures may be given, [d]."""
+        return np.array([word != NOT_SEEN for word in self.words])
+
+    @property
+    def partly(self) -> NDArray[np.bool_]:
+        """Directions of which only bounds can be given, [d]."""
+        return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
+
+
+def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
+    """Return what was seen of each direction of `views`; seen [H, W], None for every pixel."""
+    count = len(views.azimuths_deg)
+    if seen is None or seen.all():
+        return ViewCoverage(np.ones(count), np.zeros(count), np.zeros(count))
+    blind = ~seen.ravel()
+    missing = views.illuminance[blind].sum(axis=0, dtype=float)
+    total = views.illuminance.sum(axis=0, dtype=float)
+    omega, right, up = np.moveaxis(views.moments[blind].astype(float), 1, 0)  # [k, d] each
+    ahead = np.maximum(omega, 1e-30)
+    apart = (omega / position_index(right / ahead, up / ahead) ** 2).sum(axis=0)
+    # One source of all unseen pixels has the index of its centre, which may be the smaller one.
+    area = np.maximum(omega.sum(axis=0), 1e-30)
+    centre = position_index(right.sum(axis=0) / area, up.sum(axis=0) / area)
+    together = omega.sum(axis=0) / centre**2
+    return ViewCoverage(1.0 - missing / total, missing, np.maximum(apart, together))
+
+
+def brightest_cdm2(luminance_cdm2: Float, seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the luminance that the brightest hundredth of the seen solid angle exceeds, [n].
+
+    luminance_cdm2 : [n, H, W].
+    """
+    height, width = seen.shape
+    step = max(1, min(_THIN, height // 16))
+    pick = (slice(None, None, step), slice(None, None, step))
+    weights = equirect_solid_angles(height, width)[pick][seen[pick]]
+    out = np.empty(len(luminance_cdm2))
+    for k, image in enumerate(luminance_cdm2):
+        values = image[pick][seen[pick]]
+        order = np.argsort(values)[::-1]
+        share = np.cumsum(weights[order]) / weights.sum()
+        out[k] = values[order[int(np.searchsorted(share, BRIGHTEST_SHARE))]]
+    return out
+
+
+def unseen_dgp_bounds(
+    coverage: ViewCoverage, ev_lx: Float, contrast: Float, most_cdm2: Float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least and the largest DGP over what the unseen part may hold, [n, d] each.
+
+    ev_lx, contrast : [n, d] of what was seen; most_cdm2 : [n] the most that the unseen may hold.
+    """
+    low = high = dgp(ev_lx, contrast)
+    if not coverage.unseen_illuminance.any():
+        return low, high
+    for share in np.linspace(0.0, 1.0, _LEVELS):
+        level = np.maximum(most_cdm2, 1.0)[:, None] ** share  # [n, 1], 1 cd/m2 up to the most
+        power = np.where(level > SOURCE_CDM2, level, 0.0) ** 2
+        value = dgp(
+            ev_lx + level * coverage.unseen_illuminance,
+            contrast + power * coverage.unseen_sources,
+        )
+        low, high = np.minimum(low, value), np.maximum(high, value)
+    return low, high

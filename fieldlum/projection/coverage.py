@@ -1,0 +1,99 @@
+"""How much of what a person sees in a direction was seen by a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum.projection.lens import LensGeometry
+from fieldlum.projection.panorama import (
+    compass_name,
+    direction,
+    equirect_rays,
+    equirect_solid_angles,
+)
+
+# A dual fisheye with a blind nadir keeps over 99 %; 2 % of a hemisphere of 10 000 cd/m2 changes
+# DGP by 0.04, which the bounds then hold.
+FULLY_SEEN_SHARE = 0.98
+# A 180-degree lens sees half of the cosine-weighted hemisphere at 90 degrees from its axis.
+LEAST_SEEN_SHARE = 0.5
+SEEN, PARTLY_SEEN, NOT_SEEN = "seen", "partly seen", "not seen"
+
+
+def seen_shares(
+    seen: NDArray[np.bool_], heading_deg: float, azimuths_deg: ArrayLike
+) -> NDArray[np.float64]:
+    """Return the seen share of the vertical illuminance of a uniform field, [d].
+
+    seen : [H, W] pixels of a panorama that a lens saw.
+    """
+    height, width = seen.shape
+    rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
+    ahead = direction(0.0, np.atleast_1d(np.asarray(azimuths_deg, float)))  # [d, 3]
+    cosine = np.clip(rays @ ahead.T, 0.0, None) * equirect_solid_angles(height, width).reshape(
+        -1, 1
+    )
+    return np.clip(seen.ravel() @ cosine / cosine.sum(axis=0), 0.0, 1.0)
+
+
+def seen_words(shares: NDArray[np.floating]) -> tuple[str, ...]:
+    """Return "seen", "partly seen" or "not seen" for each share, [d]."""
+    return tuple(
+        SEEN if s >= FULLY_SEEN_SHARE else PARTLY_SEEN if s >= LEAST_SEEN_SHARE else NOT_SEEN
+        for s in shares
+    )
+
+
+def seen_by_lenses(
+    lenses: Sequence[LensGeometry], turns_deg: Sequence[float], height: int = 90
+) -> NDArray[np.bool_]:
+    """Return which pixels of a panorama the lenses see, [H, 2H].
+
+    turns_deg : headings of the turned camera minus the panorama's heading; one 0 for a fixed one.
+    """
+    rays = equirect_rays(height, 2 * height, 0.0)
+    out = np.zeros(rays.shape[:2], bool)
+    for lens in lenses:
+        forward_altitude, forward_azimuth = lens.tilt_deg, lens.azimuth_deg
+        for turn in turns_deg:
+            axis = direction(forward_altitude, forward_azimuth + turn)
+            out |= rays @ axis >= np.cos(lens.half_angle_rad)
+    return out
+
+
+def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
+    """Return one sentence on what can be judged from these pixels; empty when all can.
+
+    Directions in whole degrees, clockwise from north, with compass words.
+    """
+    azimuths = np.arange(360.0)
+    words = seen_words(seen_shares(seen, heading_deg, azimuths))
+    if all(word == SEEN for word in words):
+        return ""
+    weights = equirect_solid_angles(*seen.shape)
+    share = float(weights[seen].sum() / weights.sum())
+    fully = _arcs_text([word == SEEN for word in words])
+    bounds = _arcs_text([word != NOT_SEEN for word in words])
+    nothing = NOT_SEEN in words
+    return (
+        f"the camera sees {100 * share:.0f} % of all directions: glare can be judged for views to "
+        f"{fully or 'no direction'}; bounds of glare for {bounds or 'no direction'}"
+        + ("; other view directions get no result" if nothing else "")
+    )
+
+
+def _arcs_text(good: Sequence[bool]) -> str:
+    """Runs of good whole degrees around the circle in words."""
+    if all(good):
+        return "every direction"
+    starts = [k for k in range(360) if good[k] and not good[k - 1]]
+    arcs = []
+    for start in starts:
+        end = start
+        while good[(end + 1) % 360]:
+            end += 1
+        arcs.append(f"{start}° ({compass_name(start)}) to {end % 360}° ({compass_name(end % 360)})")
+    return ", ".join(arcs)

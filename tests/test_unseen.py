@@ -1,0 +1,166 @@
+"""Unseen is not dark: a direction that no lens saw has no class and no number; a partly seen one
+has bounds.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from learning_room import dataset
+
+from fieldlum import models, predict
+from fieldlum.cli import main
+from fieldlum.glare import glare_directions, panorama_views
+from fieldlum.glare.single import picture_glare
+from fieldlum.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
+from fieldlum.images import write_panorama
+from fieldlum.predict.pictures import telling_hours
+from fieldlum.profiles import coverage_text, load_camera_profile
+from fieldlum.projection import (
+    LensGeometry,
+    judged_text,
+    seen_by_lenses,
+    seen_shares,
+    seen_words,
+)
+from fieldlum.records import CameraSetup, Flag, Panorama
+from fieldlum.report import annual as annual_page
+
+HEIGHT, HEADING_DEG = 16, 180.0
+LENS = LensGeometry((0.0, 0.0), 100.0, 180.0, "equidistant")
+SEEN = seen_by_lenses([LENS], [0.0], HEIGHT)
+
+
+def test_analytic_a_half_lens_sees_what_the_cosine_says() -> None:
+    seen = seen_by_lenses([LENS], [0.0], 90)
+    turn = np.array([0.0, 30.0, 90.0, 150.0, 180.0])
+    expected = (1.0 + np.cos(np.radians(turn))) / 2.0
+    np.testing.assert_allclose(
+        seen_shares(seen, HEADING_DEG, HEADING_DEG + turn), expected, atol=0.01
+    )
+    assert seen_words(np.array([1.0, 0.97, 0.5, 0.49])) == (
+        "seen",
+        "partly seen",
+        "partly seen",
+        "not seen",
+    )
+
+
+def test_plan_and_doctor_name_directions_before_nine_days_are_spent() -> None:
+    profile = load_camera_profile("sim-fisheye")
+    text = coverage_text(profile, CameraSetup(profile="sim-fisheye", heading_deg=215.0))
+    assert "sees 5" in text and "SW" in text and "headings = [215, 35]" in text, text
+    turned = CameraSetup(profile="sim-fisheye", heading_deg=215.0, headings=(215.0, 35.0))
+    assert coverage_text(profile, turned) == ""
+    assert coverage_text(load_camera_profile("sim-dual-fisheye"), CameraSetup()) == ""
+    assert judged_text(np.ones((8, 16), bool), 0.0) == ""
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.0, 2e4), st.integers(0, 9))
+def test_property_the_bounds_hold_any_even_light_in_the_unseen_part(
+    level: float, turn: int
+) -> None:
+    azimuths = np.array([HEADING_DEG + 6.0 * turn])
+    views = panorama_views(HEIGHT, 2 * HEIGHT, HEADING_DEG, azimuths)
+    full = np.full((1, HEIGHT, 2 * HEIGHT), 300.0, np.float32)
+    full[0, 6:9, 14:18] = 6000.0
+    dark = np.where(SEEN, full, np.float32(0.0))
+    filled = np.where(SEEN, full, np.float32(level))
+    truth = glare_directions(filled, HEADING_DEG, azimuths, views=views)["dgp"]
+    found = glare_directions(dark, HEADING_DEG, azimuths, views=views)
+    low, high = unseen_dgp_bounds(
+        view_coverage(SEEN, views), found["ev_lx"], found["contrast"], np.array([2e4])
+    )
+    # The bounds sum sources pixel by pixel, the truth groups them, and levels are sampled.
+    assert low[0, 0] - 0.005 <= truth[0, 0] <= high[0, 0] + 0.01
+
+
+def test_the_brightest_hundredth_is_of_the_seen_part() -> None:
+    image = np.full((1, 64, 128), 100.0, np.float32)
+    image[0, 30:36, 60:68] = 5000.0  # 0.6 % of the sphere, 1.2 % of a half
+    seen = seen_by_lenses([LENS], [0.0], 64)
+    assert brightest_cdm2(image, seen)[0] == pytest.approx(5000.0)
+    assert brightest_cdm2(image, np.ones((64, 128), bool))[0] == pytest.approx(100.0)
+
+
+def test_glare_of_a_panorama_gives_no_number_for_what_was_not_seen(tmp_path: Path) -> None:
+    flags = np.where(SEEN, 0, int(Flag.OUTSIDE_LENS)).astype(np.uint8)
+    pixels = np.where(SEEN, np.float32(500.0), np.float32(0.0))
+    path = tmp_path / "half.exr"
+    write_panorama(path, Panorama(pixels, HEADING_DEG, flags=flags))
+    answer = picture_glare(path, (180.0, 240.0, 0.0))
+    front, side, back = answer["views"]
+    assert front["seen"] == "seen" and front["dgp"] > 0.159
+    assert side["seen"] == "partly seen" and side["dgp_low"] <= side["dgp"] <= side["dgp_high"]
+    assert back["verdict"] == "not seen" and back["dgp"] is None and back["ev_lx"] is None
+    shown = CliRunner().invoke(main, ["glare", str(path), "--view-azimuth", "0"])
+    assert (
+        shown.exit_code == 0 and "not seen" in shown.output and "imperceptible" not in shown.output
+    )
+
+
+@pytest.fixture(scope="module")
+def year(tmp_path_factory: pytest.TempPathFactory) -> predict.Annual:
+    """A few days predicted by a model of a camera that saw the southern half."""
+    root = tmp_path_factory.mktemp("half")
+    whole = dataset(("2027-03-20", "2027-03-21", "2027-06-21"), height=HEIGHT)
+    maps = np.where(SEEN, whole.luminance_cdm2, np.float32(0.0))
+    data = replace(whole, luminance_cdm2=maps, seen=SEEN)
+    fitted = models.fit("transport", data, patch="none")
+    models.save(root / "transport", fitted, data, patch="none")
+    lines = ["month,day,hour,dni_wm2,dhi_wm2"]
+    for day in (20, 21):
+        lines += [
+            f"3,{day},{h + 0.5},{600 * (7 <= h < 17)},{150 * (7 <= h < 17)}" for h in range(24)
+        ]
+    weather = root / "w.csv"
+    weather.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return predict.run(root / "transport", weather, out=root / "year")[0]
+
+
+def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
+    rows = {round(row["azimuth_deg"]): row for row in year.about["protection"]}
+    assert rows[180]["seen"] == "seen" and rows[180]["dgp_exceeded"] > 0
+    behind = rows[0]
+    assert behind["class"] == "not seen" and not behind["certain"]
+    assert behind["dgp_exceeded"] is None and set(behind["hours_over"].values()) == {None}
+    partly = [row for row in rows.values() if row["seen"] == "partly seen"]
+    assert partly and all(row["low"] <= row["dgp_exceeded"] <= row["high"] for row in partly)
+    with (year.folder / "hourly.csv").open(encoding="utf-8") as file:
+        cells = list(csv.DictReader(file))
+    assert all(row["dgp@0"] == row["ev_lx@0"] == row["uniformity@0"] == "" for row in cells)
+    assert all(
+        float(r["dgp_low@180"]) <= float(r["dgp@180"]) <= float(r["dgp_high@180"]) for r in cells
+    )
+    assert any("have no result" in note and "0° (N)" in note for note in year.about["notes"])
+    again = predict.read_annual(year.folder)
+    assert not again.judged[5] and again.judged[0]
+
+
+def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual) -> None:
+    answer, why = annual_page.answer(year)
+    best, worst = predict.best_and_worst(year.about["protection"]) or ({}, {})
+    assert best["class"] != "not seen" and worst["class"] != "not seen"
+    assert annual_page.named(best["azimuth_deg"]) in answer and "Nothing is known about" in why
+    assert "not seen" in annual_page.polar(year).alt
+    table = annual_page.directions_section(year).tables[0]
+    assert any(row[1]["text"] == "not seen" and row[3] == "–" for row in table.rows)
+    page = annual_page.when_section(year, "America/Los_Angeles").heatmap
+    assert page is not None and any("not seen" in name for name in page.directions)
+    azimuths = {kind.split()[-1] for kind, _ in telling_hours(year, "America/Los_Angeles")}
+    assert "0" not in azimuths - {"day"}
+
+
+def test_no_direction_at_all_is_said_and_not_drawn(year: predict.Annual) -> None:
+    blind = [{**row, "class": "not seen"} for row in year.about["protection"]]
+    assert predict.best_and_worst(blind) is None
+    nothing = replace(year, about={**year.about, "protection": blind})
+    assert "No view direction can be judged" in annual_page.answer(nothing)[0]
