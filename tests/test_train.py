@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from learning_room import dataset, write_pairs
 
 from fieldlum import models
-from fieldlum.cli import main
+from fieldlum.cli import main, train_
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.models.scores import Scores
 from fieldlum.train import evaluate_folds, fit_and_score, run
@@ -139,11 +139,30 @@ def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
     assert found.n_train == round(np.mean([len(fold.teach) for fold in folds]))
 
 
+@pytest.mark.numeric
 def test_a_short_budget_still_trains_the_network(tmp_path: Path) -> None:
-    answer = run(DATA, "dense", budget_min=0.03, out=tmp_path, captures=False)
+    few = DATA.take(range(0, len(DATA), 6))  # two updates are a pass, on the slowest processor too
+    answer = run(few, "dense", budget_min=0.03, out=tmp_path, captures=False)
     row = next(row for row in answer["models"] if row["name"] == "dense")
-    assert np.isfinite(row["log10_mse_weighted"]) and not list(tmp_path.glob("checkpoint*"))
+    judged = row["not_judged_because"] is None  # a processor under load may not reach one pass
+    assert judged == (row["log10_mse_weighted"] is not None)
+    assert not list(tmp_path.glob("checkpoint*"))
     assert models.load(tmp_path).name == "dense"
+
+
+@pytest.mark.property
+@pytest.mark.numeric
+def test_a_network_that_saw_less_than_every_pixel_once_is_not_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answer = run(DATA, "dense", budget_min=1e-5, out=tmp_path, captures=False)
+    row = next(row for row in answer["models"] if row["name"] == "dense")
+    assert row["not_judged_because"].startswith("no time to judge: 0.")
+    assert set(row) >= KEYS and row["log10_mse_weighted"] is None and row["worst"] is None
+    assert any("no time to judge" in note for note in answer["notes"])
+    train_._show(answer)
+    shown = [line for line in capsys.readouterr().out.splitlines() if line.startswith("dense")]
+    assert len(shown) == 1 and "no time to judge" in shown[0] and "e+0" not in shown[0]
 
 
 def test_the_order_of_use_puts_copies_last() -> None:

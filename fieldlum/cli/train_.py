@@ -90,6 +90,9 @@ def _show(answer: dict[str, Any]) -> None:
         "model          log10 MSE      RER    worst  DGP MSE  log10 MSE      RER  fit [s]  maps"
     )
     for row in answer["models"]:
+        if row["not_judged_because"]:
+            click.echo(f"{row['name']:12} {row['not_judged_because']}")
+            continue
         click.echo(
             f"{row['name']:12} {_short(row['log10_mse_weighted'])} {row['rer_weighted']:8.4f} "
             f"{_short(row['worst'])}"

@@ -173,6 +173,8 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
 
     def cell(row: dict[str, Any], key: str) -> Any:
         value = row.get(key)
+        if key == "log10_mse_weighted" and row.get("not_judged_because"):
+            return "no time to judge"
         if key == "name":
             return {"kind": "high", "text": f"{value} (chosen)"} if value == chosen else value
         if isinstance(value, float):

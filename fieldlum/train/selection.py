@@ -22,6 +22,7 @@ class Trial:
     fit_cpu_s: float
     n_train: int  # mean of its folds
     folds: int
+    passes: float | None = None  # over the data, the least of its folds; None: in closed form
 
 
 @dataclass(frozen=True, slots=True)
