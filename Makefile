@@ -1,7 +1,7 @@
 # Each target alone sets up .venv and does its job; only Python 3.11 or newer and a package index are needed.
 PYTHON ?= python3.11
 
-.PHONY: demo test golden clean
+.PHONY: demo test matrix matrix-short golden clean
 
 demo: .venv/ready
 	.venv/bin/fieldlum demo demo
@@ -16,6 +16,14 @@ test: .venv/ready
 	.venv/bin/python -m pip install -q --upgrade "pip>=25.1"
 	.venv/bin/python -m pip install -q -c constraints.txt -e . --group dev
 	touch .venv/ready
+
+# The whole suite under the arithmetic of other processors: eight times as long as `make test`.
+matrix: .venv/ready
+	.venv/bin/python bench/numeric_matrix.py -n 2
+
+# Its short form: the tests that compare bits or train, under three of the settings.
+matrix-short: .venv/ready
+	.venv/bin/python bench/numeric_matrix.py --short --jobs 2
 
 # Stores the results of the whole chain again, after an intended change of results.
 golden: .venv/ready

@@ -161,6 +161,7 @@ def test_a_spike_is_flagged_and_kept() -> None:
     assert list(np.flatnonzero(series.marks & Mark.SPIKE)) == [30] and series.dhi_wm2[30] == 15.0
 
 
+@pytest.mark.numeric
 def test_clean_csv_is_written_in_blocks_alike(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -273,6 +273,7 @@ def test_known_luminance_comes_back(bracket, name: str, headings: tuple) -> None
     assert result.quality["residual_percent"] < 1.5 and result.verdict.startswith("good")
 
 
+@pytest.mark.numeric
 def test_the_order_of_frames_does_not_matter(bracket) -> None:  # property
     shots, profile = bracket("sim-dual-fisheye", headings=(None,))
     a = merge(shots, profile).panorama
@@ -283,6 +284,7 @@ def test_the_order_of_frames_does_not_matter(bracket) -> None:  # property
     assert np.array_equal(a.flags, b.flags)  # type: ignore[arg-type]
 
 
+@pytest.mark.numeric
 @pytest.mark.parametrize(
     ("name", "headings"), [("sim-fisheye", (180.0,)), ("sim-dual-fisheye-jpeg", (None,))]
 )

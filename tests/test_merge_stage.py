@@ -118,6 +118,20 @@ def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     assert [v.state for v in merge.run(session, height=16, force=True)] == ["merged", "merged"]
     (session.panoramas / f"{slots[0]}.json").unlink()
     assert [v.state for v in merge.run(session, height=16)] == ["merged", "kept"]
+
+
+@pytest.mark.property
+@pytest.mark.numeric
+def test_two_workers_write_the_files_of_one(session: Session) -> None:
+    for number in range(2):
+        take(session, number)
+
+    def written(workers: int) -> dict[str, bytes]:
+        merge.run(session, height=16, workers=workers, force=True)
+        return {path.name: path.read_bytes() for path in session.panoramas.glob("*.*")}
+
+    alone = written(1)
+    assert len(alone) >= 4 and written(2) == alone
     assert [v.state for v in merge.run(session, height=20)] == ["merged", "merged"]
 
 

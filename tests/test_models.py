@@ -86,6 +86,7 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
         torch.testing.assert_close(mine, parameter.grad, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.numeric
 def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """analytic: sums of S and of its gradient over two ranks are those of one."""
     shape = Shape(**SMALL)
@@ -119,6 +120,7 @@ def test_the_network_learns_a_tiny_set_by_heart() -> None:
     assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
 
 
+@pytest.mark.numeric
 @pytest.mark.parametrize("schedule", ["paper", "short"])
 def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> None:
     plan = TrainingPlan("paper", epochs=4) if schedule == "paper" else FEW

@@ -139,7 +139,6 @@ def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
     assert found.n_train == round(np.mean([len(fold.teach) for fold in folds]))
 
 
-@pytest.mark.numeric
 def test_a_short_budget_still_trains_the_network(tmp_path: Path) -> None:
     few = DATA.take(range(0, len(DATA), 6))  # two updates are a pass, on the slowest processor too
     answer = run(few, "dense", budget_min=0.03, out=tmp_path, captures=False)

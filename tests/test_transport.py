@@ -177,6 +177,7 @@ def test_contract_no_patch_is_learnt_and_needs_none() -> None:
         MODEL.predict(TEST.light)
 
 
+@pytest.mark.numeric
 def test_property_doubtful_patches_do_not_teach_the_light() -> None:
     material = material_of(TRAIN, with_patch=True)
     kernel, plain = Kernel(material.facades), replace(material.features, flux=None, cells=None)
