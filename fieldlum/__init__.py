@@ -1,8 +1,68 @@
-"""A camera, a pyranometer and a laptop on site: a year of luminance maps of a room."""
+"""A camera, a pyranometer and a laptop on site: a year of luminance maps of a room.
+
+The names of the Python API are loaded from `fieldlum.api` when they are first used, so that
+`import fieldlum` and the command line's --help stay fast. docs/python.md lists them.
+"""
 
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fieldlum.api import (
+        FieldlumError,
+        Panorama,
+        SunSource,
+        evaluate_glare,
+        fit,
+        light_at,
+        load_camera_profile,
+        load_model,
+        load_pairs,
+        load_site,
+        merge_frames,
+        open_session,
+        plan_captures,
+        predict_year,
+        read_panorama,
+        read_weather,
+        write_panorama,
+    )
 
 try:
     __version__ = version("fieldlum")
 except PackageNotFoundError:  # run from a bare checkout
     __version__ = "0+unknown"
+
+__all__ = [
+    "FieldlumError",
+    "Panorama",
+    "SunSource",
+    "__version__",
+    "evaluate_glare",
+    "fit",
+    "light_at",
+    "load_camera_profile",
+    "load_model",
+    "load_pairs",
+    "load_site",
+    "merge_frames",
+    "open_session",
+    "plan_captures",
+    "predict_year",
+    "read_panorama",
+    "read_weather",
+    "write_panorama",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name of the API (PEP 562)."""
+    if name not in __all__:
+        raise AttributeError(f"module 'fieldlum' has no attribute '{name}'")
+    from fieldlum import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -15,7 +15,7 @@ RANKS = (
     {"devices"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench"},
-    {"report", "demo", "cli"},
+    {"report", "demo", "cli", "api"},
 )
 RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}
 STAGES = 4

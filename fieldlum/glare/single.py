@@ -53,10 +53,31 @@ def _bounds_verdict(low: float, high: float) -> str:
 def picture_glare(
     path: Path, azimuths_deg: Sequence[float] = (), *, reference: bool = False
 ) -> dict[str, Any]:
-    """File, views (one dict each), contrast of the whole and warnings. Raises InputError for an
-    unusable picture.
+    """Return file, views (one dict each), contrast of the panorama and warnings of a file.
+
+    Raises InputError for an unusable picture.
     """
-    picture = read_picture(path)
+    return _glare_of(read_picture(path), path, azimuths_deg, reference)
+
+
+def panorama_glare(
+    panorama: Panorama, azimuths_deg: Sequence[float] = (), *, reference: bool = False
+) -> dict[str, Any]:
+    """Return the same for a panorama in memory; its `file` is "".
+
+    Raises InputError for a map that is not twice as wide as high, or not finite.
+    """
+    source = Path("panorama")
+    height, width = panorama.luminance_cdm2.shape
+    if width != 2 * height:
+        raise InputError(source, f"{width} x {height} pixels", "a map twice as wide as high")
+    picture = Picture(panorama, None, 2.0 * np.pi)
+    return _glare_of(picture, source, azimuths_deg, reference) | {"file": ""}
+
+
+def _glare_of(
+    picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool
+) -> dict[str, Any]:
     panorama = picture.panorama
     azimuths = _azimuths(picture, azimuths_deg, path)
     maps, warnings = _sound(panorama, path)

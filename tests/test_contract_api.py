@@ -1,0 +1,139 @@
+"""Contract: the names of the Python API, that `import fieldlum` is light, and that examples run."""
+
+import inspect
+import pkgutil
+import subprocess
+import sys
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fieldlum
+from fieldlum.errors import InputError
+
+ROOT = Path(__file__).parents[1]
+NAMES = (
+    "FieldlumError",
+    "Panorama",
+    "SunSource",
+    "__version__",
+    "evaluate_glare",
+    "fit",
+    "light_at",
+    "load_camera_profile",
+    "load_model",
+    "load_pairs",
+    "load_site",
+    "merge_frames",
+    "open_session",
+    "plan_captures",
+    "predict_year",
+    "read_panorama",
+    "read_weather",
+    "write_panorama",
+)
+FUNCTIONS = [name for name in NAMES if name[0].islower()]
+OFFICE = ROOT / "capture_plans" / "seattle-office.toml"
+
+
+def test_contract_exported_names() -> None:
+    from fieldlum import api
+
+    assert tuple(fieldlum.__all__) == NAMES
+    assert tuple(dir(fieldlum)) == NAMES
+    assert ["__version__", *api.__all__] == sorted(NAMES, key=lambda name: name[:2] != "__")
+    assert all(hasattr(fieldlum, name) for name in NAMES)
+    with pytest.raises(AttributeError, match="no attribute 'merge_frame'"):
+        fieldlum.merge_frame  # type: ignore[attr-defined] # noqa: B018
+
+
+def test_contract_no_name_hides_a_module() -> None:
+    """`import fieldlum.plan` would replace a function `fieldlum.plan`."""
+    modules = {module.name for module in pkgutil.iter_modules(fieldlum.__path__)}
+    assert not modules & set(NAMES)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_contract_docstrings_are_complete(name: str) -> None:
+    function = getattr(fieldlum, name)
+    text = inspect.getdoc(function) or ""
+    for section in ("Parameters", "Raises", "Examples"):
+        assert f"{section}\n{'-' * len(section)}\n" in text, f"{name} has no {section}"
+    assert name in text.split("Examples\n")[1], f"the example of {name} does not call it"
+    for parameter in inspect.signature(function).parameters:
+        assert parameter in text, f"{name} does not describe {parameter}"
+    assert name in (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+
+
+def test_contract_import_is_light() -> None:
+    code = (
+        "import sys, fieldlum; assert dir(fieldlum)\n"
+        "print([m for m in ('numpy', 'torch', 'fieldlum.api') if m in sys.modules])"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.stdout.strip() == "[]", answer.stderr
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".hdr"])
+def test_panorama_is_written_and_read(tmp_path: Path, suffix: str) -> None:
+    maps = np.geomspace(1.0, 1e4, 16 * 32, dtype=np.float32).reshape(16, 32)
+    fieldlum.write_panorama(tmp_path / f"a{suffix}", fieldlum.Panorama(maps, 90.0))
+    again = fieldlum.read_panorama(str(tmp_path / f"a{suffix}"))
+    assert again.heading_deg == 90.0
+    np.testing.assert_allclose(again.luminance_cdm2, maps, rtol=0.008)  # RGBE: 8-bit mantissa
+
+
+def test_a_picture_of_another_suffix_or_shape_is_refused(tmp_path: Path) -> None:
+    maps = np.ones((16, 32), np.float32)
+    with pytest.raises(InputError, match=r"suffix '\.png'"):
+        fieldlum.write_panorama(tmp_path / "a.png", fieldlum.Panorama(maps, 0.0))
+    for call in (lambda p: fieldlum.write_panorama(tmp_path / "a.exr", p), fieldlum.evaluate_glare):
+        with pytest.raises(InputError, match="16 x 16"):
+            call(fieldlum.Panorama(maps[:, :16], 0.0))
+
+
+def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
+    maps = np.full((32, 64), 300.0, np.float32)
+    maps[10:14, 30:34] = 2e4
+    panorama = fieldlum.Panorama(maps, 180.0, sun=fieldlum.SunSource(40.0, 150.0, 5e4))
+    fieldlum.write_panorama(tmp_path / "a.exr", panorama)
+    in_memory = fieldlum.evaluate_glare(panorama, [180.0, 90.0])
+    on_disk = fieldlum.evaluate_glare(tmp_path / "a.exr", [180.0, 90.0])
+    assert in_memory["views"] == on_disk["views"]
+    assert in_memory["file"] == ""
+
+
+def test_plan_captures_writes_a_session_or_nothing(tmp_path: Path) -> None:
+    asked = {"year": 2027, "today": date(2027, 1, 1)}
+    plan = fieldlum.plan_captures(str(OFFICE), "4-day", **asked)
+    assert not any(tmp_path.iterdir())
+    fieldlum.plan_captures(fieldlum.load_site(OFFICE), "4-day", out=tmp_path / "s", **asked)
+    written = fieldlum.open_session(str(tmp_path / "s")).slots()
+    assert [slot.id for slot in written] == [slot.id for slot in plan.slots]
+    assert len(plan.slots) == 48  # docs/planning.md: the four-day set at Seattle
+
+
+def test_light_at_takes_one_value_for_all_moments() -> None:
+    """analytic: on 21 June in Seattle the sun culminates at 90 - 47.6 + 23.44 deg."""
+    noon = datetime(2027, 6, 21, 20, 11, tzinfo=UTC)
+    light = fieldlum.light_at([noon, noon], str(OFFICE), 800.0, 120.0)
+    assert light.dni_wm2.tolist() == [800.0, 800.0]
+    np.testing.assert_allclose(light.sun_altitude_deg, 65.84, atol=0.05)
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
+def test_example_runs(example: Path, tmp_path: Path) -> None:
+    """Each prints its figures and writes only into the folder that it is given."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(example), str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "view to 180.0 deg: DGP" in done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    cells = example.read_text(encoding="utf-8").split("# %%")
+    assert len(cells) > 5 and cells[1].startswith(" [markdown]")
