@@ -12,7 +12,7 @@ RANKS = (
     {"errors", "records"},
     {"photometry", "projection", "rowwise", "statistics", "sun", "sky", "light", "light_clock"},
     {"images", "raw", "profiles", "session", "scene", "weather"},
-    {"devices"},
+    {"devices", "notify"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench"},
     {"report", "demo", "cli", "api"},

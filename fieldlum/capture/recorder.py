@@ -20,6 +20,14 @@ from fieldlum.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
 
 RESERVE_BYTES = 16 << 20
+
+Listen = Callable[[str, datetime, dict[str, Any]], None]
+
+
+def unheard(event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
+    """Do nothing with an event."""
+
+
 _KEPT_ROWS = 100_000  # almost six days at 5 s
 
 
@@ -37,6 +45,7 @@ class Recorder:
         reserve_bytes: int = RESERVE_BYTES,
         *,
         flush: bool = True,
+        listen: Listen = unheard,
     ) -> None:
         self._session, self._now, self._reserve_bytes, self.flush = (
             session,
@@ -44,6 +53,7 @@ class Recorder:
             reserve_bytes,
             flush,
         )
+        self._listen = listen
         self._reserve = session.root / ".reserve"
         self._lock = threading.RLock()
         self._events: deque[tuple[str, datetime, dict[str, Any]]] = deque()
@@ -57,8 +67,12 @@ class Recorder:
         """Journal an event at the present moment; True when it is durable."""
         with self._lock:
             self.last_event = event
-            self._events.append((event, self._now(), fields))
-            return self._flush_events()
+            now = self._now()
+            self._events.append((event, now, fields))
+            durable = self._flush_events()
+        with suppress(Exception):  # a listener's defect must not end the capture
+            self._listen(event, now, fields)
+        return durable
 
     def sample(self, sample: IrradianceSample) -> bool:
         """Add a row to its day file; True when it is durable."""

@@ -21,7 +21,7 @@ from fieldlum.capture.logger import Logger
 from fieldlum.capture.options import DEFAULTS, Options
 from fieldlum.capture.preflight import refuse_a_past_plan, refuse_what_is_not_offered
 from fieldlum.capture.reconnect import Keeper, plain_info
-from fieldlum.capture.recorder import Recorder
+from fieldlum.capture.recorder import Listen, Recorder, unheard
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
 from fieldlum.capture.utc_clock import SteadyClock, boot_id, synchronised
 from fieldlum.devices import (
@@ -38,6 +38,7 @@ from fieldlum.records import Exposure, Slot, parse_utc
 from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
 
 FAST_LEAD_S = 20.0
+_HOOK_TIMEOUT_S = 300.0
 
 
 def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
@@ -111,6 +112,7 @@ def run(
     check_shortest: Callable[[Path], str] = no_look,
     meter_uri: str = "",
     trusted: Callable[[], bool] = synchronised,
+    listen: Listen = unheard,
     open_cam: Callable[[], Camera] | None = None,
     open_pyr: Callable[[], Pyranometer] | None = None,
     open_met: Callable[[], IlluminanceMeter] | None = None,
@@ -119,11 +121,13 @@ def run(
 
     Raises DeviceError when a device does not open at the start (a person is still there then),
     InputError for a session that another capture holds, NotEnoughDataError for a plan that was
-    never begun and is past. `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
+    never begun and is past. `listen` is called with each journal event and must return at once.
+    `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
     """
     with sole_user(session, "capture"):
         looks = check, check_opens, check_shortest
-        runner = _Runner(session, SteadyClock(clock, trusted, options.boot), options, watch, looks)
+        steady = SteadyClock(clock, trusted, options.boot)
+        runner = _Runner(session, steady, options, watch, looks, listen)
         try:
             runner.open(
                 open_cam or (lambda: open_camera(camera_uri, clock=clock, session=session)),
@@ -150,6 +154,7 @@ class _Runner:
         options: Options,
         watch: Watch,
         looks: tuple[Check, Callable[[Path], str], Callable[[Path], str]],
+        listen: Listen = unheard,
     ) -> None:
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
         self.looks = looks
@@ -161,7 +166,9 @@ class _Runner:
         self.states = before.slots
         self._resume_time(before)
         refuse_a_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
-        self.recorder = Recorder(session, clock.now, options.reserve_bytes, flush=options.flush)
+        self.recorder = Recorder(
+            session, clock.now, options.reserve_bytes, flush=options.flush, listen=listen
+        )
         self.camera: Keeper[Camera] | None = None
         self.logger: Logger | None = None
         self.meter: Keeper[IlluminanceMeter] | None = None
@@ -281,7 +288,7 @@ class _Runner:
                 state = self._take(bracket, slot, state, slot.t_utc + grace)
                 self._after_bracket(slot, state)
             self.states[slot.id] = state
-            self._count_misses(state)
+            self._count_misses(slot, state)
             following = self._next_owed()
             self._state, self._next = "waiting", following.id if following else ""
             self._show()
@@ -387,12 +394,20 @@ class _Runner:
         if self.options.threaded:
             self._show()
 
-    def _count_misses(self, state: SlotState) -> None:
+    def _count_misses(self, slot: Slot, state: SlotState) -> None:
         self._misses_in_a_row = 0 if state.outcome == "done" else self._misses_in_a_row + 1
         if self._misses_in_a_row == 2 and self.options.on_misses:
             self.recorder.tell("hook", command=self.options.on_misses)
+            about = {
+                "FIELDLUM_SLOT": slot.id,
+                "FIELDLUM_OUTCOME": state.outcome,
+                "FIELDLUM_REASON": state.why,
+                "FIELDLUM_SESSION": str(self.session.root.resolve()),
+            }
             threading.Thread(
-                target=_run_hook, args=(self.options.on_misses, self.session.root), daemon=True
+                target=_run_hook,
+                args=(self.options.on_misses, self.session.root, about, self.recorder.tell),
+                daemon=True,
             ).start()
 
     def _show(self) -> None:
@@ -451,8 +466,22 @@ class _Runner:
         self.recorder.close()
 
 
-def _run_hook(command: str, folder: Path) -> None:
-    with suppress(OSError, subprocess.SubprocessError):
-        subprocess.run(
-            command, shell=True, cwd=folder, timeout=300, stdin=subprocess.DEVNULL, check=False
-        )
+def _run_hook(command: str, folder: Path, about: dict[str, str], tell: Callable[..., Any]) -> None:
+    """Run the user's command with the slot, its outcome, the reason and the session's folder in
+    its environment; a failure becomes a journal event.
+    """
+    try:
+        code = subprocess.run(
+            command,
+            shell=True,
+            cwd=folder,
+            env={**os.environ, **about},
+            timeout=_HOOK_TIMEOUT_S,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        ).returncode
+        why = f"exit code {code}" if code else ""
+    except (OSError, subprocess.SubprocessError) as error:
+        why = type(error).__name__
+    if why:
+        tell("hook-failed", why=why)

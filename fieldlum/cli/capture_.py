@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import click
 from fieldlum.cli import terminal
 
 if TYPE_CHECKING:
+    from fieldlum.notify import Post
     from fieldlum.session import Session
 
 
@@ -65,7 +67,26 @@ if TYPE_CHECKING:
     "--on-misses",
     metavar="COMMAND",
     default="",
-    help="Run this when two slots in a row gave no bracket.",
+    help="Run this when two slots in a row gave no bracket. Its environment has FIELDLUM_SLOT, "
+    "FIELDLUM_OUTCOME, FIELDLUM_REASON and FIELDLUM_SESSION.",
+)
+@click.option(
+    "--notify",
+    metavar="@FILE",
+    default="",
+    help="Send faults and a daily summary to the addresses of apprise in FILE, one a line "
+    "(mailto://, ntfy://, tgram:// ...). Or set FIELDLUM_NOTIFY.",
+)
+@click.option(
+    "--notify-picture",
+    is_flag=True,
+    help="Attach the latest contact sheet to the daily summary; people may be in it.",
+)
+@click.option(
+    "--heartbeat",
+    metavar="@FILE",
+    default="",
+    help="Fetch the address in FILE after each slot and every 10 minutes, for a monitor outside.",
 )
 def command(
     folder: Path,
@@ -77,6 +98,9 @@ def command(
     log_every_s: float,
     status_json: Path | None,
     on_misses: str,
+    notify: str,
+    notify_picture: bool,
+    heartbeat: str,
 ) -> None:
     """Take the planned brackets and log irradiance beside.
 
@@ -86,6 +110,9 @@ def command(
     fieldlum capture office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum import capture
+    from fieldlum.capture.preflight import wait_for_clock
+    from fieldlum.capture.remote import informed
+    from fieldlum.capture.runner import Live
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
     from fieldlum.raw import unreadable
@@ -104,7 +131,20 @@ def command(
     ticking, options = capture.prepare(session, fast=clock == "fast")
     options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
     awake = nullcontext() if clock == "fast" else terminal.awake()
-    with terminal.unattended(), awake, shown(session.site_file().site, status_json) as watch:
+    post, address = _post(notify), _heartbeat(heartbeat)
+    if clock == "real":
+        wait_for_clock(session, ticking, terminal.say)
+    with (
+        terminal.unattended(),
+        awake,
+        shown(session.site_file().site, status_json) as display,
+        informed(session, post, address, terminal.say, with_picture=notify_picture) as remote,
+    ):
+
+        def watch(live: Live) -> None:
+            remote.look(live)
+            display(live)
+
         ledger = capture.run(
             session,
             camera_uri,
@@ -112,6 +152,7 @@ def command(
             clock=ticking,
             options=options,
             watch=watch,
+            listen=remote.listen,
             check=doubts,
             check_opens=unreadable,
             check_shortest=bracket_doubts,
@@ -124,6 +165,22 @@ def command(
             f"missed, "
             f"{outcomes.count('aborted')} aborted"
         )
+
+
+def _post(option: str) -> Post | None:
+    """Return what sends a message to the targets of ``--notify``; None without targets."""
+    from fieldlum.notify.targets import VARIABLE, apprise_post, read_targets
+
+    targets, note = read_targets(option, os.environ.get(VARIABLE, ""))
+    if note:
+        terminal.say(f"note: {note}")
+    return apprise_post(targets, option.removeprefix("@") or VARIABLE) if targets else None
+
+
+def _heartbeat(option: str) -> str:
+    from fieldlum.notify import read_address
+
+    return read_address(option) if option else ""
 
 
 def _devices(

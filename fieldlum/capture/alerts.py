@@ -1,0 +1,167 @@
+"""Which events of a running capture a person far away should hear of: pure bookkeeping.
+
+The capture hands over its journal events and, about once a second, its state. Each fault gives one
+message, and the same kind of fault none again within `QUIET` or before it is over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from fieldlum.notify import Message
+from fieldlum.records import parse_utc
+
+DEVICE_AWAY = timedelta(minutes=10)
+LOW_DISK_DAYS = 3.0
+ENOUGH_DISK_DAYS = 4.0  # above this the disk alert is armed again
+MISSES_IN_A_ROW = 2
+QUIET = timedelta(hours=6)
+
+
+@dataclass(slots=True)
+class DayCount:
+    """What one local day gave so far."""
+
+    done: int = 0
+    missed: int = 0
+    aborted: int = 0
+    doubtful: int = 0
+    highest_ghi_wm2: float | None = None
+
+
+@dataclass(slots=True)
+class Alerts:
+    """State of the alerts of one capture. `contact_sheet` is attached to the daily summary."""
+
+    name: str
+    timezone: str
+    contact_sheet: Path | None = None
+    _away_since: dict[str, datetime] = field(default_factory=dict)
+    _reported_away: set[str] = field(default_factory=set)
+    _misses: int = 0
+    _disk_is_low: bool = False
+    _last: dict[str, datetime] = field(default_factory=dict)
+    _day: date | None = None
+    _count: DayCount = field(default_factory=DayCount)
+
+    def event(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> list[Message]:
+        """Return the messages that one journal event gives."""
+        messages = self._new_day(t_utc)
+        if event == "device-lost":
+            self._away_since.setdefault(str(fields["device"]), t_utc)
+        elif event == "device-back":
+            messages += self._back(str(fields["device"]), t_utc)
+        elif event in ("done", "missed", "aborted"):
+            messages += self._outcome(event, t_utc, fields)
+        elif event == "clock-step":
+            messages += self._clock_step(t_utc, fields)
+        elif event == "disk-full":
+            messages += self._once("disk-full", t_utc, "the disk is full", self._disk_text(fields))
+        return messages
+
+    def look(
+        self,
+        t_utc: datetime,
+        disk_days: float | None,
+        ghi_wm2: float | None,
+    ) -> list[Message]:
+        """Return the messages that the passing of time gives."""
+        messages = self._new_day(t_utc)
+        if ghi_wm2 is not None:
+            highest = self._count.highest_ghi_wm2
+            self._count.highest_ghi_wm2 = ghi_wm2 if highest is None else max(highest, ghi_wm2)
+        for device, since in self._away_since.items():
+            if device not in self._reported_away and t_utc - since >= DEVICE_AWAY:
+                self._reported_away.add(device)
+                minutes = (t_utc - since).total_seconds() / 60.0
+                body = f"It stopped answering at {self._local(since)}, {minutes:.0f} minutes ago."
+                messages.append(self._message(f"{device} is lost", body))
+        return messages + self._disk(disk_days)
+
+    def _back(self, device: str, t_utc: datetime) -> list[Message]:
+        since = self._away_since.pop(device, None)
+        if device not in self._reported_away or since is None:
+            return []
+        self._reported_away.discard(device)
+        minutes = (t_utc - since).total_seconds() / 60.0
+        return [self._message(f"{device} is back", f"It was away for {minutes:.0f} minutes.")]
+
+    def _outcome(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> list[Message]:
+        slot, why = str(fields.get("slot", "")), str(fields.get("why", ""))
+        setattr(self._count, event, getattr(self._count, event) + 1)
+        if event == "done":
+            self._misses = 0
+            self._count.doubtful += bool(why)
+            if "clipped" not in why:
+                return []
+            body = f"Bracket {self._slot(slot)}: {why}. The exposures may no longer suit the light."
+            return self._once("clipped", t_utc, "a bracket is clipped", body)
+        self._misses += 1
+        if self._misses != MISSES_IN_A_ROW:
+            return []
+        body = f"The last one is {self._slot(slot)} ({event}): {why or 'no reason recorded'}."
+        return [self._message(f"{self._misses} slots in a row gave no bracket", body)]
+
+    def _clock_step(self, t_utc: datetime, fields: dict[str, Any]) -> list[Message]:
+        followed = "The capture follows it." if fields.get("followed") else "It is not followed."
+        body = f"The computer's clock jumped by {float(fields.get('seconds', 0.0)):+.0f} s. "
+        return self._once("clock-step", t_utc, "the clock jumped", body + followed)
+
+    def _disk(self, disk_days: float | None) -> list[Message]:
+        if disk_days is None:
+            return []
+        if self._disk_is_low:
+            self._disk_is_low = disk_days < ENOUGH_DISK_DAYS
+            return []
+        if disk_days >= LOW_DISK_DAYS:
+            return []
+        self._disk_is_low = True
+        body = f"The disk has room for {disk_days:.1f} more days of captures."
+        return [self._message("the disk is nearly full", body)]
+
+    def _disk_text(self, fields: dict[str, Any]) -> str:
+        return f"{float(fields.get('bytes_free', 0.0)) / 1e6:.0f} MB are free."
+
+    def _new_day(self, t_utc: datetime) -> list[Message]:
+        """Return the summary of the day that just ended, once."""
+        today = t_utc.astimezone(ZoneInfo(self.timezone)).date()
+        if self._day is None or today <= self._day:
+            self._day = self._day or today
+            return []
+        ended, count = self._day, self._count
+        self._day, self._count = today, DayCount()
+        if not (count.done or count.missed or count.aborted):
+            return []
+        ghi = count.highest_ghi_wm2
+        body = (
+            f"{count.done} brackets done ({count.doubtful} with a doubt), {count.missed} missed, "
+            f"{count.aborted} aborted."
+        )
+        if ghi is not None:
+            body += f" Highest global irradiance {ghi:.0f} W/m2."
+        sheet = self.contact_sheet
+        picture = sheet if sheet is not None and sheet.is_file() else None
+        return [self._message(f"summary of {ended.isoformat()}", body, picture)]
+
+    def _once(self, kind: str, t_utc: datetime, title: str, body: str) -> list[Message]:
+        last = self._last.get(kind)
+        if last is not None and t_utc - last < QUIET:
+            return []
+        self._last[kind] = t_utc
+        return [self._message(title, body)]
+
+    def _message(self, title: str, body: str, picture: Path | None = None) -> Message:
+        return Message(f"fieldlum {self.name}: {title}", body, picture)
+
+    def _local(self, t_utc: datetime) -> str:
+        return f"{t_utc.astimezone(ZoneInfo(self.timezone)):%Y-%m-%d %H:%M}"
+
+    def _slot(self, slot: str) -> str:
+        try:
+            return f"{slot} ({self._local(parse_utc(slot))})"
+        except ValueError:
+            return slot

@@ -1,0 +1,78 @@
+"""The people and monitors far away that a running capture keeps informed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from fieldlum.capture.alerts import Alerts
+from fieldlum.capture.runner import Live
+from fieldlum.notify import Heartbeat, Message, Outbox, Post
+from fieldlum.session import Session
+
+OUTBOX = "outbox.jsonl"
+_SETTLED = ("done", "missed", "aborted")
+
+
+@dataclass(frozen=True, slots=True)
+class Remote:
+    """`listen` takes journal events, `look` the state of the capture; both return at once."""
+
+    alerts: Alerts
+    outbox: Outbox | None
+    heartbeat: Heartbeat | None
+
+    def listen(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
+        if self.heartbeat is not None and event in _SETTLED:
+            self.heartbeat.beat()
+        self._send(self.alerts.event(event, t_utc, fields))
+
+    def look(self, live: Live) -> None:
+        self._send(self.alerts.look(live.t_utc, live.disk_days, live.ghi_wm2))
+
+    def _send(self, messages: Sequence[Message]) -> None:
+        if self.outbox is not None:
+            for message in messages:
+                self.outbox.put(message)
+
+
+@contextmanager
+def informed(
+    session: Session,
+    post: Post | None,
+    heartbeat_address: str,
+    say: Callable[[str], None],
+    *,
+    with_picture: bool = False,
+) -> Iterator[Remote]:
+    """Yield what a capture calls to keep people and monitors informed; close it afterwards.
+
+    post: sends one message, None without targets. heartbeat_address: empty for no monitor.
+    with_picture: attach the latest contact sheet to the daily summary; people may be in it.
+    """
+    site = session.site_file().site
+    sheet = _latest_contact_sheet(session) if with_picture else None
+
+    def report(event: str, why: str) -> None:
+        with suppress(OSError):
+            lost = f"note: messages cannot be sent ({why}); they are kept and sent later"
+            say(lost if event == "notify-lost" else "note: messages are sent again")
+
+    outbox = Outbox(post, session.root / OUTBOX, report) if post is not None else None
+    heartbeat = Heartbeat(heartbeat_address) if heartbeat_address else None
+    try:
+        yield Remote(Alerts(site.name, site.timezone, sheet), outbox, heartbeat)
+    finally:
+        if heartbeat is not None:
+            heartbeat.close()
+        if outbox is not None and (waiting := outbox.close()):
+            say(f"note: {waiting} messages are kept in {session.root / OUTBOX}")
+
+
+def _latest_contact_sheet(session: Session) -> Path | None:
+    sheets = sorted(session.panoramas.glob("contact-*.png"))
+    return sheets[-1] if sheets else None

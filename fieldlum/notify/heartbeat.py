@@ -1,0 +1,74 @@
+"""An address that is fetched regularly, so that an outside monitor notices a dead laptop."""
+
+from __future__ import annotations
+
+import threading
+import urllib.request
+from collections.abc import Callable
+from contextlib import suppress
+from urllib.parse import urlsplit
+
+from fieldlum.errors import InputError
+
+EVERY_S = 600.0  # monitors usually allow a grace of several periods; see docs/capture.md
+TIMEOUT_S = 20.0
+
+
+def read_address(option: str) -> str:
+    """Return the address in ``@FILE``: its first line that is neither empty nor a comment.
+
+    Raises InputError for an option that is no ``@FILE``, an unreadable file, and an address that
+    is neither http nor https; no error quotes the address.
+    """
+    from fieldlum.notify.targets import read_targets
+
+    if not option.startswith("@"):
+        raise InputError(
+            "--heartbeat",
+            "an address on the command line",
+            "@FILE",
+            "write the address into a file, for arguments are visible to every user",
+        )
+    address = read_targets(option)[0][0]
+    if urlsplit(address).scheme not in ("http", "https"):
+        raise InputError(option[1:], "an address that is not http", "http:// or https://")
+    return address
+
+
+def fetch(address: str) -> None:
+    """Fetch an address and drop the answer. Raises OSError when there is none in time."""
+    with urllib.request.urlopen(address, timeout=TIMEOUT_S) as answer:
+        answer.read(1024)
+
+
+class Heartbeat:
+    """Fetches the address after each `beat` and every `every_s` seconds, in a thread of its own."""
+
+    def __init__(
+        self,
+        address: str,
+        every_s: float = EVERY_S,
+        use: Callable[[str], None] = fetch,
+    ) -> None:
+        self._address = address
+        self._every_s = every_s
+        self._use = use
+        self._due = threading.Event()
+        self._closing = False
+        self._thread = threading.Thread(target=self._work, name="heartbeat", daemon=True)
+        self._thread.start()
+
+    def beat(self) -> None:
+        """Fetch the address soon; returns at once."""
+        self._due.set()
+
+    def close(self) -> None:
+        self._closing = True
+        self._due.set()
+
+    def _work(self) -> None:
+        while not self._closing:
+            self._due.clear()
+            with suppress(Exception):  # no network or no monitor: the next beat tries again
+                self._use(self._address)
+            self._due.wait(self._every_s)

@@ -1,0 +1,140 @@
+"""Messages that wait until they are sent: a thread of its own, a file that survives a restart."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from fieldlum.session import replacing
+
+MOST_WAITING = 500  # a month without network at ten messages a day; older ones are dropped
+FIRST_PAUSE_S = 30.0
+LONGEST_PAUSE_S = 900.0  # a message leaves at most a quarter of an hour after the network is back
+PATIENCE_AT_END_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """What a person is to read. `picture` is attached where it exists."""
+
+    title: str
+    body: str
+    picture: Path | None = None
+
+
+Post = Callable[[Message], bool]
+Report = Callable[[str, str], None]
+
+
+def _silent(event: str, why: str) -> None:
+    """Report nothing."""
+
+
+class Outbox:
+    """Sends messages in the order in which they came. `put` returns at once, whatever the network
+    or the disk does.
+
+    A message that cannot be sent is tried again after 30 s, 1 min ... 15 min, and after a restart.
+    `report(event, why)` is called with ``notify-lost`` when sending begins to fail and with
+    ``notify-back`` when it works again; `why` never holds an address.
+    """
+
+    def __init__(
+        self,
+        post: Post,
+        file: Path,
+        report: Report = _silent,
+        *,
+        first_pause_s: float = FIRST_PAUSE_S,
+    ) -> None:
+        self._post = post
+        self._file = file
+        self._report = report
+        self._first_pause_s = first_pause_s
+        self._waiting: deque[Message] = deque(_read(file), maxlen=MOST_WAITING)
+        self._changed = threading.Condition()
+        self._closing = False
+        self._failing = False
+        self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
+        self._thread.start()
+
+    def put(self, message: Message) -> None:
+        """Queue a message."""
+        with self._changed:
+            self._waiting.append(message)
+            self._changed.notify_all()
+
+    def close(self, patience_s: float = PATIENCE_AT_END_S) -> int:
+        """Send what can be sent within `patience_s` and return how many messages still wait."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join(patience_s)
+        with self._changed:
+            return len(self._waiting)
+
+    def _work(self) -> None:
+        pause_s = self._first_pause_s
+        while (message := self._next()) is not None:
+            self._save()
+            if self._sent(message):
+                self._remove(message)
+                self._save()
+                pause_s = self._first_pause_s
+                continue
+            with self._changed:
+                if self._closing:
+                    return
+                self._changed.wait_for(lambda: self._closing, timeout=pause_s)
+            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+
+    def _next(self) -> Message | None:
+        """Wait for a message; None when the outbox is closed and empty."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._closing)
+            return self._waiting[0] if self._waiting else None
+
+    def _sent(self, message: Message) -> bool:
+        try:
+            sent, why = self._post(message), "a service did not take the message"
+        except Exception as error:  # whatever a service's client raises: it may quote the address
+            sent, why = False, type(error).__name__
+        if sent == self._failing:
+            self._failing = not sent
+            self._report("notify-lost" if self._failing else "notify-back", "" if sent else why)
+        return sent
+
+    def _remove(self, message: Message) -> None:
+        with self._changed:
+            if self._waiting and self._waiting[0] is message:
+                self._waiting.popleft()
+
+    def _save(self) -> None:
+        with self._changed:
+            waiting = list(self._waiting)
+        with suppress(OSError):  # a full disk costs a restart its messages, never the capture
+            if not waiting:
+                self._file.unlink(missing_ok=True)
+                return
+            with replacing(self._file, "w", encoding="utf-8") as file:
+                for message in waiting:
+                    picture = str(message.picture) if message.picture else ""
+                    line = {"title": message.title, "body": message.body, "picture": picture}
+                    file.write(json.dumps(line, ensure_ascii=False) + "\n")
+
+
+def _read(file: Path) -> list[Message]:
+    """Return the messages that an earlier process could not send; damaged lines are left out."""
+    messages: list[Message] = []
+    with suppress(OSError, UnicodeDecodeError):
+        for line in file.read_text(encoding="utf-8").splitlines():
+            with suppress(ValueError, KeyError, TypeError):
+                stored = json.loads(line)
+                picture = Path(stored["picture"]) if stored.get("picture") else None
+                messages.append(Message(str(stored["title"]), str(stored["body"]), picture))
+    return messages

@@ -1,0 +1,93 @@
+"""Where messages go: addresses of apprise, read from a file, never from the command line.
+
+An address holds a password or a token. It is therefore read from a file or from the environment,
+and never appears in an argument, an error, the journal or a session.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from fieldlum.errors import InputError
+from fieldlum.notify.outbox import Message, Post
+
+VARIABLE = "FIELDLUM_NOTIFY"
+_READABLE_BY_OTHERS = 0o077
+
+
+def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]:
+    """Return the addresses of ``@FILE`` and a note about the file, empty if there is none.
+
+    option: what stands after ``--notify``; empty: `variable` counts, which holds ``@FILE`` or
+    addresses separated by blanks. A file has one address a line; empty lines and lines that begin
+    with # are passed over. Raises InputError for an option that is no ``@FILE`` and for a file
+    that cannot be read or is empty; no error quotes an address.
+    """
+    if not option and variable and not variable.startswith("@"):
+        return tuple(variable.split()), ""
+    text = option or variable
+    if not text:
+        return (), ""
+    if not text.startswith("@"):
+        raise InputError(
+            "--notify",
+            "an address on the command line",
+            "@FILE",
+            "write the address into a file, for arguments are visible to every user",
+        )
+    path = Path(text[1:])
+    lines = _lines(path)
+    if not lines:
+        raise InputError(path, "no address", "one address of apprise a line")
+    return lines, _privacy_note(path)
+
+
+def _lines(path: Path) -> tuple[str, ...]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "no UTF-8 text"
+        raise InputError(path, str(why), "a readable file of addresses") from None
+    stripped = (line.strip() for line in text.splitlines())
+    return tuple(line for line in stripped if line and not line.startswith("#"))
+
+
+def _privacy_note(path: Path) -> str:
+    if os.name != "posix" or not path.stat().st_mode & _READABLE_BY_OTHERS:
+        return ""
+    return f"{path} can be read by other users: run chmod 600 {path}"
+
+
+def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
+    """Return a function that sends one message to all targets and reports whether all took it.
+
+    Raises InputError naming the line of a target that apprise does not understand.
+    """
+    logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines quote addresses
+    try:
+        with warnings.catch_warnings():  # a service that it loads imports a module on its way out
+            warnings.simplefilter("ignore", DeprecationWarning)
+            import apprise
+
+            sender = apprise.Apprise()
+            understood = [sender.add(target) for target in targets]
+    except ImportError:
+        remedy = "install it: pip install 'fieldlum[notify]'"
+        raise InputError(source, "messages to send", "the package apprise", remedy) from None
+    if not all(understood):
+        raise InputError(
+            f"{source}:{understood.index(False) + 1}",
+            "an address that apprise does not understand",
+            "an address such as mailto://, ntfy:// or tgram://",
+            "see the list of services in apprise's documentation",
+        )
+
+    def post(message: Message) -> bool:
+        attach = str(message.picture) if message.picture and message.picture.is_file() else None
+        return bool(sender.notify(title=message.title, body=message.body, attach=attach))
+
+    return post

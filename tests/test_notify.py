@@ -1,0 +1,364 @@
+"""Messages and heartbeats: real local servers, days without network, and no secret in any file."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from fieldlum.capture.alerts import Alerts
+from fieldlum.capture.preflight import wait_for_clock
+from fieldlum.capture.runner import Options, run
+from fieldlum.devices.clock import FastClock
+from fieldlum.errors import InputError
+from fieldlum.notify import Heartbeat, Message, Outbox, apprise_post, read_address, read_targets
+from fieldlum.records import Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.session import Session, create_session, read_journal
+
+T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
+SECRET = "hunter2-very-secret"
+
+
+@contextmanager
+def http_server() -> Iterator[tuple[int, list[tuple[str, str]]]]:
+    """A server that keeps (path, body) of each request."""
+    requests: list[tuple[str, str]] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self._answer()
+
+        def do_POST(self) -> None:
+            self._answer()
+
+        def _answer(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length", 0))).decode()
+            requests.append((self.path, body))
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b"ok")
+
+        def log_message(self, format: str, *args: object) -> None: ...
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield server.server_address[1], requests
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@contextmanager
+def smtp_server() -> Iterator[tuple[int, list[str]]]:
+    """The few commands of SMTP that a mail client uses; keeps the text of each mail."""
+    mails: list[str] = []
+    listening = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        while True:
+            try:
+                connection, _ = listening.accept()
+            except OSError:
+                return
+            with connection, connection.makefile("rwb", buffering=0) as lines:
+                lines.write(b"220 test\r\n")
+                for line in lines:
+                    command = line[:4].upper()
+                    if command == b"DATA":
+                        lines.write(b"354 go\r\n")
+                        text = b""
+                        while not text.endswith(b"\r\n.\r\n"):
+                            text += lines.readline()
+                        mails.append(text.decode())
+                    if command == b"QUIT":
+                        lines.write(b"221 bye\r\n")
+                        break
+                    lines.write(b"250 ok\r\n")
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield listening.getsockname()[1], mails
+    finally:
+        listening.shutdown(socket.SHUT_RDWR)
+        listening.close()
+        thread.join(5.0)
+
+
+def until(condition: object, seconds: float = 5.0) -> bool:
+    """Wait for a condition that another thread makes true."""
+    event = threading.Event()
+    for _ in range(int(seconds / 0.02)):
+        if condition():  # type: ignore[operator]
+            return True
+        event.wait(0.02)
+    return False
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    slots = [Slot(T0 + timedelta(hours=i), 10.0, 120.0, (Exposure(0.5, 5.6),)) for i in range(3)]
+    site = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
+    return create_session(tmp_path / "session", site, slots, {"set": "test"})
+
+
+# Targets
+
+
+@pytest.mark.contract
+def test_addresses_come_from_a_file_and_no_error_quotes_one(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="@FILE") as refused:
+        read_targets(f"mailto://user:{SECRET}@example.org")
+    assert SECRET not in str(refused.value)
+    path = tmp_path / "targets"
+    path.write_text(f"# comment\n\njson://127.0.0.1:1/{SECRET}\n")
+    path.chmod(0o600)
+    assert read_targets(f"@{path}") == ((f"json://127.0.0.1:1/{SECRET}",), "")
+    path.chmod(0o644)
+    assert "chmod 600" in read_targets("", f"@{path}")[1]
+    assert read_targets("", "json://a json://b")[0] == ("json://a", "json://b")
+    path.write_text(f"nonsense:{SECRET}\n")
+    with pytest.raises(InputError, match=":1: ") as unknown:
+        apprise_post(read_targets(f"@{path}")[0], path)
+    assert SECRET not in str(unknown.value)
+    path.write_text("ftp://example.org\n")
+    with pytest.raises(InputError, match="http"):
+        read_address(f"@{path}")
+
+
+@pytest.mark.authority
+def test_apprise_reaches_http_and_mail(tmp_path: Path) -> None:
+    """authority: apprise 2.2 itself, over real sockets."""
+    with http_server() as (port, requests), smtp_server() as (mail_port, mails):
+        mail = f"mailto://127.0.0.1:{mail_port}?from=a@example.org&to=b@example.org&mode=insecure"
+        post = apprise_post([f"json://127.0.0.1:{port}/{SECRET}", mail])
+        assert post(Message("fieldlum office: camera is lost", "It stopped answering."))
+        assert "camera is lost" in requests[0][1] and "camera is lost" in mails[0]
+
+
+# The outbox
+
+
+@pytest.mark.contract
+def test_a_day_without_network_loses_nothing(tmp_path: Path) -> None:
+    network = threading.Event()
+    arrived: list[str] = []
+    reports: list[tuple[str, str]] = []
+
+    def post(message: Message) -> bool:
+        if not network.is_set():
+            raise OSError(f"no route to {SECRET}")
+        arrived.append(message.title)
+        return True
+
+    def report(event: str, why: str) -> None:
+        reports.append((event, why))
+
+    file = tmp_path / "outbox.jsonl"
+    first = Outbox(post, file, report, first_pause_s=0.01)
+    for number in range(3):
+        first.put(Message(f"message {number}", "body"))
+    assert until(lambda: reports == [("notify-lost", "OSError")])
+    assert first.close(patience_s=2.0) == 3 and file.is_file()
+    second = Outbox(post, file, report, first_pause_s=0.01)  # the laptop was started again
+    assert until(lambda: len(reports) == 2)
+    network.set()
+    assert until(lambda: len(arrived) == 3)
+    assert second.close() == 0 and arrived == ["message 0", "message 1", "message 2"]
+    assert not file.exists() and reports[-1][0] == "notify-back"
+    assert SECRET not in str(reports)
+
+
+@pytest.mark.contract
+def test_a_service_that_hangs_delays_nobody(tmp_path: Path) -> None:
+    release = threading.Event()
+    outbox = Outbox(lambda message: release.wait(10.0), tmp_path / "outbox.jsonl")
+    for number in range(600):
+        outbox.put(Message(str(number), ""))  # returns while the service hangs
+    assert outbox.close(patience_s=0.05) == 500
+    release.set()
+
+
+# What is reported
+
+
+def alerts() -> Alerts:
+    return Alerts("office", "America/Los_Angeles")
+
+
+@pytest.mark.analytic
+def test_each_fault_gives_one_message() -> None:
+    state = alerts()
+    assert state.event("device-lost", T0, {"device": "camera", "why": "gone"}) == []
+    assert state.look(T0 + timedelta(minutes=9), 20.0, None) == []
+    (lost,) = state.look(T0 + timedelta(minutes=10), 20.0, None)
+    assert lost.title == "fieldlum office: camera is lost" and "10 minutes" in lost.body
+    assert state.look(T0 + timedelta(minutes=11), 20.0, None) == []
+    (back,) = state.event("device-back", T0 + timedelta(minutes=30), {"device": "camera"})
+    assert "30 minutes" in back.body
+    assert state.event("device-lost", T0, {"device": "camera"}) == []
+    assert state.event("device-back", T0 + timedelta(minutes=1), {"device": "camera"}) == []
+
+
+@pytest.mark.analytic
+def test_misses_disk_clock_and_clipping() -> None:
+    state = alerts()
+    slot = {"slot": "20270320T153000Z", "why": "late by 400 s"}
+    assert state.event("missed", T0, slot) == []
+    (two,) = state.event("aborted", T0, slot)
+    assert "2 slots" in two.title and "late by 400 s" in two.body and "08:30" in two.body
+    assert state.event("missed", T0, slot) == []
+    (disk,) = state.look(T0, 2.5, None)
+    assert "2.5 more days" in disk.body
+    assert state.look(T0, 2.4, None) == [] and state.look(T0, 5.0, None) == []
+    assert len(state.look(T0, 2.0, None)) == 1
+    (clock,) = state.event("clock-step", T0, {"seconds": 3600.0, "followed": False})
+    assert "+3600 s" in clock.body and "not followed" in clock.body
+    assert state.event("clock-step", T0 + timedelta(hours=1), {"seconds": 9.0}) == []
+    done = {"slot": "20270320T153000Z", "why": "61 % of the shortest frame is clipped"}
+    (clipped,) = state.event("done", T0, done)
+    assert "61 %" in clipped.body
+    assert state.event("done", T0 + timedelta(hours=1), done) == []
+
+
+@pytest.mark.analytic
+def test_the_day_is_summed_up_once_at_local_midnight() -> None:
+    state = alerts()
+    state.event("done", T0, {"slot": "20270320T153000Z", "why": ""})
+    state.event("missed", T0, {"slot": "20270320T163000Z", "why": "late"})
+    state.look(T0, None, 640.0)
+    assert state.look(datetime(2027, 3, 21, 6, 59, tzinfo=UTC), None, None) == []
+    (day,) = state.look(datetime(2027, 3, 21, 7, 1, tzinfo=UTC), None, None)
+    assert "summary of 2027-03-20" in day.title
+    assert "1 brackets done" in day.body and "1 missed" in day.body and "640 W/m2" in day.body
+    assert state.look(datetime(2027, 3, 22, 12, 0, tzinfo=UTC), None, None) == []
+
+
+# The capture itself
+
+
+class DeadCamera:
+    """Opens, and fails at each frame."""
+
+    class info:
+        kind = "dead"
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        raise OSError("no answer")
+
+    def close(self) -> None: ...
+
+
+class SteadyPyranometer:
+    class info:
+        kind = "steady"
+
+    def __init__(self, clock: FastClock) -> None:
+        self.clock = clock
+
+    def read(self) -> IrradianceSample:
+        return IrradianceSample(self.clock.now(), 500.0, 100.0)
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.contract
+def test_a_capture_reports_and_no_secret_is_written(session: Session, tmp_path: Path) -> None:
+    from fieldlum.capture.remote import informed
+
+    clock = FastClock(T0 - timedelta(minutes=1))
+    options = Options(log_around_s=60.0, threaded=False, flush=False, reserve_bytes=4096)
+    with http_server() as (port, requests):
+        post = apprise_post([f"json://127.0.0.1:{port}/{SECRET}"])
+        beat = f"http://127.0.0.1:{port}/beat-{SECRET}"
+        with informed(session, post, beat, lambda text: None) as remote:
+            run(
+                session,
+                "dead:",
+                "steady:",
+                clock=clock,
+                options=options,
+                watch=remote.look,
+                listen=remote.listen,
+                trusted=lambda: False,
+                open_cam=DeadCamera,  # type: ignore[arg-type]
+                open_pyr=lambda: SteadyPyranometer(clock),  # type: ignore[arg-type,return-value]
+            )
+            wanted = "2 slots in a row gave no bracket"
+            assert until(lambda: any(wanted in body for _, body in requests))
+        assert any(path == f"/beat-{SECRET}" for path, _ in requests)
+        assert sum(wanted in body for _, body in requests) == 1
+    for file in session.root.rglob("*"):
+        assert not file.is_file() or SECRET.encode() not in file.read_bytes(), file
+
+
+@pytest.mark.contract
+def test_the_hook_is_given_the_slot_and_its_failure_is_journalled(
+    session: Session, tmp_path: Path
+) -> None:
+    clock = FastClock(T0 + timedelta(hours=1, minutes=30))
+    about = tmp_path / "about"
+    command = f'echo "$FIELDLUM_SLOT $FIELDLUM_OUTCOME $FIELDLUM_REASON" > {about}; exit 3'
+    options = Options(
+        log_around_s=60.0, threaded=False, flush=False, reserve_bytes=4096, on_misses=command
+    )
+    failed = threading.Event()
+
+    def listen(event: str, t_utc: datetime, fields: dict[str, object]) -> None:
+        if event == "hook-failed":
+            failed.set()
+
+    def watch(live: object) -> None:
+        if about.exists():
+            failed.wait(5.0)
+
+    run(
+        session,
+        "dead:",
+        clock=clock,
+        options=options,
+        listen=listen,
+        watch=watch,
+        trusted=lambda: False,
+        open_cam=DeadCamera,  # type: ignore[arg-type]
+    )
+    assert about.read_text().startswith("20270320T163000Z missed late")
+    events = {event["event"]: event for event in read_journal(session)}
+    assert events["hook-failed"]["why"] == "exit code 3"
+
+
+@pytest.mark.property
+def test_heartbeats_come_at_once_and_regularly() -> None:
+    fetched: list[str] = []
+    heart = Heartbeat("http://127.0.0.1/", every_s=0.05, use=fetched.append)
+    assert until(lambda: len(fetched) >= 3)
+    heart.close()
+
+    def refuse(address: str) -> None:
+        fetched.append("tried")
+        raise OSError(SECRET)
+
+    heart = Heartbeat("http://127.0.0.1/", every_s=60.0, use=refuse)
+    assert until(lambda: fetched.count("tried") == 1)
+    heart.beat()
+    assert until(lambda: fetched.count("tried") == 2)
+    heart.close()
+
+
+@pytest.mark.analytic
+def test_an_unset_clock_is_waited_for(session: Session) -> None:
+    said: list[str] = []
+    written = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
+    clock = FastClock(written - timedelta(days=400))
+    tries = iter([False, False, False, True])
+    wait_for_clock(session, clock, said.append, lambda: next(tries))
+    assert len(said) == 2 and "is not set" in said[0]
+    wait_for_clock(session, FastClock(written + timedelta(hours=1)), said.append, lambda: False)
+    assert len(said) == 2
