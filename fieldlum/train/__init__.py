@@ -35,8 +35,9 @@ LEAST_FOLDS = 2
 # all folds of a quick model, unless they take longer than this: the budget is for the slow ones
 QUICK_S = 300.0
 LEAST_FOLD_S = 60.0  # a dense fold shorter than this says little about the network
-# Under one pass over the training pixels the network's errors tell the speed of the processor (0.44
-# in log10 MSE without bfloat16 units, worse than the mean map), not how well the model suits a room.
+# Under one pass over the training pixels the network's errors show the speed of the processor
+# (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not how well the model suits
+# a room.
 MIN_PASSES_TO_JUDGE = 1.0
 
 
