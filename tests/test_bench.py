@@ -20,6 +20,7 @@ DATA = dataset(DAYS, height=8)
 TEST = dataset(("2027-04-02", "2027-06-25"), seed=1, height=8)
 
 
+@pytest.mark.contract
 def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
     for name, data in (("train", DATA), ("test", TEST)):
         (tmp_path / name).mkdir()
@@ -45,6 +46,7 @@ def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
     assert bad.exit_code == 3 and "'magic'" in bad.stderr
 
 
+@pytest.mark.contract
 def test_specs_name_models_patches_and_folders(tmp_path: Path) -> None:
     models.save(tmp_path / "kept", models.fit("mean", DATA), DATA, patch="absolute")
     found = parse_specs(["dense", "transport:gain", str(tmp_path / "kept")])
@@ -57,6 +59,7 @@ def test_specs_name_models_patches_and_folders(tmp_path: Path) -> None:
         parse_specs(["transport:half"])
 
 
+@pytest.mark.property
 def test_training_hours_are_never_asked() -> None:
     mixed = DATA.take(range(10))
     assert len(without_training_hours(DATA, mixed)) == len(DATA) - 10
@@ -64,15 +67,17 @@ def test_training_hours_are_never_asked() -> None:
         without_training_hours(mixed, DATA)
 
 
+@pytest.mark.contract
 def test_hours_of_a_kept_model_are_never_asked(tmp_path: Path) -> None:
-    """contract: a model trained before knows its own hours, wherever they came from."""
+    """A model trained before knows its own hours, wherever they came from."""
     early, late = DATA.take(range(10)), DATA.take(range(10, 20))
     models.save(tmp_path / "kept", models.fit("mean", early), early, patch="absolute")
     assert set(without_training_hours(DATA, late, tmp_path / "kept").slots) == set(DATA.slots[20:])
 
 
+@pytest.mark.contract
 def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
-    """contract: the nearest hour of a training hour is itself, so an error of nothing would mean
+    """The nearest hour of a training hour is itself, so an error of nothing would mean
     that it was asked.
     """
     write_pairs(tmp_path, DATA)
@@ -94,14 +99,16 @@ def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
     assert float(normal["log10_mse_weighted"]) > 1e-5
 
 
+@pytest.mark.analytic
 def test_the_front_holds_what_nothing_beats() -> None:
-    """analytic: (3, 3) is beaten by (2, 2)."""
+    """(3, 3) is beaten by (2, 2)."""
     points = [(3.0, 3.0), (1.0, 5.0), (2.0, 2.0), (9.0, 1.0), (9.5, 1.5)]
     assert charts.pareto(points) == [1, 2, 3]
 
 
+@pytest.mark.analytic
 def test_seeds_become_mean_and_spread() -> None:
-    """analytic: 1 and 3 have mean 2 and standard deviation sqrt 2."""
+    """1 and 3 have mean 2 and standard deviation sqrt 2."""
     keys = (
         "log10_mse_weighted",
         "rer_weighted",
@@ -119,11 +126,13 @@ def test_seeds_become_mean_and_spread() -> None:
     assert row["log10_mse_weighted_sd"] == pytest.approx(2**0.5)
 
 
+@pytest.mark.contract
 def test_markdown_leaves_empty_columns_out() -> None:
     text = markdown([{"a": 1.5e-5, "b": None, "c": True}], {"a": "A", "b": "B", "c": "C"})
     assert text == "| A | C |\n|---|---|\n| 1.50e-05 | yes |\n"
 
 
+@pytest.mark.contract
 def test_stress_rows_stand_beside_their_normal_case() -> None:
     spec = parse_specs(["nearest"])[0]
     rows = stress.run(spec, DATA, TEST, DATA)
@@ -140,6 +149,7 @@ def test_stress_rows_stand_beside_their_normal_case() -> None:
     assert by_name["sun patch off by 2 px"]["times_normal"] > 1.0
 
 
+@pytest.mark.property
 def test_transport_does_not_fail_unseen_in_any_regime() -> None:
     """No wild map may pass that the model trusted and expected to be good, whatever was done to
     the captures.
@@ -149,8 +159,9 @@ def test_transport_does_not_fail_unseen_in_any_regime() -> None:
     assert {row["regime"]: row["wild_unflagged"] for row in rows if row["wild_unflagged"]} == {}
 
 
+@pytest.mark.analytic
 def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
-    """analytic: 15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4
+    """15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4
     degrees of azimuth.
     """
     turned = stress.turned(TEST, 2.0)
@@ -162,6 +173,7 @@ def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
     assert (moved > 1.5).all() and (moved < 12.0).all()
 
 
+@pytest.mark.contract
 def test_irradiance_changes_keep_what_they_say_they_keep() -> None:
     light = DATA.light
     rise = np.sin(np.radians(light.sun_altitude_deg))
@@ -171,6 +183,7 @@ def test_irradiance_changes_keep_what_they_say_they_keep() -> None:
         assert np.abs(changed.light.dni_wm2 - light.dni_wm2).max() > 20.0
 
 
+@pytest.mark.authority
 def test_periods_are_the_papers() -> None:
     found = year.periods(DATA)
     assert set(found) <= {*year.MONTHS, "1 week", "2 weeks", "9 days", "12 days", "4 days"}

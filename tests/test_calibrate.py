@@ -75,7 +75,8 @@ def _raw(path: Path, rgb_cdm2: np.ndarray, exposure: Exposure, rng: np.random.Ge
 # order
 
 
-def test_analytic_the_smallest_of_equals_is_chosen() -> None:
+@pytest.mark.analytic
+def test_the_smallest_of_equals_is_chosen() -> None:
     rng = np.random.default_rng(1)
     noise = rng.chisquare(1, 200)
     same = model_selection.choose(
@@ -104,9 +105,10 @@ def test_analytic_the_smallest_of_equals_is_chosen() -> None:
     assert shuffled.index == 0
 
 
+@pytest.mark.property
 @settings(deadline=None)
 @given(st.lists(st.integers(0, 60), min_size=2, max_size=80))
-def test_property_folds_hold_out_every_datum_once(groups: list[int]) -> None:
+def test_folds_hold_out_every_datum_once(groups: list[int]) -> None:
     held = np.sum(list(model_selection.folds(np.array(groups))), axis=0)
     assert (held == 1).all()
 
@@ -115,7 +117,8 @@ def test_property_folds_hold_out_every_datum_once(groups: list[int]) -> None:
 # vignetting
 
 
-def test_analytic_vignetting_from_a_uniform_field(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_vignetting_from_a_uniform_field(tmp_path: Path) -> None:
     """Within 0.3 % of the truth up to 95 % of the radius, from one noisy frame."""
     rng = np.random.default_rng(2)
     field = 400.0 * vignetting_at(TRUE_V, _relative_angles())[..., None] * np.array([0.8, 1.0, 0.6])
@@ -126,7 +129,8 @@ def test_analytic_vignetting_from_a_uniform_field(tmp_path: Path) -> None:
     assert "order 4" in found.choice.line.split(";")[0]
 
 
-def test_analytic_vignetting_from_one_patch_at_many_angles(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_vignetting_from_one_patch_at_many_angles(tmp_path: Path) -> None:
     rng, lines = np.random.default_rng(3), ["file,x_px,y_px,radius_px,reference"]
     y, x = np.mgrid[:SIZE, :SIZE] + 0.5
     for i, angle in enumerate(np.linspace(0, 85, 18)):
@@ -147,9 +151,10 @@ def test_analytic_vignetting_from_one_patch_at_many_angles(tmp_path: Path) -> No
     assert np.abs(vignetting_at(found.coefficients, r) / vignetting_at(TRUE_V, r) - 1).max() < 0.01
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=25)
 @given(st.floats(0, 0.4), st.floats(0, 0.4), st.integers(0, 9))
-def test_property_vignetting_only_falls(second: float, fourth: float, seed: int) -> None:
+def test_vignetting_only_falls(second: float, fourth: float, seed: int) -> None:
     rng, r = np.random.default_rng(seed), np.linspace(0, 1, 15)
     value = 7.0 * (1 - second * r**2 - fourth * r**4) * (1 + 0.01 * rng.normal(size=15))
     found = vignette.fit(vignette.Samples(r, value, np.full(15, 0.01), 5.6, 0, (Path("x"),)))
@@ -165,6 +170,7 @@ def test_property_vignetting_only_falls(second: float, fourth: float, seed: int)
     )
 
 
+@pytest.mark.contract
 def test_the_wrong_sign_is_refused(tmp_path: Path) -> None:
     table = tmp_path / "t.csv"
     rows = [f"{angle},{1 / (1 - 0.35 * (angle / 93) ** 2):.4f}" for angle in range(0, 91, 10)]
@@ -176,10 +182,9 @@ def test_the_wrong_sign_is_refused(tmp_path: Path) -> None:
         vignette.fit(vignette.from_table(table, PROFILE))
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("slip", [1.12, 0.3, 10.0])
-def test_analytic_one_slip_among_vignetting_readings_is_left_out(
-    tmp_path: Path, slip: float
-) -> None:
+def test_one_slip_among_vignetting_readings_is_left_out(tmp_path: Path, slip: float) -> None:
     """12 % at half the angle had bent the whole curve by 4 % before."""
     half, angles = LENS.full_angle_deg / 2, np.abs(np.linspace(-90, 90, 15))
     values = 100 * vignetting_at(TRUE_V, angles / half)
@@ -199,7 +204,8 @@ def test_analytic_one_slip_among_vignetting_readings_is_left_out(
     assert len(found.residual_rel) == 15
 
 
-def test_analytic_a_steep_rim_is_no_slip() -> None:
+@pytest.mark.analytic
+def test_a_steep_rim_is_no_slip() -> None:
     r = np.abs(np.linspace(-0.98, 0.98, 21))
     value = 100 * (1 - 0.1 * r**2 - 0.5 * r**8)
     found = vignette.fit(vignette.Samples(r, value, np.full(21, 0.002), 5.6, 0, (Path("t.csv"),)))
@@ -207,6 +213,7 @@ def test_analytic_a_steep_rim_is_no_slip() -> None:
     assert np.abs(vignetting_at(found.coefficients, r) * found.level / value - 1).max() < 0.02
 
 
+@pytest.mark.contract
 def test_vignetting_beyond_the_lens_is_refused(tmp_path: Path) -> None:
     table = tmp_path / "v.csv"
     table.write_text(
@@ -252,7 +259,8 @@ JPEG_PROFILE = replace(
 SHUTTERS = (2.0, 1.0, 0.5, 1 / 4, 1 / 8, 1 / 15, 1 / 30, 1 / 60)
 
 
-def test_analytic_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
     """A curve that is neither sRGB nor linear, within 2 % of light over the codes that count,
     pooled brackets.
     """
@@ -269,13 +277,15 @@ def test_analytic_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
     assert (np.diff(z) >= 0).all() and found.residual[1] < 0.03
 
 
-def test_analytic_a_plain_srgb_camera_is_recognised(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_a_plain_srgb_camera_is_recognised(tmp_path: Path) -> None:
     folder = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)
     places = response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
     found = response.fit(places)
     assert found.response.kind == "srgb" and "srgb" in found.choice.line
 
 
+@pytest.mark.contract
 def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
     still = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)
     assert "CAUTION" not in _fitted(still).choice.line
@@ -295,6 +305,7 @@ def _fitted(folder: Path) -> response.ResponseFit:
     )
 
 
+@pytest.mark.contract
 def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
     """Frames of another sensor were fitted where the profile's circle happened to lie on them."""
     _bracket(tmp_path / "b", response_table("srgb"), 3, (0.5, 0.25, 0.125, 1 / 15))
@@ -307,6 +318,7 @@ def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
         response.sample(response.brackets_in([tmp_path / "b"]), other, np.random.default_rng(1))
 
 
+@pytest.mark.contract
 def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
     folder = _bracket(tmp_path / "b", response_table("srgb"), 4, (0.5, 0.25))
     with pytest.raises(InputError, match="three exposures"):
@@ -320,7 +332,8 @@ def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
 # scale
 
 
-def test_analytic_scale_with_an_outlier(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_scale_with_an_outlier(tmp_path: Path) -> None:
     """k is off by 8 %; nine spots with 2 % noise, one read from the wrong place, and the
     vertical illuminance.
     """
@@ -353,7 +366,8 @@ def _spots(path: Path, lines: list[str]) -> Path:
     return path
 
 
-def test_analytic_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
     """The picture says with which k it was merged; it moved k twice before."""
     write_panorama(
         tmp_path / "p.exr",
@@ -382,6 +396,7 @@ def _readings(meter: list[float], image: list[float]) -> list[scale.LuminanceRea
     return [scale.LuminanceReading("spot", f"spot {i}", m, p, 0.02) for i, (m, p) in pairs]
 
 
+@pytest.mark.contract
 def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path: Path) -> None:
     picture = [80.0, 120.0, 300.0, 40.0, 900.0, 60.0]
     slip = _readings([80.0, 1200.0, 300.0, 40.0 / 3.426, 900.0, 60.0], picture)
@@ -404,6 +419,7 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
         )
 
 
+@pytest.mark.contract
 def test_scale_takes_no_reading_from_what_is_clipped(tmp_path: Path) -> None:
     flags = np.zeros((60, 120), np.uint16)
     flags[20, 60] = Flag.CLIPPED_HIGH
@@ -422,6 +438,7 @@ def test_scale_takes_no_reading_from_what_is_clipped(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.contract
 def test_scale_refuses_a_line_without_reading(tmp_path: Path) -> None:
     write_panorama(tmp_path / "p.exr", Panorama(np.ones((20, 40), np.float32), 0.0))
     table = tmp_path / "t.csv"
@@ -454,11 +471,12 @@ def _targets(
     )
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(
     ("mapping", "coefficients"),
     [("equisolid", ()), ("equidistant", ()), ("polynomial", (1.12, 0.0, -0.12))],
 )
-def test_analytic_lens_from_known_directions(mapping: str, coefficients: tuple[float, ...]) -> None:
+def test_lens_from_known_directions(mapping: str, coefficients: tuple[float, ...]) -> None:
     """0.3 px of noise on 60 targets: rays within 0.1 deg everywhere, and the mapping named."""
     truth = LensGeometry((1010.0, 985.0), 900.0, 186.0, mapping, coefficients, 2.0, -1.5, 0.8)  # type: ignore[arg-type]
     found = lens.fit(_targets(truth, 60, 0.3), Lens((1000.0, 1000.0), 890.0, 186.0))
@@ -485,6 +503,7 @@ def _with_directions(
     return replace(targets, rays=direction(altitude_deg, azimuth_deg))
 
 
+@pytest.mark.contract
 def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
     """A mirrored table was fitted before by a polynomial that folds back, to half a pixel."""
     truth = LensGeometry((408.3, 345.2), 330.0, 184.0, "equidistant")
@@ -507,8 +526,9 @@ def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
     assert found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.4) and found.rms_px < 0.6
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(("azimuth", "roll"), [(180.0, 0.0), (0.0, 90.0), (-25.0, -90.0)])
-def test_analytic_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: float) -> None:
+def test_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: float) -> None:
     truth = LensGeometry((408.3, 345.2), 330.0, 184.0, "equisolid", (), azimuth, 0.0, roll)
     found = lens.fit(_targets(truth, 30, 0.3), Lens((400.0, 350.0), 320.0, 184.0))
     assert found.lens.roll_deg == pytest.approx(roll, abs=0.3)
@@ -516,7 +536,8 @@ def test_analytic_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: f
     assert any("stands turned by" in doubt for doubt in found.doubts)
 
 
-def test_analytic_lens_from_chessboards() -> None:
+@pytest.mark.analytic
+def test_lens_from_chessboards() -> None:
     """Boards seen by an equisolid fisheye: OpenCV's model turned into ours misses by under a
     tenth of a degree.
     """
@@ -566,7 +587,8 @@ def test_analytic_lens_from_chessboards() -> None:
         boards.from_boards(corners[:3], columns, rows, (1280, 960))
 
 
-def test_analytic_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> None:
     import cv2
 
     board = np.full((480, 640), 200, np.uint8)
@@ -581,7 +603,8 @@ def test_analytic_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> No
     assert boards.chessboard_corners(tmp_path / "none.png", 9, 6) is None
 
 
-def test_analytic_circle_and_shift() -> None:
+@pytest.mark.analytic
+def test_circle_and_shift() -> None:
     rng = np.random.default_rng(9)
     y, x = np.mgrid[:600, :800] + 0.5
     texture = 120 + 40 * np.sin(x / 17) * np.cos(y / 23)
@@ -611,14 +634,16 @@ def _colours(
     )
 
 
-def test_analytic_colour_leaves_a_wrong_prior_when_readings_prove_it() -> None:
+@pytest.mark.analytic
+def test_colour_leaves_a_wrong_prior_when_readings_prove_it() -> None:
     truth = (0.40, 0.50, 0.10)
     found = colour.fit(_colours(30, 0.01, truth), PROFILE)
     shares = np.array(found.y_from_rgb) / sum(found.y_from_rgb)
     assert shares == pytest.approx(truth, abs=0.02) and found.u_rel < 0.02
 
 
-def test_analytic_colour_leaves_out_a_slip_and_refuses_a_muddle() -> None:
+@pytest.mark.analytic
+def test_colour_leaves_out_a_slip_and_refuses_a_muddle() -> None:
     colours = _colours(12, 0.005, (0.30, 0.60, 0.10))
     y = colours.y.copy()
     y[4] *= 10
@@ -630,7 +655,8 @@ def test_analytic_colour_leaves_out_a_slip_and_refuses_a_muddle() -> None:
         colour.fit(replace(colours, y=np.roll(colours.y, 1) * np.geomspace(0.2, 5, 12)), PROFILE)
 
 
-def test_analytic_colour_keeps_a_right_prior() -> None:
+@pytest.mark.analytic
+def test_colour_keeps_a_right_prior() -> None:
     found = colour.fit(_colours(8, 0.03, PROFILE.colour.y_from_rgb), PROFILE)
     assert found.y_from_rgb == pytest.approx(PROFILE.colour.y_from_rgb, abs=0.05)
     assert found.scale == pytest.approx(1.07, abs=0.04)
@@ -666,7 +692,8 @@ def _chart_frame(path: Path, seed: int = 1) -> tuple[Path, list[float]]:
     return _raw(path, picture, Exposure(1 / 60, 5.6), rng), [float(c) for c in corners]
 
 
-def test_analytic_colour_from_a_chart(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_colour_from_a_chart(tmp_path: Path) -> None:
     path, corners = _chart_frame(tmp_path / "chart.dng")
     colours = colour.from_chart(path, PROFILE, corners)
     colours = replace(colours, matrix=None)
@@ -679,6 +706,7 @@ def test_analytic_colour_from_a_chart(tmp_path: Path) -> None:
         colour.from_chart(path, PROFILE, corners[4:] + corners[:4])
 
 
+@pytest.mark.contract
 def test_a_frame_without_a_chart_says_what_to_do(tmp_path: Path) -> None:
     path = _raw(
         tmp_path / "flat.dng",
@@ -694,7 +722,8 @@ def test_a_frame_without_a_chart_says_what_to_do(tmp_path: Path) -> None:
 # frames and profiles
 
 
-def test_analytic_patches_are_linear_and_clipping_is_refused(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_patches_are_linear_and_clipping_is_refused(tmp_path: Path) -> None:
     rng, rgb = np.random.default_rng(4), np.array([120.0, 200.0, 80.0])
     flat = np.broadcast_to(rgb, (SIZE, SIZE, 3))
     frame = linear_frame(_raw(tmp_path / "a.dng", flat, Exposure(1 / 60, 5.6), rng), PROFILE)
@@ -708,6 +737,7 @@ def test_analytic_patches_are_linear_and_clipping_is_refused(tmp_path: Path) -> 
     assert transmission(LENS, 5.6, *LENS.centre_px) == pytest.approx(1.0)
 
 
+@pytest.mark.contract
 def test_profiles_keep_figures_hashes_and_reasons(tmp_path: Path) -> None:
     frame = tmp_path / "f.bin"
     frame.write_bytes(b"x")
@@ -726,6 +756,7 @@ def test_profiles_keep_figures_hashes_and_reasons(tmp_path: Path) -> None:
     save_profile(tmp_path / "p.toml", PROFILE)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -742,6 +773,7 @@ def test_tables_are_read_as_spreadsheets_write_them(
     assert read_table(tmp_path / "t.csv", ("a", "b")) == [{"a": 1.0, "b": value}]
 
 
+@pytest.mark.contract
 def test_decimal_commas_between_commas_are_no_other_number(tmp_path: Path) -> None:
     """0,98 read as 0, and 152,3 as 152, before: the rest of the line fell off the end."""
     (tmp_path / "t.csv").write_text("# by hand\n\na,b\n1,0.9\n1,0,98\n")

@@ -88,18 +88,16 @@ def found_inside(frame: LinearFrame, corners: np.ndarray) -> bool:
     return bool(np.linalg.norm(centres - true, axis=1).max() + radius_px < 0.55 * patch)
 
 
+@pytest.mark.analytic
 @pytest.mark.usefixtures("threads")
 @pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES)
-def test_a_chart_is_found_at_an_angle(
-    seed: int, width_px: float, turn_deg: float
-) -> None:  # analytic
+def test_a_chart_is_found_at_an_angle(seed: int, width_px: float, turn_deg: float) -> None:
     assert found_inside(*drawn(seed, list(range(24)), width_px, turn_deg))
 
 
+@pytest.mark.property
 @pytest.mark.parametrize(("seed", "width_px", "turn_deg"), CASES[1:5])
-def test_a_chart_is_found_in_a_poor_frame(
-    seed: int, width_px: float, turn_deg: float
-) -> None:  # property
+def test_a_chart_is_found_in_a_poor_frame(seed: int, width_px: float, turn_deg: float) -> None:
     frame, corners = drawn(seed, list(range(24)), width_px, turn_deg)
     rng = np.random.default_rng(seed)
     uneven = frame.rgb * np.linspace(1, 3, frame.rgb.shape[1])[:, None]
@@ -109,9 +107,10 @@ def test_a_chart_is_found_in_a_poor_frame(
     assert found_inside(poor, corners)
 
 
+@pytest.mark.contract
 def test_the_finder_of_lattices_draws_nothing_at_random(
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # contract
+) -> None:
     monkeypatch.setattr(chart, "_TRIES", ())  # OpenCV's detector stays out of it
     frame, corners = drawn(3, list(range(24)), 380, 180)
     assert found_inside(frame, corners)
@@ -120,7 +119,8 @@ def test_the_finder_of_lattices_draws_nothing_at_random(
         chart.find_chart(replace(frame, rgb=np.full_like(frame.rgb, 30.0)))
 
 
-def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:  # analytic
+@pytest.mark.analytic
+def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:
     picture = np.full((300, 420, 3), 30, np.uint8)
     for i in set(range(24)) - {
         0,
@@ -135,16 +135,16 @@ def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:  # analytic
     assert min(float(np.abs(way - centres).max()) for way in ways) < 1.0
 
 
-def test_a_card_of_other_colours_is_refused() -> (
-    None
-):  # contract: a wrong find must not become a calibration
+@pytest.mark.contract
+def test_a_card_of_other_colours_is_refused() -> None:  # a wrong find must not become a calibration
     order = list(np.random.default_rng(7).permutation(24))
     with pytest.raises(InputError, match=r"no colour chart found.*--corners") as caught:
         chart.find_chart(drawn(1, order)[0])
     assert "\n" not in str(caught.value)
 
 
-def test_the_order_of_colours_tells_a_chart() -> None:  # property
+@pytest.mark.property
+def test_the_order_of_colours_tells_a_chart() -> None:
     rgb = srgb_table()[np.array(chart._SRGB)] @ CAMERA.T
     glare = rgb + 0.03 * rgb.mean(axis=0)
     assert chart.misfit(rgb) < 0.01 and chart.misfit(glare) < 0.05

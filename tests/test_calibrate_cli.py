@@ -21,6 +21,8 @@ from fieldlum.profiles import Lens, Response, load_camera_profile, save_profile
 from fieldlum.projection import direction, equirect_rays, lens_pixels
 from fieldlum.records import Exposure, Panorama
 
+pytestmark = pytest.mark.contract
+
 H = 180
 
 
@@ -61,7 +63,7 @@ def _call(*words: object) -> dict:
     return json.loads(found.stdout)
 
 
-def test_contract_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> None:
+def test_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> None:
     flat = _shoot(np.full((H, 2 * H), 300.0), tmp_path / "flat")
     keep = ("--camera", mine, "--out", mine)
     edge = _call("lens", flat, "--circle", *keep, "--picture", tmp_path / "c.png")
@@ -104,7 +106,7 @@ def test_contract_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> N
     assert final.scale.k == pytest.approx(TRUTH.scale.k * 1.1, rel=0.01)
 
 
-def test_contract_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
+def test_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
     rng = np.random.default_rng(1)
     luminance = np.repeat(np.repeat(rng.uniform(50, 500, (H // 6, H // 3)), 6, axis=0), 6, axis=1)
     old = _shoot(luminance, tmp_path / "old")
@@ -117,7 +119,7 @@ def test_contract_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
     assert found["shift_px"] == pytest.approx([2.0, -3.0], abs=0.1)
 
 
-def test_contract_colour_by_spots(tmp_path: Path, mine: Path) -> None:
+def test_colour_by_spots(tmp_path: Path, mine: Path) -> None:
     """Grey spots prove nothing about colour: the prior stays, and the scale is said."""
     rays = equirect_rays(H, 2 * H, 180.0)
     luminance = np.full((H, 2 * H), 20.0)
@@ -153,7 +155,7 @@ def test_contract_colour_by_spots(tmp_path: Path, mine: Path) -> None:
     )
 
 
-def test_contract_response_of_the_simulated_jpeg_camera(tmp_path: Path) -> None:
+def test_response_of_the_simulated_jpeg_camera(tmp_path: Path) -> None:
     truth = load_camera_profile("sim-dual-fisheye-jpeg")
     save_profile(tmp_path / "mine.toml", replace(truth, response=Response()))
     rng = np.random.default_rng(3)
@@ -181,7 +183,7 @@ def test_contract_response_of_the_simulated_jpeg_camera(tmp_path: Path) -> None:
     assert load_camera_profile(tmp_path / "new.toml").response.kind == found["kind"]
 
 
-def test_contract_bad_input_is_one_line(tmp_path: Path, mine: Path) -> None:
+def test_bad_input_is_one_line(tmp_path: Path, mine: Path) -> None:
     keep = ["--camera", str(mine), "--out", str(tmp_path / "new.toml")]
     table = tmp_path / "t.csv"
     table.write_text("angle_deg,value\n0,1\n10,1.1\n30,1.2\n50,1.3\n70,1.5\n80,1.7\n")

@@ -81,6 +81,7 @@ def brackets(folder: Path, seeds: tuple[int, ...], defects: bool = True) -> list
     return sorted(folder.iterdir())
 
 
+@pytest.mark.analytic
 def test_defects_are_found_and_nothing_else(tmp_path: Path) -> None:
     found = pixels.find(brackets(tmp_path, (1, 2, 3, 4)), PROFILE)
     known = set(found.bad_px)
@@ -89,10 +90,12 @@ def test_defects_are_found_and_nothing_else(tmp_path: Path) -> None:
     assert found.views == 4 and len(found.frames) == 12 and found.by_chance < 0.5
 
 
+@pytest.mark.analytic
 def test_a_faultless_sensor_has_no_bad_pixels(tmp_path: Path) -> None:
     assert pixels.find(brackets(tmp_path, (5, 6, 7, 8), defects=False), PROFILE).bad_px == ()
 
 
+@pytest.mark.contract
 def test_one_view_again_and_again_is_refused(tmp_path: Path) -> None:
     """A small light at the same place in every frame is a light, however often it is taken."""
     with pytest.raises(NotEnoughDataError, match="1 different views"):
@@ -107,6 +110,7 @@ def test_one_view_again_and_again_is_refused(tmp_path: Path) -> None:
         pixels.find(blank, PROFILE)
 
 
+@pytest.mark.contract
 def test_views_too_busy_to_tell_are_refused(tmp_path: Path) -> None:
     for i in range(3):
         busy = 10 ** np.random.default_rng(i).uniform(2, 3.5, (SIDE, SIDE))
@@ -116,6 +120,7 @@ def test_views_too_busy_to_tell_are_refused(tmp_path: Path) -> None:
         pixels.find(sorted(tmp_path.iterdir()), PROFILE)
 
 
+@pytest.mark.contract
 def test_with_the_cap_on(tmp_path: Path) -> None:
     dark = [frame(tmp_path / f"{i}.dng", np.zeros((SIDE, SIDE)), 8.0, i) for i in range(3)]
     found = pixels.find(dark, PROFILE, dark=True)
@@ -126,7 +131,8 @@ def test_with_the_cap_on(tmp_path: Path) -> None:
         pixels.find([frame(tmp_path / "lit.dng", view(1)), dark[0]], PROFILE, dark=True)
 
 
-def test_contract_the_command(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_the_command(tmp_path: Path) -> None:
     camera, out = tmp_path / "small.toml", tmp_path / "new.toml"
     save_profile(camera, replace(PROFILE, sensor=replace(PROFILE.sensor, bad_px=((1, 2),))))
     dark = [str(frame(tmp_path / f"{i}.dng", np.zeros((SIDE, SIDE)), 8.0, i)) for i in range(2)]

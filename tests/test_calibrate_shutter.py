@@ -93,9 +93,8 @@ def relative(times: np.ndarray) -> np.ndarray:
     return np.exp(off - off[:3].mean())
 
 
-def test_contract_a_merged_session_gives_the_times_to_the_profile(
-    session: Session, tmp_path: Path
-) -> None:
+@pytest.mark.contract
+def test_a_merged_session_gives_the_times_to_the_profile(session: Session, tmp_path: Path) -> None:
     camera, out = session.root.parent / "small.toml", tmp_path / "new.toml"
     words = [
         "calibrate",
@@ -141,7 +140,8 @@ def test_contract_a_merged_session_gives_the_times_to_the_profile(
     assert errors["dial"] > 0.05 and errors["table"] < 5e-3
 
 
-def test_contract_refusals_are_one_line(session: Session, tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_refusals_are_one_line(session: Session, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     save_profile(other, load_camera_profile("sim-dual-fisheye"))
     ran = CliRunner().invoke(
@@ -199,6 +199,7 @@ def quality(off: np.ndarray, rate: float = 0.0, headings: int = 1, nd: str = "")
     return {"frames": frames, "neighbours": pairs}
 
 
+@pytest.mark.analytic
 def test_light_that_changes_is_not_the_shutter() -> None:
     rng = np.random.default_rng(1)
     rates = rng.permutation(
@@ -220,6 +221,7 @@ def test_light_that_changes_is_not_the_shutter() -> None:
     )
 
 
+@pytest.mark.analytic
 def test_two_headings_are_told_apart_and_filters_left_out() -> None:
     assert len(shutter.readings_of(quality(OFF, headings=2))) == 8
     found = shutter.readings_of(quality(OFF, nd="ND4"))
@@ -231,6 +233,7 @@ def test_two_headings_are_told_apart_and_filters_left_out() -> None:
     assert shutter.readings_of(lame) == []
 
 
+@pytest.mark.contract
 def test_sidecars_that_are_none_are_passed_over(session: Session, tmp_path: Path) -> None:
     digest = sha256(session.root.parent / "small.toml")
     whole = json.loads(next(session.panoramas.glob("*Z.json")).read_text())
@@ -254,6 +257,7 @@ def test_sidecars_that_are_none_are_passed_over(session: Session, tmp_path: Path
         shutter.from_session(other, digest)
 
 
+@pytest.mark.contract
 def test_brackets_that_disagree_and_times_that_are_right_are_refused() -> None:
     rng = np.random.default_rng(2)
     wild = [
@@ -266,6 +270,7 @@ def test_brackets_that_disagree_and_times_that_are_right_are_refused() -> None:
         shutter.fit(right, profile())
 
 
+@pytest.mark.contract
 def test_times_out_of_reach_keep_what_the_profile_says() -> None:
     brackets = [shutter.readings_of(quality(OFF)) for _ in range(6)]
     short = [[r for r in b if 1 / 1000 not in r.pair] if i else b for i, b in enumerate(brackets)]

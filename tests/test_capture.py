@@ -141,6 +141,7 @@ def site(tmp_path: Path) -> Field:
     return Field(make_session(tmp_path / "s"), FastClock(T0 - timedelta(minutes=5)))
 
 
+@pytest.mark.contract
 def test_undisturbed_run_takes_everything_once(site: Field) -> None:
     events = site.run()
     assert site.outcomes() == ["done"] * 3 and events.count("frame") == 9
@@ -163,6 +164,7 @@ def test_undisturbed_run_takes_everything_once(site: Field) -> None:
     )
 
 
+@pytest.mark.contract
 def test_a_camera_that_brackets_by_itself_is_asked_once_a_slot(site: Field) -> None:
     """And again when it failed in the middle: nothing of a half bracket is acknowledged."""
     made: list[OneGoCamera] = []
@@ -184,6 +186,7 @@ def test_a_camera_that_brackets_by_itself_is_asked_once_a_slot(site: Field) -> N
         assert not list((site.session.raw / slot.id).glob(".*"))
 
 
+@pytest.mark.contract
 def test_turned_head_takes_every_heading(tmp_path: Path) -> None:
     field_ = Field(
         make_session(tmp_path / "s", 1, CameraSetup(headings=(0.0, 180.0))), FastClock(T0)
@@ -194,6 +197,7 @@ def test_turned_head_takes_every_heading(tmp_path: Path) -> None:
     assert len({f["file"] for f in table["frames"]}) == 6
 
 
+@pytest.mark.contract
 def test_slots_that_a_replan_adds_to_a_running_capture_are_taken(site: Field) -> None:
     """One before the slot that is waited for, one after the last."""
     plan, end = site.session.slots(), T0 + timedelta(hours=2)
@@ -219,6 +223,7 @@ def test_slots_that_a_replan_adds_to_a_running_capture_are_taken(site: Field) ->
     assert done == [plan[0].id, plan[1].id, between.id, plan[2].id, after.id]
 
 
+@pytest.mark.contract
 def test_a_broken_plan_does_not_stop_a_running_capture(site: Field) -> None:
     def watch(live: Live) -> None:
         if live.done == 1:
@@ -236,6 +241,7 @@ def test_a_broken_plan_does_not_stop_a_running_capture(site: Field) -> None:
     assert [event["event"] for event in read_journal(site.session)].count("done") == 3
 
 
+@pytest.mark.contract
 def test_late_is_missed_never_a_burst(site: Field) -> None:
     site.clock = FastClock(T0 + timedelta(hours=1, minutes=4))
     site.run()
@@ -244,6 +250,7 @@ def test_late_is_missed_never_a_burst(site: Field) -> None:
     assert [e["by_s"] for e in late] == [240.0]
 
 
+@pytest.mark.contract
 def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(site: Field) -> None:
     """Later it is not: a dial that somebody turned may be turned back."""
 
@@ -262,6 +269,7 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(site: Field)
     refuse_what_is_not_offered(Choosy(site.clock), slots, begun)
 
 
+@pytest.mark.contract
 def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(site: Field) -> None:
     site.clock = FastClock(T0 + timedelta(days=30))
     with pytest.raises(
@@ -271,6 +279,7 @@ def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(site: Field
     assert read_journal(site.session) == []
 
 
+@pytest.mark.contract
 def test_an_instrument_that_died_does_not_keep_a_restarted_capture_from_its_brackets(
     site: Field,
 ) -> None:
@@ -304,6 +313,7 @@ def test_an_instrument_that_died_does_not_keep_a_restarted_capture_from_its_brac
     assert site.session.table()["devices"]["pyranometer"] == {"kind": "tiny"}
 
 
+@pytest.mark.contract
 def test_a_lost_camera_comes_back_within_the_bracket(site: Field) -> None:
     def fault(count: int) -> None:
         if count == 5:
@@ -318,6 +328,7 @@ def test_a_lost_camera_comes_back_within_the_bracket(site: Field) -> None:
     )
 
 
+@pytest.mark.contract
 def test_a_camera_that_stays_away_costs_slots_not_the_session(site: Field) -> None:
     opened = site.open_camera
 
@@ -337,6 +348,7 @@ def test_a_camera_that_stays_away_costs_slots_not_the_session(site: Field) -> No
     assert not table["complete"] and len(table["frames"]) == 1
 
 
+@pytest.mark.contract
 def test_a_hung_camera_is_left_behind(site: Field) -> None:
     hang = threading.Event()
 
@@ -350,6 +362,7 @@ def test_a_hung_camera_is_left_behind(site: Field) -> None:
     assert site.outcomes() == ["done"] * 3 and len(site.cameras) == 2
 
 
+@pytest.mark.contract
 def test_a_long_pause_starts_the_bracket_anew(site: Field) -> None:
     def fault(count: int) -> None:
         if count == 3:
@@ -364,6 +377,7 @@ def test_a_long_pause_starts_the_bracket_anew(site: Field) -> None:
     assert len(json.loads((folder / "capture.json").read_text())["frames"]) == 3
 
 
+@pytest.mark.contract
 def test_two_misses_run_the_hook(site: Field, tmp_path: Path) -> None:
     site.clock = FastClock(T0 + timedelta(hours=1, minutes=30))
     told = tmp_path / "told"
@@ -371,6 +385,7 @@ def test_two_misses_run_the_hook(site: Field, tmp_path: Path) -> None:
     assert events.count("hook") == 1
 
 
+@pytest.mark.contract
 def test_bad_readings_and_a_lost_pyranometer(site: Field) -> None:
     def fault(count: int) -> None:
         if count in (3, 8, 9, 10):
@@ -385,6 +400,7 @@ def test_bad_readings_and_a_lost_pyranometer(site: Field) -> None:
     assert site.outcomes() == ["done"] * 3
 
 
+@pytest.mark.contract
 def test_refused_lines_are_journalled_as_they_came_and_never_fill_the_disk(site: Field) -> None:
     class Rig(TinyPyranometer):
         """Hands out three refused lines a reading."""
@@ -436,6 +452,7 @@ class SlippingCamera:
         self._camera.close()
 
 
+@pytest.mark.contract
 def test_a_frame_unlike_what_was_asked_is_taken_again_once(site: Field) -> None:
     camera = SlippingCamera(site.clock, {2})
     site.session = make_session(site.session.root.parent / "one", slots=1)
@@ -465,6 +482,7 @@ def test_a_frame_unlike_what_was_asked_is_taken_again_once(site: Field) -> None:
     ]
 
 
+@pytest.mark.contract
 def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(site: Field) -> None:
     camera = SlippingCamera(site.clock, set(range(100)))
     site.session = make_session(site.session.root.parent / "one", slots=1)
@@ -480,6 +498,7 @@ def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(site: Field) ->
     )
 
 
+@pytest.mark.contract
 def test_half_a_frame_is_seen_at_once_and_taken_again(site: Field) -> None:
     """Its EXIF is whole: only its pixels end early. It is looked at when the camera is done."""
     seen: list[str] = []
@@ -500,6 +519,7 @@ def test_half_a_frame_is_seen_at_once_and_taken_again(site: Field) -> None:
     assert (folder / "01_0.5s.dng").exists() and "doubt" not in frames[1]
 
 
+@pytest.mark.contract
 def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(site: Field) -> None:
     """A camera newer than LibRaw: one second try, in vain, and every file stays, with what is
     wrong with it.
@@ -513,6 +533,7 @@ def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(site: Field) 
     assert told.count("an unknown format") == 3 and "taken again" not in told
 
 
+@pytest.mark.contract
 def test_no_retake_after_the_window(site: Field) -> None:
     camera = SlippingCamera(site.clock, {2})
     site.session = make_session(site.session.root.parent / "one", slots=1)
@@ -520,6 +541,7 @@ def test_no_retake_after_the_window(site: Field) -> None:
     assert "retake" not in events and site.outcomes() == ["done"] and camera.count == 3
 
 
+@pytest.mark.contract
 def test_a_camera_that_fails_at_the_retake_costs_nothing(site: Field) -> None:
     camera = SlippingCamera(site.clock, {2})
     whole = camera.expose
@@ -536,6 +558,7 @@ def test_a_camera_that_fails_at_the_retake_costs_nothing(site: Field) -> None:
     assert "retake" not in events and "device-lost" in events and site.outcomes() == ["done"]
 
 
+@pytest.mark.contract
 def test_full_disk_is_recorded_and_survived(site: Field) -> None:
     def fault(count: int) -> None:
         if count == 5:
@@ -548,6 +571,7 @@ def test_full_disk_is_recorded_and_survived(site: Field) -> None:
     assert not (site.session.root / ".reserve").exists()
 
 
+@pytest.mark.contract
 def test_a_disk_that_was_away_costs_its_frames_at_most(
     site: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -570,6 +594,7 @@ def test_a_disk_that_was_away_costs_its_frames_at_most(
     assert max((b - a).total_seconds() for a, b in pairwise(rows)) < 60.0, "no row is lost"
 
 
+@pytest.mark.contract
 def test_a_moved_folder_and_a_spoilt_day_file_do_not_end_the_log(site: Field) -> None:
     folder, moved = site.session.irradiance, site.session.root / "moved"
 
@@ -597,6 +622,7 @@ def test_a_moved_folder_and_a_spoilt_day_file_do_not_end_the_log(site: Field) ->
     assert broken == before.count(b"\n") + 1
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("trusted", [False, True])
 def test_clock_step_keeps_slots_at_the_sun(site: Field, trusted: bool) -> None:
     # Wall clock set back an hour by hand, twenty minutes after the first slot; or by a time server
@@ -613,6 +639,7 @@ def test_clock_step_keeps_slots_at_the_sun(site: Field, trusted: bool) -> None:
     assert end < timedelta(hours=2, minutes=1) if not trusted else end > timedelta(hours=3)
 
 
+@pytest.mark.contract
 def test_suspend_is_told_and_what_it_covered_is_missed(site: Field) -> None:
     site.clock = FastClock(
         T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=30), "suspend", 3600.0)]
@@ -624,7 +651,8 @@ def test_suspend_is_told_and_what_it_covered_is_missed(site: Field) -> None:
     assert site.outcomes() == ["done", "missed", "done"]
 
 
-def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:  # analytic
+@pytest.mark.analytic
+def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:
     clock = FastClock(T0)
     first = SteadyClock(clock, lambda: False, boot="b1")
     then, mark = first.now(), first.mark()
@@ -639,6 +667,7 @@ def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:  # analytic
     assert third.check() == []
 
 
+@pytest.mark.contract
 def test_a_clock_before_the_journal_is_refused(site: Field) -> None:
     site.run()
     site.clock = FastClock(T0 - timedelta(days=400))
@@ -646,6 +675,7 @@ def test_a_clock_before_the_journal_is_refused(site: Field) -> None:
         site.run()
 
 
+@pytest.mark.contract
 def test_no_camera_at_the_start_is_said_at_once(site: Field) -> None:
     def refuse() -> TinyCamera:
         raise DeviceError("no camera found")
@@ -655,6 +685,7 @@ def test_no_camera_at_the_start_is_said_at_once(site: Field) -> None:
     assert len(owed(site.session.slots(), fold(read_journal(site.session)))) == 3
 
 
+@pytest.mark.contract
 def test_status_counts_from_files_alone(site: Field) -> None:
     before = status(site.session)
     assert before["capture"]["owed"] == 3 and before["capture"]["next"] == "20270320T153000Z"
@@ -668,6 +699,7 @@ def test_status_counts_from_files_alone(site: Field) -> None:
     assert after["irradiance"]["rows"] == sum(len(read_day(p)[0]) for p in day_files(site.session))
 
 
+@pytest.mark.contract
 def test_threaded_log_runs_beside(tmp_path: Path) -> None:
     from fieldlum.devices.clock import RealClock
 
@@ -691,6 +723,7 @@ def test_threaded_log_runs_beside(tmp_path: Path) -> None:
     assert len(samples) >= 3 and fold(read_journal(session)).slots[slots[0].id].outcome == "done"
 
 
+@pytest.mark.contract
 def test_a_meter_reads_before_and_after_and_may_fail(site: Field) -> None:
     readings = iter([100.0, 110.0, DeviceError("no light"), 90.0, *[95.0] * 20])
 
@@ -711,6 +744,7 @@ def test_a_meter_reads_before_and_after_and_may_fail(site: Field) -> None:
     assert site.outcomes() == ["done"] * 3
 
 
+@pytest.mark.contract
 def test_a_bracket_that_clips_all_over_is_told_at_once(site: Field) -> None:
     looked: list[str] = []
 
@@ -727,6 +761,7 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(site: Field) -> None:
     assert "00_1s_again.dng: ISO 200" in done[0]["why"] and "97 %" in done[0]["why"]
 
 
+@pytest.mark.contract
 def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     import numpy as np
 
@@ -755,6 +790,7 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     assert unreadable(tmp_path / "gone.dng") == "No such file or directory"
 
 
+@pytest.mark.contract
 def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
     site: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -783,6 +819,7 @@ def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
     assert [e["why"] for e in read_journal(site.session)] == ["ZeroDivisionError: a defect"]
 
 
+@pytest.mark.contract
 def test_log_alone_writes_rows(site: Field) -> None:
     from fieldlum.capture.logger import log
 
@@ -798,6 +835,7 @@ def test_log_alone_writes_rows(site: Field) -> None:
     assert (samples[-1].t_utc - samples[0].t_utc) == timedelta(seconds=45)
 
 
+@pytest.mark.contract
 def test_commands_exit_as_documented(site: Field, tmp_path: Path) -> None:
     from click.testing import CliRunner
 
@@ -829,6 +867,7 @@ def test_commands_exit_as_documented(site: Field, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.contract
 def test_live_display_and_status_file(site: Field, tmp_path: Path) -> None:
     from rich.console import Console
 
@@ -862,6 +901,7 @@ def test_live_display_and_status_file(site: Field, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.contract
 def test_a_defect_in_a_bracket_costs_its_slot_alone(site: Field) -> None:
     def check(path: Path) -> str:
         if "T163000" in str(path):
@@ -874,6 +914,7 @@ def test_a_defect_in_a_bracket_costs_its_slot_alone(site: Field) -> None:
     assert aborted["why"] == "ZeroDivisionError: a defect" and aborted["frames"] == 3
 
 
+@pytest.mark.contract
 def test_disk_full_at_the_very_end_of_a_bracket(
     site: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:

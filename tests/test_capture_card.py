@@ -63,15 +63,14 @@ def bracket(slot: Slot, clock_s: float) -> Group:
     )
 
 
+@pytest.mark.property
 @given(
     change=st.integers(4, 27),
     hours=st.sampled_from((-2, -1, 1, 2)),
     missing=st.sets(st.integers(0, 371)),
 )
 @settings(deadline=None, max_examples=12)
-def test_property_a_clock_set_between_two_days_is_found(
-    change: int, hours: int, missing: set[int]
-) -> None:
+def test_a_clock_set_between_two_days_is_found(change: int, hours: int, missing: set[int]) -> None:
     def clock_s(i: int) -> float:
         return PST_S + (3600.0 * hours if i >= 12 * change else 0.0)
 
@@ -94,6 +93,7 @@ def _numbered(groups: list[Group]) -> list[tuple[int, Group]]:
     return [(where[group.frames[0].path.name[:16]], group) for group in groups]
 
 
+@pytest.mark.contract
 def test_a_clock_that_was_not_set_is_left_alone() -> None:
     by_hand = np.random.default_rng(1).uniform(0, 1100, len(MONTH))
     groups = [bracket(slot, PST_S + late) for slot, late in zip(MONTH, by_hand, strict=True)]
@@ -102,8 +102,9 @@ def test_a_clock_that_was_not_set_is_left_alone() -> None:
     assert len(clock_parts(afternoons, MONTH)) == 1
 
 
+@pytest.mark.contract
 def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -> None:
-    """Contract: every bracket lies in its own slot, where one clock for all would put 9 days an
+    """Every bracket lies in its own slot, where one clock for all would put 9 days an
     hour beside.
     """
     plan = [
@@ -132,6 +133,7 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
     )
 
 
+@pytest.mark.contract
 def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     groups = [bracket(slot, PDT_S) for slot in MONTH[:60]]
     assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset")) == ""
@@ -141,6 +143,7 @@ def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     )
 
 
+@pytest.mark.contract
 def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path) -> None:
     plan = [replace(slot, exposures=LADDER[:1]) for slot in MONTH[:72]]
     day_off, lost = (
@@ -167,6 +170,7 @@ def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path)
     assert "DSC_0036.jpg and 35 brackets after it: brackets of 2015-01-01" in report.left_out[0]
 
 
+@pytest.mark.contract
 def test_a_card_folder_that_holds_its_own_copy_makes_whole_brackets(tmp_path: Path) -> None:
     """Each exposure came twice, so every bracket fell into pieces, and the best piece was taken."""
     session = make_session(tmp_path / "s", MONTH[:12])
@@ -182,6 +186,7 @@ def test_a_card_folder_that_holds_its_own_copy_makes_whole_brackets(tmp_path: Pa
     )
 
 
+@pytest.mark.contract
 def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", MONTH[:12])
     for i, slot in enumerate(MONTH[:12]):
@@ -206,6 +211,7 @@ def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
     assert names == {"DSC"}
 
 
+@pytest.mark.contract
 def test_two_bodies_of_one_model_are_two_cameras() -> None:
     def frames(serial: str, number: int) -> list[CardFrame]:
         return [
@@ -222,6 +228,7 @@ def test_two_bodies_of_one_model_are_two_cameras() -> None:
     assert of_the_session(silent, setup) == (silent, [])
 
 
+@pytest.mark.contract
 def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
     ours = {"raw": "sim-dual-fisheye", "jpeg": "sim-dual-fisheye-jpeg"}
     for kind, name in ours.items():
@@ -257,6 +264,7 @@ def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
     assert not same_model("NIKON D800", "Nikon D80"), "words, not letters"
 
 
+@pytest.mark.contract
 def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> None:
     plan = [
         Slot(s.t_utc, 20.0, 180.0, (*LADDER, Exposure(1 / 250, 5.6, nd="nd5"))) for s in MONTH[:12]
@@ -276,6 +284,7 @@ def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> N
     assert [i for i, note in enumerate(notes) if '"complete": false' in note] == [3, 5]
 
 
+@pytest.mark.contract
 def test_names_that_wrap_within_a_second_keep_their_order() -> None:
     names = ("DSC_9998", "DSC_9999", "DSC_0001", "DSC_0002")
     frames = [CardFrame(Path(f"{name}.NEF"), LADDER[0], NOON) for name in names]
@@ -283,6 +292,7 @@ def test_names_that_wrap_within_a_second_keep_their_order() -> None:
     assert in_order([later, *frames[::-1]]) == [*frames, later]
 
 
+@pytest.mark.contract
 def test_pictures_that_cannot_be_merged_are_named(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", MONTH[:12])
     folder = tmp_path / "card"

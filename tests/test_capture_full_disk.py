@@ -23,6 +23,8 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.records import Exposure
 from fieldlum.session import day_files, read_day, read_journal, sha256
 
+pytestmark = pytest.mark.property
+
 FRAME_BYTES, RESERVE_BYTES = 100_000, 1 << 18
 
 
@@ -137,19 +139,19 @@ def kept(told: dict[str, Any]) -> bool:
 
 def test_a_frame_that_meets_the_full_disk_first_is_taken_in_the_reserve(
     tmp_path: Path,
-) -> None:  # property
+) -> None:
     told = on_a_small_disk(tmp_path, 6, 3000.0)
     assert kept(told) and told["outcomes"] == ["done", "done", "done"]
 
 
-def test_a_slot_waits_for_room_within_its_window(tmp_path: Path) -> None:  # property
+def test_a_slot_waits_for_room_within_its_window(tmp_path: Path) -> None:
     told = on_a_small_disk(tmp_path, 4, 120.0)
     assert kept(told) and told["outcomes"] == ["done", "done", "done"]
 
 
 def test_without_room_the_slot_is_given_up_and_says_how_much_is_missing(
     tmp_path: Path,
-) -> None:  # property
+) -> None:
     told = on_a_small_disk(tmp_path, 4, 1800.0)
     assert kept(told) and told["outcomes"] == ["done", "aborted", "done"]
     assert "MB more are needed" in told["why"][1]

@@ -58,6 +58,7 @@ def card(
     return [frame for slot in plan for frame in frames_at(slot.t_utc + shift, step=step)]
 
 
+@pytest.mark.property
 @given(
     step=st.floats(0.2, 12.0),
     clock_h=st.integers(-47, 56),
@@ -67,7 +68,7 @@ def card(
 @settings(deadline=None, max_examples=40)
 def test_any_camera_clock_is_found_from_a_whole_day(
     step: float, clock_h: int, drift: int, seed: int
-) -> None:  # property
+) -> None:
     clock_s = 900.0 * clock_h
     frames = card(PLAN, clock_s + drift, step=step)
     random.Random(seed).shuffle(frames)
@@ -81,6 +82,7 @@ def test_any_camera_clock_is_found_from_a_whole_day(
     assert [m.slot for m in matches] == PLAN and not unmatched
 
 
+@pytest.mark.contract
 def test_part_of_a_day_is_taken_for_civil_time_and_says_so() -> None:
     groups = group_frames(card(PLAN[3:6], PDT_S), LADDER)
     found = find_offset(groups, PLAN, (PDT_S, 0.0))
@@ -91,6 +93,7 @@ def test_part_of_a_day_is_taken_for_civil_time_and_says_so() -> None:
     assert utc is not None and utc.how.startswith("taken for UTC; other hours")
 
 
+@pytest.mark.contract
 def test_a_person_with_a_release_is_not_a_clock_error() -> None:
     rng = np.random.default_rng(1)
     frames = [
@@ -102,6 +105,7 @@ def test_a_person_with_a_release_is_not_a_clock_error() -> None:
     assert refine_offset(groups, PLAN, Offset(0.0, "told")).seconds == 0.0
 
 
+@pytest.mark.contract
 def test_brackets_back_to_back_and_snapshots_are_told_apart() -> None:
     twice = frames_at(DAWN) + frames_at(DAWN + timedelta(seconds=14))
     snapshot = [
@@ -116,6 +120,7 @@ def test_brackets_back_to_back_and_snapshots_are_told_apart() -> None:
     assert {u.why.split()[0] for u in unmatched} == {"another", "exposures", "no"}
 
 
+@pytest.mark.contract
 def test_an_interrupted_bracket_does_not_swallow_the_next() -> None:
     frames = (
         frames_at(DAWN, LADDER[:2])
@@ -125,6 +130,7 @@ def test_an_interrupted_bracket_does_not_swallow_the_next() -> None:
     assert [len(g.frames) for g in group_frames(frames, LADDER)] == [2, 3] + [5] * 10
 
 
+@pytest.mark.contract
 def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     plan = (*LADDER, Exposure(1 / 125, 5.6, nd="nd3"))
     setup = CameraSetup(headings=(0.0, 180.0))
@@ -140,6 +146,7 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     ]
 
 
+@pytest.mark.contract
 def test_campaigns_have_clocks_of_their_own() -> None:
     june = [Slot(s.t_utc + timedelta(days=92), 10.0, 120.0, LADDER) for s in PLAN]
     parts = campaigns(group_frames(card(PLAN, -8 * 3600.0) + card(june, PDT_S), LADDER))
@@ -167,6 +174,7 @@ def session(tmp_path: Path) -> Session:
     )
 
 
+@pytest.mark.contract
 def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     folder = tmp_path / "card" / "DCIM"
     write_card(folder, card(PLAN[:10], PDT_S, late_s=37.0))
@@ -186,8 +194,9 @@ def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     assert (again.brackets, again.known) == (0, 10)
 
 
+@pytest.mark.contract
 def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_path: Path) -> None:
-    """Contract: an hour off, each bracket lies in its neighbour's slot; told anew, none does,
+    """An hour off, each bracket lies in its neighbour's slot; told anew, none does,
     and nothing is lost.
     """
     write_card(tmp_path / "card", card(PLAN[2:8], PDT_S))
@@ -206,6 +215,7 @@ def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_
     assert (again.brackets, again.known, again.moved) == (0, 6, ())
 
 
+@pytest.mark.contract
 def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         import_card.run(session, tmp_path / "nowhere")
@@ -225,6 +235,7 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
     assert read_journal(session) == []
 
 
+@pytest.mark.contract
 def test_logger_rows_are_added_once(session: Session) -> None:
     rows = [IrradianceSample(DAWN + timedelta(minutes=i), 300.0 + i) for i in range(1000)]
     assert add_samples(session, rows) == 1000
@@ -234,6 +245,7 @@ def test_logger_rows_are_added_once(session: Session) -> None:
     assert add_samples(session, [later, later, replace(later, ghi_wm2=6.0)]) == 2
 
 
+@pytest.mark.contract
 def test_a_toa5_file_comes_in_by_the_command(session: Session, tmp_path: Path) -> None:
     head = '"TOA5","sky","CR1000","1","OS","prog","1","Table"\n'
     head += '"TIMESTAMP","RECORD","GHI","DHI"\n"TS","RN","W/m^2","W/m^2"\n'
@@ -264,6 +276,7 @@ def rows_of(session: Session) -> list[IrradianceSample]:
     return [sample for path in day_files(session) for sample in read_day(path)[0]]
 
 
+@pytest.mark.contract
 def test_a_file_told_anew_replaces_what_it_brought(session: Session, tmp_path: Path) -> None:
     """A wrong --utc-offset or column is no dead end, and takes nothing else away."""
     logged = [IrradianceSample(DAWN + timedelta(seconds=i), 99.0, raw="S 99.0") for i in range(50)]
@@ -288,6 +301,7 @@ def test_a_file_told_anew_replaces_what_it_brought(session: Session, tmp_path: P
     assert [len(read_day(path)[0]) for path in kept] == [170, 170]
 
 
+@pytest.mark.contract
 def test_night_rows_of_another_file_stay(session: Session, tmp_path: Path) -> None:
     dark = "time,ghi_wm2\n" + "".join(f"2027-03-20 {h:02d}:00:00,0.0\n" for h in range(10))
     (tmp_path / "roof.csv").write_text(dark)
@@ -297,9 +311,8 @@ def test_night_rows_of_another_file_stay(session: Session, tmp_path: Path) -> No
     assert (other.rows, other.withdrawn) == (8, 0)  # two hours are there already
 
 
-def test_contract_unusual_columns_are_named_by_the_command(
-    session: Session, tmp_path: Path
-) -> None:
+@pytest.mark.contract
+def test_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Path) -> None:
     (tmp_path / "sky.csv").write_text(TABLE)
     asked = [
         "import",

@@ -22,6 +22,8 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.records import Exposure, Site, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
 
+pytestmark = pytest.mark.contract
+
 COMMAND = [sys.executable, "-c", "from fieldlum.cli import main; main()", "capture"]
 DEVICES = ["--camera", "sim:office?seed=1", "--clock", "fast"]
 

@@ -38,7 +38,8 @@ FUNCTIONS = [name for name in NAMES if name[0].islower()]
 OFFICE = ROOT / "capture_plans" / "seattle-office.toml"
 
 
-def test_contract_exported_names() -> None:
+@pytest.mark.contract
+def test_exported_names() -> None:
     from fieldlum import api
 
     assert tuple(fieldlum.__all__) == NAMES
@@ -49,14 +50,16 @@ def test_contract_exported_names() -> None:
         fieldlum.merge_frame  # type: ignore[attr-defined] # noqa: B018
 
 
-def test_contract_no_name_hides_a_module() -> None:
+@pytest.mark.contract
+def test_no_name_hides_a_module() -> None:
     """`import fieldlum.plan` would replace a function `fieldlum.plan`."""
     modules = {module.name for module in pkgutil.iter_modules(fieldlum.__path__)}
     assert not modules & set(NAMES)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_contract_docstrings_are_complete(name: str) -> None:
+def test_docstrings_are_complete(name: str) -> None:
     function = getattr(fieldlum, name)
     text = inspect.getdoc(function) or ""
     for section in ("Parameters", "Raises", "Examples"):
@@ -67,7 +70,8 @@ def test_contract_docstrings_are_complete(name: str) -> None:
     assert name in (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
 
 
-def test_contract_import_is_light() -> None:
+@pytest.mark.contract
+def test_import_is_light() -> None:
     code = (
         "import sys, fieldlum; assert dir(fieldlum)\n"
         "print([m for m in ('numpy', 'torch', 'fieldlum.api') if m in sys.modules])"
@@ -76,6 +80,7 @@ def test_contract_import_is_light() -> None:
     assert answer.stdout.strip() == "[]", answer.stderr
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
 def test_panorama_is_written_and_read(tmp_path: Path, suffix: str) -> None:
     maps = np.geomspace(1.0, 1e4, 16 * 32, dtype=np.float32).reshape(16, 32)
@@ -85,6 +90,7 @@ def test_panorama_is_written_and_read(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_allclose(again.luminance_cdm2, maps, rtol=0.008)  # RGBE: 8-bit mantissa
 
 
+@pytest.mark.contract
 def test_a_picture_of_another_suffix_or_shape_is_refused(tmp_path: Path) -> None:
     maps = np.ones((16, 32), np.float32)
     with pytest.raises(InputError, match=r"suffix '\.png'"):
@@ -94,6 +100,7 @@ def test_a_picture_of_another_suffix_or_shape_is_refused(tmp_path: Path) -> None
             call(fieldlum.Panorama(maps[:, :16], 0.0))
 
 
+@pytest.mark.contract
 def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
     maps = np.full((32, 64), 300.0, np.float32)
     maps[10:14, 30:34] = 2e4
@@ -105,6 +112,7 @@ def test_glare_of_a_map_is_that_of_its_file(tmp_path: Path) -> None:
     assert in_memory["file"] == ""
 
 
+@pytest.mark.contract
 def test_plan_captures_writes_a_session_or_nothing(tmp_path: Path) -> None:
     asked = {"year": 2027, "today": date(2027, 1, 1)}
     plan = fieldlum.plan_captures(str(OFFICE), "4-day", **asked)
@@ -115,14 +123,16 @@ def test_plan_captures_writes_a_session_or_nothing(tmp_path: Path) -> None:
     assert len(plan.slots) == 48  # docs/planning.md: the four-day set at Seattle
 
 
+@pytest.mark.analytic
 def test_light_at_takes_one_value_for_all_moments() -> None:
-    """analytic: on 21 June in Seattle the sun culminates at 90 - 47.6 + 23.44 deg."""
+    """On 21 June in Seattle the sun culminates at 90 - 47.6 + 23.44 deg."""
     noon = datetime(2027, 6, 21, 20, 11, tzinfo=UTC)
     light = fieldlum.light_at([noon, noon], str(OFFICE), 800.0, 120.0)
     assert light.dni_wm2.tolist() == [800.0, 800.0]
     np.testing.assert_allclose(light.sun_altitude_deg, 65.84, atol=0.05)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
 def test_example_runs(example: Path, tmp_path: Path) -> None:
     """Each prints its figures and writes only into the folder that it is given."""

@@ -13,6 +13,8 @@ from click.testing import CliRunner
 
 from fieldlum.cli import COMMANDS, main
 
+pytestmark = pytest.mark.contract
+
 DOCS = Path(__file__).parents[1] / "docs"
 CONTEXT = click.Context(main)
 PRESENT = main.list_commands(CONTEXT)

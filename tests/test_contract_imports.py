@@ -1,11 +1,13 @@
-"""Contract: a module imports from ranks above it, or acyclically within its own; stages never
-import each other.
+"""A module imports from ranks above it, or acyclically within its own; stages never import each
+other. Every test has a kind.
 """
 
 import ast
 from pathlib import Path
 
 import pytest
+
+pytestmark = pytest.mark.contract
 
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
@@ -65,3 +67,29 @@ def test_no_cycle_within_a_rank() -> None:
 
     for module in RANK:
         visit(module, ())
+
+
+KINDS = ("analytic", "authority", "property", "contract")
+
+
+def _marks(node: ast.AST) -> set[str]:
+    """Return the kinds that decorators or a pytestmark name."""
+    return {n.attr for n in ast.walk(node) if isinstance(n, ast.Attribute) and n.attr in KINDS}
+
+
+@pytest.mark.parametrize(
+    "path", sorted(Path(__file__).parent.glob("test_*.py")), ids=lambda p: p.name
+)
+def test_every_test_has_a_kind(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    module = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "pytestmark"
+    ]
+    if any(_marks(node) for node in module):
+        return
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+            kinds = set[str]().union(*(_marks(d) for d in node.decorator_list))
+            assert kinds, f"{node.name}: mark it with one of {', '.join(KINDS)} (see pyproject)"

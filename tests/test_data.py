@@ -22,6 +22,7 @@ def pairs(tmp_path: Path) -> Path:
     return write_pairs(tmp_path, DATA)
 
 
+@pytest.mark.contract
 def test_what_was_written_is_read(pairs: Path) -> None:
     data = load_pairs(pairs)
     assert data.slots == DATA.slots and data.heading_deg == 180.0
@@ -30,6 +31,7 @@ def test_what_was_written_is_read(pairs: Path) -> None:
     assert [str(day) for day in np.unique(data.days)] == ["2027-03-20", "2027-06-21"]
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("column", "text", "said"),
     [
@@ -53,6 +55,7 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
     assert said in str(caught.value) and caught.value.exit_code == 3
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("column", "change", "said"),
     [
@@ -74,7 +77,7 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
 def test_rows_that_contradict_each_other_are_named(
     pairs: Path, column: str, change, said: str
 ) -> None:
-    """Contract: what an edited or a joined table gets wrong would be learned without a word."""
+    """What an edited or a joined table gets wrong would be learned without a word."""
     lines = pairs.read_text().splitlines()
     cells = lines[2].split(",")
     at = lines[0].split(",").index(column)
@@ -86,17 +89,17 @@ def test_rows_that_contradict_each_other_are_named(
     assert said in str(caught.value)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("name", "said"), [("m3.exr", "merge all brackets at one size"), ("p3.exr", "pair again")]
 )
-def test_a_picture_of_another_size_says_what_to_do(
-    pairs: Path, name: str, said: str
-) -> None:  # contract
+def test_a_picture_of_another_size_says_what_to_do(pairs: Path, name: str, said: str) -> None:
     write_panorama(pairs.parent / name, Panorama(np.ones((24, 48), np.float32), 180.0))
     with pytest.raises(InputError, match=said):
         load_pairs(pairs)
 
 
+@pytest.mark.contract
 def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
     text = pairs.read_text()
     pairs.write_text(text.rstrip() + "\n" + text.splitlines()[1] + "\n")
@@ -114,8 +117,9 @@ def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
         load_pairs(pairs)
 
 
+@pytest.mark.contract
 def test_what_spreadsheets_do_is_read(pairs: Path) -> None:
-    """Contract: a BOM, Windows line ends, another order of rows and full paths change nothing."""
+    """A BOM, Windows line ends, another order of rows and full paths change nothing."""
     before = load_pairs(pairs)
     head, *rows = pairs.read_text().splitlines()
     rows = [row.replace(",m", f",{pairs.parent}/m") for row in rows[::-1]]
@@ -125,8 +129,9 @@ def test_what_spreadsheets_do_is_read(pairs: Path) -> None:
     np.testing.assert_array_equal(after.luminance_cdm2, before.luminance_cdm2)
 
 
+@pytest.mark.contract
 def test_a_heading_in_a_radiance_picture_is_obeyed(pairs: Path) -> None:
-    """Contract: a rendering that says where it faces is not turned to the site's heading."""
+    """A rendering that says where it faces is not turned to the site's heading."""
     for k in range(len(DATA)):
         write_radiance_hdr(pairs.parent / f"m{k}.hdr", DATA.luminance_cdm2[k], heading_deg=90.0)
     lines = [line.split(",") for line in pairs.read_text().splitlines()]
@@ -139,6 +144,7 @@ def test_a_heading_in_a_radiance_picture_is_obeyed(pairs: Path) -> None:
         load_pairs(pairs)
 
 
+@pytest.mark.contract
 def test_rows_that_are_not_ok_are_left_out_and_counted(pairs: Path) -> None:
     text = pairs.read_text().splitlines()
     pairs.write_text("\n".join([text[0], *(line[:-1] + "0" for line in text[1:3]), *text[3:]]))
@@ -149,6 +155,7 @@ def test_rows_that_are_not_ok_are_left_out_and_counted(pairs: Path) -> None:
         load_pairs(pairs)
 
 
+@pytest.mark.contract
 def test_a_missing_column_a_missing_site_and_another_size_are_errors(pairs: Path) -> None:
     write_panorama(pairs.parent / "m3.exr", Panorama(np.ones((4, 8), np.float32), 180.0))
     with pytest.raises(InputError, match="8 x 4 pixels"):
@@ -164,6 +171,7 @@ def test_a_missing_column_a_missing_site_and_another_size_are_errors(pairs: Path
         load_pairs(pairs)
 
 
+@pytest.mark.contract
 def test_pixels_that_no_lens_saw_are_not_learned_from(pairs: Path) -> None:
     for k in range(len(DATA)):
         flags = np.zeros(DATA.shape, np.uint16)
@@ -176,6 +184,7 @@ def test_pixels_that_no_lens_saw_are_not_learned_from(pairs: Path) -> None:
     assert data.weights[-2:].max() == 0.0 and data.weights[data.seen].mean() == pytest.approx(1.0)
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=50)
 @given(
     altitude=st.floats(0, 80),
@@ -186,7 +195,7 @@ def test_pixels_that_no_lens_saw_are_not_learned_from(pairs: Path) -> None:
 def test_splitting_a_disc_keeps_its_energy(
     altitude: float, azimuth: float, dni: float, wall: float
 ) -> None:
-    """property: what was deposited by energy comes out again, and the map is what it was."""
+    """What was deposited by energy comes out again, and the map is what it was."""
     height, width, heading = 58, 116, 180.0
     clean = np.full((height, width), wall, np.float32)
     row, column = equirect_pixel(altitude, azimuth, height, width, heading)
@@ -203,6 +212,7 @@ def test_splitting_a_disc_keeps_its_energy(
     np.testing.assert_allclose(found, clean, rtol=1e-5)
 
 
+@pytest.mark.analytic
 def test_a_sunlit_wall_is_no_disc() -> None:
     """A white wall in full sun stays in the map."""
     bright = np.full((58, 116), 93.0 * 900 / np.pi, np.float32)
@@ -210,6 +220,7 @@ def test_a_sunlit_wall_is_no_disc() -> None:
     assert energy == 0.0 and found is bright
 
 
+@pytest.mark.analytic
 def test_add_disc_puts_all_energy_on_the_suns_pixel() -> None:
     maps = np.zeros_like(DATA.luminance_cdm2)
     lux = np.full(len(DATA), 5e4)
@@ -219,8 +230,9 @@ def test_add_disc_puts_all_energy_on_the_suns_pixel() -> None:
     )
 
 
+@pytest.mark.analytic
 def test_thin_maps_keep_pixels_where_they_were() -> None:
-    """analytic: the centre of every third pixel is the centre of a pixel three times as large."""
+    """The centre of every third pixel is the centre of a pixel three times as large."""
     data = dataset(("2027-03-20",), height=12)
     small = data.thin(4)
     assert small.shape == (4, 8) and data.thin(12).shape == data.shape

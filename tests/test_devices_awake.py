@@ -15,7 +15,10 @@ import pytest
 
 from fieldlum.devices.awake import kept_awake
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="systemd-inhibit")
+pytestmark = [
+    pytest.mark.contract,
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="systemd-inhibit"),
+]
 
 
 @pytest.fixture

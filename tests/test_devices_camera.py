@@ -47,7 +47,8 @@ def camera(panorama: Panorama, profile: CameraProfile, **options: float) -> Simu
     return SimulatedCamera(Still(panorama), profile, FastClock(START), **options)  # type: ignore[arg-type]
 
 
-def test_analytic_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
     mosaic = read_mosaic(camera(uniform(300.0), profile).expose(DIAL, tmp_path / "f"))
     lens = profile.lens[0]
@@ -72,7 +73,8 @@ def test_analytic_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -
     )
 
 
-def test_analytic_exif_says_the_dial_and_the_shutter_does_otherwise(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_exif_says_the_dial_and_the_shutter_does_otherwise(tmp_path: Path) -> None:
     mosaic = read_mosaic(
         camera(uniform(10.0), load_camera_profile("sim-fisheye")).expose(DIAL, tmp_path / "f")
     )
@@ -82,14 +84,16 @@ def test_analytic_exif_says_the_dial_and_the_shutter_does_otherwise(tmp_path: Pa
     )
 
 
-def test_analytic_saturates_below_the_tag(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_saturates_below_the_tag(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
     mosaic = read_mosaic(camera(uniform(1e6), profile).expose(DIAL, tmp_path / "f"))
     assert mosaic.white_dn == 16383 and mosaic.counts.max() == 15810
     assert np.median(mosaic.counts[0::2, 0::2]) == 15790
 
 
-def test_analytic_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-dual-fisheye")
     for altitude, azimuth in ((20.0, 200.0), (-35.0, 130.0), (10.0, 20.0)):
         panorama = uniform(0.01, height=180)
@@ -105,7 +109,8 @@ def test_analytic_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> 
         )  # a panorama pixel is 3 sensor pixels wide
 
 
-def test_analytic_the_sun_keeps_its_energy() -> None:
+@pytest.mark.analytic
+def test_the_sun_keeps_its_energy() -> None:
     profile = load_camera_profile("sim-fisheye")
     for altitude, azimuth in ((30.0, 190.3), (5.0, 120.0), (70.1, 250.0)):
         panorama = replace(uniform(0.0), sun=SunSource(altitude, azimuth, 80_000.0))
@@ -119,7 +124,8 @@ def test_analytic_the_sun_keeps_its_energy() -> None:
         assert omega.sum() == pytest.approx(2 * np.pi * (1 - np.cos(np.radians(95.0))), rel=2e-3)
 
 
-def test_analytic_turning_the_head_turns_the_picture(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_turning_the_head_turns_the_picture(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
     panorama = uniform(1.0, height=90)
     panorama.luminance_cdm2[:, :90] = 100.0  # left half of a panorama that faces south: the east
@@ -133,7 +139,8 @@ def test_analytic_turning_the_head_turns_the_picture(tmp_path: Path) -> None:
     assert means[90.0] > 20 * means[270.0]
 
 
-def test_analytic_colours_come_back_through_the_profile(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_colours_come_back_through_the_profile(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
     rgb = np.tile(np.array([1.2, 0.9, 0.5], np.float32), (46, 92, 1))
     panorama = Panorama(179 * (rgb @ np.array([0.265, 0.670, 0.065], np.float32)), 180.0, rgb=rgb)
@@ -150,7 +157,8 @@ def test_analytic_colours_come_back_through_the_profile(tmp_path: Path) -> None:
     )
 
 
-def test_analytic_jpeg_follows_its_response(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_jpeg_follows_its_response(tmp_path: Path) -> None:
     from fieldlum.photometry import response_table
 
     profile = load_camera_profile("sim-dual-fisheye-jpeg")
@@ -162,7 +170,8 @@ def test_analytic_jpeg_follows_its_response(tmp_path: Path) -> None:
     )  # code steps: 1 %
 
 
-def test_property_same_seed_same_moment_same_frame(tmp_path: Path) -> None:
+@pytest.mark.property
+def test_same_seed_same_moment_same_frame(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
     frames = []
     for seed in (1, 1, 2):
@@ -171,6 +180,7 @@ def test_property_same_seed_same_moment_same_frame(tmp_path: Path) -> None:
     assert frames[0] == frames[1] != frames[2]
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("exposure", "said"),
     [
@@ -180,17 +190,19 @@ def test_property_same_seed_same_moment_same_frame(tmp_path: Path) -> None:
         (Exposure(1 / 60, 5.6, 12.0), "no ISO 12"),
     ],
 )
-def test_contract_nothing_snaps_silently(tmp_path: Path, exposure: Exposure, said: str) -> None:
+def test_nothing_snaps_silently(tmp_path: Path, exposure: Exposure, said: str) -> None:
     with pytest.raises(DeviceError, match=said):
         camera(uniform(1.0), load_camera_profile("sim-fisheye")).expose(exposure, tmp_path / "f")
 
 
+@pytest.mark.contract
 def test_nearest_takes_a_sixth_of_a_stop_and_no_more() -> None:
     assert nearest(1 / 64, [1 / 60, 1 / 50], "shutter") == 1 / 60
     with pytest.raises(DeviceError, match="not offered"):
         nearest(1 / 30, [1 / 60, 1 / 15], "shutter")
 
 
+@pytest.mark.contract
 def test_the_built_in_office_needs_nothing_else(tmp_path: Path) -> None:
     clock = FastClock(START)
     cam = open_camera("sim:office?seed=3", clock=clock)
@@ -202,6 +214,7 @@ def test_the_built_in_office_needs_nothing_else(tmp_path: Path) -> None:
     cam.close()
 
 
+@pytest.mark.contract
 def test_truth_folder(tmp_path: Path) -> None:
     write_panorama(tmp_path / "20270320T193000Z.exr", uniform(5.0))
     (tmp_path / "irradiance.csv").write_text(

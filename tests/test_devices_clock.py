@@ -12,6 +12,7 @@ from fieldlum.errors import DeviceError
 START = datetime(2027, 3, 20, 15, 0, tzinfo=UTC)
 
 
+@pytest.mark.contract
 def test_fast_clock_sleeps_for_nothing() -> None:
     clock = FastClock(START)
     clock.sleep(3600.0)
@@ -19,6 +20,7 @@ def test_fast_clock_sleeps_for_nothing() -> None:
     assert clock.monotonic() == clock.boottime() == 3600.0
 
 
+@pytest.mark.contract
 def test_step_moves_the_wall_only() -> None:
     clock = FastClock(START, [ClockFault(START + timedelta(seconds=10), "step", -3600.0)])
     clock.sleep(20.0)
@@ -27,6 +29,7 @@ def test_step_moves_the_wall_only() -> None:
     assert clock.monotonic() == clock.boottime() == 20.0
 
 
+@pytest.mark.contract
 def test_suspend_stops_monotonic_only() -> None:
     clock = FastClock(START, [ClockFault(START + timedelta(seconds=10), "suspend", 1800.0)])
     clock.sleep(20.0)
@@ -34,6 +37,7 @@ def test_suspend_stops_monotonic_only() -> None:
     assert clock.now() == START + timedelta(seconds=1820)
 
 
+@pytest.mark.contract
 def test_real_clock_is_aware_and_moves() -> None:
     clock = RealClock()
     before = clock.boottime()
@@ -41,17 +45,20 @@ def test_real_clock_is_aware_and_moves() -> None:
     assert clock.now().tzinfo is not None and clock.boottime() > before and clock.monotonic() > 0
 
 
+@pytest.mark.contract
 def test_naive_start_is_refused() -> None:
     with pytest.raises(ValueError, match="time zone"):
         FastClock(datetime(2027, 3, 20))  # noqa: DTZ001
 
 
+@pytest.mark.analytic
 def test_uri_parts() -> None:
     uri = parse_uri("serial:/dev/ttyUSB0?kind=spn1&baud=9600")
     assert (uri.scheme, uri.place) == ("serial", "/dev/ttyUSB0")
     assert uri.read(kind=one_of("spn1"), baud=whole(300, 115200)) == {"kind": "spn1", "baud": 9600}
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -61,13 +68,14 @@ def test_uri_parts() -> None:
         ("fax:1", "no camera driver 'fax:'"),
     ],
 )
-def test_contract_bad_uris_name_themselves(text: str, said: str) -> None:
+def test_bad_uris_name_themselves(text: str, said: str) -> None:
     with pytest.raises(DeviceError, match=said) as caught:
         open_camera(text, clock=FastClock(START))
     assert text in str(caught.value)
 
 
-def test_contract_unknown_option_is_named() -> None:
+@pytest.mark.contract
+def test_unknown_option_is_named() -> None:
     with pytest.raises(DeviceError, match=r"unknown option 'sede', did you mean 'seed'\?"):
         parse_uri("sim:office?sede=1").read(seed=whole(0, 9))
     with pytest.raises(DeviceError, match="option seed=12: expected a whole number from 0 to 9"):

@@ -66,6 +66,7 @@ def picture(
     yield play
 
 
+@pytest.mark.authority
 def test_bracket_on_the_virtual_camera(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
     camera = open_camera("gphoto:?delete=1", clock=CLOCK)
     assert camera.info.model == "VC" and camera.info.clock_offset_s is not None
@@ -78,7 +79,8 @@ def test_bracket_on_the_virtual_camera(picture: Callable[[Exposure], None], tmp_
     camera.close()
 
 
-def test_contract_what_is_not_offered_is_known_without_a_picture(
+@pytest.mark.contract
+def test_what_is_not_offered_is_known_without_a_picture(
     picture: Callable[[Exposure], None],
 ) -> None:
     camera = open_camera("gphoto:", clock=CLOCK)
@@ -89,7 +91,8 @@ def test_contract_what_is_not_offered_is_known_without_a_picture(
     camera.close()
 
 
-def test_contract_settings_are_checked_before_and_after(
+@pytest.mark.contract
+def test_settings_are_checked_before_and_after(
     picture: Callable[[Exposure], None], tmp_path: Path
 ) -> None:
     camera = open_camera("gphoto:Nikon", clock=CLOCK)
@@ -105,9 +108,8 @@ def test_contract_settings_are_checked_before_and_after(
     camera.close()
 
 
-def test_contract_what_the_camera_made_is_kept(
-    picture: Callable[[Exposure], None], tmp_path: Path
-) -> None:
+@pytest.mark.contract
+def test_what_the_camera_made_is_kept(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
     camera = open_camera("gphoto:Nikon?delete=1", clock=CLOCK)
     asked, made = Exposure(0.01, 5.6), Exposure(0.02, 5.6)
     picture(made)
@@ -117,7 +119,8 @@ def test_contract_what_the_camera_made_is_kept(
     camera.close()
 
 
-def test_contract_a_full_disk_is_no_fault_of_the_camera(
+@pytest.mark.contract
+def test_a_full_disk_is_no_fault_of_the_camera(
     picture: Callable[[Exposure], None], tmp_path: Path
 ) -> None:
     if not Path("/dev/full").exists():
@@ -130,7 +133,8 @@ def test_contract_a_full_disk_is_no_fault_of_the_camera(
     camera.close()
 
 
-def test_contract_a_full_card_is_told(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_a_full_card_is_told(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
     camera = GphotoCamera(serve, late_file_s=0.01)
     with pytest.raises(DeviceError, match="card is full"):
         for i in range(40):  # the virtual card takes 26 pictures
@@ -139,9 +143,8 @@ def test_contract_a_full_card_is_told(picture: Callable[[Exposure], None], tmp_p
     camera.close()
 
 
-def test_contract_no_camera_and_unknown_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.contract
+def test_no_camera_and_unknown_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "empty" / "DCIM").mkdir(parents=True)
     monkeypatch.setenv("VCAMERADIR", str(tmp_path / "empty"))
     with pytest.raises(DeviceError, match="no camera named Hasselblad"):
@@ -150,6 +153,7 @@ def test_contract_no_camera_and_unknown_names(
         open_camera("gphoto:?delet=1", clock=CLOCK)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -173,6 +177,7 @@ def test_texts_of_cameras(text: str, value: float | None) -> None:
     assert setting_value(text) == value
 
 
+@pytest.mark.contract
 def test_choose_gives_the_camera_its_own_text() -> None:
     assert choose("shutter", 1 / 64, ["Bulb", "1/50", "1/60", "1/80"]) == "1/60"
     with pytest.raises(DeviceError, match="nothing to choose from"):
@@ -204,7 +209,8 @@ def moody(pipe: Connection) -> None:
             pipe.send(("ok", arguments[1]))
 
 
-def test_contract_hang_and_crash_are_survived(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_hang_and_crash_are_survived(tmp_path: Path) -> None:
     camera = GphotoCamera(moody, "Moody", readout_s=3.0)
     exposure = Exposure(0.01, 5.6)
     (tmp_path / "photo").write_bytes(photo(exposure))
@@ -222,7 +228,8 @@ def dies(pipe: Connection) -> None:
     sys.exit(3)
 
 
-def test_contract_a_child_that_dies_at_once() -> None:
+@pytest.mark.contract
+def test_a_child_that_dies_at_once() -> None:
     child = Child("driver", dies)
     with pytest.raises(DeviceError, match=r"crashed in 'open' \(exit code 3\)"):
         child.ask("open", timeout_s=60.0)

@@ -56,6 +56,7 @@ def nmea(body: str) -> bytes:
 # line means
 
 
+@pytest.mark.contract
 def test_shipped_profiles_read_their_own_example() -> None:
     keys = load_ascii_profile("arduino-keys")
     found = parse_line(keys, nmea("$G=812.4 D=104.9 T=24.1"))
@@ -69,6 +70,7 @@ def test_shipped_profiles_read_their_own_example() -> None:
     ] == pytest.approx(790.08)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "line",
     [
@@ -91,11 +93,12 @@ def test_shipped_profiles_read_their_own_example() -> None:
         b"x" * 2000 + b"\n",
     ],
 )
-def test_contract_broken_key_lines(line: bytes) -> None:
+def test_broken_key_lines(line: bytes) -> None:
     with pytest.raises(DeviceError, match="line"):
         parse_line(load_ascii_profile("millivolts"), line)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "line",
     [
@@ -113,7 +116,7 @@ def test_contract_broken_key_lines(line: bytes) -> None:
         b'{"G": 1, "T": 2} {"G": 1, "T": 2}\n',
     ],
 )
-def test_contract_broken_json_lines(line: bytes) -> None:
+def test_broken_json_lines(line: bytes) -> None:
     with pytest.raises(DeviceError, match="line"):
         parse_line(load_ascii_profile("arduino-json"), line)
 
@@ -122,11 +125,10 @@ GOOD = nmea("$G=812.4 D=104.9 T=24.1")
 KEYS = load_ascii_profile("arduino-keys")
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(GOOD) - 1), st.binary(max_size=2), st.integers(0, 2))
-def test_property_one_damage_under_a_checksum_gives_no_other_number(
-    at: int, put: bytes, cut: int
-) -> None:
+def test_one_damage_under_a_checksum_gives_no_other_number(at: int, put: bytes, cut: int) -> None:
     with suppress(DeviceError):
         values = parse_line(KEYS, GOOD[:at] + put + GOOD[at + cut :])
         assert (
@@ -135,9 +137,10 @@ def test_property_one_damage_under_a_checksum_gives_no_other_number(
         )
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.floats(-150, 3900), st.floats(-50, 80))
-def test_property_what_is_printed_is_read(ghi: float, warm: float) -> None:
+def test_what_is_printed_is_read(ghi: float, warm: float) -> None:
     line = json.dumps({"n": 1, "T": round(warm, 2), "G": round(ghi, 3)}).encode() + b"\n"
     if b"e-" not in line:
         found = parse_line(load_ascii_profile("arduino-json"), line)
@@ -155,6 +158,7 @@ FIXED = AsciiProfile(
 )
 
 
+@pytest.mark.contract
 def test_what_is_known_of_a_line_is_held_against_it() -> None:
     assert parse_line(FIXED, b"G=0812.4W T=024.1\n") == {"ghi_wm2": 812.4, "temperature_c": 24.1}
     for line, said in (
@@ -170,7 +174,8 @@ def test_what_is_known_of_a_line_is_held_against_it() -> None:
             parse_line(FIXED, line)
 
 
-def test_analytic_crc_of_a_line() -> None:
+@pytest.mark.analytic
+def test_crc_of_a_line() -> None:
     assert (
         crc16(b"123456789") == 0x4B37
     )  # the check value that Greg Cook's catalogue gives for CRC-16/MODBUS
@@ -197,6 +202,7 @@ def learned(*lines: str) -> LineForm:
     return form
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("lines", "odd", "said"),
     [
@@ -212,6 +218,7 @@ def test_a_line_unlike_all_before_it_is_noticed(lines: list[str], odd: str, said
     assert said in learned(*lines).unlike(odd)
 
 
+@pytest.mark.contract
 def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
     assert not learned("G=812.4 T=24.1", "G=812 T=24.1").unlike("G=813 T=24.1"), (
         "noughts that are not printed"
@@ -233,6 +240,7 @@ def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
     )
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=50)
 @given(
     st.lists(st.tuples(st.integers(-20, 14000), st.integers(-300, 600)), min_size=60, max_size=100),
@@ -245,12 +253,13 @@ def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
         ]
     ),
 )
-def test_property_no_whole_line_is_refused(values: list[tuple[int, int]], how: str) -> None:
+def test_no_whole_line_is_refused(values: list[tuple[int, int]], how: str) -> None:
     form = LineForm()
     assert not [said for g, t in values if (said := form.unlike(how.format(g / 10, t / 10)))]
 
 
-def test_contract_profiles_are_checked(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_profiles_are_checked(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"no profile of lines 'x', there are .*arduino-json"):
         load_ascii_profile("x")
     own = tmp_path / "own.toml"
@@ -283,6 +292,7 @@ def talker() -> Iterator[tuple[int, str]]:
     os.close(theirs)
 
 
+@pytest.mark.contract
 def test_newest_whole_line_counts_and_the_rest_waits(talker: tuple[int, str]) -> None:
     ours, port = talker
     device = open_pyranometer(
@@ -297,6 +307,7 @@ def test_newest_whole_line_counts_and_the_rest_waits(talker: tuple[int, str]) ->
     device.close()
 
 
+@pytest.mark.analytic
 def test_of_three_quick_lines_the_median_counts(talker: tuple[int, str]) -> None:
     ours, port = talker
     device = LineInstrument(port, load_ascii_profile("arduino-json"), CLOCK, silence_s=0.3)
@@ -314,6 +325,7 @@ def test_of_three_quick_lines_the_median_counts(talker: tuple[int, str]) -> None
     device.close()
 
 
+@pytest.mark.contract
 def test_a_line_of_another_form_gives_no_number_and_is_handed_out(talker: tuple[int, str]) -> None:
     ours, port = talker
     device = LineInstrument(port, load_ascii_profile("arduino-json"), CLOCK, silence_s=0.3)
@@ -328,7 +340,8 @@ def test_a_line_of_another_form_gives_no_number_and_is_handed_out(talker: tuple[
     device.close()
 
 
-def test_contract_silence_and_noise(talker: tuple[int, str]) -> None:
+@pytest.mark.contract
+def test_silence_and_noise(talker: tuple[int, str]) -> None:
     ours, port = talker
     device = LineInstrument(port, load_ascii_profile("millivolts"), CLOCK, silence_s=0.15)
     with pytest.raises(DeviceError, match="is silent"):
@@ -350,7 +363,8 @@ TOA5 = (
 )
 
 
-def test_authority_toa5_table() -> None:
+@pytest.mark.authority
+def test_toa5_table() -> None:
     table = parse_toa5(TOA5, timedelta(hours=-8))
     assert (table.station, table.model, table.serial) == ("Roof", "CR1000X", "12345")
     first, second, third = table.samples
@@ -360,7 +374,8 @@ def test_authority_toa5_table() -> None:
     assert third.ghi_wm2 == 515.0 and table.missing_records == 2 and not table.broken
 
 
-def test_contract_toa5_damage() -> None:
+@pytest.mark.contract
+def test_toa5_damage() -> None:
     broken = (
         TOA5 + '"2027-03-20 08:03:00",105,5#5.0,88.4,21.6\n"2027-03-20 08:0",1,1,1,1\n"2027-03-20 '
         '08:04:00",106,51'
@@ -382,6 +397,7 @@ def test_contract_toa5_damage() -> None:
         parse_toa5(TOA5, timedelta(), {"ghi_wm2": "Nope"})
 
 
+@pytest.mark.contract
 def test_a_toa5_row_out_of_step_is_left_out() -> None:
     rows = [f'"2027-03-20 08:{m:02d}:00",{100 + m},{500 + m}.0,88.1,21.5\n' for m in range(30)]
     head = "".join(TOA5.splitlines(keepends=True)[:4])
@@ -406,6 +422,7 @@ def toa5_of(values: list[str]) -> str:
     return "".join(TOA5.splitlines(keepends=True)[:4]) + "".join(rows)
 
 
+@pytest.mark.contract
 def test_a_toa5_number_with_other_decimals_than_its_column_is_left_out() -> None:
     values = [f"{40 + m}.5" for m in range(20)] + [f"{500 + m}.5" for m in range(30)]
     assert not parse_toa5(toa5_of(values), timedelta()).broken
@@ -421,9 +438,10 @@ def test_a_toa5_number_with_other_decimals_than_its_column_is_left_out() -> None
     assert not parse_toa5(toa5_of([f"{500 + m / 10:g}" for m in range(40)]), timedelta()).broken
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(TOA5) - 1), st.text(max_size=3), st.integers(0, 3))
-def test_property_damaged_toa5_reads_or_is_refused(at: int, put: str, cut: int) -> None:
+def test_damaged_toa5_reads_or_is_refused(at: int, put: str, cut: int) -> None:
     with suppress(InputError):
         parse_toa5(TOA5[:at] + put + TOA5[at + cut :], timedelta())
 
@@ -431,7 +449,8 @@ def test_property_damaged_toa5_reads_or_is_refused(at: int, put: str, cut: int) 
 # ------------------------------------------------------------------------------------------ CL-200A
 
 
-def test_authority_check_digits() -> None:
+@pytest.mark.authority
+def test_check_digits() -> None:
     # Konica Minolta CS-A32T technical note.
     digits = {PC_MODE: b"13", HOLD: b"02", EXT_ON: b"06", MEASURE: b"04", READ_EVXY: b"02"}
     assert {command: bcc(command) for command in digits} == digits
@@ -442,7 +461,8 @@ def answer(status: bytes = b"    ", values: bytes = b"+12343+ 3130+ 3290") -> by
     return frame(b"0002" + status + values)
 
 
-def test_analytic_values() -> None:
+@pytest.mark.analytic
+def test_values() -> None:
     found = parse_answer(answer())
     assert found.illuminance_lx == pytest.approx(123.4)
     assert (found.x, found.y, found.low_battery) == (
@@ -453,6 +473,7 @@ def test_analytic_values() -> None:
     assert parse_answer(answer(b"   1")).low_battery
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("reply", "said"),
     [
@@ -467,20 +488,22 @@ def test_analytic_values() -> None:
         (b"", "right check digits"),
     ],
 )
-def test_contract_errors_of_the_meter(reply: bytes, said: str) -> None:
+def test_errors_of_the_meter(reply: bytes, said: str) -> None:
     with pytest.raises(DeviceError, match=said):
         parse_answer(reply)
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=300)
 @given(st.integers(0, len(answer()) - 1), st.integers(1, 255))
-def test_property_one_wrong_byte_is_always_noticed(at: int, flip: int) -> None:
+def test_one_wrong_byte_is_always_noticed(at: int, flip: int) -> None:
     reply = bytearray(answer())
     reply[at] ^= flip
     with pytest.raises(DeviceError):
         parse_answer(bytes(reply))
 
 
+@pytest.mark.contract
 def test_the_driver_on_a_pty() -> None:
     asked: list[bytes] = []
     replies = [answer(b"  6 "), answer(values=b"+45674+33300+33400")]
@@ -505,6 +528,7 @@ def test_the_driver_on_a_pty() -> None:
         Cl200a(instrument.port, CLOCK.sleep, parity="N")
 
 
+@pytest.mark.contract
 def test_regex_profile_by_hand() -> None:
     profile = AsciiProfile(
         "x", "regex", (AsciiField("ghi_wm2", "g", 2.0, 1.0),), pattern=r"I(?P<g>\d+)"

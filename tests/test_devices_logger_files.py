@@ -12,6 +12,8 @@ from fieldlum.errors import InputError
 from fieldlum.records import Exposure, Site, SiteFile, Slot
 from fieldlum.session import create_session, day_files, open_session, read_day
 
+pytestmark = pytest.mark.contract
+
 TOA5 = (
     '"TOA5","Roof","CR1000X","12345","OS","prog","9","T"\n"TIMESTAMP","RECORD","GHI_Avg"\n"TS","RN","W/m^2"\n'
     '"","","Avg"\n"2027-03-20 08:00:00",100,512.3\n"2027-03-20 08:01:00",102,513.1\n'
@@ -58,7 +60,7 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
         ("\0\0\0", "columns"),
     ],
 )
-def test_contract_bad_files_are_told(tmp_path: Path, text: str, said: str) -> None:
+def test_bad_files_are_told(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "f.csv").write_text(text)
     with pytest.raises(InputError, match=said):
         read_logger_file(tmp_path / "f.csv")

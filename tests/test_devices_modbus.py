@@ -100,13 +100,15 @@ def bus(
         instrument.unplug()
 
 
-def test_authority_checksum() -> None:
+@pytest.mark.authority
+def test_checksum() -> None:
     # Request printed in the Apogee SP-422 manual.
     assert bytes.fromhex("010300000002") + crc16(bytes.fromhex("010300000002")) == bytes.fromhex(
         "010300000002C40B"
     )
 
 
+@pytest.mark.authority
 def test_kipp_and_zonen_smp() -> None:
     with bus({1: dict(SMP)}, "kind=smp") as (line, device):
         sample = device.read()  # type: ignore[attr-defined]
@@ -127,6 +129,7 @@ def test_kipp_and_zonen_smp() -> None:
     assert {request[1] for request in line.sent} == {4}, "only reads may ever be sent"
 
 
+@pytest.mark.authority
 def test_hukseflux_sr_five_registers_at_a_time() -> None:
     text = struct.unpack(">8H", b"SR20-D2".ljust(16, b"\0"))
     # Maker's example: registers 1, 31823 are 973.59 W/m2.
@@ -150,6 +153,7 @@ def test_hukseflux_sr_five_registers_at_a_time() -> None:
     assert all(struct.unpack(">H", request[4:6])[0] <= 5 for request in line.sent)
 
 
+@pytest.mark.contract
 def test_two_instruments_on_one_bus() -> None:
     with bus({1: dict(SMP), 2: SMP | {5: 120}}, "kind=smp&dhi_unit=2") as (_, device):
         sample = device.read()  # type: ignore[attr-defined]
@@ -157,6 +161,7 @@ def test_two_instruments_on_one_bus() -> None:
         assert device.info.gives == ("ghi", "dhi")  # type: ignore[attr-defined]
 
 
+@pytest.mark.authority
 def test_apogee_and_eko_floats() -> None:
     with bus({1: floats(0, 812.25)}, "kind=apogee") as (_, device):
         assert device.read().ghi_wm2 == 812.25  # type: ignore[attr-defined]
@@ -170,6 +175,7 @@ def test_apogee_and_eko_floats() -> None:
             device.read()  # type: ignore[attr-defined]
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
@@ -181,7 +187,7 @@ def test_apogee_and_eko_floats() -> None:
     ],
     ids=["mute", "flipped", "short", "prefix", "other-unit"],
 )
-def test_contract_faults_on_the_line(fault: Callable[[bytes], bytes], said: str) -> None:
+def test_faults_on_the_line(fault: Callable[[bytes], bytes], said: str) -> None:
     with bus({1: dict(SMP)}, "kind=smp") as (line, device):
         line.fault = fault
         with pytest.raises(DeviceError, match=said):
@@ -190,7 +196,8 @@ def test_contract_faults_on_the_line(fault: Callable[[bytes], bytes], said: str)
         assert device.read().ghi_wm2 == 997.0  # type: ignore[attr-defined]
 
 
-def test_contract_unplugged_is_a_device_error() -> None:
+@pytest.mark.contract
+def test_unplugged_is_a_device_error() -> None:
     line = Bus({1: dict(SMP)})
     instrument = PtyInstrument(line)
     uri = f"modbus:{instrument.port}?kind=smp&parity=N&timeout=0.15"
@@ -203,6 +210,7 @@ def test_contract_unplugged_is_a_device_error() -> None:
         open_pyranometer(uri, clock=FastClock(START))
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("uri", "said"),
     [
@@ -214,12 +222,13 @@ def test_contract_unplugged_is_a_device_error() -> None:
         ("modbus:/dev/does-not-exist?kind=smp", "/dev/does-not-exist"),
     ],
 )
-def test_contract_bad_uris(uri: str, said: str) -> None:
+def test_bad_uris(uri: str, said: str) -> None:
     with pytest.raises(DeviceError, match=said):
         open_pyranometer(uri, clock=FastClock(START))
 
 
-def test_contract_profiles_are_checked(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_profiles_are_checked(tmp_path: Path) -> None:
     assert {"smp", "sr", "sr-pv", "apogee", "ms60", "ms80m"} <= set(known_kinds())
     for kind in ("smp", "sr", "sr-pv", "apogee", "ms60", "ms80m"):
         assert load_register_profile(kind).kind == kind
@@ -239,6 +248,7 @@ def test_contract_profiles_are_checked(tmp_path: Path) -> None:
         load_register_profile(str(own))
 
 
+@pytest.mark.contract
 def test_numbers_and_dates_of_registers() -> None:
     assert raw_value("s32", [1, 31823]) == 97359 and raw_value("s16", [0xFFFE]) == -2
     assert raw_value("f32", [0x447A, 0]) == 1000.0
@@ -249,9 +259,10 @@ def test_numbers_and_dates_of_registers() -> None:
 PROFILES = [load_register_profile(kind) for kind in ("smp", "sr", "apogee", "ms60")]
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.sampled_from(PROFILES), st.binary(min_size=400, max_size=400))
-def test_property_any_registers_give_a_plausible_value_or_a_device_error(
+def test_any_registers_give_a_plausible_value_or_a_device_error(
     profile: RegisterProfile, data: bytes
 ) -> None:
     try:
@@ -261,6 +272,7 @@ def test_property_any_registers_give_a_plausible_value_or_a_device_error(
     assert isinstance(found, Decoded) and -200 <= found.values["irradiance_wm2"] <= 4000
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("name", "said"), [("smp", "Kipp & Zonen SMP3"), ("ascii/arduino-keys", "ghi_wm2, dhi_wm2")]
 )

@@ -12,6 +12,8 @@ from fieldlum.errors import DeviceError
 from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure
 
+pytestmark = pytest.mark.contract
+
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
 CLOCK = FastClock(START)
 LONG, SHORT = Exposure(1 / 60, 5.6), Exposure(1 / 250, 5.6)
@@ -55,7 +57,7 @@ def test_frames_come_in_the_order_of_the_cameras_clock(tmp_path: Path) -> None:
     camera.close()
 
 
-def test_contract_folders_without_frames(tmp_path: Path) -> None:
+def test_folders_without_frames(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="no frames in"):
         open_camera(f"replay:{tmp_path}", clock=CLOCK)
     with pytest.raises(DeviceError, match="no such folder"):

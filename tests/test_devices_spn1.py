@@ -26,13 +26,15 @@ READING = b"S 812.4, 104.9,1\r"
 STATUS = b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\r1mV radio off\rA106\r"
 
 
-def test_authority_transcript_of_the_manual() -> None:
+@pytest.mark.authority
+def test_transcript_of_the_manual() -> None:
     assert parse_reading(READING) == Spn1Reading(812.4, 104.9, True)
     assert parse_reading(b"   0.0,   0.0,0\r") == Spn1Reading(0.0, 0.0, False)
     status = parse_status(STATUS)
     assert (status.serial, status.firmware) == ("A106", "v1.03 Mar 13 2007")
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "reply",
     [
@@ -54,19 +56,21 @@ def test_authority_transcript_of_the_manual() -> None:
         b"S-812.4, 104.9,1\r",
     ],
 )
-def test_contract_a_broken_line_gives_no_number(reply: bytes) -> None:
+def test_a_broken_line_gives_no_number(reply: bytes) -> None:
     with pytest.raises(DeviceError, match="SPN1 said"):
         parse_reading(reply)
 
 
-def test_contract_other_units_are_refused() -> None:
+@pytest.mark.contract
+def test_other_units_are_refused() -> None:
     with pytest.raises(DeviceError, match="set to mV"):
         parse_status(STATUS.replace(b"W.m-2", b"mV"))
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(READING) - 1), st.binary(max_size=2), st.integers(0, 2))
-def test_property_a_lost_or_added_byte_is_noticed(at: int, put: bytes, cut: int) -> None:
+def test_a_lost_or_added_byte_is_noticed(at: int, put: bytes, cut: int) -> None:
     line = READING[:at] + put + READING[at + cut :]
     try:
         reading = parse_reading(line)
@@ -106,6 +110,7 @@ def spn1(wire: Wire, timeout_s: float = 0.15) -> Iterator[Spn1]:
         instrument.unplug()
 
 
+@pytest.mark.contract
 def test_the_real_driver_reads_the_simulated_bytes() -> None:
     wire = Wire()
     with spn1(wire) as device:
@@ -121,7 +126,8 @@ def test_the_real_driver_reads_the_simulated_bytes() -> None:
     assert set(wire.sent) <= set(b"RSI"), "only questions may ever be sent"
 
 
-def test_analytic_time_constant() -> None:
+@pytest.mark.analytic
+def test_time_constant() -> None:
     wire = Wire(SimulatedLight(0.0, 0.0, 0.0))
     with spn1(wire) as device:
         device.read()
@@ -131,11 +137,13 @@ def test_analytic_time_constant() -> None:
         assert device.read().ghi_wm2 == 1000.0
 
 
+@pytest.mark.analytic
 def test_total_below_diffuse_is_marked() -> None:
     with spn1(Wire(SimulatedLight(50.0, 60.0, 0.0))) as device:
         assert device.read().status == "total below diffuse"
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
@@ -147,7 +155,7 @@ def test_total_below_diffuse_is_marked() -> None:
     ],
     ids=["partial", "garbage", "mute", "dead", "wrong-baud"],
 )
-def test_contract_faults_on_the_wire(fault: Callable[[bytes], bytes], said: str) -> None:
+def test_faults_on_the_wire(fault: Callable[[bytes], bytes], said: str) -> None:
     wire = Wire()
     with spn1(wire) as device:
         wire.fault = fault
@@ -166,6 +174,7 @@ def _changed(*replies: bytes) -> Callable[[bytes], bytes]:
 SEVEN, BROKEN = b"S 712.4, 104.9,1\r", b"S 8#2.4, 104.9,1\r"
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("first", [(SEVEN,), (BROKEN,), (READING, SEVEN), (READING, BROKEN)])
 def test_one_damaged_answer_is_outvoted(first: tuple[bytes, ...]) -> None:
     wire = Wire()
@@ -182,6 +191,7 @@ def test_one_damaged_answer_is_outvoted(first: tuple[bytes, ...]) -> None:
         )
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("answers", "said"),
     [
@@ -190,7 +200,7 @@ def test_one_damaged_answer_is_outvoted(first: tuple[bytes, ...]) -> None:
         ((BROKEN, SEVEN, READING), "no two answers agree"),
     ],
 )
-def test_contract_what_nobody_confirms_is_no_number(answers: tuple[bytes, ...], said: str) -> None:
+def test_what_nobody_confirms_is_no_number(answers: tuple[bytes, ...], said: str) -> None:
     wire = Wire()
     with spn1(wire) as device:
         wire.fault = _changed(*answers)
@@ -199,6 +209,7 @@ def test_contract_what_nobody_confirms_is_no_number(answers: tuple[bytes, ...], 
         assert device.read().ghi_wm2 == 812.4
 
 
+@pytest.mark.contract
 def test_the_edge_of_a_shadow_is_no_damage() -> None:
     wire = Wire()
     with spn1(wire) as device:
@@ -209,6 +220,7 @@ def test_the_edge_of_a_shadow_is_no_damage() -> None:
             device.read()
 
 
+@pytest.mark.contract
 def test_of_three_answers_the_nearest_two_count() -> None:
     wire = Wire()
     with spn1(wire) as device:
@@ -220,7 +232,8 @@ def test_of_three_answers_the_nearest_two_count() -> None:
         assert device.read().ghi_wm2 == 813.4 and wire.sent == b"RSRS"
 
 
-def test_contract_the_rest_of_a_late_reply_is_not_the_next_one() -> None:
+@pytest.mark.contract
+def test_the_rest_of_a_late_reply_is_not_the_next_one() -> None:
     wire = Wire()
     with spn1(wire) as device:
         wire.fault = lambda reply: reply if reply == b"\xaf" else reply[:7]
@@ -234,7 +247,8 @@ def test_contract_the_rest_of_a_late_reply_is_not_the_next_one() -> None:
         assert device.read().ghi_wm2 == 400.0
 
 
-def test_contract_unplugged_is_a_device_error() -> None:
+@pytest.mark.contract
+def test_unplugged_is_a_device_error() -> None:
     instrument = PtyInstrument(Wire())
     device = Spn1(instrument.port, FastClock(START), timeout_s=0.15)
     instrument.unplug()
@@ -245,12 +259,14 @@ def test_contract_unplugged_is_a_device_error() -> None:
         Spn1(instrument.port, FastClock(START), timeout_s=0.15)
 
 
-def test_contract_a_port_is_used_by_one_only() -> None:
+@pytest.mark.contract
+def test_a_port_is_used_by_one_only() -> None:
     wire = Wire()
     with spn1(wire) as device, pytest.raises(DeviceError, match="another program holds it"):
         Spn1(device.info.port, FastClock(START), timeout_s=0.15)
 
 
+@pytest.mark.contract
 def test_a_silent_port_is_no_spn1() -> None:
     ours, theirs = os.openpty()
     tty.setraw(ours)
@@ -262,6 +278,7 @@ def test_a_silent_port_is_no_spn1() -> None:
     os.close(theirs)
 
 
+@pytest.mark.contract
 def test_sim_uri_opens_the_whole_chain() -> None:
     clock = FastClock(START)
     device = open_pyranometer("sim:office?seed=4&noise=0.5", clock=clock)
@@ -277,6 +294,7 @@ def test_sim_uri_opens_the_whole_chain() -> None:
         open_pyranometer("serial:/dev/ttyUSB0", clock=clock)
 
 
+@pytest.mark.contract
 def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) -> None:
     from serial.tools.list_ports_common import ListPortInfo
 
@@ -297,7 +315,8 @@ def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) 
     assert resolve("COM3") == "COM3"
 
 
-def test_contract_a_port_that_does_not_open_says_what_to_do(
+@pytest.mark.contract
+def test_a_port_that_does_not_open_says_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from serial.tools.list_ports_common import ListPortInfo
@@ -311,6 +330,7 @@ def test_contract_a_port_that_does_not_open_says_what_to_do(
         SerialPort("/dev/null", baud=9600, timeout_s=0.1)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("windows", "said"),
     [
@@ -321,9 +341,7 @@ def test_contract_a_port_that_does_not_open_says_what_to_do(
         (PermissionError(13, "Access is denied.", None, 5), "COM9: another program holds it"),
     ],
 )
-def test_contract_windows_ports_too(
-    monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str
-) -> None:
+def test_windows_ports_too(monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str) -> None:
     import serial
 
     from fieldlum.devices.serial_port import SerialPort

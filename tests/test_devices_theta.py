@@ -22,6 +22,8 @@ from fieldlum.errors import DeviceError
 from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure
 
+pytestmark = pytest.mark.contract
+
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
 BRACKET = [Exposure(t, 5.6, 100.0) for t in (0.25, 0.0166666, 0.001)]
 
@@ -186,7 +188,7 @@ def test_bracket_in_one_go(theta: dict[str, Any], tmp_path: Path) -> None:
         opened(theta).expose_bracket(BRACKET[:1], targets[:1])
 
 
-def test_contract_nothing_snaps_silently(theta: dict[str, Any], tmp_path: Path) -> None:
+def test_nothing_snaps_silently(theta: dict[str, Any], tmp_path: Path) -> None:
     camera = opened(theta)
     with pytest.raises(DeviceError, match=r"theta shutter: 0.033333 s is not offered"):
         camera.expose(Exposure(1 / 30, 5.6), tmp_path / "f")
@@ -197,7 +199,7 @@ def test_contract_nothing_snaps_silently(theta: dict[str, Any], tmp_path: Path) 
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f", heading_deg=0.0)
 
 
-def test_contract_what_the_camera_made_is_kept(theta: dict[str, Any], tmp_path: Path) -> None:
+def test_what_the_camera_made_is_kept(theta: dict[str, Any], tmp_path: Path) -> None:
     theta["lie"] = 2.0
     asked = Exposure(0.004, 5.6)
     path = opened(theta, "?delete=1").expose(asked, tmp_path / "f")
@@ -205,7 +207,7 @@ def test_contract_what_the_camera_made_is_kept(theta: dict[str, Any], tmp_path: 
     assert doubts(path, asked) == "shutter 0.008 instead of 0.004"
 
 
-def test_contract_its_errors_become_ours(theta: dict[str, Any], tmp_path: Path) -> None:
+def test_its_errors_become_ours(theta: dict[str, Any], tmp_path: Path) -> None:
     camera = opened(theta)
     theta["errors"] = {"takePicture": "noFreeSpace"}
     with pytest.raises(DeviceError, match=r"camera.takePicture: noFreeSpace: no"):
@@ -218,7 +220,7 @@ def test_contract_its_errors_become_ours(theta: dict[str, Any], tmp_path: Path) 
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
 
 
-def test_contract_one_that_never_ends(
+def test_one_that_never_ends(
     theta: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = opened(theta)
@@ -234,7 +236,7 @@ def test_contract_one_that_never_ends(
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
 
 
-def test_contract_nobody_there() -> None:
+def test_nobody_there() -> None:
     with pytest.raises(DeviceError, match="is the computer in its network"):
         ThetaCamera("http://127.0.0.1:9", FastClock(START), timeout_s=1.0)
     for bad in ("theta:ftp://192.168.1.1", "theta:192.168.1.1"):
@@ -242,7 +244,7 @@ def test_contract_nobody_there() -> None:
             open_camera(bad, clock=FastClock(START))
 
 
-def test_contract_what_is_no_theta(theta: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_theta(theta: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     for body in (b"<html>router</html>", b"[1]", b"\xff"):
         monkeypatch.setattr(
             ThetaCamera,

@@ -56,6 +56,7 @@ def _verdicts(findings: list[doctor.Finding]) -> dict[str, str]:
     return {finding.what: finding.verdict for finding in findings}
 
 
+@pytest.mark.contract
 def test_a_sound_session_passes(tmp_path: Path) -> None:
     found = doctor.run(_session(tmp_path), "", "", NOW)
     assert doctor.exit_code(found) == 0
@@ -66,6 +67,7 @@ def test_a_sound_session_passes(tmp_path: Path) -> None:
     assert not list((tmp_path / "s").glob(".doctor*"))
 
 
+@pytest.mark.contract
 def test_a_changed_plan_fails(tmp_path: Path) -> None:
     session = _session(tmp_path)
     session.plan.write_text(session.plan.read_text().replace("0.5 f/5.6", "1 f/5.6"))
@@ -73,6 +75,7 @@ def test_a_changed_plan_fails(tmp_path: Path) -> None:
     assert doctor.exit_code(found) == 3 and _verdicts(found[:1]) == {"plan": "fail"}
 
 
+@pytest.mark.contract
 def test_done_slots_are_not_owed(tmp_path: Path) -> None:
     session = _session(tmp_path)
     journal = Journal(session)
@@ -82,6 +85,7 @@ def test_done_slots_are_not_owed(tmp_path: Path) -> None:
     assert doctor.check_plan(session, NOW + timedelta(days=40))[0].verdict == "warn"
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("changed", "verdict", "said"),
     [
@@ -99,12 +103,14 @@ def test_profiles(tmp_path: Path, changed: dict, verdict: str, said: str) -> Non
     assert any(f.verdict == verdict and said in f.text for f in found)
 
 
+@pytest.mark.contract
 def test_disk_counts_what_is_owed(tmp_path: Path) -> None:
     session = _session(tmp_path, megabytes=100.0)
     assert doctor.check_disk(session, NOW, 1_301_000_000).verdict == "ok"
     assert doctor.check_disk(session, NOW, 1_299_000_000).verdict == "fail"
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("info", "verdicts"),
     [
@@ -124,6 +130,7 @@ def test_camera(info: CameraInfo, verdicts: dict[str, str]) -> None:
     assert _verdicts(doctor.judge_camera(info, "x:", 20)) == {"camera": "ok", **verdicts}
 
 
+@pytest.mark.contract
 def test_what_the_camera_does_not_offer_is_told_before_anybody_leaves() -> None:
     found = doctor.judge_exposures([f"camera shutter: {i} s is not offered" for i in range(5)], 10)
     assert [f.verdict for f in found] == ["fail"] and found[0].text.startswith(
@@ -134,6 +141,7 @@ def test_what_the_camera_does_not_offer_is_told_before_anybody_leaves() -> None:
     ].text and not doctor.judge_exposures([], 10)
 
 
+@pytest.mark.contract
 def test_another_camera_than_the_profiles_is_told() -> None:
     profile = load_camera_profile("sim-dual-fisheye")
     told = doctor.judge_model(CameraInfo("gphoto", model="D750"), profile)
@@ -148,6 +156,7 @@ def test_another_camera_than_the_profiles_is_told() -> None:
         assert not doctor.judge_model(info, profile)
 
 
+@pytest.mark.contract
 def test_a_clock_off_by_whole_hours_is_called_so() -> None:
     clock = doctor.judge_camera(CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
     assert clock.verdict == "fail" and "-3599.0 s" in clock.text and "daylight saving" in clock.text
@@ -157,6 +166,7 @@ def test_a_clock_off_by_whole_hours_is_called_so() -> None:
     )
 
 
+@pytest.mark.contract
 def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
     session = _session(tmp_path, megabytes=0.001)
     assert doctor.check_disk(session, NOW, 2_000_000).verdict == "ok"
@@ -168,6 +178,7 @@ def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
     assert doctor.check_disk(session, NOW, 2_000_000).verdict == "fail"
 
 
+@pytest.mark.contract
 def test_pyranometer_readings() -> None:
     spn1 = InstrumentInfo("spn1", "SPN1", "A1", calibration_date="2026-06-01", gives=("ghi", "dhi"))
     good = doctor.judge_pyranometer(spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
@@ -212,6 +223,7 @@ BLOCKS = """     Who: NetworkManager (UID 0/root, PID 640/NetworkManager)
 """
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "text", [TABLE, "\n".join(TABLE.splitlines()[1:4]), BLOCKS], ids=["table", "no-legend", "old"]
 )
@@ -223,6 +235,7 @@ def test_locks_are_read_in_every_form(text: str) -> None:
     ).verdict == "ok"
 
 
+@pytest.mark.contract
 def test_what_does_not_keep_a_computer_awake() -> None:
     said = "GNOME Shell 1000 me 77 gnome-shell handle-power-key user must not sleep block\n"
     for text in (said, TABLE.splitlines()[1], "No inhibitors.\n", "", "sleep block\n"):
@@ -238,6 +251,7 @@ def test_what_does_not_keep_a_computer_awake() -> None:
     assert doctor.check_sleep(None).verdict == "warn"
 
 
+@pytest.mark.authority
 @pytest.mark.skipif(not Path("/bin/sh").exists(), reason="needs a shell")
 @pytest.mark.parametrize(
     ("script", "locks"),
@@ -261,6 +275,7 @@ def test_systemd_inhibit_is_really_run(
     assert (None if found is None else len(found)) == locks
 
 
+@pytest.mark.contract
 def test_without_systemd_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert awake.inhibitors() is None
@@ -268,6 +283,7 @@ def test_without_systemd_nothing_is_told(tmp_path: Path, monkeypatch: pytest.Mon
     assert awake.inhibitors() is None
 
 
+@pytest.mark.contract
 def test_this_computer_answers_or_is_not_asked() -> None:
     assert awake.inhibitors() is None or isinstance(awake.inhibitors(), list)
     assert [doctor.check_clock(state).verdict for state in (True, False, None)] == [
@@ -278,6 +294,7 @@ def test_this_computer_answers_or_is_not_asked() -> None:
     assert doctor.kernel_clock() in (True, False, None)
 
 
+@pytest.mark.contract
 def test_a_read_only_or_cloud_folder(tmp_path: Path) -> None:
     assert doctor.check_writing(tmp_path / "absent")[0].verdict == "fail"
     cloud = tmp_path / "Dropbox"
@@ -285,11 +302,13 @@ def test_a_read_only_or_cloud_folder(tmp_path: Path) -> None:
     assert doctor.check_writing(cloud)[-1].verdict == "warn"
 
 
+@pytest.mark.contract
 def test_sun_in_view_without_a_filter(tmp_path: Path) -> None:
     session = _session(tmp_path, ("sun-in-view",))
     assert doctor.check_calendar(session, NOW)[-1].verdict == "warn"
 
 
+@pytest.mark.contract
 def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
     profile = CameraProfile(
         CameraBody("cam", "raw", 9, 9),
@@ -302,6 +321,7 @@ def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
     assert doctor._age(profile, date(2027, 1, 1)).verdict == "ok"
 
 
+@pytest.mark.contract
 def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     class Meter:
         info = InstrumentInfo("cl200a", "CL-200A", "10001")
@@ -320,7 +340,8 @@ def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) ->
     assert doctor.check_meter("") == []
 
 
-def test_contract_exit_codes(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_exit_codes(tmp_path: Path) -> None:
     session = _session(tmp_path)
     words = ["doctor", str(session.root)]
     good = CliRunner().invoke(main, [*words, "--json"])

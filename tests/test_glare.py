@@ -33,6 +33,7 @@ def _uniform(value: float) -> np.ndarray:
 # analytic
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("heading", [180.0, 33.3])
 def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
     got = glare_directions(_uniform(1000.0), heading, view_azimuths_deg(heading, 12))
@@ -43,6 +44,7 @@ def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
     assert np.isnan(got["ugr"]).all()
 
 
+@pytest.mark.analytic
 def test_a_uniform_bright_sphere_is_one_source() -> None:
     got = glare_directions(_uniform(5000.0), 180.0, [180.0])
     # One source of 2 pi sr: its centre is the line of sight (P = 1).
@@ -50,6 +52,7 @@ def test_a_uniform_bright_sphere_is_one_source() -> None:
     assert got["dgp"][0, 0] == pytest.approx(float(expected), abs=2e-3)
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(
     ("altitude", "turn"), [(0.0, 0.0), (30.0, 20.0), (-20.0, 45.0), (60.0, -10.0), (5.0, 80.0)]
 )
@@ -70,6 +73,7 @@ def test_the_sun_alone_follows_the_formula(altitude: float, turn: float) -> None
     assert got["ugr"][0, 0] == pytest.approx(float(8 * np.log10(0.25 / 50.0 * contrast)), abs=0.05)
 
 
+@pytest.mark.analytic
 def test_a_sun_behind_the_head_adds_nothing() -> None:
     lit = glare_directions(
         _uniform(50.0), 180.0, [0.0], direction(20.0, 180.0)[None], np.array([9e4])
@@ -79,6 +83,7 @@ def test_a_sun_behind_the_head_adds_nothing() -> None:
     assert lit["dgp"] == pytest.approx(dark["dgp"])
 
 
+@pytest.mark.analytic
 def test_illuminance_follows_the_cosine() -> None:
     maps = np.zeros((1, H, W), np.float32)
     maps[0, H // 2, W // 2] = 1e4  # straight ahead of heading 180, half a pixel below the horizon
@@ -90,6 +95,7 @@ def test_illuminance_follows_the_cosine() -> None:
     assert got == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.property
 def test_turning_head_and_picture_together_changes_nothing() -> None:
     rng = np.random.default_rng(3)
     maps = rng.lognormal(6.0, 1.5, (2, H, W)).astype(np.float32)
@@ -103,6 +109,7 @@ def test_turning_head_and_picture_together_changes_nothing() -> None:
 # authority
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(
     ("right_deg", "up_deg", "expected"),
     [
@@ -124,6 +131,7 @@ def test_published_position_index(right_deg: float, up_deg: float, expected: flo
     )
 
 
+@pytest.mark.analytic
 def test_position_index_grows_and_is_capped() -> None:
     angles = np.radians(np.linspace(0.0, 90.0, 91))
     for right, up in ((angles, 0 * angles + 1e-9), (0 * angles, angles), (0 * angles, -angles)):
@@ -132,6 +140,7 @@ def test_position_index_grows_and_is_capped() -> None:
         assert values.max() <= 16.0
 
 
+@pytest.mark.authority
 def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
     # authority: evalglare of pyradiance, 800 px. Tolerances: half a per cent of Ev, 0.005 of DGP
     # (issue 6).
@@ -155,6 +164,7 @@ def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
 # grouping
 
 
+@pytest.mark.analytic
 def test_panes_nearer_than_the_reach_are_one_source_and_peaks_are_their_own() -> None:
     image = np.zeros((H, W), np.float32)
     image[40:50, 60:64] = image[40:50, 66:70] = 3000.0  # 4 degrees of frame between
@@ -164,12 +174,14 @@ def test_panes_nearer_than_the_reach_are_one_source_and_peaks_are_their_own() ->
     assert sorted(len(g) for g in groups) == [1, 40, 79]
 
 
+@pytest.mark.analytic
 def test_a_source_across_the_seam_is_one() -> None:
     mask = np.zeros((H, W), bool)
     mask[40:44, :2] = mask[40:44, -2:] = True
     assert len(np.unique(group_pixels(mask))) == 2
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=25)
 @given(row=st.integers(2, H - 3), column=st.integers(0, W - 1), radius_deg=st.floats(3.0, 12.0))
 def test_widen_is_a_small_circle_on_the_sphere(row: int, column: int, radius_deg: float) -> None:
@@ -188,6 +200,7 @@ def test_widen_is_a_small_circle_on_the_sphere(row: int, column: int, radius_deg
 # fisheyes
 
 
+@pytest.mark.property
 def test_fisheye_keeps_flux_and_the_suns_energy() -> None:
     size = 200
     picture = panorama_to_fisheye(

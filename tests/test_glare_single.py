@@ -52,6 +52,7 @@ def _fisheye(path: Path, maps: np.ndarray, view: str = SOUTH, size: int = 300) -
 # pictures
 
 
+@pytest.mark.property
 def test_a_fisheye_and_its_panorama_agree(tmp_path: Path, maps: np.ndarray) -> None:
     panorama = tmp_path / "p.hdr"
     write_radiance_hdr(panorama, maps, heading_deg=180.0)
@@ -62,6 +63,7 @@ def test_a_fisheye_and_its_panorama_agree(tmp_path: Path, maps: np.ndarray) -> N
     assert b["dgp"] == pytest.approx(a["dgp"], abs=0.003)
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("kind", ["a", "h", "s"])
 def test_a_uniform_fisheye_of_each_mapping_gives_pi_l(tmp_path: Path, kind: str) -> None:
     # analytic: whatever the mapping, a uniform hemisphere has Ev = pi L
@@ -72,6 +74,7 @@ def test_a_uniform_fisheye_of_each_mapping_gives_pi_l(tmp_path: Path, kind: str)
     assert answer["views"][0]["ev_lx"] == pytest.approx(100 * np.pi, rel=0.01)
 
 
+@pytest.mark.contract
 def test_a_perspective_picture_says_that_it_covers_little(tmp_path: Path) -> None:
     path = tmp_path / "v.hdr"
     write_radiance_hdr(path, np.full((90, 90), 100.0), view="-vtv -vd 0 -1 0 -vh 60 -vv 60")
@@ -82,6 +85,7 @@ def test_a_perspective_picture_says_that_it_covers_little(tmp_path: Path) -> Non
     assert "lower bounds" in answer["warnings"][0]
 
 
+@pytest.mark.contract
 def test_a_disc_left_in_a_rendering_becomes_the_sun(tmp_path: Path, maps: np.ndarray) -> None:
     lit = maps.copy()
     omega = equirect_solid_angles(90, 180)
@@ -93,6 +97,7 @@ def test_a_disc_left_in_a_rendering_becomes_the_sun(tmp_path: Path, maps: np.nda
     assert (sun["altitude_deg"], sun["azimuth_deg"]) == pytest.approx((29.0, 185.0), abs=0.2)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("view", "said"),
     [
@@ -116,6 +121,7 @@ def test_a_missing_or_contradictory_view_is_refused(
         picture_glare(path)
 
 
+@pytest.mark.contract
 def test_two_views_and_a_panorama_with_a_view_are_refused(tmp_path: Path, maps: np.ndarray) -> None:
     path = tmp_path / "two.hdr"
     write_radiance_hdr(path, maps[:, :90], header=("VIEW= -vtv -vh 60 -vv 60",), view=FISHEYE_VIEW)
@@ -126,12 +132,14 @@ def test_two_views_and_a_panorama_with_a_view_are_refused(tmp_path: Path, maps: 
         read_picture(path)
 
 
+@pytest.mark.analytic
 def test_view_directions() -> None:
     view = parse_view("-vta -vp 1 2 3 -vd 1 0 0 -vu 0 0 1 -vh 180 -vv 180 -vo 0 -va 0", Path("x"))
     assert view.azimuth_deg == pytest.approx(90.0)
     assert view.altitude_deg == pytest.approx(0.0)
 
 
+@pytest.mark.contract
 def test_a_merged_fisheye_faces_its_heading_and_keeps_its_sun(tmp_path: Path) -> None:
     path = tmp_path / "f.exr"
     pixels = np.full((200, 200), 100.0, np.float32)
@@ -146,6 +154,7 @@ def test_a_merged_fisheye_faces_its_heading_and_keeps_its_sun(tmp_path: Path) ->
     assert answer["views"][0]["ev_lx"] == pytest.approx(100 * np.pi + 3e4 * cosine, rel=0.01)
 
 
+@pytest.mark.contract
 def test_directions_that_no_lens_saw_are_said(tmp_path: Path, maps: np.ndarray) -> None:
     path = tmp_path / "p.exr"
     flags = np.zeros(maps.shape, np.uint16)
@@ -162,6 +171,7 @@ def test_directions_that_no_lens_saw_are_said(tmp_path: Path, maps: np.ndarray) 
 # contrast
 
 
+@pytest.mark.analytic
 def test_rammg_of_one_step() -> None:
     # analytic: an edge in the middle of the full-size level; the neighbours across it weigh 1 + 2 /
     # sqrt(2).
@@ -174,6 +184,7 @@ def test_rammg_of_one_step() -> None:
     assert contrast_levels(image)[0] == pytest.approx(10 * share * 2 * 18 / 800)
 
 
+@pytest.mark.property
 def test_rammg_scales_with_luminance_and_lightness_does_not(maps: np.ndarray) -> None:
     assert rammg(7 * maps) == pytest.approx(7 * rammg(maps))
     assert rammg_lightness(7 * maps) == pytest.approx(rammg_lightness(maps))
@@ -182,6 +193,7 @@ def test_rammg_scales_with_luminance_and_lightness_does_not(maps: np.ndarray) ->
     )  # CIE: L* 50 at Y 18.42
 
 
+@pytest.mark.analytic
 def test_regions() -> None:
     flat = ViewRegions(90, 180, 180.0, np.array([180.0, 0.0])).ratios(
         np.full((1, 90, 180), 50.0, np.float32)
@@ -195,6 +207,7 @@ def test_regions() -> None:
 # command
 
 
+@pytest.mark.contract
 def test_the_command_speaks_json_lines_and_a_table(
     panorama: Path, tmp_path: Path, maps: np.ndarray
 ) -> None:
@@ -209,6 +222,7 @@ def test_the_command_speaks_json_lines_and_a_table(
     assert "180.0°" in shown.stdout
 
 
+@pytest.mark.contract
 def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> None:
     path = _fisheye(tmp_path / "f.hdr", maps, "")
     done = CliRunner().invoke(main, ["glare", str(path)])
@@ -225,10 +239,11 @@ def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> N
     assert CliRunner().invoke(main, ["glare", str(path), "--view-azimuth", "nan"]).exit_code == 2
 
 
+@pytest.mark.contract
 def test_a_view_without_a_direction_says_that_north_is_a_guess(
     tmp_path: Path, maps: np.ndarray
 ) -> None:
-    """Contract: a fisheye of a hand-written VIEW is right in its glare, and must not seem to
+    """A fisheye of a hand-written VIEW is right in its glare, and must not seem to
     know where it looks.
     """
     told = picture_glare(_fisheye(tmp_path / "a.hdr", maps))

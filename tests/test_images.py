@@ -40,6 +40,7 @@ def _panorama(seed: int = 0) -> Panorama:
     )
 
 
+@pytest.mark.property
 def test_exr_round_trip_keeps_every_bit(tmp_path: Path) -> None:
     made = _panorama()
     write_panorama(tmp_path / "a.exr", made)
@@ -55,16 +56,16 @@ def test_exr_round_trip_keeps_every_bit(tmp_path: Path) -> None:
     assert found.sun == made.sun
 
 
+@pytest.mark.analytic
 def test_exr_holds_the_sun_where_half_floats_overflow(tmp_path: Path) -> None:
     write_panorama(tmp_path / "a.exr", Panorama(np.full(SHAPE, 1.6e9, np.float32), 180.0))
     assert read_panorama(tmp_path / "a.exr").luminance_cdm2.max() == np.float32(1.6e9)
 
 
+@pytest.mark.property
 @IN_A_FOLDER
 @given(arrays(np.float32, SHAPE, elements=st.floats(2.0**-6, 2.0**30, width=32)))
-def test_property_hdr_round_trip_is_within_half_a_step(
-    tmp_path: Path, luminance: np.ndarray
-) -> None:
+def test_hdr_round_trip_is_within_half_a_step(tmp_path: Path, luminance: np.ndarray) -> None:
     """RGBE has 8 bits of mantissa in [128, 256): at most 0.5 / 128 off."""
     write_radiance_hdr(tmp_path / "a.hdr", luminance, heading_deg=90.0)
     found = read_panorama(tmp_path / "a.hdr")
@@ -72,7 +73,8 @@ def test_property_hdr_round_trip_is_within_half_a_step(
     np.testing.assert_allclose(found.luminance_cdm2, luminance, rtol=0.5 / 128)
 
 
-def test_authority_radiance_reads_what_we_write(tmp_path: Path) -> None:
+@pytest.mark.authority
+def test_radiance_reads_what_we_write(tmp_path: Path) -> None:
     """Radiance's own pvalue on our file; it prints W/sr/m2 per channel with three digits."""
     from pyradiance.anci import BINPATH
 
@@ -86,6 +88,7 @@ def test_authority_radiance_reads_what_we_write(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.analytic
 def test_exposure_lines_multiply_and_are_undone(tmp_path: Path) -> None:
     write_radiance_hdr(
         tmp_path / "a.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=2", "EXPOSURE=.5")
@@ -99,6 +102,7 @@ def test_exposure_lines_multiply_and_are_undone(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.authority
 def test_run_length_pictures_are_read(tmp_path: Path) -> None:
     """A scanline of one repeated run a channel, as Radiance's own tools write it."""
     row = b"\x02\x02\x00\x10" + b"".join(bytes((128 + 16, value)) for value in (128, 64, 32, 129))
@@ -108,11 +112,12 @@ def test_run_length_pictures_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[1, 3], np.array([128.5, 64.5, 32.5]) / 128.0)
 
 
+@pytest.mark.property
 @IN_A_FOLDER
 @given(st.integers(0, 2000), st.integers(0, 255), st.booleans())
 @example(124, 249, False)  # an exponent that overflows single precision
 @example(392, 1, False)  # the type of the attribute sun is no "string" any more
-def test_property_a_damaged_picture_gives_a_picture_or_one_line(
+def test_a_damaged_picture_gives_a_picture_or_one_line(
     tmp_path: Path, at: int, value: int, cut: bool
 ) -> None:
     write_radiance_hdr(tmp_path / "a.hdr", _panorama().luminance_cdm2, heading_deg=180.0)
@@ -130,6 +135,7 @@ def test_property_a_damaged_picture_gives_a_picture_or_one_line(
             assert "\n" not in str(error)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("name", ["missing.exr", "text.exr", "text.hdr"])
 def test_what_is_no_picture_is_refused_by_name(tmp_path: Path, name: str) -> None:
     if not name.startswith("missing"):
@@ -138,11 +144,13 @@ def test_what_is_no_picture_is_refused_by_name(tmp_path: Path, name: str) -> Non
         read_panorama(tmp_path / name)
 
 
+@pytest.mark.contract
 def test_a_picture_that_is_not_twice_as_wide_as_high_is_no_panorama(tmp_path: Path) -> None:
     write_radiance_hdr(tmp_path / "a.hdr", np.ones((16, 16)))
     with pytest.raises(InputError, match="twice as wide"):
         read_panorama(tmp_path / "a.hdr")
 
 
+@pytest.mark.analytic
 def test_encoding_keeps_black_black() -> None:
     assert not encode_rgbe(np.zeros((2, 2, 3))).any()

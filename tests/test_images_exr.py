@@ -29,6 +29,7 @@ def _rgb(kind: type = np.float32) -> np.ndarray:
     return np.random.default_rng(3).uniform(1.0, 900.0, (*SHAPE, 3)).astype(kind)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("kind", [np.float16, np.float32])
 @pytest.mark.parametrize("alpha", [False, True])
 def test_rgb_and_rgba_of_half_and_float(tmp_path: Path, kind: type, alpha: bool) -> None:
@@ -43,6 +44,7 @@ def test_rgb_and_rgba_of_half_and_float(tmp_path: Path, kind: type, alpha: bool)
     assert picture.attributes["note"] == NO_UNIT
 
 
+@pytest.mark.authority
 def test_chromaticities_and_white_luminance_set_the_unit(tmp_path: Path) -> None:
     rgb = _rgb()
     radiance = (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 1 / 3, 1 / 3)
@@ -54,6 +56,7 @@ def test_chromaticities_and_white_luminance_set_the_unit(tmp_path: Path) -> None
     assert "note" not in picture.attributes
 
 
+@pytest.mark.contract
 def test_tiles_and_the_only_layer_are_read(tmp_path: Path) -> None:
     rgb = _rgb()
     channels = {f"beauty.{c}": np.ascontiguousarray(rgb[..., i]) for i, c in enumerate("RGB")}
@@ -64,6 +67,7 @@ def test_tiles_and_the_only_layer_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_exr(path)[0].luminance_cdm2, rgb @ REC709, rtol=2e-4)
 
 
+@pytest.mark.contract
 def test_two_layers_are_refused_with_their_names(tmp_path: Path) -> None:
     plane = np.ones(SHAPE, np.float32)
     channels = {f"{layer}.{c}": plane for layer in ("sun", "sky") for c in "RGB"}
@@ -71,8 +75,9 @@ def test_two_layers_are_refused_with_their_names(tmp_path: Path) -> None:
         read_exr(_write(tmp_path / "a.exr", channels))
 
 
+@pytest.mark.contract
 def test_a_crop_stands_in_its_display_window(tmp_path: Path) -> None:
-    """Contract: what the file does not hold is outside the lens, never black."""
+    """What the file does not hold is outside the lens, never black."""
     window = (np.array([0, 0], np.int32), np.array([19, 9], np.int32))
     data = (np.array([5, 2], np.int32), np.array([5 + 8, 2 + 5], np.int32))
     path = _write(
@@ -89,6 +94,7 @@ def test_a_crop_stands_in_its_display_window(tmp_path: Path) -> None:
     assert (picture.luminance_cdm2[inside] == 3.0).all()
 
 
+@pytest.mark.contract
 def test_a_picture_that_claims_too_many_pixels_is_refused_before_decoding(tmp_path: Path) -> None:
     path = _write(tmp_path / "a.exr", {"Y": np.ones(SHAPE, np.float32)})
     data = path.read_bytes()

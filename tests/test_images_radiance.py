@@ -74,13 +74,14 @@ def _pvalue(path: Path) -> np.ndarray:
     return out
 
 
+@pytest.mark.property
 @settings(
     deadline=None,
     max_examples=40,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(steps=st.lists(st.sampled_from(STEPS), max_size=4))
-def test_property_any_radiance_pipeline_gives_the_values_of_pvalue(
+def test_any_radiance_pipeline_gives_the_values_of_pvalue(
     tmp_path: Path, rendering: bytes, steps: list[tuple[str, ...]]
 ) -> None:
     picture = rendering
@@ -107,6 +108,7 @@ def test_property_any_radiance_pipeline_gives_the_values_of_pvalue(
     )
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize("first", ["-Y", "+Y", "-X", "+X"])
 @pytest.mark.parametrize("second", ["-", "+"])
 def test_all_eight_orientations_give_the_same_picture(
@@ -128,9 +130,8 @@ def test_all_eight_orientations_give_the_same_picture(
     np.testing.assert_allclose(found, truth, rtol=0.004)
 
 
-def test_authority_xyze_and_other_primaries_keep_their_luminance(
-    tmp_path: Path, rendering: bytes
-) -> None:
+@pytest.mark.authority
+def test_xyze_and_other_primaries_keep_their_luminance(tmp_path: Path, rendering: bytes) -> None:
     """ra_xyze between colour spaces: the luminance of each pixel stays, to RGBE's steps."""
     plain = tmp_path / "plain.hdr"
     plain.write_bytes(rendering)
@@ -143,6 +144,7 @@ def test_authority_xyze_and_other_primaries_keep_their_luminance(
         np.testing.assert_allclose(read_radiance_hdr(path).luminance_cdm2, truth, rtol=0.02)
 
 
+@pytest.mark.authority
 def test_old_run_length_coding_is_read(tmp_path: Path) -> None:
     """A pixel, then 1 1 1 n: n more of it, with the count's high byte in the next run."""
     head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 300\n"
@@ -153,6 +155,7 @@ def test_old_run_length_coding_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[0, 299], np.array([128.5, 64.5, 32.5]) / 128.0)
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(
     "head",
     [
@@ -173,6 +176,7 @@ def test_headers_of_other_programs(tmp_path: Path, head: str) -> None:
     np.testing.assert_allclose(found, 7.0 * 179.0, rtol=0.004)
 
 
+@pytest.mark.authority
 def test_opencv_and_imageio_files_are_read(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     truth = np.random.default_rng(1).lognormal(0, 2, (20, 30, 3)).astype(np.float32)
@@ -182,6 +186,7 @@ def test_opencv_and_imageio_files_are_read(tmp_path: Path) -> None:
     assert error.max() < 1 / 128  # RGBE: one step of the largest channel
 
 
+@pytest.mark.contract
 def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) -> None:
     own, inherited = "VIEW= -vta -vh 180 -vv 180", "\tVIEW= -vth -vh 180 -vv 180"
     path = tmp_path / "a.hdr"
@@ -195,6 +200,7 @@ def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) ->
     assert read_radiance_header(path).view == ""
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("lines", "size", "stated"),
     [

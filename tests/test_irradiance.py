@@ -34,13 +34,15 @@ def at(
     return IrradianceSample(NOON + timedelta(seconds=seconds), ghi, dhi, dni)
 
 
-def test_direct_follows_from_global_and_diffuse() -> None:  # analytic
+@pytest.mark.analytic
+def test_direct_follows_from_global_and_diffuse() -> None:
     series = checked([at(0, 800.0, 150.0), at(5, 801.0, 150.0)])
     altitude = sun.position([NOON], SEATTLE).altitude_deg[0]
     assert series.dni_wm2[0] == pytest.approx(650.0 / np.sin(np.radians(altitude)), rel=1e-3)
 
 
-def test_diffuse_and_global_follow_where_they_are_missing() -> None:  # analytic
+@pytest.mark.analytic
+def test_diffuse_and_global_follow_where_they_are_missing() -> None:
     altitude = sun.position([NOON], SEATTLE).altitude_deg[0]
     beam = 700.0 * np.sin(np.radians(altitude))
     series = checked([at(0, 800.0, None, 700.0), at(5, None, 150.0, 700.0)])
@@ -48,6 +50,7 @@ def test_diffuse_and_global_follow_where_they_are_missing() -> None:  # analytic
     assert series.ghi_wm2[1] == pytest.approx(150.0 + beam, rel=1e-3)
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(
     ("sample", "mark"),
     [
@@ -66,6 +69,7 @@ def test_what_cannot_be_is_marked(sample: IrradianceSample, mark: Mark) -> None:
         assert np.isnan([series.ghi_wm2[0], series.dhi_wm2[0], series.dni_wm2[0]]).all()
 
 
+@pytest.mark.analytic
 def test_a_reading_that_never_changes_is_dead() -> None:
     dead = [at(5.0 * i, 412.3, 100.0) for i in range(200)]
     alive = [at(2000 + 5.0 * i, 412.4 + 0.1 * (i % 2), 100.0) for i in range(200)]
@@ -73,7 +77,8 @@ def test_a_reading_that_never_changes_is_dead() -> None:
     assert (series.marks[:200] & Mark.STUCK).all() and not (series.marks[200:] & Mark.STUCK).any()
 
 
-def test_analytic_a_clear_noon_in_whole_watts_is_not_dead() -> None:
+@pytest.mark.analytic
+def test_a_clear_noon_in_whole_watts_is_not_dead() -> None:
     """It stood still for 19 minutes, which were blanked; an hour of one figure, or of none, is
     dead all the same.
     """
@@ -98,6 +103,7 @@ def test_analytic_a_clear_noon_in_whole_watts_is_not_dead() -> None:
         )
 
 
+@pytest.mark.analytic
 def test_gaps_and_disorder_are_marked() -> None:
     series = checked(
         [at(0, 500.0, 100.0), at(10, 500.1, 100.0), at(5, 500.2, 100.0), at(300, 501.0, 100.0)]
@@ -107,12 +113,13 @@ def test_gaps_and_disorder_are_marked() -> None:
     assert [bool(m & Mark.GAP) for m in series.marks] == [False, False, False, True]
 
 
+@pytest.mark.property
 @given(
     st.lists(st.floats(-50, 3000), min_size=1, max_size=60),
     st.lists(st.integers(0, 86400), min_size=1, max_size=60),
 )
 @settings(deadline=None, max_examples=40)
-def test_checks_take_any_figures(values: list[float], seconds: list[int]) -> None:  # property
+def test_checks_take_any_figures(values: list[float], seconds: list[int]) -> None:
     series = checked([at(s, v, 0.3 * v) for v, s in zip(values, seconds, strict=False)])
     assert np.all(np.diff(series.t_unix_s) > 0)
     good = np.isfinite(series.ghi_wm2)
@@ -125,6 +132,7 @@ def _steady(rows: int = 400, every_s: float = 5.0) -> tuple[np.ndarray, np.ndarr
     return t, 800.0 + 0.5 * np.sin(np.arange(rows))
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("damage", [80.0, 8124.0, 760.0, 900.0])
 def test_a_lone_reading_unlike_both_neighbours_is_flagged(damage: float) -> None:
     t, value = _steady()
@@ -132,6 +140,7 @@ def test_a_lone_reading_unlike_both_neighbours_is_flagged(damage: float) -> None
     assert list(np.flatnonzero(irradiance.spikes(t, value))) == [20, 26]
 
 
+@pytest.mark.analytic
 def test_what_is_no_spike() -> None:
     t, value = _steady()
     value[30:] -= 500.0  # a cloud comes
@@ -145,15 +154,17 @@ def test_what_is_no_spike() -> None:
     assert not irradiance.spikes(_steady()[0], value).any()
 
 
+@pytest.mark.property
 @given(st.lists(st.one_of(st.floats(-50, 3000), st.just(np.nan)), min_size=243, max_size=260))
 @settings(deadline=None, max_examples=20)
-def test_spikes_take_any_figures(values: list[float]) -> None:  # property
+def test_spikes_take_any_figures(values: list[float]) -> None:
     found = irradiance.spikes(
         np.linspace(0.0, 5.0 * len(values), len(values)), np.array(values, float)
     )
     assert len(found) == len(values) and not found[np.isnan(np.array(values, float))].any()
 
 
+@pytest.mark.analytic
 def test_a_spike_is_flagged_and_kept() -> None:
     samples = [at(5.0 * i, 800.0 + 0.1 * (i % 5), 150.0 + 0.1 * (i % 7)) for i in range(300)]
     samples[30] = at(150, 800.0, 15.0)  # a digit of the diffuse lost
@@ -161,6 +172,7 @@ def test_a_spike_is_flagged_and_kept() -> None:
     assert list(np.flatnonzero(series.marks & Mark.SPIKE)) == [30] and series.dhi_wm2[30] == 15.0
 
 
+@pytest.mark.property
 @pytest.mark.numeric
 def test_clean_csv_is_written_in_blocks_alike(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -172,7 +184,8 @@ def test_clean_csv_is_written_in_blocks_alike(
     assert (tmp_path / "blocks.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
-def test_minute_means_keep_neighbours_apart() -> None:  # analytic
+@pytest.mark.analytic
+def test_minute_means_keep_neighbours_apart() -> None:
     t = np.array([0.0, 30.0, 60.0, 7200.0, 7230.0])
     centres, means, row = minute_means(t, np.array([1.0, 3.0, 5.0, 7.0, 9.0]))
     assert list(centres) == [30.0, 90.0, 150.0, 7230.0]
@@ -180,6 +193,7 @@ def test_minute_means_keep_neighbours_apart() -> None:  # analytic
     assert list(row) == [0, 0, 1, 3, 3]
 
 
+@pytest.mark.authority
 def test_lone_global_is_decomposed_and_says_so() -> None:
     # Authority: pvlib's own clear sky. DIRINT's stated 1-min error is 92 W/m2 RMSE (research: BSRN
     # Payerne).
@@ -198,6 +212,7 @@ def test_lone_global_is_decomposed_and_says_so() -> None:
     np.testing.assert_allclose(found.dhi_wm2 + beam, found.ghi_wm2, rtol=1e-6)
 
 
+@pytest.mark.analytic
 def test_night_offset_is_told_and_not_subtracted() -> None:
     night = datetime(2027, 6, 21, 8, tzinfo=UTC)
     series = series_of(
@@ -229,17 +244,17 @@ def logged(site: Site, first: datetime, days: int, seed: int = 0) -> tuple[np.nd
     return t, through * sun.clearsky(times, site).ghi_wm2 - 1.5
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("site", [SEATTLE, SYDNEY], ids=lambda site: site.name)
 @pytest.mark.parametrize("month", [3, 6, 12])
 @pytest.mark.parametrize("off_h", [0.0, 1.0, -8.0, 11.0])
-def test_the_light_tells_how_far_a_clock_is_off(
-    site: Site, month: int, off_h: float
-) -> None:  # analytic
+def test_the_light_tells_how_far_a_clock_is_off(site: Site, month: int, off_h: float) -> None:
     t, ghi = logged(site, datetime(2027, month, 18, tzinfo=UTC), 3, seed=month)
     off = light_clock.clock_off_s(t + 3600.0 * off_h, ghi, site)
     assert off == pytest.approx(3600.0 * off_h, abs=0.6 * light_clock.CLOCK_WARN_S)
 
 
+@pytest.mark.analytic
 def test_a_clock_is_judged_by_whole_days_alone() -> None:
     t, ghi = logged(SEATTLE, datetime(2027, 6, 18, tzinfo=UTC), 3)
     around_slots = t % 3600.0 == 1800.0
@@ -251,6 +266,7 @@ def test_a_clock_is_judged_by_whole_days_alone() -> None:
     )  # midnight sun: clouds make the dark
 
 
+@pytest.mark.analytic
 def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
     made = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 60.0, 180.0, ())], {})
     log = DayFiles(made, flush=False)
@@ -264,6 +280,7 @@ def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
     assert irradiance.run(made) == told
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("after", [3, 7])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_clock_set_within_the_log_is_told_with_its_day(after: int, seed: int) -> None:
@@ -280,6 +297,7 @@ def test_a_clock_set_within_the_log_is_told_with_its_day(after: int, seed: int) 
     assert light_clock.clock_set_s(t[:1000], ghi[:1000], SEATTLE) is None  # three days
 
 
+@pytest.mark.analytic
 def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> None:
     """DIRINT gave no direct at all there: 700 W/m2 of a high sun, all of them diffuse, and
     nothing said so.
@@ -295,6 +313,7 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
     )
 
 
+@pytest.mark.analytic
 def test_a_slower_logger_on_other_days_is_no_gap() -> None:
     slow = [at(60.0 * i - 86400.0, 700.0 + i % 7, 150.0) for i in range(60) if i not in (30, 31)]
     fast = [at(5.0 * i, 700.0 + i % 7, 150.0) for i in range(900)]
@@ -302,6 +321,7 @@ def test_a_slower_logger_on_other_days_is_no_gap() -> None:
     assert np.flatnonzero(found.marks & Mark.GAP).tolist() == [30, 58]
 
 
+@pytest.mark.analytic
 def test_rows_of_one_moment_that_differ_are_marked() -> None:
     twice = [
         at(0, 800.0, 150.0),
@@ -315,6 +335,7 @@ def test_rows_of_one_moment_that_differ_are_marked() -> None:
     assert [bool(mark & Mark.DOUBLE) for mark in found.marks] == [False, False, True]
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(
     ("ghi", "dhi", "said"),
     [
@@ -330,6 +351,7 @@ def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, sa
     assert any(said in text for text in health(series, found, altitude, top, 0, SEATTLE).warnings)
 
 
+@pytest.mark.analytic
 def test_a_night_offset_that_blanks_the_nights_is_told() -> None:
     night = datetime(2027, 6, 21, 8, tzinfo=UTC)
     series = series_of(
@@ -350,6 +372,7 @@ def session(tmp_path: Path) -> Session:
     return made
 
 
+@pytest.mark.contract
 def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     told = irradiance.run(session)
     clean = session.irradiance / "clean.csv"
@@ -369,6 +392,7 @@ def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     assert irradiance.run(session).rows == 101
 
 
+@pytest.mark.analytic
 def test_broken_lines_are_counted(session: Session) -> None:
     path = next(session.irradiance.glob("2027*.csv"))
     lines = path.read_bytes().splitlines(keepends=True)
@@ -378,6 +402,7 @@ def test_broken_lines_are_counted(session: Session) -> None:
     assert (told.rows, told.broken_lines) == (99, 1) and "broken lines" in told.warnings[0]
 
 
+@pytest.mark.contract
 def test_nothing_logged_is_not_enough(tmp_path: Path) -> None:
     made = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 60.0, 180.0, ())], {})
     with pytest.raises(NotEnoughDataError, match="no irradiance"):

@@ -37,7 +37,8 @@ LIGHT = some_light()
 KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown(), around=0.5)]
 
 
-def test_analytic_light_divides_into_sky_and_sun() -> None:
+@pytest.mark.analytic
+def test_light_divides_into_sky_and_sun() -> None:
     assert LIGHT.sky_cdm2.shape == (40, 2305)
     # The patch sum is the Perez diffuse illuminance but for the quadrature of 145 against 2305
     # points, and the blend of the lowest band into the ground.
@@ -45,7 +46,8 @@ def test_analytic_light_divides_into_sky_and_sun() -> None:
     assert np.allclose(LIGHT.total_lx, LIGHT.diffuse_lx + LIGHT.direct_lx)
 
 
-def test_property_features_do_not_change_with_brightness() -> None:
+@pytest.mark.property
+def test_features_do_not_change_with_brightness() -> None:
     for once, twice in zip(*(_parts(light) for light in (LIGHT, LIGHT.scaled(2.0))), strict=True):
         assert np.allclose(once, twice, rtol=1e-5)
 
@@ -55,8 +57,9 @@ def _parts(light: Light) -> list[np.ndarray]:
     return [f.sky, f.beam, f.direction]
 
 
+@pytest.mark.property
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_property_kernel_is_a_covariance(kernel: Kernel) -> None:
+def test_kernel_is_a_covariance(kernel: Kernel) -> None:
     f = light_features(LIGHT)
     k = kernel(f, f)
     assert np.allclose(k, k.T, atol=1e-5)
@@ -64,7 +67,8 @@ def test_property_kernel_is_a_covariance(kernel: Kernel) -> None:
     assert np.allclose(np.diagonal(k), kernel.diagonal(f), rtol=1e-4)
 
 
-def test_property_kernel_with_patch_is_a_covariance() -> None:
+@pytest.mark.property
+def test_kernel_with_patch_is_a_covariance() -> None:
     from dataclasses import replace
 
     rng = np.random.default_rng(3)
@@ -80,7 +84,8 @@ def test_property_kernel_with_patch_is_a_covariance() -> None:
     assert np.allclose(kernel(f[:5], f), k[:5], atol=1e-5)
 
 
-def test_analytic_facades_follow_the_room() -> None:
+@pytest.mark.analytic
+def test_facades_follow_the_room() -> None:
     room = Room(
         wall_azimuth_deg=200, window=(Window("south", 1, 3, 1, 2), Window("west", 1, 3, 1, 1))
     )
@@ -91,7 +96,8 @@ def test_analytic_facades_follow_the_room() -> None:
     assert np.allclose(Facades(np.array([90.0]), np.ones(1)).normals, [[1, 0, 0]], atol=1e-12)
 
 
-def test_analytic_sun_behind_the_facade_teaches_little() -> None:
+@pytest.mark.analytic
+def test_sun_behind_the_facade_teaches_little() -> None:
     f = light_features(
         light_at(
             [datetime(2027, 6, 21, 13, 0, tzinfo=UTC)],
@@ -111,7 +117,8 @@ def f_azimuth(f: object) -> float:
     return float(np.degrees(np.arctan2(x, y)))
 
 
-def test_property_greedy_equals_brute_force() -> None:
+@pytest.mark.property
+def test_greedy_equals_brute_force() -> None:
     f = light_features(LIGHT)
     kernel, noise = KERNELS[0], 3e-3
     chosen = greedy_hours(kernel, f, f[:15], 4, noise=noise)
@@ -134,7 +141,8 @@ def test_property_greedy_equals_brute_force() -> None:
         taken.append(int(chosen.index[k]))
 
 
-def test_property_greedy_goes_on_from_what_is_taken() -> None:
+@pytest.mark.property
+def test_greedy_goes_on_from_what_is_taken() -> None:
     f = light_features(LIGHT)
     once = greedy_hours(KERNELS[0], f, f, 8)
     again = greedy_hours(KERNELS[0], f, f, 4, taken=f[once.index[:4]])
@@ -142,9 +150,10 @@ def test_property_greedy_goes_on_from_what_is_taken() -> None:
     assert len(set(once.index.tolist())) == 8
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=10)
 @given(st.integers(1, 40), st.integers(0, 1000))
-def test_property_greedy_never_repeats_and_never_worsens(count: int, seed: int) -> None:
+def test_greedy_never_repeats_and_never_worsens(count: int, seed: int) -> None:
     f = light_features(LIGHT)
     rng = np.random.default_rng(seed)
     chosen = greedy_hours(KERNELS[1], f, f, count, weights=rng.uniform(0.1, 1, len(f)))
@@ -152,7 +161,8 @@ def test_property_greedy_never_repeats_and_never_worsens(count: int, seed: int) 
     assert np.all(np.diff(chosen.variance) <= 1e-9)
 
 
-def test_contract_index_by_slice_mask_and_list_agree() -> None:
+@pytest.mark.contract
+def test_index_by_slice_mask_and_list_agree() -> None:
     a, b, c = LIGHT[2:5], LIGHT[[2, 3, 4]], LIGHT[np.isin(np.arange(40), [2, 3, 4])]
     assert a.t_utc == b.t_utc == c.t_utc
     assert np.array_equal(a.sky_cdm2, b.sky_cdm2) and np.array_equal(b.dni_wm2, c.dni_wm2)

@@ -71,6 +71,7 @@ def merged(signals: list[RawSignal], shape: tuple[int, ...]) -> Merged:
 STEPS = (100.0, 25.0, 6.25, 1.5625)
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("light", [0.02, 1.0, 50.0, 2000.0])
 def test_merge_is_unbiased_and_says_how_sure_it_is(light: float) -> None:
     # analytic: research section 8; the full table is bench/merge_estimator.py
@@ -83,9 +84,10 @@ def test_merge_is_unbiased_and_says_how_sure_it_is(light: float) -> None:
     assert 0.93 < np.mean(np.abs(error) < 1.96 * u) < 0.97
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=15)
 @given(st.floats(0.05, 20.0), st.integers(0, 2**31))
-def test_scaling_all_exposures_scales_the_luminance(factor: float, seed: int) -> None:  # property
+def test_scaling_all_exposures_scales_the_luminance(factor: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = np.exp(rng.uniform(0, 6, (4, 2, 8)))
     frames = [expose(scene, e, rng) for e in STEPS]
@@ -95,7 +97,8 @@ def test_scaling_all_exposures_scales_the_luminance(factor: float, seed: int) ->
     assert np.array_equal(a.flags, b.flags)
 
 
-def test_what_saturates_everywhere_is_a_flagged_lower_bound() -> None:  # analytic
+@pytest.mark.analytic
+def test_what_saturates_everywhere_is_a_flagged_lower_bound() -> None:
     light = np.full((10, 2, 20), 100.0)
     light[4:6, :, 8:12] = 1e6
     m = merged([expose(light, e, np.random.default_rng(0)) for e in STEPS], light.shape)
@@ -111,7 +114,8 @@ def test_what_saturates_everywhere_is_a_flagged_lower_bound() -> None:  # analyt
     assert not m.flags[0].any()
 
 
-def test_frames_that_disagree_are_flagged_as_motion() -> None:  # analytic
+@pytest.mark.analytic
+def test_frames_that_disagree_are_flagged_as_motion() -> None:
     light = np.full((10, 2, 40), 100.0)
     moved = light.copy()
     moved[:, :, :10] = 150.0
@@ -122,9 +126,8 @@ def test_frames_that_disagree_are_flagged_as_motion() -> None:  # analytic
     assert flagged[:, :, :10].mean() > 0.95 and flagged[:, :, 10:].mean() < 0.01
 
 
-def test_negative_signals_are_kept() -> (
-    None
-):  # analytic: cutting them would bias the dark by some counts
+@pytest.mark.analytic
+def test_negative_signals_are_kept() -> None:  # cutting them would bias the dark by some counts
     dark = np.zeros((40, 2, 200))
     m = merged([expose(dark, e, np.random.default_rng(0)) for e in STEPS], dark.shape)
     assert (
@@ -133,9 +136,10 @@ def test_negative_signals_are_kept() -> (
     )
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=15)
 @given(st.lists(st.floats(0.2, 0.8), min_size=2, max_size=5))
-def test_jpeg_weights_follow_the_codes_limits(levels: list[float]) -> None:  # property
+def test_jpeg_weights_follow_the_codes_limits(levels: list[float]) -> None:
     table = np.repeat((np.arange(256, dtype=np.float32)[:, None] / 255) ** 2, 3, axis=1)
     frame = JpegSignal(
         np.zeros((1, 1, 3), np.uint8), table, np.ones(3, np.float32), 27, 228, False, False
@@ -240,6 +244,7 @@ def truth() -> np.ndarray:
     return sums[0] / sums[1]
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(
     ("name", "headings"),
     [
@@ -273,8 +278,9 @@ def test_known_luminance_comes_back(bracket, name: str, headings: tuple) -> None
     assert result.quality["residual_percent"] < 1.5 and result.verdict.startswith("good")
 
 
+@pytest.mark.property
 @pytest.mark.numeric
-def test_the_order_of_frames_does_not_matter(bracket) -> None:  # property
+def test_the_order_of_frames_does_not_matter(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", headings=(None,))
     a = merge(shots, profile).panorama
     b = merge(
@@ -284,13 +290,12 @@ def test_the_order_of_frames_does_not_matter(bracket) -> None:  # property
     assert np.array_equal(a.flags, b.flags)  # type: ignore[arg-type]
 
 
+@pytest.mark.property
 @pytest.mark.numeric
 @pytest.mark.parametrize(
     ("name", "headings"), [("sim-fisheye", (180.0,)), ("sim-dual-fisheye-jpeg", (None,))]
 )
-def test_frames_that_are_read_again_give_the_same(
-    bracket, name: str, headings: tuple
-) -> None:  # property
+def test_frames_that_are_read_again_give_the_same(bracket, name: str, headings: tuple) -> None:
     shots, profile = bracket(name, headings=headings)
     shots = sorted_shots(shots, profile)
     a, b = (merge_sensor(shots, profile, budget_bytes=n).merged for n in (600_000_000, 0))
@@ -298,7 +303,8 @@ def test_frames_that_are_read_again_give_the_same(
     assert np.array_equal(a.flags, b.flags)
 
 
-def test_a_turned_heading_turns_the_panorama(bracket) -> None:  # property: whole columns
+@pytest.mark.property
+def test_a_turned_heading_turns_the_panorama(bracket) -> None:  # whole columns
     shots, profile = bracket("sim-fisheye", headings=(180.0, 0.0))
     a = merge(shots, profile).panorama.luminance_cdm2
     turn = 360 / (2 * HEIGHT) * 7
@@ -306,6 +312,7 @@ def test_a_turned_heading_turns_the_panorama(bracket) -> None:  # property: whol
     assert np.roll(a, -7, axis=1) == pytest.approx(b, rel=2e-3)
 
 
+@pytest.mark.analytic
 def test_a_uniform_room_gives_pi_l(
     bracket,
 ) -> None:  # analytic, issue 3: within 0.05 % (and the camera's noise)
@@ -316,6 +323,7 @@ def test_a_uniform_room_gives_pi_l(
     )
 
 
+@pytest.mark.analytic
 def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     sun = SunSource(25.0, 190.0, 60_000.0)
     shots, profile = bracket("sim-dual-fisheye", sun=sun)
@@ -335,10 +343,11 @@ def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     )
 
 
+@pytest.mark.property
 @pytest.mark.parametrize("wide_px", [1.3, 3.0, 8.0])
 def test_a_small_disc_scatters_as_stated(
     wide_px: float,
-) -> None:  # property: over the places between the pixels
+) -> None:  # over the places between the pixels
     rng, size, fine, errors = np.random.default_rng(2), 2 * int(wide_px / 2 + 4), 8, []
     at = (np.arange(size * fine) + 0.5) / fine
     for x, y in size / 2 + rng.uniform(-1, 1, (150, 2)):
@@ -350,6 +359,7 @@ def test_a_small_disc_scatters_as_stated(
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(mosaic_u_rel(wide_px), rel=0.4)
 
 
+@pytest.mark.analytic
 def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", sun=SunSource(25.0, 190.0, 60_000.0))
     panorama = merge([s for s in shots if not s.exposure.nd], profile).panorama
@@ -362,6 +372,7 @@ def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:
     )
 
 
+@pytest.mark.analytic
 def test_bad_pixels_of_the_profile_are_not_used(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", uniform=200.0)
     plain = merge(shots, profile).panorama.luminance_cdm2
@@ -374,12 +385,14 @@ def test_bad_pixels_of_the_profile_are_not_used(bracket) -> None:
     assert mended == pytest.approx(plain, rel=0.02) and not np.array_equal(mended, plain)
 
 
+@pytest.mark.analytic
 def test_a_hidden_sun_is_left_alone(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", headings=(None,))
     panorama = merge(shots, profile).panorama
     assert take_out_disc(panorama, 25.0, 0.0).sun is None
 
 
+@pytest.mark.analytic
 def test_a_sun_behind_the_only_lens_takes_nothing_out_and_says_nothing() -> None:
     light = np.zeros((60, 120), np.float32)
     light[:, 30:90] = 500.0
@@ -391,7 +404,8 @@ def test_a_sun_behind_the_only_lens_takes_nothing_out_and_says_nothing() -> None
 # blending, bad frames
 
 
-def test_a_spoilt_lens_gives_way() -> None:  # analytic
+@pytest.mark.analytic
+def test_a_spoilt_lens_gives_way() -> None:
     def view(value: float, flags: int) -> LensView:
         one = np.ones(3)
         return LensView(
@@ -411,6 +425,7 @@ def test_a_spoilt_lens_gives_way() -> None:  # analytic
     assert spoilt.luminance == pytest.approx(20.0, rel=1e-4) and not spoilt.flags.any()
 
 
+@pytest.mark.contract
 def test_vignetting_of_another_aperture_is_refused() -> None:
     lens = Lens((1.0, 1.0), 1.0, 180.0, vignetting=(Vignetting(5.6, (1.0, 0.0, -0.3)),))
     assert vignetting_of(lens, 5.6)[0] == (1.0, 0.0, -0.3)
@@ -420,6 +435,7 @@ def test_vignetting_of_another_aperture_is_refused() -> None:
         vignetting_of(replace(lens, vignetting=(Vignetting(5.6, (1.0, 0.04)),)), 5.6)
 
 
+@pytest.mark.contract
 def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-dual-fisheye")
     path = tmp_path / "other.dng"

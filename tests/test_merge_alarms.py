@@ -16,6 +16,8 @@ from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.raw import write_dng
 from fieldlum.records import Exposure
 
+pytestmark = pytest.mark.analytic
+
 SIZE, BLACK, WHITE = 160, 512.0, 16383.0
 EXPOSURES = tuple(Exposure(t, 5.6) for t in (1.0, 1 / 4, 1 / 15, 1 / 60, 1 / 250))
 SENSOR = Sensor("GBRG", (BLACK,) * 4, (15800.0,) * 4, WHITE, 4.0, 6.0, 100.0)
@@ -40,7 +42,7 @@ PROFILE = CameraProfile(
         (1.0, 4.0),
     ],
 )
-def test_analytic_noise_of_about_one_count_is_no_more_than_said(
+def test_noise_of_about_one_count_is_no_more_than_said(
     tmp_path: Path, gain: float, read_e: float
 ) -> None:
     """Medians of whole numbers jump: a true profile with 1 DN of read noise was told 1.7 times

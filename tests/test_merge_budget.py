@@ -29,6 +29,7 @@ def bench() -> ModuleType:
     return module
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(("kind", "parts"), [("raw", ("random",)), ("jpeg", ("random",))])
 def test_noise_is_covered(bench: ModuleType, kind: str, parts: tuple[str, ...]) -> None:
     # authority: simulated cameras; the tables with every part are bench/merge_budget.py's
@@ -36,6 +37,7 @@ def test_noise_is_covered(bench: ModuleType, kind: str, parts: tuple[str, ...]) 
     assert 93 < bench.coverage(everything.pull) < 97.5
 
 
+@pytest.mark.property
 def test_the_whole_budget_is_covered(bench: ModuleType) -> None:
     parts = tuple(p for p in bench.PARTS if p != "response")
     everything, _ = bench.run(bench.Set("raw", parts), 25, 5)
@@ -55,14 +57,16 @@ def frame(per_cdm2: float) -> Sample:
     )
 
 
-def test_a_value_has_the_uncertainty_of_the_frames_that_read_it() -> None:  # analytic
+@pytest.mark.analytic
+def test_a_value_has_the_uncertainty_of_the_frames_that_read_it() -> None:
     curve = ratio_curve([frame(100.0), frame(1.0)], np.diag([0.003, 0.03]) ** 2)
     assert curve.at(np.array([5000.0, 1.0])) == pytest.approx([0.03, 0.003], rel=0.02)
     together = ratio_curve([frame(100.0), frame(1.0)], np.full((2, 2), 0.01**2), extra=0.01)
     assert together.u_rel == pytest.approx(np.sqrt(2) * 0.01)
 
 
-def test_frames_of_one_shutter_time_or_filter_err_together() -> None:  # analytic
+@pytest.mark.analytic
+def test_frames_of_one_shutter_time_or_filter_err_together() -> None:
     profile = CameraProfile(
         CameraBody("", "raw", 2, 2),
         (),
@@ -83,18 +87,20 @@ def test_frames_of_one_shutter_time_or_filter_err_together() -> None:  # analyti
     assert tied.u_log == pytest.approx([0.004, 0.004], rel=0.02)
 
 
+@pytest.mark.analytic
 def test_disagreement_counts_once() -> (
     None
-):  # analytic: 2 % apart, by a response that is 1.5 % uncertain: explained
+):  # 2 % apart, by a response that is 1.5 % uncertain: explained
     left = [Neighbours(0, 1, 2.0, 0.1, 999), Neighbours(1, 2, -2.0, 0.1, 999)]
     assert unexplained(left, 0.03) == 0.0
     assert unexplained(left, 0.0) == pytest.approx(1.4826 * 0.02 / np.sqrt(2), rel=0.01)
     assert unexplained([], 0.0) == 0.0
 
 
+@pytest.mark.analytic
 def test_a_turned_lens_keeps_its_one_curve() -> (
     None
-):  # analytic: two headings of one lens do not average its error
+):  # two headings of one lens do not average its error
     front, back = Lens((1.0, 1.0), 1.0, 180.0, name="a"), Lens((1.0, 1.0), 1.0, 180.0, name="b")
 
     def view(lens: Lens) -> LensView:

@@ -12,6 +12,8 @@ from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.raw import write_dng
 from fieldlum.records import Exposure, Flag
 
+pytestmark = pytest.mark.analytic
+
 SIDE = 96
 PROFILE = CameraProfile(
     CameraBody("small", "raw", SIDE, SIDE),

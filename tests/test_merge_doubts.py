@@ -84,7 +84,8 @@ def off(sensor: SensorMerge) -> np.ndarray:
     )
 
 
-def test_analytic_each_colour_is_full_where_it_is(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_each_colour_is_full_where_it_is(tmp_path: Path) -> None:
     """The file's tag and the profile say 16383, red stops at 14000: it read -0.5 % and 14 %
     "motion" before.
     """
@@ -97,7 +98,8 @@ def test_analytic_each_colour_is_full_where_it_is(tmp_path: Path) -> None:
     assert (found.merged.flags & Flag.MOTION > 0).mean() < 1e-3
 
 
-def test_analytic_an_iso_that_is_not_what_it_says(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_an_iso_that_is_not_what_it_says(tmp_path: Path) -> None:
     """ISO 400 collects 6 % less: found by the frames, for its u allows it."""
     exposures = (*EXPOSURES[:3], Exposure(1 / 60, 5.6, 400.0), *EXPOSURES[3:])
     c = exposure_covariance(exposures, PROFILE)
@@ -109,7 +111,8 @@ def test_analytic_an_iso_that_is_not_what_it_says(tmp_path: Path) -> None:
     assert not found.off.beyond_prior
 
 
-def test_analytic_light_that_changes_is_told_and_counted(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_light_that_changes_is_told_and_counted(tmp_path: Path) -> None:
     """Ten percent over the bracket: the ratio fit takes it up, so neighbours agree; "good"
     before.
     """
@@ -127,7 +130,8 @@ def test_analytic_light_that_changes_is_told_and_counted(tmp_path: Path) -> None
     assert result.quality["u_ratio_percent"] > 3 * steady.quality["u_ratio_percent"]
 
 
-def test_analytic_priors_that_are_contradicted_widen() -> None:
+@pytest.mark.analytic
+def test_priors_that_are_contradicted_widen() -> None:
     """Birge's ratio: corrections of -5 and +5 % where 0.3 % was expected leave the level unsure
     by percents.
     """
@@ -141,7 +145,8 @@ def test_analytic_priors_that_are_contradicted_widen() -> None:
     )  # chi2 2 (0.05 / 0.003)^2 of one freedom, halved by the pair
 
 
-def test_analytic_the_noise_of_pairs_is_no_disagreement() -> None:
+@pytest.mark.analytic
+def test_the_noise_of_pairs_is_no_disagreement() -> None:
     """Pairs that scatter by just their u say nothing of exposures: in the mean over draws
     nothing is left.
     """
@@ -155,7 +160,8 @@ def test_analytic_the_noise_of_pairs_is_no_disagreement() -> None:
     )  # what is left is the half of the draws that scatter more than usual
 
 
-def test_analytic_small_steps_add_up() -> None:
+@pytest.mark.analytic
+def test_small_steps_add_up() -> None:
     """Seven neighbours that agree within 2 % each, all to one side, lie 14 % apart."""
     pairs = [PairRatio(i, i + 1, 0.02, 0.001, 999) for i in range(7)]
     free = free_fit(pairs, 8)
@@ -169,7 +175,8 @@ def test_analytic_small_steps_add_up() -> None:
     )
 
 
-def test_analytic_noise_beyond_the_profile_is_no_motion(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_noise_beyond_the_profile_is_no_motion(tmp_path: Path) -> None:
     """Gain 1 e-/DN and 12 e- where the profile says 4 and 6: 93 % of the view was "motion"
     before.
     """
@@ -186,6 +193,7 @@ def test_analytic_noise_beyond_the_profile_is_no_motion(tmp_path: Path) -> None:
     assert (calm.noise.shot, calm.noise.read) == (1.0, 1.0)
 
 
+@pytest.mark.analytic
 def test_a_black_level_unlike_the_profiles_is_told(tmp_path: Path) -> None:
     result = merge_frames([s.path for s in take(tmp_path, black=BLACK + 3)], PROFILE, height=24)
     assert result.quality["black_off_dn"] == pytest.approx(3.0)
@@ -193,6 +201,7 @@ def test_a_black_level_unlike_the_profiles_is_told(tmp_path: Path) -> None:
     assert verdict({**result.quality, "black_off_dn": 0.5}).startswith("good")
 
 
+@pytest.mark.contract
 def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
     shots = take(tmp_path)
     with pytest.raises(InputError, match=r"0.dng: the same frame twice"):
@@ -201,6 +210,7 @@ def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
         sorted_shots([*shots[:2], replace(shots[2], exposure=Exposure(1 / 15, 8.0))], PROFILE)
 
 
+@pytest.mark.analytic
 def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
     from PIL import Image
 
@@ -238,8 +248,9 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("target", [Equirect(24), Fisheye(48, 180.0, PROFILE.lens[0].geometry)])
-def test_analytic_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> None:
+def test_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> None:
     height, width = target.shape
     seen = np.ones((height, width), bool)
     slope = np.broadcast_to(np.linspace(1.0, 500.0, width), (height, width))
@@ -258,7 +269,8 @@ def test_analytic_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> No
     )
 
 
-def test_analytic_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
     """A wall of 100 right beside a window of 5000 cd/m2 catches a part of it; its u was below 1
     % before.
     """

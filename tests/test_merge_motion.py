@@ -73,12 +73,11 @@ def both(lights: list[np.ndarray], seed: int = 0) -> tuple[Merged, Merged]:
     return kept, leave_out_moved(loaders, copy, u_ratio=0.003, over_picture=over_mosaic)[0]
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(
     ("column", "frame", "luminance"), [(70, 0, 2.0), (120, 2, 800.0), (150, 2, 5.0)]
 )
-def test_somebody_walks_through_one_frame(
-    column: float, frame: int, luminance: float
-) -> None:  # analytic
+def test_somebody_walks_through_one_frame(column: float, frame: int, luminance: float) -> None:
     light = room()
     seen, place = walker(light, column, luminance)
     kept, dropped = both([seen if i == frame else light for i in range(len(STEPS))])
@@ -102,9 +101,10 @@ def test_somebody_walks_through_one_frame(
     assert np.array_equal(dropped.variance[far], kept.variance[far])
 
 
+@pytest.mark.analytic
 def test_without_a_majority_nothing_is_left_out() -> (
     None
-):  # analytic: two frames see the dark, and contradict
+):  # two frames see the dark, and contradict
     dark = np.full(
         (240, 240), 0.05
     )  # 20, 5, 1.2 counts ...: from the third frame on all is read noise
@@ -114,19 +114,19 @@ def test_without_a_majority_nothing_is_left_out() -> (
     assert (dropped.flags.reshape(240, 240)[seen > 0.24] & Flag.MOTION).astype(bool).mean() > 0.9
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=5)
 @given(st.integers(0, 2**31), st.floats(0.1, 30.0))
 def test_a_still_room_keeps_every_value(
     seed: int, factor: float
-) -> None:  # property: changes by less than noise
+) -> None:  # changes by less than noise
     kept, dropped = both([room() * factor] * len(STEPS), seed)
     change = np.abs(dropped.value_cdm2 - kept.value_cdm2) / np.sqrt(kept.variance)
     assert np.mean(change > 0) < 1e-3 and change.max() < 5
 
 
-def test_an_unresolved_disagreement_widens_u() -> (
-    None
-):  # analytic: two frames 10 % apart, nobody to ask
+@pytest.mark.analytic
+def test_an_unresolved_disagreement_widens_u() -> None:  # two frames 10 % apart, nobody to ask
     lights = [np.full(SHAPE, 100.0), np.full(SHAPE, 110.0)]
     frames = [expose(light, 25.0, [0, i]) for i, light in enumerate(lights)]
     m = merge_signals([lambda f=f: f for f in frames], SHAPE)
@@ -137,7 +137,8 @@ def test_an_unresolved_disagreement_widens_u() -> (
     )  # half of what lies between them
 
 
-def test_saturated_frames_vote_for_what_is_bright() -> None:  # analytic
+@pytest.mark.analytic
+def test_saturated_frames_vote_for_what_is_bright() -> None:
     one = np.ones((4, 1), np.float32)
     value = np.array(
         [[50.0], [0.0], [0.0], [4000.0]], np.float32
@@ -156,7 +157,8 @@ def test_saturated_frames_vote_for_what_is_bright() -> None:  # analytic
     assert not vote(alone, 0.003).clear[0]
 
 
-def test_colours_of_a_jpeg_go_together() -> None:  # analytic
+@pytest.mark.analytic
+def test_colours_of_a_jpeg_go_together() -> None:
     table = np.repeat(srgb_table().astype(np.float32)[:, None], 3, axis=1)
     rng, light = np.random.default_rng(0), np.full((80, 80, 3), 0.3)
     moved = light.copy()
@@ -211,13 +213,15 @@ def jpeg_motion(folder: Path, dimmed: float, u_rel: float) -> float:
     return float(((flags[44:76, 54:71] & Flag.MOTION) > 0).mean())
 
 
-def test_what_the_response_may_get_wrong_is_no_motion(tmp_path: Path) -> None:  # analytic
+@pytest.mark.analytic
+def test_what_the_response_may_get_wrong_is_no_motion(tmp_path: Path) -> None:
     assert jpeg_motion(tmp_path, 0.75, 0.0) > 0.9
     assert jpeg_motion(tmp_path, 0.75, 0.1) == 0.0
     assert jpeg_motion(tmp_path, 0.2, 0.1) > 0.9
 
 
-def test_the_option_on_files(tmp_path: Path) -> None:  # contract
+@pytest.mark.contract
+def test_the_option_on_files(tmp_path: Path) -> None:
     camera = CameraProfile(
         CameraBody("small", "raw", 128, 128),
         (Lens((64.0, 64.0), 63.0, 180.0),),

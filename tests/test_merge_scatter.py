@@ -70,14 +70,16 @@ def in_blocks(rng: np.random.Generator, edge: int) -> list[NDArray[np.float64]]:
     return [rng.normal(size=size).repeat(edge, axis=0).repeat(edge, axis=1) for _ in EXPOSURES]
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("edge_px", [1.0, 4.2, 8.0])
 def test_independent_noise_stays_as_it_was(
     edge_px: float,
-) -> None:  # analytic: one code, as the signals say
+) -> None:  # one code, as the signals say
     assert scale(white(np.random.default_rng(1)), edge_px).mean() == pytest.approx(1.0, abs=0.1)
 
 
-def test_noise_that_is_alike_over_a_cell_counts_as_often_as_it_has_pixels() -> None:  # analytic
+@pytest.mark.analytic
+def test_noise_that_is_alike_over_a_cell_counts_as_often_as_it_has_pixels() -> None:
     rng = np.random.default_rng(2)
     known = 16 * 1.0 / (1.0 + 1 / 12)  # rounding is alike only where the picture is flat
     assert scale(in_blocks(rng, 4), 4.0).mean() == pytest.approx(known, rel=0.15)
@@ -88,16 +90,16 @@ def test_noise_that_is_alike_over_a_cell_counts_as_often_as_it_has_pixels() -> N
     )
 
 
+@pytest.mark.analytic
 def test_an_error_of_the_response_is_no_noise() -> (
     None
-):  # analytic: 2 % over the codes leave the figure as it was
+):  # 2 % over the codes leave the figure as it was
     noise = white(np.random.default_rng(3))
     assert scale(noise, 4.0, bent=0.02).mean() == pytest.approx(scale(noise, 4.0).mean(), rel=0.15)
 
 
-def test_noise_is_told_where_it_is() -> (
-    None
-):  # analytic: one half of the picture three times as noisy
+@pytest.mark.analytic
+def test_noise_is_told_where_it_is() -> None:  # one half of the picture three times as noisy
     noise = [
         n * np.where(np.arange(SIZE[1]) < 128, 1.0, 3.0)[:, None]
         for n in white(np.random.default_rng(4))
@@ -111,7 +113,8 @@ def test_noise_is_told_where_it_is() -> (
     assert found[:, 150:].mean() == pytest.approx(9.0, rel=0.15)
 
 
-def test_what_moved_keeps_its_variance_and_raises_its_surroundings_little() -> None:  # property
+@pytest.mark.property
+def test_what_moved_keeps_its_variance_and_raises_its_surroundings_little() -> None:
     noise = white(np.random.default_rng(5))
     noise[1][80:100, 100:120] += 60.0
     store = frames(noise)
@@ -127,15 +130,17 @@ def test_what_moved_keeps_its_variance_and_raises_its_surroundings_little() -> N
     )
 
 
-def test_frames_that_do_not_overlap_say_nothing() -> None:  # contract
+@pytest.mark.contract
+def test_frames_that_do_not_overlap_say_nothing() -> None:
     one = frames(white(np.random.default_rng(6)))
     alone = FrameStore([lambda: one[0]])
     before = merge_signals([lambda: alone[0]], (*SIZE, 3))
     assert np.array_equal(with_seen_noise(before, alone, Y, 4.0).variance, before.variance)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("dark", [slice(None), slice(0, 1)])
-def test_black_colours_are_no_trouble(dark: slice) -> None:  # contract
+def test_black_colours_are_no_trouble(dark: slice) -> None:
     store = frames(white(np.random.default_rng(8)))
     for i in range(len(store)):
         codes = store[i].codes  # type: ignore[attr-defined]
@@ -144,7 +149,8 @@ def test_black_colours_are_no_trouble(dark: slice) -> None:  # contract
     assert np.isfinite(after.variance).all() and (after.variance >= 0).all()
 
 
-def test_frames_that_are_read_again_give_the_same() -> None:  # property
+@pytest.mark.property
+def test_frames_that_are_read_again_give_the_same() -> None:
     kept = frames(white(np.random.default_rng(7)))
     again = FrameStore([lambda i=i: kept[i] for i in range(3)], budget_bytes=0)
     before = merged(kept)
@@ -152,8 +158,7 @@ def test_frames_that_are_read_again_give_the_same() -> None:  # property
     assert np.array_equal(a, b)
 
 
-def test_a_target_pixel_on_the_sensor() -> (
-    None
-):  # analytic: 100 px for 90 degrees, pixels of 9 degrees
+@pytest.mark.analytic
+def test_a_target_pixel_on_the_sensor() -> None:  # 100 px for 90 degrees, pixels of 9 degrees
     assert footprint_px(LensGeometry((0.0, 0.0), 100.0, 180.0), Equirect(20)) == pytest.approx(10.0)
     assert footprint_px(LensGeometry((0.0, 0.0), 100.0, 180.0), Equirect(2000)) == 1.0

@@ -84,8 +84,9 @@ def photograph(folder: Path, profile: CameraProfile, turn_px: float, of_frame: i
     ]
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("name", ["sim-fisheye", "sim-dual-fisheye-jpeg"])
-def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) -> None:  # analytic
+def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) -> None:
     profile = small_camera(name)
     shots = photograph(tmp_path, profile, 2.0, 5)
     result = merge_frames([s.path for s in shots], profile, height=16, shots=shots)
@@ -95,8 +96,9 @@ def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) 
     assert {"shift_px", "shift_u_px"} <= set(COLUMNS)
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("name", ["sim-fisheye", "sim-dual-fisheye-jpeg"])
-def test_a_camera_that_stood_still_is_not(tmp_path: Path, name: str) -> None:  # analytic
+def test_a_camera_that_stood_still_is_not(tmp_path: Path, name: str) -> None:
     profile = small_camera(name)
     shots = photograph(tmp_path, profile, 0.0, 5)
     result = merge_frames([s.path for s in shots], profile, height=16, shots=shots)
@@ -129,12 +131,13 @@ def _turned(
     return (gain * light * (1 + rng.normal(0, 0.01, light.shape))).astype(np.float32)
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(
     "vector_deg", [(0.0, 0.0, 1.5), (-0.8, 0.0, 0.0), (0.0, 2.0, 0.0), (6.0, -2.0, 5.0)]
 )
 def test_any_turn_is_found_through_the_lens(
     vector_deg: tuple[float, float, float],
-) -> None:  # analytic
+) -> None:
     rng = np.random.default_rng(0)
     pictures = [
         _turned((0.0, 0.0, 0.0), 1.0, rng),
@@ -148,7 +151,8 @@ def test_any_turn_is_found_through_the_lens(
     assert moved.sure_px > 0.8
 
 
-def test_an_empty_wall_tells_nothing() -> None:  # contract
+@pytest.mark.contract
+def test_an_empty_wall_tells_nothing() -> None:
     rng = np.random.default_rng(1)
     walls = [(100 * (1 + rng.normal(0, 0.002, (300, 300)))).astype(np.float32) for _ in range(2)]
     assert shifts([reduced(w, w > 0, 0.0) for w in walls], [LENS]) == []

@@ -100,6 +100,7 @@ def session(tmp_path: Path) -> Session:
     )
 
 
+@pytest.mark.contract
 def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     slots = [take(session, 0), take(session, 1, complete=False)]
     first = merge.run(session, height=16)
@@ -135,6 +136,7 @@ def test_two_workers_write_the_files_of_one(session: Session) -> None:
     assert [v.state for v in merge.run(session, height=20)] == ["merged", "merged"]
 
 
+@pytest.mark.contract
 def test_a_sun_on_few_pixels_says_how_well_it_is_known(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,6 +155,7 @@ def test_a_sun_on_few_pixels_says_how_well_it_is_known(
         assert side["sun"]["u_mosaic_percent"] == 50.0 and side["verdict"] == verdict.text
 
 
+@pytest.mark.contract
 def test_one_bad_bracket_stops_nothing(session: Session) -> None:
     slots = [take(session, 0), take(session, 1)]
     for name in ("0.dng", "1.dng"):
@@ -163,6 +166,7 @@ def test_one_bad_bracket_stops_nothing(session: Session) -> None:
     assert not (session.panoramas / f"{slots[0]}.exr").exists()
 
 
+@pytest.mark.contract
 def test_a_frame_that_cannot_be_read_costs_no_bracket(session: Session) -> None:
     """It is merged without it, says so each time, and is whole again once the frame is."""
     slot = take(session, 0)
@@ -184,11 +188,13 @@ def test_a_frame_that_cannot_be_read_costs_no_bracket(session: Session) -> None:
     assert merge.run(session, height=16)[0].text.startswith("good")
 
 
+@pytest.mark.contract
 def test_an_empty_session_has_nothing_to_merge(session: Session) -> None:
     with pytest.raises(NotEnoughDataError):
         merge.run(session)
 
 
+@pytest.mark.contract
 def test_a_folder_without_capture_json_is_read_by_exif(session: Session) -> None:
     slot = take(session, 0)
     (session.raw / slot / "capture.json").unlink()
@@ -196,6 +202,7 @@ def test_a_folder_without_capture_json_is_read_by_exif(session: Session) -> None
     assert read_panorama(session.panoramas / f"{slot}.exr").t_utc == START
 
 
+@pytest.mark.contract
 def test_the_survey_lists_every_bracket(session: Session) -> None:
     days = DayFiles(session)
     for second in range(31):
@@ -216,6 +223,7 @@ def test_the_survey_lists_every_bracket(session: Session) -> None:
     assert "1/125" in (session.panoramas / "shutter.csv").read_text()
 
 
+@pytest.mark.analytic
 def test_shutter_and_drift_part_over_many_brackets() -> None:
     # analytic: a shutter 2 % long in every bracket; light that rises by 3 % in one of them
     exposures = [Exposure(t, 4.0) for t in (0.5, 0.1, 0.02, 0.004)]
@@ -246,6 +254,7 @@ def test_shutter_and_drift_part_over_many_brackets() -> None:
 # contract: the command
 
 
+@pytest.mark.contract
 def test_the_command_on_a_session(session: Session) -> None:
     slot = take(session, 0)
     result = CliRunner().invoke(main, ["merge", str(session.root), "--size", "32x16", "--json"])
@@ -254,6 +263,7 @@ def test_the_command_on_a_session(session: Session) -> None:
     assert answer["slots"][0]["slot"] == slot and answer["slots"][0]["state"] == "merged"
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("projection", ["equirect", "fisheye"])
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
 def test_the_command_on_files(
@@ -285,6 +295,7 @@ def test_the_command_on_files(
         assert picture.luminance_cdm2[picture.luminance_cdm2 > 100] == pytest.approx(200, rel=0.05)
 
 
+@pytest.mark.contract
 def test_exit_codes(session: Session, tmp_path: Path) -> None:
     def code(*arguments: str) -> int:
         return CliRunner().invoke(main, ["merge", *arguments]).exit_code
@@ -299,6 +310,7 @@ def test_exit_codes(session: Session, tmp_path: Path) -> None:
     assert code("--frames", camera, "--camera", "no-such-camera", "--out", "x.hdr") == 3
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -25,30 +25,34 @@ SMALL = {"width": 24, "patch_width": 12, "depth": 2}
 FEW = TrainingPlan("short", steps=100, batch_pixels=256)
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(("sky_map", "count"), [(False, 1_688_601), (True, 1_689_201)])
 def test_the_network_has_the_papers_parameters(sky_map: bool, count: int) -> None:
-    """authority: 1 688 601 is the "Base Model" of the thesis behind the paper (DESIGN section
+    """1 688 601 is the "Base Model" of the thesis behind the paper (DESIGN section
     6).
     """
     assert parameter_count(Net(Shape(sky_map=sky_map))) == count
 
 
+@pytest.mark.property
 @settings(deadline=None)
 @given(luminance=st.floats(1.0, 1.5e9))
 @pytest.mark.parametrize("curve", ["log", "gamma"])
 def test_normalisation_comes_back(curve: str, luminance: float) -> None:
-    """property: encode and decode are inverse to float32's precision, and stay in [0, 1]."""
+    """Encode and decode are inverse to float32's precision, and stay in [0, 1]."""
     encoded = encode(np.array([luminance]), curve)
     assert 0.0 <= encoded[0] <= 1.0
     assert decode(encoded, curve)[0] == pytest.approx(luminance, rel=2e-4)
 
 
+@pytest.mark.analytic
 def test_normalisation_at_known_points() -> None:
-    """analytic: floor 1, top 10^9.2, power 1/1.5."""
+    """Floor 1, top 10^9.2, power 1/1.5."""
     np.testing.assert_allclose(encode(np.array([0.0, 1.0, 10.0**9.2])), [0.0, 0.0, 1.0], atol=1e-7)
     assert encode(np.array([10.0**4.6]))[0] == pytest.approx(0.5 ** (1 / 1.5))
 
 
+@pytest.mark.authority
 def test_inputs_are_scaled_as_the_paper_says() -> None:
     at = dense.hours(DATA.light, Shape())
     light = DATA.light
@@ -62,8 +66,9 @@ def test_inputs_are_scaled_as_the_paper_says() -> None:
     )
 
 
+@pytest.mark.analytic
 def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
-    """analytic: MSE + 10 RER of the batch, differentiated by torch in one piece."""
+    """MSE + 10 RER of the batch, differentiated by torch in one piece."""
     torch.manual_seed(3)
     shape = Shape(**SMALL)
     net = Net(shape)
@@ -86,9 +91,10 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
         torch.testing.assert_close(mine, parameter.grad, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.analytic
 @pytest.mark.numeric
 def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """analytic: sums of S and of its gradient over two ranks are those of one."""
+    """Sums of S and of its gradient over two ranks are those of one."""
     shape = Shape(**SMALL)
     torch.manual_seed(1)
     net = Net(shape)
@@ -112,6 +118,7 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
     torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.property
 def test_the_network_learns_a_tiny_set_by_heart() -> None:
     one = DATA.take(np.array([2]))  # a lone image validates itself
     plan = TrainingPlan("short", steps=400, batch_pixels=128)
@@ -120,6 +127,7 @@ def test_the_network_learns_a_tiny_set_by_heart() -> None:
     assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
 
 
+@pytest.mark.property
 @pytest.mark.numeric
 @pytest.mark.parametrize("schedule", ["paper", "short"])
 def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> None:
@@ -134,8 +142,9 @@ def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> No
         np.testing.assert_array_equal(value, resumed.state()[1][name])
 
 
+@pytest.mark.contract
 def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
-    """contract: pictures merged anew under the same slots must not go on from weights taught by
+    """Pictures merged anew under the same slots must not go on from weights taught by
     the old ones.
     """
     kept = tmp_path / "checkpoint.pt"
@@ -147,6 +156,7 @@ def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
         models.fit("dense", DATA, checkpoint=kept, plan=FEW, seed=1, **SMALL)
 
 
+@pytest.mark.property
 def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
     a, b, c = (
         models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state()[1] for seed in (1, 1, 2)
@@ -155,6 +165,7 @@ def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
     assert any((a[name] != c[name]).any() for name in a)
 
 
+@pytest.mark.contract
 def test_a_strangers_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     class Evil:
         def __reduce__(self) -> tuple[object, tuple[str]]:
@@ -170,6 +181,7 @@ def test_a_strangers_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     assert not (tmp_path / "owned").exists()
 
 
+@pytest.mark.contract
 def test_a_strangers_model_folder_cannot_run_code(tmp_path: Path) -> None:
     fitted = models.fit("mean", DATA)
     models.save(tmp_path, fitted, DATA)
@@ -186,6 +198,7 @@ def test_a_strangers_model_folder_cannot_run_code(tmp_path: Path) -> None:
         models.load(tmp_path)
 
 
+@pytest.mark.property
 @pytest.mark.parametrize("name", ["mean", "nearest", "dense"])
 def test_a_kept_model_predicts_as_before(tmp_path: Path, name: str) -> None:
     options = {"plan": FEW, **SMALL} if name == "dense" else {}
@@ -198,8 +211,9 @@ def test_a_kept_model_predicts_as_before(tmp_path: Path, name: str) -> None:
     assert again.parameters == fitted.parameters > 0
 
 
+@pytest.mark.property
 def test_nearest_doubles_with_the_light() -> None:
-    """property: twice the irradiance, twice the map (its features move a little: the same hours
+    """Twice the irradiance, twice the map (its features move a little: the same hours
     are asked for).
     """
     fitted = models.fit("nearest", DATA, patch="none")
@@ -207,6 +221,7 @@ def test_nearest_doubles_with_the_light() -> None:
     np.testing.assert_allclose(one, DATA.luminance_cdm2, rtol=1e-5)
 
 
+@pytest.mark.property
 def test_hours_far_from_the_captured_ones_are_not_trusted() -> None:
     winter = dataset(("2027-12-20", "2027-12-21"), height=8)
     fitted = models.fit("mean", winter)
@@ -216,6 +231,7 @@ def test_hours_far_from_the_captured_ones_are_not_trusted() -> None:
     assert fitted.predict(winter.light).trusted.all()
 
 
+@pytest.mark.contract
 def test_a_network_without_patches_and_its_other_forms() -> None:
     for options in ({"sky_map": False}, {"form": "cnn"}, {"curve": "gamma"}):
         fitted = models.fit("dense", DATA, plan=TrainingPlan("paper", epochs=2), **SMALL, **options)
@@ -226,6 +242,7 @@ def test_a_network_without_patches_and_its_other_forms() -> None:
         fitted.predict(TEST.light)
 
 
+@pytest.mark.authority
 def test_the_papers_schedule_halves_rate_and_batch() -> None:
     run = Run()
     for _ in range(2):
@@ -236,8 +253,9 @@ def test_the_papers_schedule_halves_rate_and_batch() -> None:
     assert run.stage == 1 and run.rate == 5e-4
 
 
+@pytest.mark.analytic
 def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
-    """analytic: in the middle of a short schedule the rate is half of what it starts from."""
+    """In the middle of a short schedule the rate is half of what it starts from."""
     run = Run(step=500)
     assert dense_training._short_rate(
         TrainingPlan("short", steps=1000), run, None
@@ -248,6 +266,7 @@ def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
     ) == pytest.approx(2.5e-4)
 
 
+@pytest.mark.property
 def test_a_loss_that_is_no_number_changes_nothing() -> None:
     """Training never ends in NaN: the update is skipped and the best weights are taken up again."""
     net = Net(Shape(**SMALL))
@@ -260,8 +279,9 @@ def test_a_loss_that_is_no_number_changes_nothing() -> None:
     assert all(torch.equal(a, b) for a, b in zip(before, net.parameters(), strict=True))
 
 
+@pytest.mark.analytic
 def test_scores_of_a_constant_factor() -> None:
-    """analytic: everything 10^0.1 too bright is 0.01 in both modes."""
+    """Everything 10^0.1 too bright is 0.01 in both modes."""
     bright = DATA.take(np.arange(4))
     prediction = models.Prediction(
         np.maximum(bright.luminance_cdm2, 1.0) * np.float32(10**0.1),
@@ -275,6 +295,7 @@ def test_scores_of_a_constant_factor() -> None:
     assert found["dgp_mse"] is None
 
 
+@pytest.mark.contract
 def test_a_perfect_prediction_scores_nothing_and_nan_is_never_unseen() -> None:
     class Oracle:
         name, parameters, held_out_mse = "mean", 0, None

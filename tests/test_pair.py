@@ -47,7 +47,8 @@ def log(seconds: np.ndarray, ghi: np.ndarray, every: float = 5.0) -> Log:
     )
 
 
-def test_statistics_come_from_the_interval_alone() -> None:  # analytic
+@pytest.mark.analytic
+def test_statistics_come_from_the_interval_alone() -> None:
     k = np.arange(-60.0, 60.0)
     ghi = np.where((k >= 0) & (k <= 6), 500.0 + 5 * k, 100.0)
     light = outside(log(k, ghi), NOON, NOON + timedelta(seconds=30))
@@ -55,6 +56,7 @@ def test_statistics_come_from_the_interval_alone() -> None:  # analytic
     assert light.steadiness == pytest.approx(30.0 / 515.0)
 
 
+@pytest.mark.analytic
 def test_a_short_bracket_takes_a_row_on_either_side() -> None:
     light = outside(
         log(np.arange(-9.0, 9.0), np.full(18, 400.0)),
@@ -64,6 +66,7 @@ def test_a_short_bracket_takes_a_row_on_either_side() -> None:
     assert light.rows == 2 and light.why == ""
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("missing", [(-1, 7), (2, 6), (-20, 20)])
 def test_stale_data_are_refused(missing: tuple[int, int]) -> None:
     k = np.arange(-20.0, 20.0)
@@ -72,6 +75,7 @@ def test_stale_data_are_refused(missing: tuple[int, int]) -> None:
     assert light.why.startswith("no irradiance") and np.isnan(light.ghi_wm2)
 
 
+@pytest.mark.analytic
 def test_blank_figures_are_no_data_and_say_why() -> None:
     known = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
     blank = replace(
@@ -83,6 +87,7 @@ def test_blank_figures_are_no_data_and_say_why() -> None:
     assert outside(blank, NOON, NOON + timedelta(seconds=30)).why == "irradiance unusable: status"
 
 
+@pytest.mark.contract
 def test_coarse_rows_are_refused() -> None:
     light = outside(
         log(np.arange(-5.0, 5.0), np.full(10, 400.0), every=3600.0),
@@ -92,6 +97,7 @@ def test_coarse_rows_are_refused() -> None:
     assert light.why == "irradiance only every 3600 s"
 
 
+@pytest.mark.contract
 def test_unsteady_light_is_cautioned_then_refused() -> None:
     k = np.arange(-9.0, 9.0)
     for rise, ok in ((0.2, True), (0.9, False)):
@@ -101,8 +107,9 @@ def test_unsteady_light_is_cautioned_then_refused() -> None:
         assert (light.why == "") is ok and "light changed" in light.caution + light.why
 
 
+@pytest.mark.contract
 def test_each_bracket_goes_by_the_logger_of_its_own_time() -> None:
-    """Contract: days of a minute logger before weeks of a fast one are not refused as stale."""
+    """Days of a minute logger before weeks of a fast one are not refused as stale."""
     slow, fast = np.arange(-3000.0, 3000.0, 60.0), np.arange(86400.0, 96400.0, 5.0)
     t = np.r_[slow, fast]
     both = log(t, np.full(len(t), 400.0), every=1.0)
@@ -111,13 +118,15 @@ def test_each_bracket_goes_by_the_logger_of_its_own_time() -> None:
         assert (light.why, light.rows) == ("", rows)
 
 
+@pytest.mark.contract
 def test_exchanged_components_are_refused() -> None:
-    """Contract: global and diffuse in each other's column would be hours without any sun."""
+    """Global and diffuse in each other's column would be hours without any sun."""
     known = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
     exchanged = replace(known, ghi_wm2=known.dhi_wm2, dhi_wm2=known.ghi_wm2, dni_wm2=np.zeros(40))
     assert "exchanged" in outside(exchanged, NOON, NOON + timedelta(seconds=30)).why
 
 
+@pytest.mark.contract
 def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     top = 1400.0
     assert sun.too_weak([0.4, 3.0, 20.0], 20.0, top).tolist() == [True, False, False]
@@ -129,9 +138,10 @@ def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     assert "kW/m2" in pair.judge(taken, light, 19.0, 178.0).why
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("shift_h", [-1, 0, 1])
 def test_a_loggers_clock_in_daylight_saving_shows_as_light_at_night(shift_h: int) -> None:
-    """Contract: cloudless days, one reading a minute around the clock; an hour off, dusk or dawn
+    """Cloudless days, one reading a minute around the clock; an hour off, dusk or dawn
     is lit by no sun.
     """
     t = np.arange(NOON.timestamp(), NOON.timestamp() + 2 * 86400.0, 60.0)
@@ -149,6 +159,7 @@ def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:
     return Panorama(np.full((8, 16), level, np.float32), 180.0, t_utc=NOON, sun=sun)
 
 
+@pytest.mark.analytic
 def test_a_measured_sun_is_kept_and_a_hidden_one_never_added() -> None:
     own = replace(SOUTH, origin="nd-frames")
     assert complete_sun(picture(own), 90_000.0, Seen(1.0, 0.8, True), None) == (own, "")
@@ -158,7 +169,8 @@ def test_a_measured_sun_is_kept_and_a_hidden_one_never_added() -> None:
     assert source is None and "the picture does not" in caution
 
 
-def test_a_clipped_sun_comes_from_dni_and_the_room() -> None:  # analytic
+@pytest.mark.analytic
+def test_a_clipped_sun_comes_from_dni_and_the_room() -> None:
     source, caution = complete_sun(picture(SOUTH), 90_000.0, Seen(0.5, 0.8, True), None)
     assert source is not None and caution == ""
     assert (source.origin, source.normal_illuminance_lx, source.visible_fraction) == (
@@ -180,9 +192,8 @@ def test_a_clipped_sun_comes_from_dni_and_the_room() -> None:  # analytic
     )
 
 
-def test_a_meter_beside_the_lens_comes_first() -> (
-    None
-):  # analytic: uniform 100 cd/m2 gives pi 100 lx
+@pytest.mark.analytic
+def test_a_meter_beside_the_lens_comes_first() -> None:  # uniform 100 cd/m2 gives pi 100 lx
     cosine = np.cos(np.radians(18.9)) * np.cos(np.radians(2.0))
     source, _ = complete_sun(
         picture(SOUTH), 90_000.0, Seen(1.0, 0.8, True), 100 * np.pi + 60_000.0 * cosine
@@ -231,6 +242,7 @@ def rows_of(session: Session) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("room", [None, ROOM])
 def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -> None:
     session = make_session(tmp_path / "s", room)
@@ -264,6 +276,7 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
         )
 
 
+@pytest.mark.contract
 def test_a_refused_row_stays_in_the_table(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     _bracket(session, NOON + timedelta(hours=5))
@@ -281,7 +294,8 @@ def test_a_refused_row_stays_in_the_table(tmp_path: Path) -> None:
     )
 
 
-def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:  # contract
+@pytest.mark.contract
+def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     note = session.panoramas / f"{slot_id(NOON)}.json"
     note.write_text(json.dumps({**json.loads(note.read_text()), "sun": {"u_mosaic_percent": 20.0}}))
@@ -292,7 +306,8 @@ def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:  # contract
     )
 
 
-def test_a_map_that_did_without_a_frame_is_incomplete(tmp_path: Path) -> None:  # contract
+@pytest.mark.contract
+def test_a_map_that_did_without_a_frame_is_incomplete(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     note = session.panoramas / f"{slot_id(NOON)}.json"
     note.write_text(json.dumps({**json.loads(note.read_text()), "quality": {"lost": ["03.dng"]}}))
@@ -300,8 +315,9 @@ def test_a_map_that_did_without_a_frame_is_incomplete(tmp_path: Path) -> None:  
     assert ["incomplete" in row["why"] for row in rows_of(session)] == [True, False]
 
 
+@pytest.mark.contract
 def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
-    """Contract: the same frames in two slots: one of the two is hours away from its light."""
+    """The same frames in two slots: one of the two is hours away from its light."""
     session = make_session(tmp_path / "s", None, hours=3)
     for hour, frames in enumerate(("ab", "cd", "ab")):
         note = session.raw / slot_id(NOON + timedelta(hours=hour)) / "capture.json"
@@ -317,6 +333,7 @@ def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
     assert third["ok"] == "0" and slot_id(NOON) in third["why"] and second["ok"] == "1"
 
 
+@pytest.mark.contract
 def test_bad_inputs_are_named(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     clean = session.irradiance / "clean.csv"
@@ -331,6 +348,7 @@ def test_bad_inputs_are_named(tmp_path: Path) -> None:
         pair.run(empty)
 
 
+@pytest.mark.analytic
 def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_path: Path) -> None:
     # The simulator's truth, read through the SPN1 on its pty (noise 1 W/m2) over a bracket of 40 s.
     from fieldlum.devices import open_pyranometer

@@ -31,6 +31,7 @@ from fieldlum.records import SunSource
 
 
 # authority: shutters run in powers of two (README of wjakob/hdrmerge; linearhdr's 2^(n/3))
+@pytest.mark.authority
 @pytest.mark.parametrize(
     ("nominal", "power"),
     [
@@ -47,16 +48,19 @@ def test_nominal_shutter_times_are_powers_of_two(nominal: float, power: float) -
     assert snap_shutter_s(nominal) == pytest.approx(2.0**power, rel=1e-12)
 
 
+@pytest.mark.analytic
 def test_a_time_that_is_no_dial_figure_is_kept() -> None:
     assert snap_shutter_s(0.1105) == 0.1105
 
 
+@pytest.mark.analytic
 def test_luminance_of_an_exposure() -> None:
     # analytic: L = k 87 N^2 / (t S) z; f/5.6, 1/100 s, ISO 100, k 1.18, z 0.5
     luminance = 0.5 / z_per_cdm2(0.01, 5.6, 100.0, 1.18)
     assert luminance == pytest.approx(1.18 * 87 * 5.6**2 / (0.01 * 100) * 0.5)
 
 
+@pytest.mark.analytic
 def test_the_plateau_is_found_below_the_tag_and_only_where_there_is_one() -> None:
     rng = np.random.default_rng(0)
     counts = rng.integers(500, 14000, (200, 200))
@@ -71,6 +75,7 @@ def test_the_plateau_is_found_below_the_tag_and_only_where_there_is_one() -> Non
 # response
 
 
+@pytest.mark.contract
 def test_response_tables() -> None:
     assert srgb_table()[255] == pytest.approx(1.0)
     assert response_table("linear")[51] == pytest.approx(0.2)
@@ -81,15 +86,17 @@ def test_response_tables() -> None:
         response_table("polynomial", (1.0,))
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(-2, 2), min_size=2, max_size=6))
-def test_any_response_polynomial_becomes_monotone(coefficients: list[float]) -> None:  # property
+def test_any_response_polynomial_becomes_monotone(coefficients: list[float]) -> None:
     z = polynomial_table(coefficients)
     assert np.all(np.diff(z) >= 0) and np.all(z >= 0)
     assert monotone(z) == pytest.approx(z, abs=1e-12)
 
 
-def test_a_response_is_recovered_from_a_bracket() -> None:  # analytic
+@pytest.mark.analytic
+def test_a_response_is_recovered_from_a_bracket() -> None:
     rng = np.random.default_rng(0)
     light = np.exp(rng.uniform(-7, 1, 1500))
     log_exposure = np.log(2.0) * np.arange(-2, 5)
@@ -118,6 +125,7 @@ def _film_codes(black: float) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(np.round(codes), 0, 255).astype(np.uint8), log_exposure
 
 
+@pytest.mark.analytic
 def test_a_black_level_is_no_light() -> (
     None
 ):  # analytic; Memorial Church's scans have their black at codes 12 to 17
@@ -132,13 +140,15 @@ def test_a_black_level_is_no_light() -> (
     assert off_blind > 1.5 * off and worse > 2 * rms
 
 
-def test_without_a_black_level_nearly_every_code_counts() -> None:  # property
+@pytest.mark.property
+def test_without_a_black_level_nearly_every_code_counts() -> None:
     assert dark_floor(*_film_codes(0.0)) <= 6
     assert (
         dark_floor(np.full((30, 3), 40, np.uint8), np.array([0.0, 0.1, 0.2])) == 3
     )  # steps too small to tell
 
 
+@pytest.mark.contract
 def test_too_few_places_give_no_response() -> None:
     with pytest.raises(ValueError, match="too few"):
         fit_response(np.zeros((3, 5), np.uint8), np.arange(5.0))
@@ -158,8 +168,9 @@ def _pair(true_ratio: float, assumed: float, rng: np.random.Generator, moved: fl
     )
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("moved", [0.0, 0.1])
-def test_a_pair_tells_its_ratio_even_when_something_moved(moved: float) -> None:  # analytic
+def test_a_pair_tells_its_ratio_even_when_something_moved(moved: float) -> None:
     pair = _pair(0.26, 0.25, np.random.default_rng(0), moved)
     assert pair is not None
     assert pair.log_ratio == pytest.approx(
@@ -167,12 +178,14 @@ def test_a_pair_tells_its_ratio_even_when_something_moved(moved: float) -> None:
     )  # a tenth of the pixels moved
 
 
+@pytest.mark.analytic
 def test_too_few_pixels_make_no_pair() -> None:
     few = np.ones(10)
     assert pair_ratio(few, few, np.ones(10, bool), few, few, 1.0) is None
 
 
-def test_ratios_of_a_bracket_and_a_pair_that_contradicts() -> None:  # analytic
+@pytest.mark.analytic
+def test_ratios_of_a_bracket_and_a_pair_that_contradicts() -> None:
     truth = np.array([0.0, 0.02, -0.03, 0.05])
     rng = np.random.default_rng(1)
     pairs = []
@@ -187,6 +200,7 @@ def test_ratios_of_a_bracket_and_a_pair_that_contradicts() -> None:  # analytic
     assert np.all(fit.u_log < 0.01)
 
 
+@pytest.mark.analytic
 def test_without_pairs_the_priors_stand() -> None:
     fit = fit_ratios([], np.diag([0.003, 0.03]) ** 2)
     assert fit.correction == pytest.approx([1.0, 1.0]) and fit.u_log == pytest.approx([0.003, 0.03])
@@ -196,6 +210,7 @@ def test_without_pairs_the_priors_stand() -> None:
 # vignetting, illuminance
 
 
+@pytest.mark.analytic
 def test_vignetting_signs() -> None:
     loss = (1.0, 0.0, -0.35)
     assert check_vignetting(loss) == "" and vignetting_at(loss, 1.0) == pytest.approx(0.65)
@@ -205,9 +220,10 @@ def test_vignetting_signs() -> None:
     assert vignetting_at(loss, 1.5) == pytest.approx(0.65) and vignetting_at((), 0.5) == 1.0
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("height", [4, 16, 115, 230])
 @pytest.mark.parametrize("azimuth", [0.0, 33.3])
-def test_a_uniform_field_gives_pi_l_at_any_size(height: int, azimuth: float) -> None:  # analytic
+def test_a_uniform_field_gives_pi_l_at_any_size(height: int, azimuth: float) -> None:
     field = np.full((height, 2 * height), 100.0)
     tolerance = 5e-4  # the 0.05 %
     assert vertical_illuminance_lx(field, 10.0, azimuth) == pytest.approx(
@@ -216,6 +232,7 @@ def test_a_uniform_field_gives_pi_l_at_any_size(height: int, azimuth: float) -> 
     assert illuminance_lx(field, 10.0, 90.0, 0.0) == pytest.approx(100 * np.pi, rel=tolerance)
 
 
+@pytest.mark.analytic
 def test_the_sun_beside_the_map_adds_its_cosine() -> None:
     sun = SunSource(30.0, 200.0, 50_000.0)
     dark = np.zeros((32, 64))
@@ -223,6 +240,7 @@ def test_the_sun_beside_the_map_adds_its_cosine() -> None:
     assert vertical_illuminance_lx(dark, 180.0, 20.0, sun) == 0.0
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(
     ("image", "said"), [(105, "pass"), (112, "warn"), (80, "warn"), (70, "reject"), (130, "reject")]
 )
@@ -231,5 +249,6 @@ def test_the_gate_on_vertical_illuminance(image: float, said: str) -> None:
     assert illuminance_verdict(image, 100.0) == said
 
 
+@pytest.mark.analytic
 def test_a_meter_that_reads_nothing_is_no_pass() -> None:
     assert illuminance_verdict(100.0, 0.0) == "reject"

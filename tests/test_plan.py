@@ -33,16 +33,16 @@ def _plan(site: Site, profile: str, name: str, **asked: object) -> plan.Plan:
     return plan.make_plan(setup, plan.Request(name, **{"today": TODAY, **asked}))  # type: ignore[arg-type]
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(("name", "count"), [("9-day", 108), ("12-day", 144), ("4-day", 48)])
 @pytest.mark.parametrize("asked", [{"year": 2027}, {}, {"start": date(2025, 1, 1)}])
-def test_authority_the_papers_seattle_sets(
-    profile: str, name: str, count: int, asked: dict
-) -> None:
+def test_the_papers_seattle_sets(profile: str, name: str, count: int, asked: dict) -> None:
     """Liu, Colburn, Inanici 2020: 9 days give 108 hours in Seattle, 12 days 144, 4 days 48."""
     assert len(_plan(SEATTLE, profile, name, **asked).slots) == count
 
 
-def test_authority_nine_days_are_the_papers_dates(profile: str) -> None:
+@pytest.mark.authority
+def test_nine_days_are_the_papers_dates(profile: str) -> None:
     """19-21 March, 20-22 June, 20-22 December (the paper's section on training data)."""
     days = _plan(SEATTLE, profile, "9-day", year=2026).days
     assert [d.strftime("%m-%d") for d in days] == [
@@ -58,6 +58,7 @@ def test_authority_nine_days_are_the_papers_dates(profile: str) -> None:
     ]
 
 
+@pytest.mark.analytic
 def test_slots_stand_at_half_past_standard_time_through_a_clock_change(profile: str) -> None:
     made = _plan(SEATTLE, profile, "month", year=2027)
     assert {(s.t_utc + timedelta(hours=-8)).minute for s in made.slots} == {30}
@@ -66,35 +67,41 @@ def test_slots_stand_at_half_past_standard_time_through_a_clock_change(profile: 
     assert [w for w in made.warnings if "clocks go forward by 1 h on 2027-03-14" in w]
 
 
+@pytest.mark.analytic
 def test_half_hour_zones_keep_to_their_own_standard_time(profile: str) -> None:
     made = _plan(Site("Delhi", 28.6, 77.2, "Asia/Kolkata"), profile, "4-day", year=2027)
     assert {s.t_utc.minute for s in made.slots} == {0}
 
 
+@pytest.mark.analytic
 def test_month_without_start_is_the_next_whole_one(profile: str) -> None:
     assert _plan(SEATTLE, profile, "month", today=date(2026, 11, 21)).days[15] == date(2027, 3, 20)
     assert _plan(SEATTLE, profile, "month", today=date(2027, 3, 10)).days[15] == date(2027, 9, 22)
     assert _plan(SEATTLE, profile, "month", start=date(2027, 5, 1)).days[0] == date(2027, 5, 1)
 
 
+@pytest.mark.analytic
 def test_events_without_year_lie_ahead(profile: str) -> None:
     days = _plan(SEATTLE, profile, "9-day", today=date(2026, 12, 21)).days
     assert days[0] == date(2027, 3, 19) and days[-1] == date(2027, 12, 22)
 
 
+@pytest.mark.analytic
 def test_polar_night_warns_and_midnight_sun_is_listed(profile: str) -> None:
     tromso = Site("Tromso", 69.65, 18.96, "Europe/Oslo")
     said = " ".join(_plan(tromso, profile, "9-day", year=2027).warnings)
     assert "polar night: no slot on 3 of 9 days" in said and "midnight sun" in said
 
 
+@pytest.mark.contract
 def test_dark_days_apart_are_named_apart(profile: str) -> None:
     said = _plan(Site("pole", 90.0, 0.0, "UTC"), profile, "9-day", year=2027).warnings
     assert "polar night: no slot on 4 of 9 days (2027-03-19, 2027-12-21 to 2027-12-23)" in said
 
 
+@pytest.mark.contract
 def test_fewer_hours_than_asked_for_are_said(profile: str) -> None:
-    """contract: three June days in Seattle hold 48 half-past hours of daylight."""
+    """Three June days in Seattle hold 48 half-past hours of daylight."""
     made = _plan(SEATTLE, profile, "even", start=date(2027, 6, 1), days=3, count=500)
     assert (
         len(made.slots) == 48
@@ -102,6 +109,7 @@ def test_fewer_hours_than_asked_for_are_said(profile: str) -> None:
     )
 
 
+@pytest.mark.contract
 def test_nothing_but_polar_night_is_not_enough_data(profile: str) -> None:
     with pytest.raises(NotEnoughDataError, match="polar night"):
         _plan(
@@ -112,6 +120,7 @@ def test_nothing_but_polar_night_is_not_enough_data(profile: str) -> None:
         )
 
 
+@pytest.mark.analytic
 def test_southern_hemisphere_has_its_long_day_in_december(profile: str) -> None:
     made = _plan(Site("Sydney", -33.9, 151.2, "Australia/Sydney"), profile, "9-day", year=2027)
     count = {
@@ -121,6 +130,7 @@ def test_southern_hemisphere_has_its_long_day_in_december(profile: str) -> None:
     assert count["june-solstice"] < count["december-solstice"]
 
 
+@pytest.mark.property
 def test_even_spreads_over_sun_positions_and_is_repeatable(profile: str) -> None:
     first, second = (_plan(SEATTLE, profile, "even", year=2027, count=60) for _ in range(2))
     assert first.slots == second.slots and len(first.slots) == 60
@@ -128,6 +138,7 @@ def test_even_spreads_over_sun_positions_and_is_repeatable(profile: str) -> None
     assert min(altitude) < 5 and max(altitude) > 60
 
 
+@pytest.mark.analytic
 def test_cost_counts_headings_and_filters(profile: str) -> None:
     setup = SiteFile(SEATTLE, CameraSetup(profile=profile, headings=(180.0, 0.0)))
     made = plan.make_plan(setup, plan.Request("4-day", TODAY, year=2027))
@@ -148,7 +159,8 @@ GOOD = (
 )
 
 
-def test_contract_command_makes_a_session(tmp_path: Path, profile: str) -> None:
+@pytest.mark.contract
+def test_command_makes_a_session(tmp_path: Path, profile: str) -> None:
     site = _site_file(tmp_path, GOOD + f'[camera]\nprofile = "{profile}"\n')
     out = tmp_path / "session"
     asked = ["plan", str(site), "--set", "9-day", "--year", "2027", "--out", str(out), "--json"]
@@ -160,6 +172,7 @@ def test_contract_command_makes_a_session(tmp_path: Path, profile: str) -> None:
     assert again.exit_code == 3 and "already a session" in again.stderr
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -169,7 +182,7 @@ def test_contract_command_makes_a_session(tmp_path: Path, profile: str) -> None:
         ("nonsense", "TOML"),
     ],
 )
-def test_contract_bad_site_files_get_one_line(tmp_path: Path, text: str, said: str) -> None:
+def test_bad_site_files_get_one_line(tmp_path: Path, text: str, said: str) -> None:
     site = _site_file(tmp_path, text)
     found = CliRunner().invoke(
         main, ["plan", str(site), "--set", "4-day", "--out", str(tmp_path / "o")]
@@ -178,7 +191,8 @@ def test_contract_bad_site_files_get_one_line(tmp_path: Path, text: str, said: s
     assert not (tmp_path / "o").exists()
 
 
-def test_contract_usage_errors_exit_two(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_usage_errors_exit_two(tmp_path: Path) -> None:
     site = _site_file(tmp_path, GOOD)
     assert CliRunner().invoke(main, ["plan", str(site)]).exit_code == 2
     assert (
@@ -186,6 +200,7 @@ def test_contract_usage_errors_exit_two(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "asked",
     [
@@ -194,9 +209,7 @@ def test_contract_usage_errors_exit_two(tmp_path: Path) -> None:
         ["--set", "month", "--start", "2027-03-01", "--year", "2028"],
     ],
 )
-def test_contract_what_would_be_passed_over_is_a_usage_error(
-    tmp_path: Path, asked: list[str]
-) -> None:
+def test_what_would_be_passed_over_is_a_usage_error(tmp_path: Path, asked: list[str]) -> None:
     found = CliRunner().invoke(
         main, ["plan", str(_site_file(tmp_path, GOOD)), *asked, "--out", str(tmp_path / "o")]
     )
@@ -204,17 +217,20 @@ def test_contract_what_would_be_passed_over_is_a_usage_error(
     assert not (tmp_path / "o").exists()
 
 
-def test_contract_a_session_cannot_be_a_file(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_a_session_cannot_be_a_file(tmp_path: Path) -> None:
     site = _site_file(tmp_path, GOOD)
     found = CliRunner().invoke(main, ["plan", str(site), "--set", "4-day", "--out", str(site)])
     assert found.exit_code == 3 and "File exists, name a folder" in found.stderr
 
 
+@pytest.mark.contract
 def test_a_place_without_time_zone_is_told(profile: str) -> None:
     made = _plan(Site("Seattle", 47.6, -122.3), profile, "4-day")
     assert any("timezone is UTC at longitude -122.3" in said for said in made.warnings)
 
 
+@pytest.mark.analytic
 def test_today_is_the_sites_own() -> None:
     assert plan.today_at(SEATTLE, datetime(2027, 3, 20, 3, tzinfo=UTC)) == date(2027, 3, 19)
     assert sun.standard_date(datetime(2027, 7, 1, 7, 30, tzinfo=UTC), SEATTLE.timezone) == date(

@@ -45,11 +45,10 @@ def _set(name: str) -> DaylightHours:
 # choosing
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=25)
 @given(st.integers(2, 60), st.integers(1, 70), st.integers(0, 9))
-def test_property_choices_are_distinct_and_as_many_as_asked(
-    points: int, count: int, seed: int
-) -> None:
+def test_choices_are_distinct_and_as_many_as_asked(points: int, count: int, seed: int) -> None:
     cloud = np.random.default_rng(seed).normal(size=(points, 3))
     for choice in (choose.medoids, choose.space_filling):
         found = choice(cloud, count, np.random.default_rng(seed))
@@ -57,13 +56,15 @@ def test_property_choices_are_distinct_and_as_many_as_asked(
         assert (np.diff(found) > 0).all()
 
 
-def test_analytic_medoids_find_clusters() -> None:
+@pytest.mark.analytic
+def test_medoids_find_clusters() -> None:
     rng = np.random.default_rng(3)
     centres = np.array([[0, 0], [10, 0], [0, 10], [10, 10]], float)
     cloud = np.repeat(centres, 25, axis=0) + rng.normal(scale=0.2, size=(100, 2))
     assert sorted(choose.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
 
 
+@pytest.mark.property
 def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: DaylightHours) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)
     rng = np.random.default_rng(1)
@@ -78,6 +79,7 @@ def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: Dayligh
     assert left["best"] < left["even"] < 0.3 * left["january"]
 
 
+@pytest.mark.property
 def test_march_teaches_more_than_december(weather: Weather) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)
     months = plan._months(task, 31, 2027, 1.0)
@@ -89,13 +91,15 @@ def test_march_teaches_more_than_december(weather: Weather) -> None:
 # coverage
 
 
-def test_analytic_band_is_the_solstice_band() -> None:
+@pytest.mark.analytic
+def test_band_is_the_solstice_band() -> None:
     up = band_directions(SEATTLE)[:, 2]
     assert np.degrees(np.arcsin(up.max())) == pytest.approx(
         90 - 47.6 + 23.44, abs=0.8
     )  # 41 steps of declination
 
 
+@pytest.mark.property
 def test_coverage_grows_with_the_set(weather: Weather) -> None:
     four, nine, twelve = (
         coverage(_set(name), SEATTLE, weather) for name in ("4-day", "9-day", "12-day")
@@ -105,6 +109,7 @@ def test_coverage_grows_with_the_set(weather: Weather) -> None:
     assert coverage(_set("9-day"), SEATTLE).irradiance_percent is None
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("latitude", [-90.0, -33.9, 0.0, 69.6, 90.0])
 def test_figures_draw_anywhere(latitude: float, weather: Weather) -> None:
     site = Site("x", latitude, 0.0)
@@ -121,6 +126,7 @@ def _setup(profile: str = "") -> SiteFile:
     return SiteFile(SEATTLE, CameraSetup(profile=profile), ROOM)
 
 
+@pytest.mark.contract
 def test_calendar_reads_back_with_stable_names() -> None:
     from icalendar import Calendar
 
@@ -137,6 +143,7 @@ def test_calendar_reads_back_with_stable_names() -> None:
     assert all(len(line) <= 75 for line in first.split(b"\r\n"))
 
 
+@pytest.mark.contract
 def test_sheets_hold_a_page_a_day_and_say_when_clocks_change() -> None:
     from fieldlum.plan.sheet import Cost, html
 
@@ -149,6 +156,7 @@ def test_sheets_hold_a_page_a_day_and_say_when_clocks_change() -> None:
     assert "a &lt;note&gt;" in page and "<script" not in page and 'src="http' not in page
 
 
+@pytest.mark.contract
 def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
     """By the wall clock the standard day ends after midnight: its last slot is tomorrow's."""
     from fieldlum.plan.sheet import Cost, html
@@ -178,6 +186,7 @@ def _session(folder: Path, hours: DaylightHours, done: int) -> Path:
     return session.root
 
 
+@pytest.mark.property
 def test_make_ups_have_the_same_sun_and_nothing_is_taken_out(tmp_path: Path) -> None:
     hours = daylight_hours(span(date(2027, 4, 10), 5), SEATTLE)
     root = _session(tmp_path, hours, 20)
@@ -199,6 +208,7 @@ def test_make_ups_have_the_same_sun_and_nothing_is_taken_out(tmp_path: Path) -> 
     )
 
 
+@pytest.mark.contract
 def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
     first = makeup.run(session, datetime(2027, 4, 12, tzinfo=UTC))
@@ -219,6 +229,7 @@ def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.contract
 def test_a_replan_killed_before_its_last_write_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,6 +250,7 @@ def test_a_replan_killed_before_its_last_write_is_ended(
     assert session.table()["plan"]["sha256"] == sha256(session.plan)
 
 
+@pytest.mark.contract
 def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
     answer = makeup.run(session, datetime(2027, 4, 1, tzinfo=UTC))
@@ -247,6 +259,7 @@ def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.property
 def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather) -> None:
     """All mornings captured: the afternoon sun, which was never seen, ranks first."""
     hours = daylight_hours(span(date(2027, 4, 1), 10), SEATTLE)
@@ -259,6 +272,7 @@ def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather)
     assert drops == sorted(drops, reverse=True)
 
 
+@pytest.mark.contract
 def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> None:
     """A model that says its light comes from the north finds other hours worth taking."""
     hours = daylight_hours(span(date(2027, 4, 1), 2), SEATTLE)
@@ -283,9 +297,8 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
         coming.trained_kernel(session)
 
 
-def test_analytic_single_gain_is_the_drop_of_the_variance(
-    weather: Weather, year: DaylightHours
-) -> None:
+@pytest.mark.analytic
+def test_single_gain_is_the_drop_of_the_variance(weather: Weather, year: DaylightHours) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)
     _, features = choose.features_at(year[np.arange(0, len(year), 200)], task)
     captured, one = features[:8], features[8:9]
@@ -300,7 +313,8 @@ def test_analytic_single_gain_is_the_drop_of_the_variance(
     assert gain == pytest.approx(drop, rel=1e-3)
 
 
-def test_contract_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
+@pytest.mark.contract
+def test_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
     import tomli_w
 
     from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens

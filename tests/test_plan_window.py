@@ -3,6 +3,7 @@ view.
 """
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +18,8 @@ def _at(room: Room, *suns: tuple[float, float]) -> list[bool]:
     return sun_enters(room, altitude, azimuth).tolist()
 
 
-def test_analytic_facade() -> None:
+@pytest.mark.analytic
+def test_facade() -> None:
     room = Room(window=(SOUTH,))
     assert _at(room, (30, 180), (30, 95), (30, 85), (30, 0), (-5, 180)) == [
         True,
@@ -28,18 +30,21 @@ def test_analytic_facade() -> None:
     ]
 
 
-def test_analytic_turned_facade() -> None:
+@pytest.mark.analytic
+def test_turned_facade() -> None:
     room = Room(wall_azimuth_deg=270.0, window=(SOUTH,))
     assert _at(room, (30, 270), (30, 190), (30, 170), (30, 90)) == [True, True, False, False]
 
 
-def test_analytic_walls_by_name() -> None:
+@pytest.mark.analytic
+def test_walls_by_name() -> None:
     for wall, azimuth in (("south", 180), ("west", 270), ("north", 0), ("east", 90)):
         room = Room(window=(Window(wall, 1.0, 2.0, 1.0, 2.0),))  # type: ignore[arg-type]
         assert _at(room, (20, azimuth), (20, azimuth + 180)) == [True, False]
 
 
-def test_analytic_reveal_stops_a_high_sun() -> None:
+@pytest.mark.analytic
+def test_reveal_stops_a_high_sun() -> None:
     """Thickness .25 m, height .3 m: the sun is stopped from a profile angle of about
     atan(.3/.25) = 50 deg up.
     """
@@ -47,13 +52,15 @@ def test_analytic_reveal_stops_a_high_sun() -> None:
     assert _at(room, (40, 180), (55, 180)) == [True, False]
 
 
-def test_analytic_neighbour_shades_a_low_sun() -> None:
+@pytest.mark.analytic
+def test_neighbour_shades_a_low_sun() -> None:
     """A wall 10 m away and 12 m high hides the sun up to 50 deg at window height."""
     room = Room(window=(SOUTH,), obstruction=(Obstruction(-50, -11, 0, 100, 1, 12),))
     assert _at(room, (20, 180), (40, 180), (55, 180)) == [False, False, True]
 
 
-def test_analytic_left_is_seen_from_inside() -> None:
+@pytest.mark.analytic
+def test_left_is_seen_from_inside() -> None:
     """A window at the left end of the south wall lies in the east: a western box outside does
     not shade it.
     """
@@ -67,7 +74,8 @@ def test_analytic_left_is_seen_from_inside() -> None:
     assert _at(room, (5, 180)) == [False]
 
 
-def test_analytic_camera_sees_the_sun_in_line_with_the_window() -> None:
+@pytest.mark.analytic
+def test_camera_sees_the_sun_in_line_with_the_window() -> None:
     room = Room(
         window=(SOUTH,)
     )  # camera 3 m in, 1.6 m high, in the middle; the window's head is 3 m high
@@ -75,9 +83,10 @@ def test_analytic_camera_sees_the_sun_in_line_with_the_window() -> None:
     assert sun_in_view(room, altitude, azimuth).tolist() == [True, False, False]
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=60)
 @given(st.floats(1, 89), st.floats(0, 360))
-def test_property_a_sun_in_view_enters(altitude: float, azimuth: float) -> None:
+def test_a_sun_in_view_enters(altitude: float, azimuth: float) -> None:
     room = Room(window=(SOUTH, Window("west", 2.0, 6.0, 0.5, 3.0)))
     at = (np.array([altitude]), np.array([azimuth]))
     wide = Room(window=room.window, wall_thickness_m=0.001)

@@ -67,6 +67,7 @@ def year(model: Path, weather: Path, tmp_path_factory: pytest.TempPathFactory) -
 # year
 
 
+@pytest.mark.contract
 def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Path) -> None:
     hours = read_weather(weather, DATA.setup.site).daylight()
     assert year.t_utc == hours.t_utc
@@ -79,8 +80,9 @@ def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Pa
     assert year.occupied.any()
 
 
+@pytest.mark.property
 def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Path) -> None:
-    """property: predicting hours one by one gives what blocks gave."""
+    """Predicting hours one by one gives what blocks gave."""
     config = models.read_config(model)
     room = ModelRoom(DATA.setup, config["height"], config["width"], config["heading_deg"], False)
     light = light_of(read_weather(weather, DATA.setup.site).daylight())
@@ -97,6 +99,7 @@ def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Pat
     assert np.datetime64(year.t_utc[3].replace(tzinfo=None)) == store.time[3].values
 
 
+@pytest.mark.contract
 def test_pictures_are_of_telling_hours(year: Annual) -> None:
     pictures = read_pictures(year.folder)
     worst = next(k for k, kind in enumerate(pictures.kinds) if kind.startswith("highest of worst"))
@@ -110,6 +113,7 @@ def test_pictures_are_of_telling_hours(year: Annual) -> None:
     assert "clear day" in pictures.kinds
 
 
+@pytest.mark.contract
 def test_the_same_inputs_are_not_predicted_twice(
     model: Path, weather: Path, tmp_path: Path
 ) -> None:
@@ -123,10 +127,11 @@ def test_the_same_inputs_are_not_predicted_twice(
     assert run(model, weather, out=tmp_path, views=5, force=True)[1]
 
 
+@pytest.mark.contract
 def test_a_year_cut_off_by_a_kill_is_no_year(
     model: Path, weather: Path, tmp_path: Path, monkeypatch
 ) -> None:
-    """Contract: figures of a new weather never stand beside classes and maps of an older one."""
+    """Figures of a new weather never stand beside classes and maps of an older one."""
     run(model, weather, out=tmp_path, maps=True)
     assert not run(model, weather, out=tmp_path)[1], "maps that were asked for before do no harm"
     assert (tmp_path / "maps.zarr").is_dir()
@@ -146,6 +151,7 @@ def test_a_year_cut_off_by_a_kill_is_no_year(
     assert run(model, weather, out=tmp_path)[1]
 
 
+@pytest.mark.contract
 def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:
     run(model, weather, out=tmp_path)
     lines = (tmp_path / "hourly.csv").read_text().splitlines()
@@ -155,10 +161,12 @@ def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> 
             read_annual(tmp_path)
 
 
+@pytest.mark.contract
 def test_it_says_that_hourly_means_are_not_instants(year: Annual) -> None:
     assert any("hourly means" in note for note in year.about["notes"])
 
 
+@pytest.mark.analytic
 def test_the_disc_is_guessed_from_sky_in_its_pixel() -> None:
     light = DATA.light[np.flatnonzero(DATA.light.sun_altitude_deg > 20)[:3]]
     room = ModelRoom(DATA.setup, 16, 32, DATA.heading_deg, False)
@@ -171,6 +179,7 @@ def test_the_disc_is_guessed_from_sky_in_its_pixel() -> None:
     np.testing.assert_allclose(seen, 0.6 * light.direct_lx, rtol=1e-3)
 
 
+@pytest.mark.property
 @settings(deadline=None)
 @given(value=st.floats(2.0**-10, 2.0**30, width=32))
 def test_rounding_keeps_a_hundredth_of_a_percent(value: float) -> None:
@@ -181,8 +190,9 @@ def test_rounding_keeps_a_hundredth_of_a_percent(value: float) -> None:
 # 17037
 
 
+@pytest.mark.authority
 def test_classes_at_their_limits() -> None:
-    """authority: EN 17037:2018 table A.7, DGP not above 0.35 / 0.40 / 0.45 in more than 5 % of
+    """EN 17037:2018 table A.7, DGP not above 0.35 / 0.40 / 0.45 in more than 5 % of
     the time.
     """
     for over, hours, expected in (
@@ -197,12 +207,14 @@ def test_classes_at_their_limits() -> None:
         assert found.classes == (expected,)
 
 
+@pytest.mark.analytic
 def test_dark_occupied_hours_count_as_without_glare() -> None:
     dgp = np.full((6, 1), 0.6)
     assert standards.exceeded_in_share(dgp, 100)[0] == 0.6
     assert standards.exceeded_in_share(dgp, 120)[0] == 0.0
 
 
+@pytest.mark.analytic
 def test_an_interval_across_a_limit_cannot_tell_yet() -> None:
     rng = np.random.default_rng(1)
     dgp = rng.normal(0.30, 0.03, (1000, 2)) + np.array([0.0, 0.0])
@@ -217,6 +229,7 @@ def test_an_interval_across_a_limit_cannot_tell_yet() -> None:
     assert abs(dgp[worth.argmax(), 0] - 0.35) < 0.01
 
 
+@pytest.mark.property
 def test_intervals_cover_the_truth() -> None:
     """property by simulation: with errors as assumed, 95 % intervals hold the true value in at
     least 90 % of rooms.
@@ -235,8 +248,9 @@ def test_intervals_cover_the_truth() -> None:
     assert inside >= 54
 
 
+@pytest.mark.analytic
 def test_uncertainty_of_dgp_is_its_slope() -> None:
-    """analytic: against finite differences, Ev and sources moved apart."""
+    """Against finite differences, Ev and sources moved apart."""
     from fieldlum.glare import dgp
 
     ev, contrast = np.array([[1500.0]]), np.array([[4e6]])
@@ -253,8 +267,9 @@ def test_uncertainty_of_dgp_is_its_slope() -> None:
     )
 
 
+@pytest.mark.analytic
 def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
-    """analytic: a map known exactly leaves only the disc's share."""
+    """A map known exactly leaves only the disc's share."""
     from fieldlum.glare import panorama_views
     from fieldlum.models import Prediction
     from fieldlum.predict.blocks import HourBlock
@@ -279,13 +294,15 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
 # occupancy
 
 
+@pytest.mark.authority
 def test_default_occupancy_is_3650_hours() -> None:
     assert occupied_hours(default_occupancy(), YEAR, SITE) == (3650, 365)
     assert occupied_hours(default_occupancy(), YEAR[:24], SITE) == (10, 1)
 
 
+@pytest.mark.contract
 def test_daylight_hours_without_weather_are_not_hours_without_glare() -> None:
-    """Contract: a file that lacks noon must not make the room look darker than it is; the night
+    """A file that lacks noon must not make the room look darker than it is; the night
     may be left out.
     """
     noon = [t for t in YEAR if (t - timedelta(hours=8)).hour != 12]
@@ -294,6 +311,7 @@ def test_daylight_hours_without_weather_are_not_hours_without_glare() -> None:
     assert occupied_hours(default_occupancy(), night, SITE) == (3650, 365)
 
 
+@pytest.mark.contract
 def test_occupancy_files(tmp_path: Path) -> None:
     weekly = tmp_path / "o.csv"
     weekly.write_text("days,start,end\nmon-fri,08:00,12:00\nsat,10:00,12:00\n")
@@ -309,6 +327,7 @@ def test_occupancy_files(tmp_path: Path) -> None:
     assert occupancy.at([datetime(2028, 2, 29, 9, 30, tzinfo=UTC)], "UTC")[0]
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -343,6 +362,7 @@ def _changed(model: Path, tmp_path: Path, **more: object) -> Path:
     return folder
 
 
+@pytest.mark.contract
 def test_weather_of_another_place_is_refused(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "far.csv"
     path.write_text(
@@ -352,6 +372,7 @@ def test_weather_of_another_place_is_refused(model: Path, tmp_path: Path) -> Non
         run(model, path, out=tmp_path / "y")
 
 
+@pytest.mark.contract
 def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "w.csv"
     rows = [
@@ -373,6 +394,7 @@ def test_a_repaired_weather_file_is_labelled(model: Path, tmp_path: Path) -> Non
     assert "29 February" in repairs
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("cell", ["-50", "1e9", "x"])
 def test_impossible_irradiance_is_refused(model: Path, tmp_path: Path, cell: str) -> None:
     path = tmp_path / "w.csv"
@@ -381,6 +403,7 @@ def test_impossible_irradiance_is_refused(model: Path, tmp_path: Path, cell: str
         run(model, path, out=tmp_path / "y")
 
 
+@pytest.mark.contract
 def test_a_wrong_time_zone_is_refused(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "w.csv"
     rows = [
@@ -393,6 +416,7 @@ def test_a_wrong_time_zone_is_refused(model: Path, tmp_path: Path) -> None:
         run(model, path, out=tmp_path / "y")
 
 
+@pytest.mark.contract
 def test_weather_without_daylight_is_too_little(model: Path, tmp_path: Path) -> None:
     path = tmp_path / "night.csv"
     path.write_text("month,day,hour,dni_wm2,dhi_wm2\n6,21,0.5,0,0\n6,21,1.5,0,0\n")
@@ -400,6 +424,7 @@ def test_weather_without_daylight_is_too_little(model: Path, tmp_path: Path) -> 
         run(model, path, out=tmp_path / "y")
 
 
+@pytest.mark.contract
 def test_a_model_of_another_picture_size_is_refused(
     model: Path, weather: Path, tmp_path: Path
 ) -> None:
@@ -407,6 +432,7 @@ def test_a_model_of_another_picture_size_is_refused(
         run(_changed(model, tmp_path, height=20, width=40), weather, out=tmp_path / "y")
 
 
+@pytest.mark.contract
 def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path: Path) -> None:
     from dataclasses import replace
 
@@ -417,6 +443,7 @@ def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path:
         run(_changed(model, tmp_path, with_patch=True, setup=bare), weather, out=tmp_path / "y")
 
 
+@pytest.mark.contract
 def test_a_model_of_another_site_or_camera_is_refused(
     model: Path, weather: Path, tmp_path: Path
 ) -> None:
@@ -449,6 +476,7 @@ def test_a_model_of_another_site_or_camera_is_refused(
         run(same.models / "nearest", weather)
 
 
+@pytest.mark.contract
 def test_the_command(model: Path, weather: Path, tmp_path: Path) -> None:
     words = [
         "predict",

@@ -34,6 +34,7 @@ def _site(tmp_path: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -59,11 +60,13 @@ def test_a_bad_site_is_refused_with_the_finding(change: dict, said: str) -> None
         site_from_table({"site": {**PLACE, **change}}, "site.toml")
 
 
+@pytest.mark.contract
 def test_a_site_without_a_place_says_what_is_missing() -> None:
     with pytest.raises(InputError, match="no 'latitude_deg'"):
         site_from_table({"site": {"name": "x", "longitude_deg": 0.0}}, "site.toml")
 
 
+@pytest.mark.contract
 def test_what_is_no_toml_names_the_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="line 2"):
         load_site(_site(tmp_path, "[site]\nname = \n"))
@@ -71,6 +74,7 @@ def test_what_is_no_toml_names_the_line(tmp_path: Path) -> None:
         load_site(tmp_path / "gone.toml")
 
 
+@pytest.mark.contract
 def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
     path, text = (
         tmp_path / "site.toml",
@@ -84,7 +88,8 @@ def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
             load_site(path)
 
 
-def test_authority_every_place_of_the_time_zone_data_fits_its_zone() -> None:
+@pytest.mark.authority
+def test_every_place_of_the_time_zone_data_fits_its_zone() -> None:
     lines = (files("tzdata") / "zoneinfo" / "zone.tab").read_text("utf-8").splitlines()
     for line in lines:
         if line.startswith("#"):
@@ -103,6 +108,7 @@ def test_authority_every_place_of_the_time_zone_data_fits_its_zone() -> None:
     assert len(lines) > 300
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("camera", "room", "height"),
     [
@@ -120,6 +126,7 @@ def test_the_cameras_height_counts_wherever_it_stands(
     assert setup.room is not None and setup.room.camera_z_m == setup.camera.height_m == height
 
 
+@pytest.mark.contract
 def test_two_heights_of_the_camera_are_refused(tmp_path: Path) -> None:
     place = '[site]\nname = "x"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
     with pytest.raises(
@@ -128,11 +135,13 @@ def test_two_heights_of_the_camera_are_refused(tmp_path: Path) -> None:
         load_site(_site(tmp_path, f"{place}[camera]\nheight_m = 1.2\n[room]\ncamera_z_m = 1.6\n"))
 
 
+@pytest.mark.contract
 def test_only_the_site_is_required() -> None:
     setup = site_from_table({"site": PLACE}, "x")
     assert setup.room is None and setup.camera.heading_deg == 180.0
 
 
+@pytest.mark.property
 @pytest.mark.parametrize(
     "path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda p: p.stem
 )
@@ -141,6 +150,7 @@ def test_every_shipped_site_loads_and_round_trips(path: Path) -> None:
     assert site_from_table(site_table(setup), "again") == setup
 
 
+@pytest.mark.property
 @pytest.mark.parametrize(
     "path",
     sorted(p for p in shipped("calibration").glob("*.toml") if "[camera]" in p.read_text("utf-8")),
@@ -153,6 +163,7 @@ def test_every_shipped_camera_loads_and_round_trips(path: Path, tmp_path: Path) 
     assert load_camera_profile(tmp_path / "copy.toml") == profile
 
 
+@pytest.mark.contract
 def test_a_misspelt_profile_key_is_refused(tmp_path: Path) -> None:
     text = find_camera_profile("").read_text("utf-8").replace("gain_e_per_dn", "gian_e_per_dn")
     path = tmp_path / "camera.toml"
@@ -161,11 +172,13 @@ def test_a_misspelt_profile_key_is_refused(tmp_path: Path) -> None:
         load_camera_profile(path)
 
 
+@pytest.mark.contract
 def test_an_unknown_profile_lists_what_there_is() -> None:
     with pytest.raises(InputError, match="sim-dual-fisheye"):
         find_camera_profile("nikon-z99")
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("line", "new", "said"),
     [
@@ -185,7 +198,7 @@ def test_an_unknown_profile_lists_what_there_is() -> None:
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, line: str, new: str, said: str) -> None:
-    """contract: a lens that folds back or ends before its edge would put light where none came
+    """A lens that folds back or ends before its edge would put light where none came
     from.
     """
     text = find_camera_profile("sim-fisheye").read_text(encoding="utf-8")

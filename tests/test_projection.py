@@ -35,11 +35,13 @@ def lens(mapping: str = "equisolid", **pose: float) -> LensGeometry:
 # analytic
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("height", [1, 7, 115, 230])
 def test_solid_angles_sum_to_four_pi(height: int) -> None:
     assert equirect_solid_angles(height, 2 * height).sum() == pytest.approx(4 * np.pi, rel=1e-12)
 
 
+@pytest.mark.analytic
 def test_the_centre_column_faces_the_heading_and_right_is_clockwise() -> None:
     azimuths = column_azimuths_deg(4, 200.0)
     assert azimuths == pytest.approx([65.0, 155.0, 245.0, 335.0])
@@ -47,6 +49,7 @@ def test_the_centre_column_faces_the_heading_and_right_is_clockwise() -> None:
     assert (row, column) == (1.0, 2.0)
 
 
+@pytest.mark.authority
 def test_mappings_of_known_lenses() -> None:
     # Equisolid: r = 2 f sin(angle / 2); equidistant: r = f angle.
     full = LensGeometry((0.0, 0.0), 1.0, 180.0, "equisolid")
@@ -56,6 +59,7 @@ def test_mappings_of_known_lenses() -> None:
     ) == pytest.approx(0.5)
 
 
+@pytest.mark.analytic
 def test_a_pose_turns_tilts_and_rolls_as_the_profile_says() -> None:
     # A point to the right of the axis stands right in the picture; a camera rolled clockwise shows
     # it higher up.
@@ -67,14 +71,16 @@ def test_a_pose_turns_tilts_and_rolls_as_the_profile_says() -> None:
     assert x == pytest.approx(150.0) and y < 150
 
 
+@pytest.mark.contract
 def test_a_polynomial_that_falls_inside_the_circle_is_refused() -> None:
     with pytest.raises(ValueError, match="does not rise"):
         angle_of_radius(LensGeometry((0.0, 0.0), 1.0, 180.0, "polynomial", (2.0, -1.5)), 0.5)
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("height", [8, 33, 115])
 def test_a_polynomial_that_falls_beyond_the_circle_shows_nothing_there(height: int) -> None:
-    """analytic: r = 1.5 a - .5 a^3 is 1 at the edge and falls again, so directions beyond it
+    """R = 1.5 a - .5 a^3 is 1 at the edge and falls again, so directions beyond it
     land within the circle.
     """
     flat = replace(lens(), mapping="polynomial", coefficients=(1.5, 0.0, -0.5))
@@ -85,6 +91,7 @@ def test_a_polynomial_that_falls_beyond_the_circle_shows_nothing_there(height: i
     assert r.coverage[angle < flat.half_angle_rad - 0.2 - np.pi / height].min() > 0.9
 
 
+@pytest.mark.property
 @pytest.mark.parametrize("height", [8, 33, 64])
 @pytest.mark.parametrize("cfa", ["", "RGGB", "GBRG"])
 def test_a_uniform_field_stays_uniform_at_any_size(height: int, cfa: str) -> None:
@@ -97,6 +104,7 @@ def test_a_uniform_field_stays_uniform_at_any_size(height: int, cfa: str) -> Non
     assert seen == pytest.approx(whole, rel=0.03)  # the circle's outermost pixels are not used
 
 
+@pytest.mark.analytic
 def test_each_colour_comes_from_its_own_pixels() -> None:
     mosaic = np.zeros((300, 300), np.float32)
     mosaic[0::2, 0::2], mosaic[1::2, 1::2] = 1.0, 3.0
@@ -108,6 +116,7 @@ def test_each_colour_comes_from_its_own_pixels() -> None:
         )
 
 
+@pytest.mark.analytic
 def test_every_sensor_pixel_gives_away_its_own_light() -> None:
     """What a panorama takes of one colour's pixel is that pixel's share of the sphere, wherever
     it stands.
@@ -163,6 +172,7 @@ def disc_energy(azimuth_deg: float, altitude_deg: float, height: int) -> float:
     return float(energy / (2 * np.pi * (1 - np.cos(0.004654))))
 
 
+@pytest.mark.analytic
 def test_the_sun_keeps_its_energy_wherever_it_falls() -> None:
     # 1024 x 512, lens of 2900 px across; acceptance of research section 8: within 1 %.
     rng = np.random.default_rng(3)
@@ -175,6 +185,7 @@ def test_the_sun_keeps_its_energy_wherever_it_falls() -> None:
         assert disc_energy(azimuth, altitude, 512) == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.property
 def test_turning_the_lens_by_whole_columns_shifts_the_panorama() -> None:
     rng = np.random.default_rng(0)
     sensor = rng.random(90_000).astype(np.float32)
@@ -188,6 +199,7 @@ def test_turning_the_lens_by_whole_columns_shifts_the_panorama() -> None:
     )  # samples on a pixel's edge may fall to either side
 
 
+@pytest.mark.analytic
 def test_fisheye_target_looks_along_the_lens() -> None:
     target = Fisheye(64, 186.0, lens(azimuth_deg=70.0))
     r = resampler(target, lens(azimuth_deg=70.0), (300, 300))
@@ -204,6 +216,7 @@ def test_fisheye_target_looks_along_the_lens() -> None:
 # property
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=60)
 @given(
     st.sampled_from(["equidistant", "equisolid", "polynomial"]),
@@ -226,6 +239,7 @@ def test_directions_and_pixels_are_inverses(
     assert back_angle == pytest.approx(angle, abs=1e-4)
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=20)
 @given(st.floats(-90, 90), st.floats(0, 360), st.floats(0, 360))
 def test_every_direction_falls_into_the_pixel_that_looks_there(

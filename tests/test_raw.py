@@ -39,8 +39,9 @@ def dng(path: Path, cfa: str = "RGGB") -> np.ndarray:
     return given_counts
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("cfa", ["RGGB", "BGGR", "GRBG", "GBRG"])
-def test_analytic_dng_returns_bit_for_bit(tmp_path: Path, cfa: str) -> None:
+def test_dng_returns_bit_for_bit(tmp_path: Path, cfa: str) -> None:
     written = dng(tmp_path / "f.dng", cfa)
     mosaic = read_mosaic(tmp_path / "f.dng")
     assert np.array_equal(mosaic.counts, written)
@@ -52,7 +53,8 @@ def test_analytic_dng_returns_bit_for_bit(tmp_path: Path, cfa: str) -> None:
     )
 
 
-def test_analytic_libraw_reads_the_same_exposure(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_libraw_reads_the_same_exposure(tmp_path: Path) -> None:
     import rawpy
 
     dng(tmp_path / "f.dng")
@@ -61,7 +63,8 @@ def test_analytic_libraw_reads_the_same_exposure(tmp_path: Path) -> None:
         assert (raw.other.aperture, raw.other.iso_speed) == (pytest.approx(5.6), 100)
 
 
-def test_analytic_jpeg_round_trip(tmp_path: Path) -> None:
+@pytest.mark.analytic
+def test_jpeg_round_trip(tmp_path: Path) -> None:
     grey = np.full((16, 24, 3), 120, np.uint8)
     write_jpeg(tmp_path / "f.jpg", grey, EXPOSURE, t_camera=WHEN, model="Cam 1")
     frame = read_jpeg(tmp_path / "f.jpg")
@@ -70,12 +73,14 @@ def test_analytic_jpeg_round_trip(tmp_path: Path) -> None:
     assert read_exif(tmp_path / "f.jpg").exposure == EXPOSURE
 
 
+@pytest.mark.contract
 def test_green_one_stands_in_the_rows_of_red() -> None:
     assert channel_positions("GBRG") == ((1, 0), (1, 1), (0, 0), (0, 1))
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("magic", [b"IIU\0", b"IIRO", b"IIRS"])
-def test_contract_a_cut_raw_of_a_maker_with_a_tiff_of_its_own_is_refused(
+def test_a_cut_raw_of_a_maker_with_a_tiff_of_its_own_is_refused(
     tmp_path: Path, magic: bytes
 ) -> None:
     """Panasonic (whose newer files name the place of their pixels in tag 280) and Olympus."""
@@ -103,7 +108,8 @@ def test_contract_a_cut_raw_of_a_maker_with_a_tiff_of_its_own_is_refused(
         assert ("its pixels end later" in said) == cut
 
 
-def test_contract_a_cut_raw_is_refused(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_a_cut_raw_is_refused(tmp_path: Path) -> None:
     dng(tmp_path / "f.dng")
     whole = (tmp_path / "f.dng").read_bytes()
     for size in (0, 5, 60, 400, len(whole) // 2, len(whole) - 1):
@@ -113,12 +119,11 @@ def test_contract_a_cut_raw_is_refused(tmp_path: Path) -> None:
         assert "cut.dng" in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("compression", "said"), [(7, "no lossless JPEG"), (8, "LibRaw"), (5, "LibRaw")]
 )
-def test_contract_pixels_of_another_kind_are_no_picture(
-    tmp_path: Path, compression: int, said: str
-) -> None:
+def test_pixels_of_another_kind_are_no_picture(tmp_path: Path, compression: int, said: str) -> None:
     dng(tmp_path / "f.dng")
     body = bytearray((tmp_path / "f.dng").read_bytes())
     at = body.index(b"\x03\x01\x03\x00\x01\x00\x00\x00\x01\x00")  # compression 1: none
@@ -128,7 +133,8 @@ def test_contract_pixels_of_another_kind_are_no_picture(
         read_mosaic(tmp_path / "f.dng")
 
 
-def test_contract_what_libraw_only_mutters_is_an_error(
+@pytest.mark.contract
+def test_what_libraw_only_mutters_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import rawpy
@@ -153,20 +159,23 @@ def test_contract_what_libraw_only_mutters_is_an_error(
     assert (tmp_path / "stderr").read_text() == "somebody else's line\n"
 
 
-def test_contract_a_renamed_jpeg_is_named(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_a_renamed_jpeg_is_named(tmp_path: Path) -> None:
     write_jpeg(tmp_path / "f.jpg", np.zeros((16, 16, 3), np.uint8), EXPOSURE)
     (tmp_path / "f.jpg").rename(tmp_path / "f.dng")
     with pytest.raises(InputError, match="a JPEG by its content"):
         read_mosaic(tmp_path / "f.dng")
 
 
-def test_contract_a_renamed_raw_is_no_jpeg(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_a_renamed_raw_is_no_jpeg(tmp_path: Path) -> None:
     dng(tmp_path / "f.jpg")
     with pytest.raises(InputError, match="no JPEG"):
         read_jpeg(tmp_path / "f.jpg")
 
 
-def test_contract_missing_shutter_names_the_remedy(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_missing_shutter_names_the_remedy(tmp_path: Path) -> None:
     from PIL import Image
 
     Image.new("RGB", (16, 16)).save(tmp_path / "f.jpg")
@@ -177,17 +186,19 @@ def test_contract_missing_shutter_names_the_remedy(tmp_path: Path) -> None:
             read(tmp_path / "f.jpg")
 
 
-def test_contract_a_missing_file(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_a_missing_file(tmp_path: Path) -> None:
     for read in (read_mosaic, read_jpeg, read_exif):
         with pytest.raises(InputError, match="No such file"):
             read(tmp_path / "none.dng")
 
 
+@pytest.mark.property
 @settings(
     deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.data())
-def test_property_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject) -> None:
+def test_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject) -> None:
     suffix, read = data.draw(st.sampled_from([(".dng", read_mosaic), (".jpg", read_jpeg)]))
     path = tmp_path / f"f{suffix}"
     if suffix == ".dng":

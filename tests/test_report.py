@@ -20,6 +20,8 @@ from fieldlum.records import Exposure, Slot
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
 from fieldlum.session import Session, create_session
 
+pytestmark = pytest.mark.contract
+
 BROWSER = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
@@ -68,7 +70,7 @@ def page(session: Session) -> Path:
     return report.run(session)
 
 
-def test_contract_the_page_is_one_file_without_a_link_outside(page: Path) -> None:
+def test_the_page_is_one_file_without_a_link_outside(page: Path) -> None:
     text = page.read_text("utf-8")
     assert page.stat().st_size < 15e6
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", text)
@@ -78,7 +80,7 @@ def test_contract_the_page_is_one_file_without_a_link_outside(page: Path) -> Non
     assert (page.parent / "report.json").is_file()
 
 
-def test_contract_every_picture_has_words(page: Path) -> None:
+def test_every_picture_has_words(page: Path) -> None:
     text = page.read_text("utf-8")
     pictures = re.findall(r"<img [^>]*>", text)
     assert pictures and all(re.search(r'alt="[^"]{10,}"', tag) for tag in pictures)
@@ -129,7 +131,7 @@ def test_the_heat_map_holds_what_it_was_given() -> None:
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
-def test_contract_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
+def test_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
     """From file://; the script ran (it fills the legend), and nothing was written to the console
     as an error.
     """

@@ -64,6 +64,7 @@ def _heading(room: Room) -> float:
     return room.wall_azimuth_deg
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "path", sorted(shipped("capture_plans").glob("*.toml")), ids=lambda path: path.stem
 )
@@ -72,8 +73,9 @@ def test_shipped_rooms_can_be(path: Path) -> None:
     assert room is not None and geometry.build(room).openings
 
 
+@pytest.mark.analytic
 def test_patch_on_the_floor_by_hand() -> None:
-    """Analytic: sun from due south at 45 degrees; window z 1 to 2.5, x 1 to 3, wall .25 m thick.
+    """Sun from due south at 45 degrees; window z 1 to 2.5, x 1 to 3, wall .25 m thick.
 
     The outer sill shades: on the floor the light runs from y = 1 (inner sill) to y = 2.5 - .25
     (outer lintel).
@@ -101,8 +103,9 @@ def test_patch_on_the_floor_by_hand() -> None:
         assert found == pytest.approx(expected if lit else 0.0, rel=1e-5), (x, y)
 
 
+@pytest.mark.analytic
 def test_normal_glass_passes_what_it_says() -> None:
-    """Analytic: .88 at normal incidence gives transmissivity .96, as Radiance's manual has it;
+    """.88 at normal incidence gives transmissivity .96, as Radiance's manual has it;
     grazing gives none.
     """
     through, back = geometry.glass_optics(0.88, [1.0, 0.5, 1e-6])
@@ -112,6 +115,7 @@ def test_normal_glass_passes_what_it_says() -> None:
     assert (through + back <= 1).all()
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize("room", [OFFICE.room, CORNER], ids=["office", "corner"])
 def test_patches_authority_rtrace(room: Room) -> None:
     """Radiance's rtrace -ab 0 on the same boxes, panes and rays: equal but for rays that graze
@@ -135,6 +139,7 @@ def test_patches_authority_rtrace(room: Room) -> None:
         assert made.luminance_cdm2[0].sum() == pytest.approx(truth.sum(), rel=3e-3, abs=1e-3)
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize("room", [OFFICE.room, CORNER], ids=["office", "corner"])
 def test_window_fraction_authority_rtrace(room: Room) -> None:
     """The room under a sky of one, nothing else, by rtrace."""
@@ -150,8 +155,9 @@ def test_window_fraction_authority_rtrace(room: Room) -> None:
     assert np.abs(found - truth).max() < 0.12 and np.abs(found - truth).mean() < 2e-4
 
 
+@pytest.mark.analytic
 def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
-    """Analytic: the office sees the sun at 20 degrees, 10 beside south; due south the middle bar
+    """The office sees the sun at 20 degrees, 10 beside south; due south the middle bar
     hides it.
     """
     assert OFFICE.room is not None
@@ -162,6 +168,7 @@ def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
     assert made.disc_lx[0] == pytest.approx(50000 * through, rel=1e-6)
 
 
+@pytest.mark.analytic
 def test_a_bar_narrower_than_the_disc_hides_part_of_it() -> None:
     thin = replace(BARE, window=(replace(BARE.window[0], panes=2, frame_m=0.01),))
     made = scene.sun_patches(
@@ -170,10 +177,11 @@ def test_a_bar_narrower_than_the_disc_hides_part_of_it() -> None:
     assert 0.1 < made.visible_fraction[0] < 0.9  # 1 cm against 2.4 cm of disc at 2.6 m
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=12)
 @given(st.floats(3, 70), st.floats(-80, 80), st.floats(0, 360))
 def test_turning_the_world_turns_nothing(altitude: float, turn: float, north: float) -> None:
-    """Property: a room, its camera and the sun turned together give the same picture."""
+    """A room, its camera and the sun turned together give the same picture."""
     base = scene.sun_patches(
         BARE, None, sun.direction(altitude, 180 + turn)[None], 1e4, height=16, heading_deg=180
     )
@@ -193,14 +201,16 @@ def test_turning_the_world_turns_nothing(altitude: float, turn: float, north: fl
     assert base.visible_fraction == pytest.approx(other.visible_fraction, abs=0.05)
 
 
+@pytest.mark.property
 def test_mirror_symmetry() -> None:
-    """Property: a symmetric room, the sun mirrored east-west, gives the mirrored picture."""
+    """A symmetric room, the sun mirrored east-west, gives the mirrored picture."""
     suns = sun.direction([30.0, 30.0], [150.0, 210.0])
     made = scene.sun_patches(BARE, None, suns, 1e4, height=30, heading_deg=180.0).luminance_cdm2
     assert made[0] == pytest.approx(made[1][:, ::-1], abs=0.15 * float(made.max()))
     assert made[0].sum() == pytest.approx(made[1].sum(), rel=5e-3)
 
 
+@pytest.mark.property
 @pytest.mark.numeric
 def test_streaming_equals_all_at_once() -> None:
     suns = sun.direction(np.linspace(5, 60, 7), np.linspace(120, 240, 7))
@@ -220,8 +230,9 @@ def test_streaming_equals_all_at_once() -> None:
         assert alone.disc_lx[0] == whole.disc_lx[k]
 
 
+@pytest.mark.authority
 def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
-    """Authority: the same room written as .rad (kind "radiance") gives the same patches through
+    """The same room written as .rad (kind "radiance") gives the same patches through
     rtrace.
     """
     built = geometry.build(BARE)
@@ -237,6 +248,7 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
     assert np.abs(share - scene.window_fraction(BARE, None, 20, 180.0)).mean() < 1e-3
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -259,6 +271,7 @@ def test_impossible_rooms_are_named(change: dict, expected: str) -> None:
         )
 
 
+@pytest.mark.contract
 def test_a_broken_radiance_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "bad.rad"
     path.write_text("void plastic oops\n0\n0\n5 .5 .5\nnothing polygon\n")

@@ -40,6 +40,7 @@ def session(tmp_path: Path) -> Session:
     return create_session(tmp_path / "s", SETUP, slots, {"set": "test"})
 
 
+@pytest.mark.property
 def test_plan_and_site_round_trip(session: Session) -> None:
     again = open_session(session.root)
     assert again.site_file() == SETUP
@@ -55,6 +56,7 @@ def test_plan_and_site_round_trip(session: Session) -> None:
     assert session.plan.read_text() == "my own shopping plan\n"
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
@@ -77,6 +79,7 @@ def test_a_plan_that_a_spreadsheet_spoilt_is_refused(
         session.slots()
 
 
+@pytest.mark.property
 @given(
     st.floats(1e-5, 600),
     st.floats(1, 32),
@@ -84,20 +87,17 @@ def test_a_plan_that_a_spreadsheet_spoilt_is_refused(
     st.sampled_from(["", "nd3"]),
 )
 @settings(deadline=None)
-def test_exposure_text_round_trips(
-    shutter: float, f_number: float, iso: int, nd: str
-) -> None:  # property
+def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd: str) -> None:
     back = parse_exposure(exposure_text(Exposure(shutter, f_number, iso, nd)))
     assert back.shutter_s == pytest.approx(shutter, rel=2e-5)
     assert back.f_number == pytest.approx(f_number, rel=1e-5)
     assert (back.iso, back.nd) == (iso, nd)
 
 
+@pytest.mark.property
 @given(st.text(), st.text(), st.one_of(st.none(), st.floats(-10, 1500)))
 @settings(deadline=None)
-def test_day_row_holds_any_text_on_one_line(
-    status: str, raw: str, ghi: float | None
-) -> None:  # property
+def test_day_row_holds_any_text_on_one_line(status: str, raw: str, ghi: float | None) -> None:
     line = encode_sample(IrradianceSample(NOON, ghi, None, 3.5, None, status, raw))
     assert line.count(b"\n") == 1 and line.endswith(b"\n")
     back = decode_sample(line)
@@ -105,9 +105,10 @@ def test_day_row_holds_any_text_on_one_line(
     assert back.ghi_wm2 == (None if ghi is None else pytest.approx(ghi, rel=1e-6, abs=1e-30))
 
 
+@pytest.mark.property
 @given(st.integers(0, 200), st.integers(0, 255))
 @settings(deadline=None)
-def test_a_changed_byte_is_never_read(at: int, byte: int) -> None:  # property
+def test_a_changed_byte_is_never_read(at: int, byte: int) -> None:
     for line, decode in (
         (
             encode_sample(IrradianceSample(NOON, 812.4, 104.9, raw="S 812.4, 104.9,1")),
@@ -134,6 +135,7 @@ def _journal_lines(session: Session, count: int) -> list[bytes]:
     return session.journal.read_bytes().splitlines(keepends=True)
 
 
+@pytest.mark.property
 def test_journal_cut_at_every_byte_keeps_whole_lines(session: Session) -> None:
     lines = _journal_lines(session, 5)
     whole = b"".join(lines)
@@ -146,6 +148,7 @@ def test_journal_cut_at_every_byte_keeps_whole_lines(session: Session) -> None:
         assert len(read_journal(session)) == kept
 
 
+@pytest.mark.contract
 def test_zeroed_pages_are_cut_and_kept_aside(session: Session) -> None:
     whole = b"".join(_journal_lines(session, 3))
     session.journal.write_bytes(whole + b"\0" * 4096)
@@ -154,6 +157,7 @@ def test_zeroed_pages_are_cut_and_kept_aside(session: Session) -> None:
     assert session.journal.with_name("journal.jsonl.torn").stat().st_size == 4096
 
 
+@pytest.mark.contract
 def test_harm_in_the_middle_is_skipped_not_cut(session: Session) -> None:
     lines = _journal_lines(session, 4)
     lines[1] = lines[1].replace(b"frame", b"fr4me")
@@ -162,6 +166,7 @@ def test_harm_in_the_middle_is_skipped_not_cut(session: Session) -> None:
     assert [event["index"] for event in read_journal(session)] == [0, 2, 3]
 
 
+@pytest.mark.contract
 def test_an_edited_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     path.write_text("a\nb\nc\nd\n")
@@ -170,6 +175,7 @@ def test_an_edited_file_is_refused(tmp_path: Path) -> None:
     assert path.read_text() == "a\nb\nc\nd\n"
 
 
+@pytest.mark.contract
 def test_day_files_split_at_utc_midnight_and_recover(session: Session) -> None:
     log = DayFiles(session)
     late = datetime(2027, 3, 20, 23, 59, 58, tzinfo=UTC)
@@ -186,6 +192,7 @@ def test_day_files_split_at_utc_midnight_and_recover(session: Session) -> None:
     assert ([s.ghi_wm2 for s in samples], broken) == ([2.0, 9.0], 0)
 
 
+@pytest.mark.contract
 def test_full_disk_takes_half_a_line_back(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,6 +215,7 @@ def test_full_disk_takes_half_a_line_back(
     assert session.journal.read_bytes() == before
 
 
+@pytest.mark.contract
 def test_only_one_capture_at_a_time(session: Session) -> None:
     with (
         sole_user(session, "capture"),

@@ -97,26 +97,30 @@ def found_in(data: Dataset) -> Setting:
 # scan
 
 
-def test_analytic_a_right_setting_raises_no_alarm() -> None:
+@pytest.mark.analytic
+def test_a_right_setting_raises_no_alarm() -> None:
     found = found_in(captured())
     assert found.wrong is None and found.slip_deg == 0.0
     assert settle(FITTED, captured(), "absolute") == (FITTED, [])
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize("turn_deg", [-1.5])
-def test_analytic_north_is_found(turn_deg: float) -> None:
+def test_north_is_found(turn_deg: float) -> None:
     found = found_in(stated_otherwise(turn_deg))
     assert found.wrong is not None and found.wrong.cause == "north"
     assert found.wrong.amount[0] == pytest.approx(turn_deg, abs=0.2)
 
 
-def test_analytic_a_clock_is_told_from_north() -> None:
+@pytest.mark.analytic
+def test_a_clock_is_told_from_north() -> None:
     found = found_in(stated_otherwise(fast_min=15.0))
     assert found.wrong is not None and found.wrong.cause == "clock"
     assert found.wrong.amount[0] == pytest.approx(15.0, abs=1.0)
 
 
-def test_analytic_moved_patches_and_unknown_gain() -> None:
+@pytest.mark.analytic
+def test_moved_patches_and_unknown_gain() -> None:
     data = captured()
     assert data.patch_cdm2 is not None
     found = found_in(replace(data, patch_cdm2=3.0 * np.roll(data.patch_cdm2, 2, axis=2)))
@@ -125,7 +129,8 @@ def test_analytic_moved_patches_and_unknown_gain() -> None:
     assert 0.5 < found.slip_deg * HEIGHT / 180.0 < 3.0
 
 
-def test_contract_nothing_to_scan() -> None:
+@pytest.mark.contract
+def test_nothing_to_scan() -> None:
     assert setting_scan(replace(captured(), patch_cdm2=None)) is None
     dull = captured().take(captured().light.dni_wm2 == 0.0)
     assert setting_scan(dull) is None
@@ -139,7 +144,8 @@ def test_contract_nothing_to_scan() -> None:
 FITTED = cast(Fitted, fit(captured()))
 
 
-def test_property_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
+@pytest.mark.property
+def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     data = stated_otherwise(2.0)
     model = fit(data)
     doubting, said = settle(cast(Fitted, model), data, "absolute")
@@ -154,7 +160,8 @@ def test_property_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     assert settle(FITTED, captured(), "none") == (FITTED, [])
 
 
-def test_analytic_slip_of_a_straight_edge() -> None:
+@pytest.mark.analytic
+def test_slip_of_a_straight_edge() -> None:
     patch = np.zeros((1, 6, 12), np.float32)
     patch[:, :, 6:9] = 90.0
     seen, gain = np.ones((6, 12), bool), np.ones(72, np.float32)
@@ -169,7 +176,8 @@ def test_analytic_slip_of_a_straight_edge() -> None:
     assert odds == 0.5 and high[0, 3, 10] == 90.0 and low[0, 3, 11] == 0.0 and high[0, 3, 3] == 90.0
 
 
-def test_property_experience_of_like_suns_raises_the_expectation() -> None:
+@pytest.mark.property
+def test_experience_of_like_suns_raises_the_expectation() -> None:
     light = captured().light
     beam = light.direct_lx / light.total_lx
     held = np.where(beam > 0.3, 0.02, 1e-4)
@@ -179,7 +187,8 @@ def test_property_experience_of_like_suns_raises_the_expectation() -> None:
     assert nowhere == pytest.approx([3e-3])
 
 
-def test_analytic_moved_by_whole_and_half_pixels() -> None:
+@pytest.mark.analytic
+def test_moved_by_whole_and_half_pixels() -> None:
     maps = np.random.default_rng(0).random((2, 5, 10))
     every = np.arange(50)
     assert np.allclose(moved(maps, every, 3.0, 0.0).reshape(maps.shape), np.roll(maps, 3, axis=2))
@@ -187,8 +196,9 @@ def test_analytic_moved_by_whole_and_half_pixels() -> None:
     assert np.allclose(half[:, 1:], (maps[:, 1:] + maps[:, :-1]) / 2)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("cause", ["north", "clock", "north and clock", "wall", "camera"])
-def test_contract_every_cause_has_words_and_a_remedy(cause: str) -> None:
+def test_every_cause_has_words_and_a_remedy(cause: str) -> None:
     amount = (1.0, 2.0) if cause in ("camera", "north and clock") else (1.0,)
     finding = SettingFinding(cause, amount, (0.1,) * len(amount), 0.02, 0.04, 5.0)
     lines = warnings_of(Setting((finding,), (), 0.5, 40), SETUP, 4.5)

@@ -81,8 +81,9 @@ def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray
     return np.frombuffer(answer, "<f4").reshape(-1, 3)[:, 0] * 179
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize(("dni", "dhi"), [(0.0, 200.0), (700.0, 100.0)], ids=["overcast", "clear"])
-def test_authority_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: float) -> None:
+def test_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: float) -> None:
     """Radiance rendering the hour in one piece. Draft pieces and pixels of 9 degrees with one
     ray each; rtrace itself moves by 10 % here between -aa .2 and -aa 0, and stands on either
     side of us.
@@ -95,8 +96,9 @@ def test_authority_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: fl
     assert np.mean(np.abs(ratio - 1) < 0.2) > 0.75
 
 
+@pytest.mark.analytic
 def test_gathered_light_is_complete(truth: simulate.GroundTruth) -> None:
-    """Analytic: under a luminance of 1 everywhere every point receives pi (glass takes its part
+    """Under a luminance of 1 everywhere every point receives pi (glass takes its part
     near the window).
     """
     total = np.asarray(truth.from_points.sum(axis=1)).ravel()
@@ -104,7 +106,8 @@ def test_gathered_light_is_complete(truth: simulate.GroundTruth) -> None:
     assert np.median(total) > 0.97 * np.pi
 
 
-def test_property_the_same_room_comes_out_the_same() -> None:
+@pytest.mark.property
+def test_the_same_room_comes_out_the_same() -> None:
     """rcontrib's own sampling is seeded by the clock: fits of one room then differed by 2 % from
     run to run.
     """
@@ -113,8 +116,9 @@ def test_property_the_same_room_comes_out_the_same() -> None:
     assert (first.from_pieces != second.from_pieces).nnz == 0
 
 
+@pytest.mark.property
 def test_linear_in_light(truth: simulate.GroundTruth) -> None:
-    """Property: twice the sky and the sun, twice the picture, the patch and the disc."""
+    """Twice the sky and the sun, twice the picture, the patch and the disc."""
     light = light_at([NOON], SMALL.site, np.array([600.0]), np.array([100.0]))
     one, two = truth.render(light), truth.render(light.scaled(2.0))
     assert two.luminance_cdm2 == pytest.approx(2 * one.luminance_cdm2, rel=1e-4)
@@ -136,6 +140,7 @@ def test_an_hour_does_not_depend_on_its_company(truth: simulate.GroundTruth) -> 
         assert np.array_equal(part.disc_lx, together.disc_lx[rows])
 
 
+@pytest.mark.property
 def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.GroundTruth) -> None:
     """The winter sun stands in the window: the map stays under any sunlit surface, its energy is
     in the source.
@@ -148,6 +153,7 @@ def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.GroundTruth) -
     assert truth.panorama(t, 0.0, 60.0).sun is None
 
 
+@pytest.mark.property
 def test_the_cache_gives_the_same_truth(tmp_path: Path) -> None:
     a = simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
     b = simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
@@ -162,17 +168,20 @@ def test_the_cache_gives_the_same_truth(tmp_path: Path) -> None:
     simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
 
 
+@pytest.mark.contract
 def test_a_room_is_needed() -> None:
     with pytest.raises(InputError, match="box room"):
         simulate.ground_truth(replace(SMALL, room=None))
 
 
+@pytest.mark.contract
 def test_weather_follows_the_place() -> None:
     assert "seattle" in simulate.weather_for(OFFICE).name
     sydney = replace(OFFICE, site=Site("Sydney", -33.9, 151.2, "Australia/Sydney"))
     assert simulate.weather_for(sydney).synthetic
 
 
+@pytest.mark.property
 def test_sampled_slots_are_daylight_and_disjoint() -> None:
     year = weather.shipped_seattle()
     first = simulate.sample_slots(OFFICE, year, 30, seed=1)
@@ -189,6 +198,7 @@ def _toml(path: Path) -> Path:
     return path
 
 
+@pytest.mark.property
 @pytest.mark.numeric
 def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     out = tmp_path / "session"
@@ -223,6 +233,7 @@ def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     assert read_panorama(lost).luminance_cdm2.shape == (10, 20)
 
 
+@pytest.mark.property
 def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:
     year = weather.shipped_seattle()
     session = simulate.make_session(
@@ -235,6 +246,7 @@ def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:
     assert open_session(session.root).table()["simulation"]["weather"] == year.name
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [

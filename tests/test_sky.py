@@ -13,6 +13,7 @@ from fieldlum.projection import direction
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(0.2665)))
 
 
+@pytest.mark.analytic
 def test_patches_analytic() -> None:
     for mf, count in ((1, 145), (4, 2305)):
         patches = sky.reinhart_patches(mf)
@@ -26,6 +27,7 @@ def test_patches_analytic() -> None:
         assert seen == pytest.approx(np.pi, rel=7e-3 / mf**2)
 
 
+@pytest.mark.authority
 def test_patch_order_authority(tmp_path) -> None:
     """Bins of reinhartb.cal, by Radiance's rcalc: each patch's middle falls in its own bin
     (clockwise from north).
@@ -56,6 +58,7 @@ def _gendaylit(when: datetime, dni: float, dhi: float) -> tuple[np.ndarray, floa
     return np.array(lines[-1].split()[1:], float), radiance[0] if radiance else 0.0
 
 
+@pytest.mark.authority
 def test_coefficients_authority_gendaylit() -> None:
     """gendaylit 2.5 over hours of the year, clear to overcast: it prints four digits, hence
     6e-4.
@@ -87,6 +90,7 @@ def test_coefficients_authority_gendaylit() -> None:
     assert checked > 80
 
 
+@pytest.mark.authority
 def test_luminance_authority_perezlum() -> None:
     """A sky through rtrace with perezlum.cal, in directions above and below the horizon
     (RGBE-free float output).
@@ -119,8 +123,9 @@ def test_luminance_authority_perezlum() -> None:
     assert sky.perez_luminance(made, sun, rays)[0] == pytest.approx(found, rel=1e-4)
 
 
+@pytest.mark.authority
 def test_efficacy_is_about_93_lm_per_w() -> None:
-    """Authority: Littlefair 1988 and Perez 1990 put beam sunlight between 90 and 110 lm/W; low
+    """Littlefair 1988 and Perez 1990 put beam sunlight between 90 and 110 lm/W; low
     suns are redder.
     """
     high = sky.direct_normal_illuminance_lx(800.0, 100.0, 50.0, 172)[0] / 800
@@ -129,6 +134,7 @@ def test_efficacy_is_about_93_lm_per_w() -> None:
     assert low < 70
 
 
+@pytest.mark.analytic
 def test_days_from_times() -> None:
     when = [datetime(2027, 3, 21, 20, tzinfo=UTC), datetime(2027, 12, 31, 20, tzinfo=UTC)]
     a = sky.perez_coefficients([300, 300], [100, 100], [40, 20], when)
@@ -136,6 +142,7 @@ def test_days_from_times() -> None:
     assert a.norm_cdm2 == pytest.approx(b.norm_cdm2)
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=60)
 @example(
     6.0, 2.0, 41.0, 1.0
@@ -144,7 +151,7 @@ def test_days_from_times() -> None:
 def test_every_sky_is_finite_and_holds_its_light(
     dni: float, dhi: float, altitude: float, day: float
 ) -> None:
-    """Property: no weather gives a negative or infinite sky, and patches add up to the diffuse
+    """No weather gives a negative or infinite sky, and patches add up to the diffuse
     illuminance within the error of gendaylit's own rule of 145 points (worst with a bright
     circumsolar sky at the horizon).
     """

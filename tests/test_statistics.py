@@ -11,19 +11,22 @@ from fieldlum.statistics import is_no_worse, median_standard_error, robust_sigma
 RNG = np.random.default_rng(3)
 
 
-def test_robust_sigma_of_normal_values_with_gross_errors() -> None:  # analytic
+@pytest.mark.analytic
+def test_robust_sigma_of_normal_values_with_gross_errors() -> None:
     values = RNG.normal(5.0, 2.0, 20_000)
     values[:2000] = 1e6
     assert robust_sigma(values) == pytest.approx(2.0 * 1.15, rel=0.04)  # 10 % of gross errors
     assert robust_sigma([-3.0, 3.0, 3.0], 0.0) == pytest.approx(1.4826 * 3.0)
 
 
-def test_the_median_scatters_as_stated() -> None:  # analytic
+@pytest.mark.analytic
+def test_the_median_scatters_as_stated() -> None:
     medians = np.median(RNG.normal(0.0, 3.0, (4000, 51)), axis=1)
     assert medians.std() == pytest.approx(median_standard_error(3.0, 51), rel=0.05)
 
 
-def test_standard_error_of_single_groups_is_the_plain_one() -> None:  # analytic
+@pytest.mark.analytic
+def test_standard_error_of_single_groups_is_the_plain_one() -> None:
     values = RNG.normal(size=17)
     plain = values.std(ddof=1) / np.sqrt(17)
     assert standard_error(values) == pytest.approx(plain)
@@ -33,15 +36,17 @@ def test_standard_error_of_single_groups_is_the_plain_one() -> None:  # analytic
     assert np.isnan(standard_error(values[:1])) and np.isnan(standard_error(values, np.zeros(17)))
 
 
-def test_is_no_worse_pairs_the_data() -> None:  # analytic
+@pytest.mark.analytic
+def test_is_no_worse_pairs_the_data() -> None:
     days = np.array([1.0, 4.0, 9.0, 16.0])  # days differ by far more than the two models do
     assert not is_no_worse(1.01 * days + 0.1, days)
     assert is_no_worse(days + np.array([1.0, -1.0, 1.0, -0.9]), days)
     assert is_no_worse(days, days) and not is_no_worse(days[:1] + 1e-9, days[:1])
 
 
+@pytest.mark.property
 @given(turn=st.floats(-1e4, 1e4))
-def test_a_signed_angle_is_the_same_direction(turn: float) -> None:  # property
+def test_a_signed_angle_is_the_same_direction(turn: float) -> None:
     signed = float(signed_angle_deg(turn))
     assert -180.0 <= signed < 180.0
     assert np.cos(np.radians(signed - turn)) == pytest.approx(1.0, abs=1e-9)

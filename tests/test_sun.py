@@ -122,16 +122,18 @@ USNO_RISE_SET = {
 }
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize("year", ALMANAC)
-def test_authority_seasons_to_the_minute(year: int) -> None:
+def test_seasons_to_the_minute(year: int) -> None:
     for which, text in enumerate(ALMANAC[year]):
         published = datetime.fromisoformat(f"{year}-{text}:00+00:00")
         # Printed to the minute: half of one, and the SPA's own 0.0003 degrees of longitude.
         assert abs((sun.season(year, which) - published).total_seconds()) <= 45
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize("year", MEEUS)
-def test_authority_seasons_against_meeus(year: int) -> None:
+def test_seasons_against_meeus(year: int) -> None:
     delta_t, *rows = MEEUS[year]
     for which, text in enumerate(rows):
         published = datetime.fromisoformat(f"{year}-{text}+00:00") - timedelta(seconds=delta_t)
@@ -140,8 +142,9 @@ def test_authority_seasons_against_meeus(year: int) -> None:
         )  # SPA: 0.0003 deg is 26 s of longitude
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize("place", USNO_RISE_SET, ids=lambda place: f"{place[0]:+g}")
-def test_authority_rise_and_set_to_the_minute(place: tuple[float, float, str]) -> None:
+def test_rise_and_set_to_the_minute(place: tuple[float, float, str]) -> None:
     for day, *published in USNO_RISE_SET[place]:
         found = sun.rise_transit_set([date.fromisoformat(f"2019-{day}")], Site("", *place))[0]
         for moment, text in zip((found.rise, found.set), published, strict=True):
@@ -152,6 +155,7 @@ def test_authority_rise_and_set_to_the_minute(place: tuple[float, float, str]) -
             assert abs(off_s) <= 45, (place, day, text, moment)
 
 
+@pytest.mark.property
 @pytest.mark.parametrize(
     "place",
     [
@@ -161,7 +165,7 @@ def test_authority_rise_and_set_to_the_minute(place: tuple[float, float, str]) -
     ],
     ids=lambda place: place[2],
 )
-def test_property_each_standard_day_has_its_own_sun_beside_the_date_line(
+def test_each_standard_day_has_its_own_sun_beside_the_date_line(
     place: tuple[float, float, str],
 ) -> None:
     days = [date(2027, 1, 1) + timedelta(days=13 * k) for k in range(28)]
@@ -180,8 +184,9 @@ def _crossing(site: Site, low: datetime, high: datetime, altitude_deg: float) ->
     return low
 
 
+@pytest.mark.authority
 @pytest.mark.parametrize("site", SITES, ids=lambda s: s.name)
-def test_authority_rise_and_set_agree_with_the_position(site: Site) -> None:
+def test_rise_and_set_agree_with_the_position(site: Site) -> None:
     """pvlib's rise and set (34 arc minutes of refraction, upper limb) against the position's own
     crossing.
     """
@@ -224,11 +229,13 @@ def _pvlib_rise(day: date, site: Site) -> datetime:
     return rise.tz_convert("UTC").floor("s").to_pydatetime()
 
 
-def test_analytic_declination_at_the_seasons() -> None:
+@pytest.mark.analytic
+def test_declination_at_the_seasons() -> None:
     times = [sun.season(2027, which) for which in range(4)]
     assert sun.declination_deg(times) == pytest.approx([0, 23.436, 0, -23.436], abs=0.01)
 
 
+@pytest.mark.contract
 def test_naive_times_are_refused() -> None:
     with pytest.raises(ValueError, match="naive"):
         sun.position([datetime(2027, 1, 1)], SEATTLE)  # noqa: DTZ001
@@ -236,6 +243,7 @@ def test_naive_times_are_refused() -> None:
         sun.standard_time(datetime(2027, 1, 1), "UTC")  # noqa: DTZ001
 
 
+@pytest.mark.analytic
 @pytest.mark.parametrize(
     ("zone", "hours"),
     [
@@ -252,6 +260,7 @@ def test_standard_offset_is_winter_time_in_both_hemispheres(zone: str, hours: fl
     assert sun.standard_offset(zone, 2027) == timedelta(hours=hours)
 
 
+@pytest.mark.analytic
 def test_clock_changes_in_a_window() -> None:
     found = sun.clock_changes(date(2027, 3, 1), date(2027, 3, 31), "Europe/London")
     assert found == [(datetime(2027, 3, 28, 1, tzinfo=UTC), timedelta(hours=1))]
@@ -261,6 +270,7 @@ def test_clock_changes_in_a_window() -> None:
     assert sun.clock_changes(date(2027, 1, 1), date(2027, 12, 31), "Asia/Singapore") == []
 
 
+@pytest.mark.analytic
 def test_dirint_splits_a_clear_day_and_an_overcast_one() -> None:
     times = [datetime(2027, 6, 21, 8, tzinfo=UTC) + timedelta(hours=h) for h in range(24)]
     clear = sun.clearsky(times, SEATTLE)
@@ -272,9 +282,10 @@ def test_dirint_splits_a_clear_day_and_an_overcast_one() -> None:
     assert np.isnan(sun.dirint_dni([np.nan] * 24, times, SEATTLE)).all()
 
 
+@pytest.mark.property
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(-10, 1400), min_size=24, max_size=24))
-def test_property_dirint_never_exceeds_the_global(ghi: list[float]) -> None:
+def test_dirint_never_exceeds_the_global(ghi: list[float]) -> None:
     times = [datetime(2027, 6, 21, 8, tzinfo=UTC) + timedelta(hours=h) for h in range(24)]
     dni, altitude = sun.dirint_dni(ghi, times, SEATTLE), sun.position(times, SEATTLE).altitude_deg
     assert np.isfinite(dni).all() and (dni >= 0).all()
@@ -282,9 +293,10 @@ def test_property_dirint_never_exceeds_the_global(ghi: list[float]) -> None:
     assert (beam <= np.maximum(ghi, 0) + 1e-6).all()
 
 
+@pytest.mark.property
 @settings(deadline=None)
 @given(st.floats(3, 90), st.floats(0, 1000), st.floats(0, 500))
-def test_property_closure_round_trip(altitude: float, dni: float, dhi: float) -> None:
+def test_closure_round_trip(altitude: float, dni: float, dhi: float) -> None:
     ghi = dhi + dni * np.sin(np.radians(altitude))
     assert sun.dni_by_closure(ghi, dhi, altitude) == pytest.approx(dni, abs=1e-6)
     assert sun.dhi_by_closure(ghi, dni, altitude) == pytest.approx(dhi, abs=1e-6)
@@ -294,7 +306,8 @@ def test_property_closure_round_trip(altitude: float, dni: float, dhi: float) ->
     assert np.isnan(ratio) if ghi <= 50 else ratio == pytest.approx(1)
 
 
-def test_authority_bsrn_limits() -> None:
+@pytest.mark.authority
+def test_bsrn_limits() -> None:
     """BSRN Global Network recommended QC tests V2.0 (Long and Dutton 2002), at the zenith and 1361
     W/m2.
 

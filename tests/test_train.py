@@ -35,6 +35,7 @@ KEYS = {
 }
 
 
+@pytest.mark.property
 def test_no_day_is_on_both_sides_and_every_hour_is_asked_once() -> None:
     folds = day_folds(DATA)
     assert len(folds) == 5
@@ -43,6 +44,7 @@ def test_no_day_is_on_both_sides_and_every_hour_is_asked_once() -> None:
     assert sorted(np.concatenate([fold.check for fold in folds])) == list(range(len(DATA)))
 
 
+@pytest.mark.contract
 def test_one_day_is_parted_by_hours_and_said_so() -> None:
     day = DATA.take(DATA.days == DATA.days[0])
     assert one_day_only(day) and len(day_folds(day)) > 1
@@ -50,6 +52,7 @@ def test_one_day_is_parted_by_hours_and_said_so() -> None:
         fit_and_score(day.take([0]), "mean")
 
 
+@pytest.mark.contract
 def test_auto_goes_on_without_a_model_that_needs_more_hours() -> None:
     """Three hours: two to learn from are too few for transport, and that is said."""
     result = fit_and_score(DATA.take(range(3)), "auto", budget_s=1.0)
@@ -70,8 +73,9 @@ def trial(name: str, errors: list[float]) -> Trial:
     return Trial(name, scores, 1.0, 1.0, n, 1)
 
 
+@pytest.mark.analytic
 def test_the_smallest_model_within_one_standard_error_is_chosen() -> None:
-    """analytic: day means 1, 2, 3 have mean 2 and standard error 0.58."""
+    """Day means 1, 2, 3 have mean 2 and standard error 0.58."""
     slots = [int(np.flatnonzero(DATA.days == day)[0]) for day in np.unique(DATA.days)[:3]]
     three = DATA.take(slots)
 
@@ -91,6 +95,7 @@ def test_the_smallest_model_within_one_standard_error_is_chosen() -> None:
     )
 
 
+@pytest.mark.property
 def test_candidates_are_compared_on_the_hours_they_share() -> None:
     """A network that was only asked about easy days must not win by that."""
     all_days = trial("transport", [0.1] * 3 + [9.0] * (len(DATA) - 3))
@@ -98,6 +103,7 @@ def test_candidates_are_compared_on_the_hours_they_share() -> None:
     assert choose([all_days, easy], DATA).name == "transport"
 
 
+@pytest.mark.property
 def test_a_slow_model_that_saw_few_days_does_not_decide_between_quick_ones() -> None:
     """On the first day nearest looks best; over all days transport is. The network knows the
     first day only.
@@ -114,6 +120,7 @@ def test_a_slow_model_that_saw_few_days_does_not_decide_between_quick_ones() -> 
     )
 
 
+@pytest.mark.contract
 def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
     answer = run(DATA, "nearest", out=tmp_path, captures=False)
     assert {row["name"] for row in answer["models"]} == {"mean", "nearest"}
@@ -127,6 +134,7 @@ def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
     assert models.load(tmp_path).name == "nearest"
 
 
+@pytest.mark.property
 def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
     folds = day_folds(DATA)
     by_hand = models.fit("nearest", DATA.take(folds[1].teach))
@@ -139,6 +147,7 @@ def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
     assert found.n_train == round(np.mean([len(fold.teach) for fold in folds]))
 
 
+@pytest.mark.contract
 def test_a_short_budget_still_trains_the_network(tmp_path: Path) -> None:
     few = DATA.take(range(0, len(DATA), 6))  # two updates are a pass, on the slowest processor too
     answer = run(few, "dense", budget_min=0.03, out=tmp_path, captures=False)
@@ -164,6 +173,7 @@ def test_a_network_that_saw_less_than_every_pixel_once_is_not_judged(
     assert len(shown) == 1 and "no time to judge" in shown[0] and "e+0" not in shown[0]
 
 
+@pytest.mark.property
 def test_the_order_of_use_puts_copies_last() -> None:
     """A capture that was made twice tells nothing the second time."""
     twice = DATA.take([0, 0, *range(1, 12)])
@@ -171,10 +181,12 @@ def test_the_order_of_use_puts_copies_last() -> None:
     assert {order[-1]} <= {0, 1} or max(order.index(0), order.index(1)) > 6
 
 
+@pytest.mark.contract
 def test_too_few_captures_have_no_curve() -> None:
     assert how_many(DATA.take(range(5)), "absolute") == {}
 
 
+@pytest.mark.contract
 def test_the_command(tmp_path: Path) -> None:
     path = write_pairs(tmp_path, DATA)
     runner = CliRunner()

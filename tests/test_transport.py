@@ -89,7 +89,8 @@ def log_mse(maps: np.ndarray, data: Dataset) -> float:
 # identities
 
 
-def test_property_closed_form_days_equal_refits() -> None:
+@pytest.mark.property
+def test_closed_form_days_equal_refits() -> None:
     rng = np.random.default_rng(0)
     n, count = 14, 5
     features = rng.standard_normal((n, 4))
@@ -105,7 +106,8 @@ def test_property_closed_form_days_equal_refits() -> None:
         assert np.allclose(closed[out], refit, atol=1e-10)
 
 
-def test_property_closed_form_days_of_the_second_stage_equal_refits() -> None:
+@pytest.mark.property
+def test_closed_form_days_of_the_second_stage_equal_refits() -> None:
     rng = np.random.default_rng(1)
     half = rng.standard_normal((12, 12))
     covariance, target = half @ half.T, rng.standard_normal((12, 3))
@@ -119,7 +121,8 @@ def test_property_closed_form_days_of_the_second_stage_equal_refits() -> None:
         )
 
 
-def test_analytic_ridge_without_prior_is_least_squares() -> None:
+@pytest.mark.analytic
+def test_ridge_without_prior_is_least_squares() -> None:
     rng = np.random.default_rng(2)
     features, truth = rng.standard_normal((30, 3)), rng.standard_normal((4, 3))
     columns = Columns(rng.random((1, 30, 4)), np.zeros(1), np.array([1e12]))
@@ -132,19 +135,22 @@ def test_analytic_ridge_without_prior_is_least_squares() -> None:
 # model
 
 
-def test_analytic_learns_an_exactly_linear_room() -> None:
+@pytest.mark.analytic
+def test_learns_an_exactly_linear_room() -> None:
     assert log_mse(MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1e-3
     assert log_mse(MODEL.predict(TRAIN.light, TRAIN.patch_cdm2).luminance_cdm2, TRAIN) < 2e-4
 
 
-def test_property_twice_the_light_is_twice_the_map() -> None:
+@pytest.mark.property
+def test_twice_the_light_is_twice_the_map() -> None:
     assert TEST.patch_cdm2 is not None
     once = MODEL.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2
     twice = MODEL.predict(TEST.light.scaled(2.0), 2.0 * TEST.patch_cdm2).luminance_cdm2
     assert np.allclose(twice, 2.0 * once, rtol=1e-4)
 
 
-def test_property_chunks_do_not_matter() -> None:
+@pytest.mark.property
+def test_chunks_do_not_matter() -> None:
     assert TEST.patch_cdm2 is not None
     whole = MODEL.predict(TEST.light, TEST.patch_cdm2)
     parts = [
@@ -159,7 +165,8 @@ def test_property_chunks_do_not_matter() -> None:
     )
 
 
-def test_analytic_unknown_gain_is_found_and_costs_little() -> None:
+@pytest.mark.analytic
+def test_unknown_gain_is_found_and_costs_little() -> None:
     assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
     model = fit(replace(TRAIN, patch_cdm2=TRAIN.patch_cdm2 / 3.7), patch="gain")
     assert model.patch_scale == pytest.approx(3.7, rel=0.1)
@@ -169,7 +176,8 @@ def test_analytic_unknown_gain_is_found_and_costs_little() -> None:
     )
 
 
-def test_contract_no_patch_is_learnt_and_needs_none() -> None:
+@pytest.mark.contract
+def test_no_patch_is_learnt_and_needs_none() -> None:
     model = fit(TRAIN, patch="none")
     found = model.predict(TEST.light)
     assert model.patchwork is None and log_mse(found.luminance_cdm2, TEST) < 0.05
@@ -177,8 +185,9 @@ def test_contract_no_patch_is_learnt_and_needs_none() -> None:
         MODEL.predict(TEST.light)
 
 
+@pytest.mark.property
 @pytest.mark.numeric
-def test_property_doubtful_patches_do_not_teach_the_light() -> None:
+def test_doubtful_patches_do_not_teach_the_light() -> None:
     material = material_of(TRAIN, with_patch=True)
     kernel, plain = Kernel(material.facades), replace(material.features, flux=None, cells=None)
     basis, below = (
@@ -191,7 +200,8 @@ def test_property_doubtful_patches_do_not_teach_the_light() -> None:
     assert (once.patch_gain == 1.0).all() and not np.allclose(once.second, twice.second)
 
 
-def test_contract_patches_that_needed_mending_are_doubted(tmp_path: Path) -> None:
+@pytest.mark.contract
+def test_patches_that_needed_mending_are_doubted(tmp_path: Path) -> None:
     assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
     shaded = (
         np.random.default_rng(3).random((HEIGHT, WIDTH)) < 0.5
@@ -208,11 +218,10 @@ def test_contract_patches_that_needed_mending_are_doubted(tmp_path: Path) -> Non
     )
 
 
+@pytest.mark.property
 @pytest.mark.parametrize("rows", [[0, 1, 2], [3, 3, 3, 3], list(range(5))])
 @pytest.mark.parametrize("patch", ["absolute", "gain", "none"])
-def test_property_tiny_or_doubled_sets_give_finite_maps(
-    rows: list[int], patch: models.Patch
-) -> None:
+def test_tiny_or_doubled_sets_give_finite_maps(rows: list[int], patch: models.Patch) -> None:
     data = TRAIN.take(rows)
     model = fit(data, patch=patch)
     found = model.predict(TEST.light, None if patch == "none" else TEST.patch_cdm2)
@@ -224,12 +233,14 @@ def test_property_tiny_or_doubled_sets_give_finite_maps(
     )
 
 
-def test_property_days_of_one_season_choose_no_width() -> None:
+@pytest.mark.property
+def test_days_of_one_season_choose_no_width() -> None:
     assert {r.second for r in recipes_for("none", one_season=True)} == {0.1}
     assert len({r.second for r in recipes_for("none", one_season=False)}) > 1
 
 
-def test_property_captures_under_changing_light_teach_less() -> None:
+@pytest.mark.property
+def test_captures_under_changing_light_teach_less() -> None:
     """A third of the pictures are off in level; told that their light was not steady, the fit is
     closer to truth.
     """
@@ -247,7 +258,8 @@ def test_property_captures_under_changing_light_teach_less() -> None:
     assert told < 0.9 * untold
 
 
-def test_property_no_more_features_than_held_out_days_ask_for() -> None:
+@pytest.mark.property
+def test_no_more_features_than_held_out_days_ask_for() -> None:
     """What the captures cannot support is not modelled, and few captures keep all they have."""
     noise = (
         np.random.default_rng(3).normal(1.0, 0.05, TRAIN.luminance_cdm2.shape).astype(np.float32)
@@ -263,7 +275,8 @@ def test_property_no_more_features_than_held_out_days_ask_for() -> None:
     assert fit(TRAIN.take(range(0, len(TRAIN), 3))).recipe.rank == RANK
 
 
-def test_analytic_seasons_are_parted_by_gaps_in_the_declination() -> None:
+@pytest.mark.analytic
+def test_seasons_are_parted_by_gaps_in_the_declination() -> None:
     nine = np.array(
         [f"2027-{d}" for d in ("03-19", "03-20", "06-20", "06-21", "12-20", "12-21")],
         "datetime64[D]",
@@ -272,17 +285,20 @@ def test_analytic_seasons_are_parted_by_gaps_in_the_declination() -> None:
     assert seasons(np.arange("2027-01-01", "2028-01-01", 3, "datetime64[D]")).max() == 0
 
 
-def test_contract_two_captures_are_not_enough() -> None:
+@pytest.mark.contract
+def test_two_captures_are_not_enough() -> None:
     with pytest.raises(NotEnoughDataError):
         fit(TRAIN.take([0, 1]))
 
 
-def test_property_duplicates_change_little() -> None:
+@pytest.mark.property
+def test_duplicates_change_little() -> None:
     twice = fit(TRAIN.take([*range(len(TRAIN)), *range(len(TRAIN))]))
     assert log_mse(twice.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1.5e-3
 
 
-def test_analytic_one_season_is_not_trusted_in_another() -> None:
+@pytest.mark.analytic
+def test_one_season_is_not_trusted_in_another() -> None:
     december = fit(toy([350, 352, 354, 356, 358]))
     found = december.predict(TEST.light, TEST.patch_cdm2)
     summer = np.array([t.month == 7 for t in TEST.light.t_utc]) & (TEST.light.dni_wm2 > 200)
@@ -290,7 +306,8 @@ def test_analytic_one_season_is_not_trusted_in_another() -> None:
     assert found.expected_mse[summer].mean() > 3.0 * np.mean(december.held_out_mse)
 
 
-def test_property_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None:
+@pytest.mark.property
+def test_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None:
     with_room = replace(TRAIN, setup=replace(SETUP, room=ROOM))
     model = fit(with_room)
     every = [sum(row["rank"] == RANK for row in m.table) for m in (model, MODEL)]
@@ -313,8 +330,9 @@ def test_property_room_physics_is_linear_used_and_survives_saving(tmp_path: Path
 # files
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("patch", ["absolute", "none"])
-def test_contract_saved_and_loaded_predicts_the_same(tmp_path: Path, patch: models.Patch) -> None:
+def test_saved_and_loaded_predicts_the_same(tmp_path: Path, patch: models.Patch) -> None:
     model = fit(TRAIN, patch=patch)
     models.save(tmp_path / "m", model, TRAIN)
     again = models.load(tmp_path / "m")
@@ -334,9 +352,8 @@ class _Bomb:
         return Path.touch, (Path("exploded"),)
 
 
-def test_contract_a_strangers_file_runs_no_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.contract
+def test_a_strangers_file_runs_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     models.save(tmp_path / "m", MODEL, TRAIN)
     with np.load(tmp_path / "m" / "weights.npz") as stored:

@@ -38,7 +38,8 @@ LENS = LensGeometry((0.0, 0.0), 100.0, 180.0, "equidistant")
 SEEN = seen_by_lenses([LENS], [0.0], HEIGHT)
 
 
-def test_analytic_a_half_lens_sees_what_the_cosine_says() -> None:
+@pytest.mark.analytic
+def test_a_half_lens_sees_what_the_cosine_says() -> None:
     seen = seen_by_lenses([LENS], [0.0], 90)
     turn = np.array([0.0, 30.0, 90.0, 150.0, 180.0])
     expected = (1.0 + np.cos(np.radians(turn))) / 2.0
@@ -53,6 +54,7 @@ def test_analytic_a_half_lens_sees_what_the_cosine_says() -> None:
     )
 
 
+@pytest.mark.contract
 def test_plan_and_doctor_name_directions_before_nine_days_are_spent() -> None:
     profile = load_camera_profile("sim-fisheye")
     text = coverage_text(profile, CameraSetup(profile="sim-fisheye", heading_deg=215.0))
@@ -63,11 +65,10 @@ def test_plan_and_doctor_name_directions_before_nine_days_are_spent() -> None:
     assert judged_text(np.ones((8, 16), bool), 0.0) == ""
 
 
+@pytest.mark.property
 @settings(max_examples=15, deadline=None)
 @given(st.floats(0.0, 2e4), st.integers(0, 9))
-def test_property_the_bounds_hold_any_even_light_in_the_unseen_part(
-    level: float, turn: int
-) -> None:
+def test_the_bounds_hold_any_even_light_in_the_unseen_part(level: float, turn: int) -> None:
     azimuths = np.array([HEADING_DEG + 6.0 * turn])
     views = panorama_views(HEIGHT, 2 * HEIGHT, HEADING_DEG, azimuths)
     full = np.full((1, HEIGHT, 2 * HEIGHT), 300.0, np.float32)
@@ -83,6 +84,7 @@ def test_property_the_bounds_hold_any_even_light_in_the_unseen_part(
     assert low[0, 0] - 0.005 <= truth[0, 0] <= high[0, 0] + 0.01
 
 
+@pytest.mark.analytic
 def test_the_brightest_hundredth_is_of_the_seen_part() -> None:
     image = np.full((1, 64, 128), 100.0, np.float32)
     image[0, 30:36, 60:68] = 5000.0  # 0.6 % of the sphere, 1.2 % of a half
@@ -91,6 +93,7 @@ def test_the_brightest_hundredth_is_of_the_seen_part() -> None:
     assert brightest_cdm2(image, np.ones((64, 128), bool))[0] == pytest.approx(100.0)
 
 
+@pytest.mark.contract
 def test_glare_of_a_panorama_gives_no_number_for_what_was_not_seen(tmp_path: Path) -> None:
     flags = np.where(SEEN, 0, int(Flag.OUTSIDE_LENS)).astype(np.uint8)
     pixels = np.where(SEEN, np.float32(500.0), np.float32(0.0))
@@ -126,6 +129,7 @@ def year(tmp_path_factory: pytest.TempPathFactory) -> predict.Annual:
     return predict.run(root / "transport", weather, out=root / "year")[0]
 
 
+@pytest.mark.contract
 def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
     rows = {round(row["azimuth_deg"]): row for row in year.about["protection"]}
     assert rows[180]["seen"] == "seen" and rows[180]["dgp_exceeded"] > 0
@@ -145,6 +149,7 @@ def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
     assert not again.judged[5] and again.judged[0]
 
 
+@pytest.mark.contract
 def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual) -> None:
     answer, why = annual_page.answer(year)
     best, worst = predict.best_and_worst(year.about["protection"]) or ({}, {})
@@ -159,6 +164,7 @@ def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual
     assert "0" not in azimuths - {"day"}
 
 
+@pytest.mark.contract
 def test_no_direction_at_all_is_said_and_not_drawn(year: predict.Annual) -> None:
     blind = [{**row, "class": "not seen"} for row in year.about["protection"]]
     assert predict.best_and_worst(blind) is None

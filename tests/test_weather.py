@@ -15,6 +15,7 @@ from fieldlum.records import Site
 SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 
 
+@pytest.mark.authority
 def test_seattle_ships_with_4379_daylight_hours() -> None:
     """The paper counts 4 379 hours with light and the sun up, by its own sun; ours may move a
     few at the horizon.
@@ -76,8 +77,9 @@ def _write_tmy3(path: Path, year: weather.Weather, zone: float = -8) -> None:
     path.write_text("\n".join(head + rows))
 
 
+@pytest.mark.contract
 def test_the_formats_agree(tmp_path) -> None:
-    """Contract: EPW labels are starts in hour 1..24, TMY3 labels are ends, CSV stands at
+    """EPW labels are starts in hour 1..24, TMY3 labels are ends, CSV stands at
     centres: the same year.
     """
     year = _year()
@@ -93,8 +95,9 @@ def test_the_formats_agree(tmp_path) -> None:
         assert not found.repairs, name
 
 
+@pytest.mark.analytic
 def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
-    """Analytic: in a cloudless EPW the beam-weighted mean time of a day is solar noon within
+    """In a cloudless EPW the beam-weighted mean time of a day is solar noon within
     three minutes.
     """
     times = _year().t_utc
@@ -111,6 +114,7 @@ def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
     assert noon is not None and abs((middle - noon).total_seconds()) < 180
 
 
+@pytest.mark.contract
 def test_typical_year_answers_for_any_year() -> None:
     year = _year()
     noon = [datetime(y, 3, 21, 20, 10, tzinfo=UTC) for y in (2019, 2024, 2027)]
@@ -121,6 +125,7 @@ def test_typical_year_answers_for_any_year() -> None:
     assert np.isfinite(year.at(ends).ghi_wm2).all()
 
 
+@pytest.mark.analytic
 def test_steady_within_the_hour_or_drifting() -> None:
     year = _year()
     k = 24 * 100 + 12
@@ -130,6 +135,7 @@ def test_steady_within_the_hour_or_drifting() -> None:
     assert drift[1] == pytest.approx(year.dhi_wm2[k]) and drift[0] != drift[1]
 
 
+@pytest.mark.contract
 def test_repairs_are_said(tmp_path) -> None:
     year = _year()
     path = tmp_path / "w.csv"
@@ -148,6 +154,7 @@ def test_repairs_are_said(tmp_path) -> None:
     assert (found.dni_wm2 >= 0).all()
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -172,6 +179,7 @@ def test_bad_files_are_named(tmp_path, change, expected: str) -> None:
         weather.read_weather(path, SEATTLE)
 
 
+@pytest.mark.contract
 def test_wrong_time_zone_shows_as_light_at_night(tmp_path) -> None:
     path = tmp_path / "w.csv"
     _write_csv(path, _year(), dated=False)
@@ -183,6 +191,7 @@ def test_wrong_time_zone_shows_as_light_at_night(tmp_path) -> None:
         weather.read_weather(tmp_path / "w.epw", SEATTLE)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "content", [b"", b"\x00\x01\x02", b"LOCATION,x\n", b"t_utc,dni_wm2,dhi_wm2\n2027-01-01,1,1\n"]
 )
@@ -198,6 +207,7 @@ def test_hopeless_files(tmp_path, content: bytes) -> None:
         weather.read_weather(tmp_path / "missing.epw", SEATTLE)
 
 
+@pytest.mark.contract
 def test_synthetic_is_seeded_plausible_and_labelled() -> None:
     for place in (SEATTLE, Site("Sydney", -33.9, 151.2, "Australia/Sydney")):
         a, b = weather.synthetic_weather(place, 1), weather.synthetic_weather(place, 1)
@@ -217,6 +227,7 @@ _ROWS = b"".join(
 )
 
 
+@pytest.mark.property
 @settings(
     deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -246,6 +257,7 @@ def test_mutated_files_are_read_or_refused(tmp_path, whole: bytes, changes) -> N
     assert list(found.t_utc) == sorted(set(found.t_utc))
 
 
+@pytest.mark.contract
 def test_a_mistyped_year_is_named(tmp_path) -> None:
     path = tmp_path / "w.csv"
     path.write_text(_SMALL.decode().replace("2027-06-21T12", "9027-06-21T12"))
@@ -271,9 +283,10 @@ def _write_dated(
     path.write_text("\n".join(rows))
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("shift_min", [-60, -30, 30, 60])
 def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_min: int) -> None:
-    """Contract: hour-end labels, hour-start labels and daylight saving all look like weather;
+    """Hour-end labels, hour-start labels and daylight saving all look like weather;
     the sun says no.
     """
     _write_dated(tmp_path / "w.csv", weather.shipped_seattle(), shift_min=shift_min)
@@ -283,6 +296,7 @@ def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_mi
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -294,20 +308,21 @@ def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_mi
     ],
 )
 def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected: str) -> None:
-    """Contract: numbers that look like weather, and are another component or another unit."""
+    """Numbers that look like weather, and are another component or another unit."""
     year = weather.shipped_seattle()
     _write_dated(tmp_path / "w.csv", year, **change(year))
     with pytest.raises(InputError, match=expected):
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("latitude_deg", "expected"), [(47.6, "sun is down"), (20.0, "another place")]
 )
 def test_weather_of_the_other_hemisphere_is_refused(
     tmp_path, latitude_deg: float, expected: str
 ) -> None:
-    """Contract: hours of local time fit any longitude; the length of the days does not."""
+    """Hours of local time fit any longitude; the length of the days does not."""
     north, south = (
         Site("Somewhere", sign * latitude_deg, -122.3, "America/Los_Angeles") for sign in (1, -1)
     )
@@ -316,9 +331,10 @@ def test_weather_of_the_other_hemisphere_is_refused(
         weather.read_weather(tmp_path / "w.csv", north)
 
 
+@pytest.mark.contract
 @pytest.mark.parametrize("step_min", [10, 30, 180])
 def test_rows_that_are_no_hours_are_refused(tmp_path, step_min: int) -> None:
-    """Contract: ten-minute rows would count each hour of glare six times."""
+    """Ten-minute rows would count each hour of glare six times."""
     start = datetime(2027, 6, 20, tzinfo=UTC)
     times = [start + timedelta(minutes=step_min * k) for k in range(20)]
     rows = [f"{t:%Y-%m-%dT%H:%M:%SZ},100,100" for t in times]
@@ -327,8 +343,9 @@ def test_rows_that_are_no_hours_are_refused(tmp_path, step_min: int) -> None:
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
+@pytest.mark.authority
 def test_measured_tmy3_files_pass() -> None:
-    """Authority: the two TMY3 files that pvlib ships, of 36 and 55 degrees north, are read
+    """The two TMY3 files that pvlib ships, of 36 and 55 degrees north, are read
     without a word.
     """
     import pvlib
