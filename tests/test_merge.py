@@ -74,7 +74,7 @@ STEPS = (100.0, 25.0, 6.25, 1.5625)
 @pytest.mark.analytic
 @pytest.mark.parametrize("light", [0.02, 1.0, 50.0, 2000.0])
 def test_merge_is_unbiased_and_says_how_sure_it_is(light: float) -> None:
-    # analytic: research section 8; the full table is bench/merge_estimator.py
+    # analytic: the scene is known; the full table is bench/merge_estimator.py
     rng = np.random.default_rng(5)
     scene = np.full((60, 2, 250), light)
     m = merged([expose(scene, e, rng) for e in STEPS], scene.shape)
@@ -254,7 +254,7 @@ def truth() -> np.ndarray:
     ],
 )
 def test_known_luminance_comes_back(bracket, name: str, headings: tuple) -> None:
-    # authority: the simulator's own scene; issue 2: median under 1 %, 95 % of unflagged pixels
+    # authority: the simulator's own scene; median under 1 %, 95 % of unflagged pixels
     # within 5 %
     shots, profile = bracket(name, headings=headings)
     result = merge(shots, profile)
@@ -315,7 +315,7 @@ def test_a_turned_heading_turns_the_panorama(bracket) -> None:  # whole columns
 @pytest.mark.analytic
 def test_a_uniform_room_gives_pi_l(
     bracket,
-) -> None:  # analytic, issue 3: within 0.05 % (and the camera's noise)
+) -> None:  # analytic: within 0.05 % (and the camera's noise)
     shots, profile = bracket("sim-dual-fisheye", uniform=200.0)
     panorama = merge(shots, profile).panorama
     assert vertical_illuminance_lx(panorama.luminance_cdm2, 180.0, 30.0) == pytest.approx(

@@ -28,9 +28,7 @@ FEW = TrainingPlan("short", steps=100, batch_pixels=256)
 @pytest.mark.authority
 @pytest.mark.parametrize(("sky_map", "count"), [(False, 1_688_601), (True, 1_689_201)])
 def test_the_network_has_the_papers_parameters(sky_map: bool, count: int) -> None:
-    """1 688 601 is the "Base Model" of the thesis behind the paper (DESIGN section
-    6).
-    """
+    """1 688 601 is the "Base Model" of the thesis behind the paper (docs/models.md, dense)."""
     assert parameter_count(Net(Shape(sky_map=sky_map))) == count
 
 

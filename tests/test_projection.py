@@ -174,7 +174,7 @@ def disc_energy(azimuth_deg: float, altitude_deg: float, height: int) -> float:
 
 @pytest.mark.analytic
 def test_the_sun_keeps_its_energy_wherever_it_falls() -> None:
-    # 1024 x 512, lens of 2900 px across; acceptance of research section 8: within 1 %.
+    # 1024 x 512, lens of 2900 px across; the sun's illuminance within 1 %.
     rng = np.random.default_rng(3)
     for azimuth, altitude in [
         (-3.0, 1.0),

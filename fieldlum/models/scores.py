@@ -228,8 +228,9 @@ def _mean(values: NDArray[np.float64]) -> float | None:
 
 
 def summary(scores: Scores) -> dict[str, Any]:
-    """The figures of DESIGN section 4 and the spread beside them; None for what was not
-    computed.
+    """Return the figures of `train --json` (docs/design.md, Command line) and their spread.
+
+    A figure that was not computed is None.
     """
     kept = scores.rammg_truth < RAMMG_CUT
     return {

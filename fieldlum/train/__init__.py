@@ -54,7 +54,7 @@ class Result:
     captures: dict[str, Any] = field(default_factory=dict)
 
     def table(self, seed: int) -> list[dict[str, Any]]:
-        """Rows as DESIGN section 4 fixes them, with more columns behind."""
+        """Return the rows of `train --json` (docs/design.md, Command line), with more columns."""
         rows = [row(trial, seed) for trial in self.trials]
         return rows + [row_without_figures(trial, seed) for trial in self.not_judged]
 

@@ -54,7 +54,7 @@ class _File:
 
 
 def read_weather(path: Path, site: Site) -> Weather:
-    """An EPW, TMY3 or CSV file (DESIGN section 5) as hours at `site`.
+    """Read an EPW, TMY3 or CSV file (docs/file-formats.md, Weather files) as hours at `site`.
 
     Raises InputError naming the line for what cannot be read, for irradiance outside -10 to 1600
     W/m2, for a station over 300 km away, for light at night (a wrong time zone), and for what

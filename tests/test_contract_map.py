@@ -1,0 +1,69 @@
+"""Contract: the map of the package is current: picture, package table, and every path named."""
+
+import ast
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ("README.md",))])
+TEXTS = sorted(
+    path
+    for folder in ("fieldlum", "tests", "docs", "bench", "examples")
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".md") and path != Path(__file__)
+)
+NAMED_PATH = re.compile(
+    r"\b(?:fieldlum|docs|tests|bench|examples)/[\w./-]*[\w-]\.(?:py|md|toml|svg)\b"
+)
+DEFINITION = re.compile(r"`(\w+)` (?:in|of)\s+`(fieldlum/[\w/]+\.py)`")
+UNREACHABLE = re.compile(r"\bDESIGN\b|research section|\bissue \d")
+
+
+def _drawing():  # type: ignore[no-untyped-def]
+    place = ROOT / "docs" / "draw_architecture.py"
+    spec = importlib.util.spec_from_file_location("draw_architecture", place)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_contract_the_picture_is_current() -> None:
+    drawing = _drawing()
+    kept = drawing.PICTURE.read_text(encoding="utf-8")
+    assert kept == drawing.draw(), "run: python docs/draw_architecture.py"
+
+
+def test_contract_every_package_has_its_line_and_rank() -> None:
+    rows = set(re.findall(r"^\| (\d) \| `(\w+)` \|", ARCHITECTURE, re.MULTILINE))
+    ranks = {(str(rank), name) for rank, row in enumerate(_drawing().ranks()) for name in row}
+    assert rows == ranks, "docs/architecture.md, One line a package"
+
+
+def test_a_reduced_graph_reaches_the_same() -> None:
+    drawing = _drawing()
+    edges = {"a": {"b", "c", "d"}, "b": {"c"}, "c": {"d"}, "d": set()}
+    assert drawing.reduced(edges) == {"a": {"b"}, "b": {"c"}, "c": {"d"}, "d": set()}
+
+
+@pytest.mark.parametrize("path", TEXTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_contract_named_paths_exist(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    missing = [name for name in NAMED_PATH.findall(text) if not (ROOT / name).is_file()]
+    assert not missing
+    for name, module in DEFINITION.findall(text):
+        tree = ast.parse((ROOT / module).read_text(encoding="utf-8"))
+        names = {getattr(node, "name", "") for node in ast.walk(tree)}
+        assert name in names, f"{path.name}: {module} has no {name}"
+    assert not UNREACHABLE.search(text), "cite a page that opens"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_contract_links_open(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    targets = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text)
+    assert not [target for target in targets if not (page.parent / target).exists()]
