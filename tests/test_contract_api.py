@@ -13,6 +13,8 @@ import pytest
 import fieldlum
 from fieldlum.errors import InputError
 
+pytestmark = pytest.mark.contract
+
 ROOT = Path(__file__).parents[1]
 NAMES = (
     "FieldlumError",
@@ -124,6 +126,7 @@ def test_plan_captures_writes_a_session_or_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.analytic
+@pytest.mark.analytic
 def test_light_at_takes_one_value_for_all_moments() -> None:
     """On 21 June in Seattle the sun culminates at 90 - 47.6 + 23.44 deg."""
     noon = datetime(2027, 6, 21, 20, 11, tzinfo=UTC)
@@ -133,6 +136,7 @@ def test_light_at_takes_one_value_for_all_moments() -> None:
 
 
 @pytest.mark.contract
+@pytest.mark.slow
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
 def test_example_runs(example: Path, tmp_path: Path) -> None:
     """Each prints its figures and writes only into the folder that it is given."""

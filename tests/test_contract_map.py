@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.contract
+
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ("README.md",))])
@@ -32,13 +34,13 @@ def _drawing():  # type: ignore[no-untyped-def]
     return module
 
 
-def test_contract_the_picture_is_current() -> None:
+def test_the_picture_is_current() -> None:
     drawing = _drawing()
     kept = drawing.PICTURE.read_text(encoding="utf-8")
     assert kept == drawing.draw(), "run: python docs/draw_architecture.py"
 
 
-def test_contract_every_package_has_its_line_and_rank() -> None:
+def test_every_package_has_its_line_and_rank() -> None:
     rows = set(re.findall(r"^\| (\d) \| `(\w+)` \|", ARCHITECTURE, re.MULTILINE))
     ranks = {(str(rank), name) for rank, row in enumerate(_drawing().ranks()) for name in row}
     assert rows == ranks, "docs/architecture.md, One line a package"
@@ -51,7 +53,7 @@ def test_a_reduced_graph_reaches_the_same() -> None:
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda p: str(p.relative_to(ROOT)))
-def test_contract_named_paths_exist(path: Path) -> None:
+def test_named_paths_exist(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     missing = [name for name in NAMED_PATH.findall(text) if not (ROOT / name).is_file()]
     assert not missing
@@ -63,7 +65,7 @@ def test_contract_named_paths_exist(path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_contract_links_open(page: Path) -> None:
+def test_links_open(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     targets = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text)
     assert not [target for target in targets if not (page.parent / target).exists()]
