@@ -2,6 +2,9 @@
 
     python docs/draw_architecture.py
 
+The table of packages in docs/architecture.md is brought up to date too: a new package gets the
+first line of its docstring, which may then be edited in the table.
+
 A row is a rank, as tests/test_contract_imports.py enforces it; an arrow goes from a package to one
 that it imports. Arrows that follow from others are left out (transitive reduction): if `cli`
 imports `merge` and `merge` imports `images`, no arrow goes from `cli` to `images`.
@@ -10,11 +13,13 @@ imports `merge` and `merge` imports `images`, no arrow goes from `cli` to `image
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "fieldlum"
 PICTURE = ROOT / "docs" / "pictures" / "architecture.svg"
+PAGE = ROOT / "docs" / "architecture.md"
 RANKS_FILE = ROOT / "tests" / "test_contract_imports.py"
 ROW_NAMES = (
     "errors, records",
@@ -167,6 +172,33 @@ def _arrow(x0: float, top0: float, x1: float, top1: float) -> str:
     return f'<path d="{curve}" fill="none" stroke="#90a4ae" marker-end="url(#tip)"/>'
 
 
+ROW = re.compile(r"^\| (\d) \| `(\w+)` \| (.*) \|\n", re.MULTILINE)
+
+
+def page() -> str:
+    """Return docs/architecture.md with one row a package, by rank; known rows keep their text."""
+    text = PAGE.read_text(encoding="utf-8")
+    known = {name: line for _, name, line in ROW.findall(text)}
+    at = {name: i for i, name in enumerate(known)}
+    rows = [
+        f"| {rank} | `{name}` | {known.get(name) or _first_line(name)} |\n"
+        for rank, names in enumerate(ranks())
+        for name in sorted(names, key=lambda name: (at.get(name, len(at)), name))
+    ]
+    first = ROW.search(text)
+    if first is None:
+        raise SystemExit(f"{PAGE}: no table of packages; expected rows like | 0 | `errors` | ... |")
+    return text[: first.start()] + "".join(rows) + ROW.sub("", text[first.start() :])
+
+
+def _first_line(name: str) -> str:
+    path = PACKAGE / f"{name}.py"
+    path = path if path.is_file() else PACKAGE / name / "__init__.py"
+    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return " ".join(docstring.split("\n\n")[0].split()).rstrip(".")
+
+
 if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
     PICTURE.write_text(draw(), encoding="utf-8")
     print(PICTURE.relative_to(ROOT))

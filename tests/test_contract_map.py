@@ -41,9 +41,7 @@ def test_the_picture_is_current() -> None:
 
 
 def test_every_package_has_its_line_and_rank() -> None:
-    rows = set(re.findall(r"^\| (\d) \| `(\w+)` \|", ARCHITECTURE, re.MULTILINE))
-    ranks = {(str(rank), name) for rank, row in enumerate(_drawing().ranks()) for name in row}
-    assert rows == ranks, "docs/architecture.md, One line a package"
+    assert _drawing().page() == ARCHITECTURE, "run: python docs/draw_architecture.py"
 
 
 def test_a_reduced_graph_reaches_the_same() -> None:
