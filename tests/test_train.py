@@ -65,7 +65,7 @@ def trial(name: str, errors: list[float]) -> Trial:
     blank = np.full(n, np.nan)
     scores = Scores(
         np.array(errors),
-        *(blank,) * 12,
+        *(blank,) * 14,
         trusted=np.ones(n, bool),
         in_band=blank,
         slots=DATA.slots[:n],

@@ -75,6 +75,10 @@ def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> di
             "paper_log10_mse",
             "paper_rer",
             "dgp_mse",
+            "dgp_mse_own_disc",
+            "bias_log10",
+            "expected_log10_mse",
+            "trusted_share",
             "rammg_mse",
         )
     )

@@ -25,6 +25,8 @@ SPREAD = (
     "paper_log10_mse",
     "paper_rer",
     "dgp_mse",
+    "dgp_mse_own_disc",
+    "bias_log10",
     "rammg_mse",
 )
 

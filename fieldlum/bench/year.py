@@ -62,6 +62,7 @@ def _figures(found: dict[str, Any]) -> dict[str, Any]:
         "paper_log10_mse",
         "paper_rer",
         "dgp_mse",
+        "dgp_mse_own_disc",
         "rammg_mse",
         "worst",
     )

@@ -85,9 +85,12 @@ def command(
 
 def _show(answer: dict[str, Any]) -> None:
     """The table that the choice was made from."""
-    click.echo("                 honest, held-out days                 paper mode")
     click.echo(
-        "model          log10 MSE      RER    worst  DGP MSE  log10 MSE      RER  fit [s]  maps"
+        "                 by solid angle, held-out days       DGP MSE, disc of     paper mode"
+    )
+    click.echo(
+        "model          log10 MSE      RER    worst  the room the truth  log10 MSE      RER"
+        "  fit [s]  maps"
     )
     for row in answer["models"]:
         if row["not_judged_because"]:
@@ -96,7 +99,8 @@ def _show(answer: dict[str, Any]) -> None:
         click.echo(
             f"{row['name']:12} {_short(row['log10_mse_weighted'])} {row['rer_weighted']:8.4f} "
             f"{_short(row['worst'])}"
-            f" {_short(row['dgp_mse'])}  {_short(row['paper_log10_mse'])} {row['paper_rer']:8.4f}"
+            f" {_short(row['dgp_mse_own_disc'])} {_short(row['dgp_mse'])}"
+            f"  {_short(row['paper_log10_mse'])} {row['paper_rer']:8.4f}"
             f" {row['fit_s']:8.1f} {row['n_test']:5d}"
         )
     click.echo(f"chosen: {answer['chosen']}: {answer['reason']}")

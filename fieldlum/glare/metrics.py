@@ -93,6 +93,32 @@ def glare_directions(
     )
 
 
+def sun_per_lx(
+    sun_direction: Float, views: Views
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what a disc of 1 lx adds to Ev, and a disc of 1 lx squared to the contrast, [n, d].
+
+    A disc of E lx adds E times the first and E squared times the second; see `glare_directions`.
+    """
+    right, up, cosine = _sun_angles(np.asarray(sun_direction, float), views)
+    ahead = cosine > 0
+    contrast = ahead / (SUN_SOLID_ANGLE_SR * position_index(right, up) ** 2)
+    return np.clip(cosine, 0.0, None).astype(float), contrast.astype(float)
+
+
+def dgp_with_disc(
+    found: dict[str, NDArray[np.float64]], per_lx: tuple[Float, Float], disc_lx: Float
+) -> NDArray[np.float64]:
+    """Return DGP with another disc than the one in `found`, [..., n, d].
+
+    found : of `glare_directions`; per_lx : of `sun_per_lx`; disc_lx : [..., n].
+    """
+    disc = np.asarray(disc_lx, float)[..., None]
+    ev = found["ev_lx"] - found["sun_ev_lx"] + disc * per_lx[0]
+    contrast = np.maximum(found["contrast"] - found["sun_contrast"], 0.0) + disc**2 * per_lx[1]
+    return dgp(ev, contrast)
+
+
 def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
     """(right, up, cosine) of n suns in d views, each [n, d]."""
     found = [angles_from_view(sun, frame) for frame in views.frames]

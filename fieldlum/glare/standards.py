@@ -125,6 +125,11 @@ class GlareDoubt:
     most: Float
     drawn: Float | None = None
 
+    def hours(self, rows: NDArray[np.bool_]) -> GlareDoubt:
+        """The same of some of the hours."""
+        drawn = None if self.drawn is None else self.drawn[:, rows]
+        return GlareDoubt(self.seen, self.least[rows], self.most[rows], drawn)
+
 
 def protection(
     dgp: Float,

@@ -1,9 +1,13 @@
-"""How far predicted maps are from the truth, in the paper's way and in an honest one; both on maps
-with the disc in.
+"""How far predicted maps are from the truth, as in the paper and by solid angle, with the sun's
+disc in the maps.
+
+Luminance errors and `dgp_mse` use the true disc in truth and prediction, so they judge the map
+alone. `dgp_mse_own_disc` uses in the prediction the disc that a user gets: from the stated room, or
+guessed from the map without one.
 
 paper: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum e^2 / sum
-t^2) of log10 L over the whole test; DGP of ten views; RAMMG in cd/m2 of five pyramid levels, with
-and without the authors' cut at 500. honest: weights of the solid angle, mean 1; beside the mean the
+t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid levels,
+with and without the authors' cut at 500. By solid angle: weights of mean 1; next to the mean the
 median, 90th percentile and worst image.
 """
 
@@ -19,7 +23,9 @@ from numpy.typing import NDArray
 
 from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.glare.contrast import rammg
+from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
 from fieldlum.models.data import add_disc
+from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, quiet
 
 if TYPE_CHECKING:
@@ -45,7 +51,9 @@ class Scores:
     truth2: NDArray[np.float64]
     error2_weighted: NDArray[np.float64]
     truth2_weighted: NDArray[np.float64]
-    dgp_mse: NDArray[np.float64]
+    dgp_mse: NDArray[np.float64]  # with the true sun's disc in the prediction
+    dgp_mse_own_disc: NDArray[np.float64]  # with the disc that the stated room shows, as in use
+    bias_log10: NDArray[np.float64]  # weighted mean of log10 predicted over true
     dgp_mae: NDArray[np.float64]
     dgp_mean: NDArray[np.float64]  # of the truth, over the views
     dgp_square: NDArray[np.float64]
@@ -91,6 +99,7 @@ class Truth:
     glare_maps: NDArray[np.bool_]
     dgp: NDArray[np.float64]  # [n, 10]; NaN where not asked
     rammg: NDArray[np.float64]  # [n]
+    room_disc_lx: NDArray[np.float64] | None = None  # [n] by the stated room; None without one
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
@@ -105,7 +114,8 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
         part = data.take(rows)
         dgp[rows] = _dgp(part.luminance_cdm2, part, views)
         contrast[rows] = _rammg(part.luminance_cdm2, part)
-    return Truth(data, data.weights, views, asked, dgp, contrast)
+    room_disc = stated_disc_lx(data.setup, data.light) if glare else None
+    return Truth(data, data.weights, views, asked, dgp, contrast, room_disc)
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -114,7 +124,14 @@ def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 
 
 def _dgp(maps: NDArray[np.float32], data: Dataset, views: Views) -> NDArray[np.float64]:
-    found = glare_directions(
+    return _glare(maps, data, views)["dgp"]
+
+
+def _glare(
+    maps: NDArray[np.float32], data: Dataset, views: Views
+) -> dict[str, NDArray[np.float64]]:
+    """Glare of maps with the true disc, [n, d] each."""
+    return glare_directions(
         maps,
         data.heading_deg,
         views.azimuths_deg,
@@ -122,7 +139,6 @@ def _dgp(maps: NDArray[np.float32], data: Dataset, views: Views) -> NDArray[np.f
         data.disc_lx,
         views=views,
     )
-    return found["dgp"]
 
 
 def _rammg(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
@@ -173,6 +189,8 @@ def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64])
         error2_weighted=e2 @ w,
         truth2_weighted=t2 @ w,
         dgp_mse=blank.copy(),
+        dgp_mse_own_disc=blank.copy(),
+        bias_log10=error @ w / w.sum(),
         dgp_mae=blank.copy(),
         dgp_mean=blank.copy(),
         dgp_square=blank.copy(),
@@ -192,7 +210,15 @@ def _glare_errors(
     if not asked.any():
         return
     some, maps = part.take(asked), prediction.luminance_cdm2[asked]
-    difference = _dgp(maps, some, test.views) - test.dgp[rows[asked]]
+    found = _glare(maps, some, test.views)
+    difference = found["dgp"] - test.dgp[rows[asked]]
+    own_lx = (
+        guessed_disc_lx(maps, some.light, some.heading_deg)
+        if test.room_disc_lx is None
+        else test.room_disc_lx[rows[asked]]
+    )
+    in_use = dgp_with_disc(found, sun_per_lx(some.light.sun_direction, test.views), own_lx)
+    scores.dgp_mse_own_disc[asked] = ((in_use - test.dgp[rows[asked]]) ** 2).mean(axis=1)
     scores.dgp_mse[asked] = (difference**2).mean(axis=1)
     scores.dgp_mae[asked] = np.abs(difference).mean(axis=1)
     scores.dgp_mean[asked] = test.dgp[rows[asked]].mean(axis=1)
@@ -244,6 +270,10 @@ def summary(scores: Scores) -> dict[str, Any]:
         "paper_log10_mse": float(scores.mse.mean()),
         "paper_rer": float(np.sqrt(scores.error2.sum() / max(scores.truth2.sum(), 1e-12))),
         "dgp_mse": _mean(scores.dgp_mse),
+        "dgp_mse_own_disc": _mean(scores.dgp_mse_own_disc),
+        "bias_log10": float(scores.bias_log10.mean()),
+        "expected_log10_mse": _mean(scores.expected_mse),
+        "trusted_share": float(scores.trusted.mean()),
         "dgp_mae": _mean(scores.dgp_mae),
         "dgp_r2": _dgp_r2(scores),
         "rammg_mse": _mean(scores.rammg_error**2),

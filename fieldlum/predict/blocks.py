@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.models import seen_of
-from fieldlum.projection import equirect_pixel
+from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, SiteFile, quiet
 
 if TYPE_CHECKING:
@@ -20,10 +20,6 @@ if TYPE_CHECKING:
     from fieldlum.models import Fitted, Prediction
 
 BLOCK = 64  # hours; about 30 MB a map layer at 460 x 230
-DISC_SHARE = (
-    0.3,
-    1.3,
-)  # of the sky behind: between them the sun's pixel shows open sky through glass
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,16 +129,15 @@ def _patches(
     """Sun patches where the model wants them, the visible disc [lx] where a room is known, and
     which hours.
     """
-    from fieldlum.scene import build, disc_visibility, iter_sun_patches
+    from fieldlum.scene import iter_sun_patches
 
     count, space = len(light), room.setup.room
     starts = [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
     if space is None:
         yield from ((None, None, rows) for rows in starts)
     elif not room.needs_patch and space.kind == "box":
-        scene = build(space)
-        visible, through = disc_visibility(scene, scene.to_room(light.sun_direction))
-        disc = visible * through * light.direct_lx
+        disc = stated_disc_lx(room.setup, light)
+        assert disc is not None
         yield from ((None, disc[rows], rows) for rows in starts)
     else:
         found = iter_sun_patches(
@@ -159,21 +154,5 @@ def _patches(
 
 
 def guessed_disc(maps: NDArray[np.float32], light: Light, room: ModelRoom) -> NDArray[np.float64]:
-    """The disc's illuminance at the lens where no geometry is known, [k] lx.
-
-    The pixel where the sun stands shows sky when its luminance is that of the Perez sky there,
-    times a transmittance; the disc then shines through the same glass. A guess: a twig or a blind
-    is not seen.
-    """
-    row, column = equirect_pixel(
-        light.sun_altitude_deg, light.sun_azimuth_deg, room.height, room.width, room.heading_deg
-    )
-    i = np.clip(row.astype(int), 0, room.height - 1)
-    j = np.minimum(column.astype(int), room.width - 1)
-    shown = maps[np.arange(len(maps)), i, j]
-    sky = np.array(
-        [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]
-    )
-    share = shown / np.maximum(sky, 1e-3)
-    seen = (share > DISC_SHARE[0]) & (share < DISC_SHARE[1]) & (light.sun_altitude_deg > 0)
-    return np.where(seen, np.minimum(share, 1.0) * light.direct_lx, 0.0)
+    """The disc's illuminance at the lens where no geometry is known, [k] lx."""
+    return guessed_disc_lx(maps, light, room.heading_deg)

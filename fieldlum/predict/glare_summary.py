@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum import __version__
 from fieldlum.glare.standards import (
@@ -38,23 +39,28 @@ HOURLY_MEANS = (
 NOISY_TRUST = 0.05  # a larger share of occupied hours outside what was seen is said aloud
 HOURS_NAMED = 12
 WHOLE_YEAR_DAYS = 360
+_WIDE_DGP = 0.2  # an interval that wide spans all classes
+_SUNNY_WM2 = 100.0  # direct normal irradiance that casts a clear shadow
 
 
-def judge(annual: Annual, doubt: GlareDoubt, occupied_hours: int, seed: int) -> Protection:
-    """EN 17037 for each direction over the occupied hours."""
+def judge(
+    annual: Annual,
+    doubt: GlareDoubt,
+    u_of_maps: NDArray[np.float64],
+    occupied_hours: int,
+    seed: int,
+) -> Protection:
+    """EN 17037 for each direction over the occupied hours.
+
+    u_of_maps [n, d]: standard uncertainty of DGP by the model's maps; the disc and what was not
+    seen are in `doubt`.
+    """
     used = annual.occupied
-    u_dgp = annual.views["u_dgp"][used]
+    u_dgp = u_of_maps[used]
     known = u_dgp if np.isfinite(u_dgp[:, annual.judged]).all() else None
-    some = GlareDoubt(
-        doubt.seen,
-        doubt.least[used],
-        doubt.most[used],
-        None if doubt.drawn is None else doubt.drawn[:, used],
-    )
     rng = np.random.default_rng(seed)
-    return protection(
-        annual.views["dgp"][used], known, occupied_hours, annual.azimuths_deg, rng, some
-    )
+    dgp = annual.views["dgp"][used]
+    return protection(dgp, known, occupied_hours, annual.azimuths_deg, rng, doubt.hours(used))
 
 
 def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[dict[str, Any]]:
@@ -126,7 +132,11 @@ def about_year(
         },
         "disc_from": room.disc_from,
         "seen_share": [] if room.seen is None else _shares(room, annual),
-        "notes": [*_notes(weather, room, untrusted, days), *_unseen_notes(found)],
+        "notes": [
+            *_notes(weather, room, untrusted, days),
+            *_unseen_notes(found),
+            *_disc_note(annual),
+        ],
         "protection": protection_table(found),
         "capture_next": hours_to_settle(annual, found, room.setup.site.timezone),
     }
@@ -154,6 +164,22 @@ def _unseen_notes(found: Protection) -> list[str]:
             named = ", ".join(f"{a:.0f}° ({compass_name(a)})" for a in of)
             notes.append(f"the view directions {named} {meaning}")
     return notes
+
+
+def _disc_note(annual: Annual) -> list[str]:
+    """How often the uncertainty of the room decides whether the sun's disc is seen."""
+    gap = annual.views["dgp_high"] - annual.views["dgp_low"]
+    lit = annual.occupied & (annual.hours["dni_wm2"] > _SUNNY_WM2)
+    if not lit.any() or not annual.judged.any():
+        return []
+    open_share = float((np.nanmax(gap[lit][:, annual.judged], axis=1) > _WIDE_DGP).mean())
+    if open_share < NOISY_TRUST:
+        return []
+    return [
+        f"in {100 * open_share:.0f} % of the sunny occupied hours the 95 % interval of DGP is "
+        f"wider than {_WIDE_DGP:g} in some direction, mostly because the stated room does not "
+        f"settle whether the sun's disc is seen: measure the window, its bars and the camera's place"
+    ]
 
 
 def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> list[str]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx
 from fieldlum.glare.geometry import Views, panorama_views, view_azimuths_deg
-from fieldlum.glare.metrics import glare_directions
+from fieldlum.glare.metrics import dgp_with_disc, glare_directions, sun_per_lx
 from fieldlum.glare.sources import SOURCE_CDM2
 from fieldlum.glare.standards import GlareDoubt, dgp_uncertainty
 from fieldlum.glare.unseen import (
@@ -20,6 +20,12 @@ from fieldlum.glare.unseen import (
     brightest_cdm2,
     unseen_dgp_bounds,
     view_coverage,
+)
+from fieldlum.models.disc_in_view import (
+    DRAWN_ROOMS,
+    EDGE_SD_DEG,
+    drawn_discs_lx,
+    guessed_disc_lx,
 )
 from fieldlum.predict.annual import (
     HOUR_COLUMNS,
@@ -85,11 +91,13 @@ def run(
     azimuths = view_azimuths_deg(room.heading_deg, views)
     fitted = load(model_folder)
     begin_anew(folder)
-    annual, doubt = measure(fitted, room, light, azimuths, folder, maps=maps, progress=progress)
+    annual, doubt, u_of_maps = measure(
+        fitted, room, light, azimuths, folder, maps=maps, seed=seed, progress=progress
+    )
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    found = judge(annual, doubt, hours_used, seed)
+    found = judge(annual, doubt, u_of_maps, hours_used, seed)
     annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found, days))
     # predict.json comes last: a folder that has it is whole.
     write_hourly(folder / "hourly.csv", annual, zone)
@@ -116,11 +124,13 @@ def measure(
     folder: Path,
     *,
     maps: bool = False,
+    seed: int = 0,
     progress: Progress = quiet,
-) -> tuple[Annual, GlareDoubt]:
+) -> tuple[Annual, GlareDoubt, NDArray[np.float64]]:
     """Predict every hour in blocks and keep its figures; with `maps`, the maps too.
 
-    Figures of directions that no lens saw are NaN. The doubt [n, d] is of all hours.
+    Figures of directions that no lens saw are NaN. The doubt is of all hours; last comes the
+    standard uncertainty of DGP by the maps alone, [n, d].
     """
     count, d = len(light), len(azimuths_deg)
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg)
@@ -128,6 +138,10 @@ def measure(
     regions = ViewRegions(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
     hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
     figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
+    rng = np.random.default_rng([seed, 2])
+    discs_lx = drawn_discs_lx(room.setup, light, rng)  # [k, n]
+    turns_deg = rng.normal(0.0, EDGE_SD_DEG, (DRAWN_ROOMS, 2))
+    drawn = np.empty((DRAWN_ROOMS, count, d), np.float32)
     least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)
     folder.mkdir(parents=True, exist_ok=True)
     about = {"site": room.setup.site.name}
@@ -142,17 +156,30 @@ def measure(
                 hours[name][block.rows] = values
             found = view_figures(block, room, views, regions)
             least[block.rows], most[block.rows] = _unseen_bounds(block, room, coverage, found)
+            some = (
+                guessed_disc_lx(
+                    block.prediction.luminance_cdm2, block.light, room.heading_deg, turns_deg
+                )
+                if discs_lx is None
+                else discs_lx[:, block.rows]
+            )
+            per_lx = sun_per_lx(block.light.sun_direction, views)
+            drawn[:, block.rows] = dgp_with_disc(found, per_lx, some)
             for name in VIEW_COLUMNS.keys() & found.keys():
                 figures[name][block.rows] = found[name]
             if kept is not None:
                 kept.append(block)
-    u = np.nan_to_num(figures["u_dgp"])
-    figures["dgp_low"] = np.clip(least - NORMAL_95 * u, 0.0, 1.0)
-    figures["dgp_high"] = np.clip(most + NORMAL_95 * u, 0.0, 1.0)
+    u_of_maps = figures["u_dgp"]
+    off = drawn - figures["dgp"].astype(np.float32)  # [k, n, d]
+    reach = NORMAL_95 * np.nan_to_num(u_of_maps)
+    low, high = np.percentile(off, (2.5, 97.5), axis=0)
+    figures["dgp_low"] = np.clip(least + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+    figures["dgp_high"] = np.clip(most + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+    figures["u_dgp"] = np.hypot(u_of_maps, np.sqrt((off**2).mean(axis=0)))
     for values in figures.values():
         values[:, ~coverage.judged] = np.nan
     annual = Annual(folder, {}, light.t_utc, np.asarray(azimuths_deg, float), hours, figures)
-    return annual, GlareDoubt(coverage.words, least, most)
+    return annual, GlareDoubt(coverage.words, least, most, drawn), u_of_maps
 
 
 def _unseen_bounds(

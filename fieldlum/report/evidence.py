@@ -155,7 +155,8 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
         "log10 MSE",
         "RER",
         "log10 MSE (paper mode)",
-        "DGP MSE",
+        "DGP MSE, disc of the room",
+        "DGP MSE, true disc",
         "trained on",
         "tested on",
     )
@@ -165,6 +166,7 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
         "log10_mse_weighted",
         "rer_weighted",
         "paper_log10_mse",
+        "dgp_mse_own_disc",
         "dgp_mse",
         "n_train",
         "n_test",

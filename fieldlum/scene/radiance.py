@@ -238,6 +238,14 @@ def iter_traced(
     progress(len(suns), len(suns), "")
 
 
+def traced_sky_share(room: Room, rays: Array) -> Array:
+    """Return the share of light that each ray [m, 3] (world axes) from the viewpoint gets from the
+    open sky, [m]: 0 where something opaque is in the way, else the glass.
+    """
+    with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
+        return np.asarray(trace(lit, _viewpoint(room), rays), float)
+
+
 def _pixel_mean(pixel: NDArray[np.int32], values: Array, height: int) -> NDArray[np.float32]:
     count = 2 * height**2
     total = np.bincount(pixel, values, count) / np.bincount(pixel, minlength=count)

@@ -1,0 +1,116 @@
+"""How much of the sun's disc the camera sees in hours that nobody captured: by the stated room,
+by rooms drawn from its uncertainty, or guessed from a predicted map.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.projection import direction, equirect_pixel
+from fieldlum.records import Room, SiteFile
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+    from fieldlum.scene import RoomUncertainty
+
+Array = NDArray[np.float64]
+
+# Share of the sky's luminance behind: between them the sun's pixel shows open sky through glass.
+SKY_SHARE = (0.3, 1.3)
+# Standard deviation of the sun's place against a geometry that is not parametric: a compass to
+# 1 degree, and 5 cm at an edge 2.5 m away.
+EDGE_SD_DEG = 1.5
+DRAWN_ROOMS = 64  # 2.5 % of them is more than one; a year of them takes half a CPU second
+
+
+def stated_disc_lx(setup: SiteFile, light: Light) -> Array | None:
+    """Return the disc's illuminance at the lens by the stated room, [n]; None without a room. [lx]
+
+    The illuminance is on a plane normal to the sun.
+    """
+    room = setup.room
+    if room is None:
+        return None
+    if room.kind == "box":
+        from fieldlum.scene import build, disc_visibility
+
+        scene = build(room)
+        visible, through = disc_visibility(scene, scene.to_room(light.sun_direction))
+        return visible * through * light.direct_lx
+    return _traced_disc_lx(room, light, light.sun_direction[None])[0]
+
+
+def drawn_discs_lx(
+    setup: SiteFile,
+    light: Light,
+    rng: np.random.Generator,
+    count: int = DRAWN_ROOMS,
+    uncertainty: RoomUncertainty | None = None,
+) -> Array | None:
+    """Return the disc's illuminance in rooms drawn from the room's uncertainty, [count, n]; None
+    without a room. [lx]
+
+    uncertainty : of a fitted room; by default the stated 5 cm and 1 degree. A room from a file has
+    no parameters: there the sun is shifted against its edges by `EDGE_SD_DEG`.
+    """
+    room = setup.room
+    if room is None:
+        return None
+    if room.kind == "box":
+        from fieldlum.scene import draw_rooms, drawn_disc_shares, stated_uncertainty
+
+        rooms = draw_rooms(room, uncertainty or stated_uncertainty(room), count, rng)
+        return drawn_disc_shares(rooms, light.sun_direction) * light.direct_lx
+    turns = rng.normal(0.0, EDGE_SD_DEG, (count, 2))
+    suns = np.stack([_turned(light, *turn) for turn in turns])  # [count, n, 3]
+    return _traced_disc_lx(room, light, suns)
+
+
+def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Array:
+    altitude = np.minimum(light.sun_altitude_deg + altitude_deg, 90.0)
+    # A turn by the same angle on the sky is a larger one in azimuth near the zenith.
+    turn = azimuth_deg / np.maximum(np.cos(np.radians(altitude)), 0.2)
+    return direction(altitude, light.sun_azimuth_deg + turn)
+
+
+def _traced_disc_lx(room: Room, light: Light, suns: Array) -> Array:
+    """Disc behind the room of a file at directions `suns` [k, n, 3], [k, n]."""
+    from fieldlum.scene.radiance import traced_sky_share
+
+    shares = traced_sky_share(room, suns.reshape(-1, 3)).reshape(suns.shape[:2])
+    shares = np.where((shares > 1e-3) & (suns[..., 2] > 0), shares, 0.0)
+    return shares * light.direct_lx
+
+
+def guessed_disc_lx(
+    maps: NDArray[np.float32], light: Light, heading_deg: float, turns_deg: Array | None = None
+) -> Array:
+    """Return the disc's illuminance where no geometry is known, [n], or [k, n] for the sun shifted
+    by each of `turns_deg` [k, 2] (azimuth, altitude). [lx]
+
+    The pixel where the sun is shows sky when its luminance is that of the Perez sky there, times a
+    transmittance; the disc then shines through the same glass. A twig or a blind is not noticed.
+    """
+    sky = np.array(
+        [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]
+    )
+    turns = np.zeros((1, 2)) if turns_deg is None else turns_deg
+    discs = np.stack([_guessed(maps, light, heading_deg, sky, turn) for turn in turns])
+    return discs[0] if turns_deg is None else discs
+
+
+def _guessed(
+    maps: NDArray[np.float32], light: Light, heading_deg: float, sky_cdm2: Array, turn_deg: Array
+) -> Array:
+    height, width = maps.shape[1:]
+    altitude = np.minimum(light.sun_altitude_deg + turn_deg[1], 90.0)
+    turn = turn_deg[0] / np.maximum(np.cos(np.radians(altitude)), 0.2)
+    row, column = equirect_pixel(altitude, light.sun_azimuth_deg + turn, height, width, heading_deg)
+    i = np.clip(row.astype(int), 0, height - 1)
+    j = np.minimum(column.astype(int), width - 1)
+    share = maps[np.arange(len(maps)), i, j] / np.maximum(sky_cdm2, 1e-3)
+    shows_sky = (share > SKY_SHARE[0]) & (share < SKY_SHARE[1]) & (light.sun_altitude_deg > 0)
+    return np.where(shows_sky, np.minimum(share, 1.0) * light.direct_lx, 0.0)

@@ -1,0 +1,224 @@
+"""Rooms that the stated one could be: draws from the uncertainty of its pose and measures.
+
+A tape measure is off by centimetres and a compass by a degree. Near bars, jambs and obstructions
+that decides whether the sun's disc is seen, and so the glare of an hour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.records import Obstruction, Room, Window
+from fieldlum.scene.geometry import BoxScene, Opening, build, glass_optics
+from fieldlum.scene.patches import SUN_RADIUS_DEG
+
+Array = NDArray[np.float64]
+
+# Standard uncertainties where none are stated: a tape measure over furniture, a phone's compass.
+STATED_LENGTH_M, STATED_ANGLE_DEG = 0.05, 1.0
+_ROOM_LENGTHS = ("camera_x_m", "camera_y_m", "camera_z_m")
+_WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m", "transom_m")
+_OBSTRUCTION_LENGTHS = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
+_LEAST_SIZE_M = 0.02  # of a drawn window or obstruction
+_CAMERA_GAP_M = 0.05  # between the camera and a wall
+_TRIES = 20  # draws of one room before the stated one is taken; overlapping windows are rare
+_RING = 6  # rays on the rim of the disc, and one at its centre
+
+
+@dataclass(frozen=True, slots=True)
+class RoomUncertainty:
+    """A normal distribution of a room's parameters around their values in the room.
+
+    names [p] are keys of `room_parameters`; covariance [p, p] in their units (m, deg). A fitted
+    posterior has the same form: the fitted room, and the covariance of what was fitted.
+    """
+
+    names: tuple[str, ...]
+    covariance: Array
+
+
+def room_parameters(room: Room) -> dict[str, float]:
+    """Return what can be uncertain about a box room by name: camera_x_m, wall_azimuth_deg,
+    window.0.left_m, obstruction.0.x_m ... [m, deg]
+    """
+    values = {name: float(getattr(room, name)) for name in (*_ROOM_LENGTHS, "wall_azimuth_deg")}
+    for k, window in enumerate(room.window):
+        values |= {f"window.{k}.{name}": getattr(window, name) for name in _WINDOW_LENGTHS}
+    for k, obstruction in enumerate(room.obstruction):
+        values |= {
+            f"obstruction.{k}.{name}": getattr(obstruction, name) for name in _OBSTRUCTION_LENGTHS
+        }
+    return values
+
+
+def with_parameters(room: Room, values: Mapping[str, float]) -> Room:
+    """Return the room with some of its `room_parameters` replaced. Raises KeyError for a name that
+    it does not have.
+    """
+    if unknown := set(values) - set(room_parameters(room)):
+        raise KeyError(f"the room has no {', '.join(sorted(unknown))}")
+
+    def part(kind: str, k: int, of: Window | Obstruction) -> dict[str, float]:
+        names = {f"{kind}.{k}.{f.name}": f.name for f in fields(of)}
+        return {names[name]: float(v) for name, v in values.items() if name in names}
+
+    own = {name: float(value) for name, value in values.items() if "." not in name}
+    return replace(
+        room,
+        window=tuple(replace(w, **part("window", k, w)) for k, w in enumerate(room.window)),
+        obstruction=tuple(
+            replace(o, **part("obstruction", k, o)) for k, o in enumerate(room.obstruction)
+        ),
+        **own,
+    )
+
+
+def stated_uncertainty(
+    room: Room, length_m: float = STATED_LENGTH_M, angle_deg: float = STATED_ANGLE_DEG
+) -> RoomUncertainty:
+    """Return independent standard uncertainties of every parameter of the room.
+
+    A transom that the window does not have (0) stays so.
+    """
+    names = tuple(
+        name
+        for name, value in room_parameters(room).items()
+        if not (name.endswith("transom_m") and value == 0.0)
+    )
+    sd = np.array([angle_deg if name.endswith("_deg") else length_m for name in names])
+    return RoomUncertainty(names, np.diag(sd**2))
+
+
+def draw_rooms(
+    room: Room, uncertainty: RoomUncertainty, count: int, rng: np.random.Generator
+) -> tuple[Room, ...]:
+    """Return `count` rooms drawn from the uncertainty around `room`.
+
+    Windows stay within their walls and the camera within the room. Raises KeyError for a parameter
+    that the room does not have, InputError for a room that is no box.
+    """
+    build(room)
+    stated = room_parameters(room)
+    centre = np.array([stated[name] for name in uncertainty.names])
+    return tuple(_drawn(room, centre, uncertainty, rng) for _ in range(count))
+
+
+def _drawn(
+    room: Room, centre: Array, uncertainty: RoomUncertainty, rng: np.random.Generator
+) -> Room:
+    for _ in range(_TRIES):
+        values = rng.multivariate_normal(centre, uncertainty.covariance, method="cholesky")
+        pairs = zip(uncertainty.names, map(float, values), strict=True)
+        drawn = _within_walls(with_parameters(room, dict(pairs)))
+        try:
+            build(drawn)
+        except InputError:  # windows that overlap, a camera inside furniture
+            continue
+        return drawn
+    return room
+
+
+def _within_walls(room: Room) -> Room:
+    """The nearest room whose camera is inside and whose windows fit their walls."""
+
+    def fitted(window: Window) -> Window:
+        length = room.width_m if window.wall in ("south", "north") else room.depth_m
+        left = float(np.clip(window.left_m, 0.0, length - _LEAST_SIZE_M))
+        sill = float(np.clip(window.sill_m, 0.0, room.height_m - _LEAST_SIZE_M))
+        return replace(
+            window,
+            left_m=left,
+            sill_m=sill,
+            width_m=float(np.clip(window.width_m, _LEAST_SIZE_M, length - left)),
+            height_m=float(np.clip(window.height_m, _LEAST_SIZE_M, room.height_m - sill)),
+        )
+
+    def sized(box: Obstruction) -> Obstruction:
+        names = ("width_m", "depth_m", "height_m")
+        return replace(box, **{name: max(getattr(box, name), _LEAST_SIZE_M) for name in names})
+
+    gap = _CAMERA_GAP_M
+    return replace(
+        room,
+        camera_x_m=float(np.clip(room.camera_x_m, gap, room.width_m - gap)),
+        camera_y_m=float(np.clip(room.camera_y_m, gap, room.depth_m - gap)),
+        camera_z_m=float(np.clip(room.camera_z_m, gap, room.height_m - gap)),
+        window=tuple(fitted(window) for window in room.window),
+        obstruction=tuple(sized(box) for box in room.obstruction),
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# the disc in many rooms
+
+
+def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArray[np.float32]:
+    """Return the share of the sun's normal illuminance that reaches the camera from the disc, in
+    each of k rooms and n moments, [k, n].
+
+    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up).
+    """
+    suns = np.asarray(sun_direction, float)
+    out = np.zeros((len(rooms), len(suns)), np.float32)
+    for k, room in enumerate(rooms):
+        scene = build(room)
+        toward = scene.to_room(suns)  # [n, 3]
+        for opening in scene.openings:
+            out[k] += _share_through(scene, opening, toward)
+    return out
+
+
+def _share_through(scene: BoxScene, o: Opening, toward: Array) -> Array:
+    """Share of the disc seen through one opening times its glass, [n]."""
+    share = np.zeros(len(toward))
+    rows = np.flatnonzero((toward[:, o.axis] * o.outward > 1e-6) & (toward[:, 2] > 0))
+    eye = np.array(scene.camera_m)
+    margin_rad = np.radians(2.0 * SUN_RADIUS_DEG)
+    rows = rows[_passes(o, eye, toward[rows], margin_rad)]
+    if not len(rows):
+        return share
+    rays = _disc_rays(toward[rows]).reshape(-1, 3)  # [m * 7, 3]
+    free = _passes(o, eye, rays, 0.0)
+    for k in scene.of_kind("frame", "obstruction"):
+        free &= ~_meets(scene.low[k], scene.high[k], eye, rays)
+    through = glass_optics(o.transmittance, toward[rows, o.axis])[0]
+    share[rows] = free.reshape(len(rows), -1).mean(axis=1) * through
+    return share
+
+
+def _passes(o: Opening, eye: Array, rays: Array, margin_rad: float) -> NDArray[np.bool_]:
+    """Which rays [m, 3] from the eye pass both ends of the opening, widened by an angle."""
+    inside = np.ones(len(rays), bool)
+    for plane in (o.inner_m, o.outer_m):
+        at = (plane - eye[o.axis]) / rays[:, o.axis]  # [m]
+        u, z = eye[o.along] + at * rays[:, o.along], eye[2] + at * rays[:, 2]
+        reach = margin_rad * at / np.maximum(np.abs(rays[:, o.axis]), 0.05)
+        inside &= (u > o.u_m[0] - reach) & (u < o.u_m[1] + reach)
+        inside &= (z > o.z_m[0] - reach) & (z < o.z_m[1] + reach)
+    return inside
+
+
+def _disc_rays(toward: Array) -> Array:
+    """Centre of the disc and points at 0.75 of its radius, [m, 7, 3]."""
+    side = np.cross(toward, (0.0, 0.0, 1.0))
+    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
+    other = np.cross(toward, side)
+    angle = np.arange(_RING) * 2.0 * np.pi / _RING
+    radius = 0.75 * np.tan(np.radians(SUN_RADIUS_DEG))
+    offsets = radius * (
+        np.cos(angle)[:, None] * side[:, None, :] + np.sin(angle)[:, None] * other[:, None, :]
+    )
+    return np.concatenate([toward[:, None, :], toward[:, None, :] + offsets], axis=1)
+
+
+def _meets(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np.bool_]:
+    """Which rays [m, 3] from the eye meet the box from `low` to `high` (slab test)."""
+    d = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
+    a, b = (low - eye) / d, (high - eye) / d
+    enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+    return (enter < leave) & (leave > 0.0)
