@@ -168,7 +168,7 @@ def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         mine = [row for row in rows if row["name"] == name]
         row = dict(mine[0], seeds=len(mine))
         for key in SPREAD:
-            values = [r[key] for r in mine if r[key] is not None]
+            values = [r[key] for r in mine if r.get(key) is not None]
             row[f"{key}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
             row[key] = float(np.mean(values)) if values else None
         row |= {key: float(np.mean([r[key] for r in mine])) for key in ("fit_s", "fit_cpu_s")}
