@@ -55,6 +55,7 @@ def _turned(degrees: float) -> SiteFile:
     return replace(SETUP, room=room)
 
 
+@pytest.mark.authority
 def test_authority_the_quick_disc_agrees_with_the_exact_one() -> None:
     scene = build(_room())
     visible, through = disc_visibility(scene, scene.to_room(LIGHT.sun_direction))
@@ -64,6 +65,7 @@ def test_authority_the_quick_disc_agrees_with_the_exact_one() -> None:
     assert np.abs(quick - visible * through).mean() < 0.003
 
 
+@pytest.mark.property
 def test_property_drawn_rooms_have_the_stated_covariance_and_can_be_built() -> None:
     rng = np.random.default_rng(0)
     stated = stated_uncertainty(_room())
@@ -83,6 +85,7 @@ def test_property_drawn_rooms_have_the_stated_covariance_and_can_be_built() -> N
         with_parameters(_room(), {"no_such": 1.0})
 
 
+@pytest.mark.property
 def test_a_window_at_the_end_of_its_wall_stays_within_it() -> None:
     window = replace(_room().window[0], left_m=0.0, width_m=_room().width_m)
     tight = replace(_room(), window=(window,), camera_x_m=0.06)
@@ -90,6 +93,7 @@ def test_a_window_at_the_end_of_its_wall_stays_within_it() -> None:
         build(room)
 
 
+@pytest.mark.analytic
 def test_analytic_another_disc_changes_dgp_as_glare_directions_does() -> None:
     maps = np.full((3, HEIGHT, 2 * HEIGHT), 800.0, np.float32)
     suns = LIGHT.sun_direction[[10, 200, 400]]
@@ -139,6 +143,7 @@ def _data(setup: SiteFile) -> Dataset:
     )
 
 
+@pytest.mark.property
 def test_a_wrong_north_scores_worse_with_the_disc_of_the_room() -> None:
     """The review's missing test 2: the true disc in the prediction hides a wrong north."""
     rows = {}
@@ -158,6 +163,7 @@ def test_a_wrong_north_scores_worse_with_the_disc_of_the_room() -> None:
     assert rows["right"]["trusted_share"] == 1.0
 
 
+@pytest.mark.property
 def test_the_interval_holds_the_disc_of_a_hundred_possible_rooms() -> None:
     """The review's missing test 3, without the error of the maps: DGP of each possible room is in
     the interval in 90 % of the hours at an edge, and over the year.
@@ -192,6 +198,7 @@ def test_the_interval_holds_the_disc_of_a_hundred_possible_rooms() -> None:
     assert held.mean() > 0.9
 
 
+@pytest.mark.contract
 def test_a_guess_without_a_room_doubts_the_edge_of_the_window() -> None:
     maps = np.full((len(LIGHT), HEIGHT, 2 * HEIGHT), 1.0, np.float32)
     assert (guessed_disc_lx(maps, LIGHT, HEADING_DEG) == 0.0).all()
