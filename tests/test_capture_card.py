@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum.capture import import_card
 from fieldlum.capture.card import of_the_session
@@ -22,7 +23,7 @@ from fieldlum.capture.state import fold
 from fieldlum.errors import InputError
 from fieldlum.profiles import load_camera_profile, save_profile
 from fieldlum.raw import same_model, write_dng, write_jpeg
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot
+from fieldlum.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
 
 NOON = datetime(2027, 3, 14, 20, 30, tzinfo=UTC)  # of Seattle, on the day of its clock change
@@ -36,9 +37,7 @@ PST_S, PDT_S = -8 * 3600.0, -7 * 3600.0
 
 
 def make_session(folder: Path, slots: list[Slot], profile: str = "") -> Session:
-    setup = SiteFile(
-        Site("office", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(profile=profile)
-    )
+    setup = SiteFile(SEATTLE, CameraSetup(profile=profile))
     return create_session(folder, setup, slots, {"set": "test"})
 
 
@@ -219,7 +218,7 @@ def test_two_bodies_of_one_model_are_two_cameras() -> None:
             for i in range(number)
         ]
 
-    setup = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
+    setup = SiteFile(SEATTLE)
     mine, said = of_the_session([*frames("3001", 5), *frames("3002", 9)], setup)
     assert {f.serial for f in mine} == {"3002"} and said == [
         "5 frames of D850 3001: the session's camera is D850 3002"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_capture import FAST, T0, Field, TinyCamera, make_session
+from tiny_field import FAST, T0, Field, TinyCamera, make_session
 
 from fieldlum.capture.state import fold
 from fieldlum.devices.clock import FastClock

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum.capture import import_card
 from fieldlum.capture.logger_rows import add_samples, adopt_rows
@@ -29,7 +30,7 @@ from fieldlum.capture.state import fold
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.raw import write_jpeg
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
 
 DAWN = datetime(2027, 3, 20, 14, 30, tzinfo=UTC)
@@ -169,9 +170,7 @@ def write_card(folder: Path, frames: list[CardFrame]) -> None:
 
 @pytest.fixture
 def session(tmp_path: Path) -> Session:
-    return create_session(
-        tmp_path / "s", SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), PLAN, {}
-    )
+    return create_session(tmp_path / "s", SiteFile(SEATTLE), PLAN, {})
 
 
 @pytest.mark.contract

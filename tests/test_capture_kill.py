@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import SEATTLE
 
 from fieldlum import capture, merge
 from fieldlum.capture.state import fold
@@ -36,7 +37,7 @@ from fieldlum.profiles import (
     bracket_exposures,
     save_profile,
 )
-from fieldlum.records import CameraSetup, PyranometerSetup, Site, SiteFile, Slot
+from fieldlum.records import CameraSetup, PyranometerSetup, SiteFile, Slot
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and SIGKILL")
@@ -64,7 +65,7 @@ def make_session(folder: Path, slots: int = 4) -> Session:
         Slot(T0 + timedelta(hours=i), 30.0, 150.0, bracket_exposures(profile.bracket))
         for i in range(slots)
     ]
-    site = Site("office", 47.6, -122.3, "America/Los_Angeles")
+    site = SEATTLE
     setup = SiteFile(site, CameraSetup(str(path)), None, PyranometerSetup())
     return create_session(folder, setup, plan, {"set": "test"})
 

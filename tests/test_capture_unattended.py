@@ -15,6 +15,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from places import SEATTLE
 
 from fieldlum.capture.runner import Live, Options, run
 from fieldlum.cli.live import panel
@@ -31,9 +32,7 @@ DEVICES = ["--camera", "sim:office?seed=1", "--clock", "fast"]
 def make_session(folder: Path, first: datetime, slots: int = 2) -> Session:
     ladder = tuple(Exposure(2.0**-i, 5.6) for i in range(2))
     plan = [Slot(first + timedelta(hours=i), 30.0, 180.0, ladder) for i in range(slots)]
-    return create_session(
-        folder, SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles")), plan, {"set": "test"}
-    )
+    return create_session(folder, SiteFile(SEATTLE), plan, {"set": "test"})
 
 
 def outcomes(session: Session) -> list[str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from places import SEATTLE
 
 from fieldlum import doctor
 from fieldlum.cli import main
@@ -21,10 +22,9 @@ from fieldlum.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.records import CameraSetup, Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import Journal, Session, create_session
 
-SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 NOW = datetime(2027, 3, 10, 12, tzinfo=UTC)
 NOON = datetime(2027, 3, 10, 20, tzinfo=UTC)
 

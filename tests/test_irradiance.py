@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum import irradiance, light_clock, sun
 from fieldlum.errors import NotEnoughDataError
@@ -19,7 +20,6 @@ from fieldlum.irradiance import Mark, check, derive, health, minute_means, serie
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
 from fieldlum.session import DayFiles, Session, create_session
 
-SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
 
 

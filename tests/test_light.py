@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum.light import (
     Facades,
@@ -18,9 +19,7 @@ from fieldlum.light import (
     light_features,
     one_facade,
 )
-from fieldlum.records import Room, Site, Window
-
-SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+from fieldlum.records import Room, Window
 
 
 def some_light(count: int = 40, seed: int = 1) -> Light:

@@ -11,6 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from places import SEATTLE
 
 from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.preflight import wait_for_clock
@@ -18,7 +19,7 @@ from fieldlum.capture.runner import Options, run
 from fieldlum.devices.clock import FastClock
 from fieldlum.errors import InputError
 from fieldlum.notify import Heartbeat, Message, Outbox, apprise_post, read_address, read_targets
-from fieldlum.records import Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import Session, create_session, read_journal
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
@@ -105,7 +106,7 @@ def until(condition: object, seconds: float = 5.0) -> bool:
 @pytest.fixture
 def session(tmp_path: Path) -> Session:
     slots = [Slot(T0 + timedelta(hours=i), 10.0, 120.0, (Exposure(0.5, 5.6),)) for i in range(3)]
-    site = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
+    site = SiteFile(SEATTLE)
     return create_session(tmp_path / "session", site, slots, {"set": "test"})
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SEATTLE
 
 from fieldlum import irradiance, pair, sun
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -23,7 +24,6 @@ from fieldlum.records import (
     IrradianceSample,
     Panorama,
     Room,
-    Site,
     SiteFile,
     Slot,
     SunSource,
@@ -33,7 +33,6 @@ from fieldlum.records import (
 )
 from fieldlum.session import DayFiles, Session, create_session
 
-SITE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SOUTH = SunSource(18.9, 178.0, 5000.0, 1.0, "clipped")
 ROOM = Room(window=(Window("south", 0.5, 5.0, 1.0, 2.5),))
@@ -145,14 +144,14 @@ def test_a_loggers_clock_in_daylight_saving_shows_as_light_at_night(shift_h: int
     is lit by no sun.
     """
     t = np.arange(NOON.timestamp(), NOON.timestamp() + 2 * 86400.0, 60.0)
-    clear = sun.clearsky([datetime.fromtimestamp(s, UTC) for s in t], SITE)
+    clear = sun.clearsky([datetime.fromtimestamp(s, UTC) for s in t], SEATTLE)
     texts = np.array([""] * len(t), object)
     logged = Log(t + 3600.0 * shift_h, clear.ghi_wm2, clear.dhi_wm2, clear.dni_wm2, texts, texts)
     if shift_h == 0:
-        pair.check_night(Path("clean.csv"), logged, SITE)
+        pair.check_night(Path("clean.csv"), logged, SEATTLE)
         return
     with pytest.raises(InputError, match=r"clean.csv: light in .* minutes .* clock"):
-        pair.check_night(Path("clean.csv"), logged, SITE)
+        pair.check_night(Path("clean.csv"), logged, SEATTLE)
 
 
 def picture(sun: SunSource | None, level: float = 100.0) -> Panorama:
@@ -204,7 +203,7 @@ def test_a_meter_beside_the_lens_comes_first() -> None:  # uniform 100 cd/m2 giv
 
 def make_session(folder: Path, room: Room | None, hours: int = 2) -> Session:
     slots = [Slot(NOON + timedelta(hours=i), 18.0, 180.0, ()) for i in range(hours)]
-    session = create_session(folder, SiteFile(SITE, CameraSetup(), room), slots, {})
+    session = create_session(folder, SiteFile(SEATTLE, CameraSetup(), room), slots, {})
     days = DayFiles(session, flush=False)
     for slot in slots:
         for i in range(-12, 24):
@@ -343,7 +342,7 @@ def test_bad_inputs_are_named(tmp_path: Path) -> None:
     clean.unlink()
     with pytest.raises(InputError, match="no such file"):
         read_clean(clean)
-    empty = create_session(tmp_path / "e", SiteFile(SITE), [Slot(NOON, 18.0, 180.0, ())], {})
+    empty = create_session(tmp_path / "e", SiteFile(SEATTLE), [Slot(NOON, 18.0, 180.0, ())], {})
     with pytest.raises(NotEnoughDataError, match="no panorama"):
         pair.run(empty)
 
@@ -356,7 +355,7 @@ def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_p
     from fieldlum.devices.simulated.world import open_world
     from fieldlum.sun import position
 
-    session = create_session(tmp_path / "s", SiteFile(SITE), [Slot(NOON, 18.0, 180.0, ())], {})
+    session = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 18.0, 180.0, ())], {})
     clock, days = FastClock(NOON - timedelta(seconds=60)), DayFiles(session, flush=False)
     instrument = open_pyranometer("sim:office?seed=3&noise=1", clock=clock, session=session)
     try:
@@ -372,7 +371,7 @@ def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_p
     )
     truth = open_world(session, 3).irradiance(NOON + timedelta(seconds=20))
     noise = 1.0 / np.sqrt(light.rows)
-    sine = np.sin(np.radians(position([NOON + timedelta(seconds=20)], SITE).altitude_deg[0]))
+    sine = np.sin(np.radians(position([NOON + timedelta(seconds=20)], SEATTLE).altitude_deg[0]))
     assert light.rows == 9 and light.source == "measured"
     assert abs(light.ghi_wm2 - truth.ghi_wm2) < 4 * noise
     assert abs(light.dhi_wm2 - truth.dhi_wm2) < 4 * noise

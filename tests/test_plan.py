@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from places import SEATTLE
 
 from fieldlum import plan, sun
 from fieldlum.cli import main
@@ -13,7 +14,6 @@ from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, save_pro
 from fieldlum.records import CameraSetup, Site, SiteFile
 from fieldlum.session import open_session
 
-SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 TODAY = date(2026, 11, 21)
 
 

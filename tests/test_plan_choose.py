@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum import plan, sun
 from fieldlum.cli import main
@@ -22,7 +23,6 @@ from fieldlum.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
 from fieldlum.session import Journal, create_session, open_session
 from fieldlum.weather import Weather, synthetic_weather
 
-SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))
 EXPOSURES = (Exposure(0.5, 5.6), Exposure(0.01, 5.6))
 

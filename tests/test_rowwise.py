@@ -4,9 +4,9 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from places import SEATTLE
 
 from fieldlum.light import light_at
-from fieldlum.records import Site
 from fieldlum.rowwise import cosines, turned
 from fieldlum.sky import reinhart_patches
 
@@ -28,7 +28,7 @@ def test_the_sky_of_an_hour_does_not_depend_on_the_other_hours() -> None:
     start = datetime(2027, 6, 21, 11, 30, tzinfo=UTC)
     times = [start + timedelta(days=11.3 * k, minutes=17 * k) for k in range(32)]
     dni, dhi = RNG.uniform(0, 900, 32), RNG.uniform(10, 400, 32)
-    site = Site("here", 47.6, -122.3, "America/Los_Angeles")
+    site = SEATTLE
     directions = reinhart_patches().directions[:333]
     together = light_at(times, site, dni, dhi)
     sky = together.sky_at(directions)

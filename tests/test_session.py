@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum.errors import InputError
-from fieldlum.records import Exposure, IrradianceSample, Site, SiteFile, Slot
+from fieldlum.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
     DayFiles,
     Journal,
@@ -29,7 +30,7 @@ from fieldlum.session import (
 )
 
 NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
-SETUP = SiteFile(Site("office", 47.6, -122.3, "America/Los_Angeles"))
+SETUP = SiteFile(SEATTLE)
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from places import SEATTLE
 
 from fieldlum import sun
 from fieldlum.light import light_at
@@ -18,11 +19,10 @@ from fieldlum.models.transport import fit
 from fieldlum.models.transport.misalignment import moved
 from fieldlum.models.transport.setting_scan import Setting, SettingFinding, setting_scan
 from fieldlum.models.transport.uncertainty import edge_range, experience, slip_variance
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
 from fieldlum.train.setting import settle, warnings_of
 
-SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 ROOM = Room(
     width_m=5.0,
     depth_m=6.0,
@@ -31,7 +31,7 @@ ROOM = Room(
     camera_y_m=3.0,
     window=(Window("south", 0.5, 4.0, 0.6, 2.1),),
 )
-SETUP = SiteFile(SITE, CameraSetup(heading_deg=180.0), ROOM)
+SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0), ROOM)
 HEIGHT = 30
 
 
@@ -50,7 +50,7 @@ def captured() -> Dataset:
         start + timedelta(days=d, hours=h) for d in (20, 50, 75, 260, 290, 330) for h in range(7)
     ]
     n = len(times)
-    light = light_at(times, SITE, np.where(np.arange(n) % 5 == 0, 0.0, 700.0), np.full(n, 120.0))
+    light = light_at(times, SEATTLE, np.where(np.arange(n) % 5 == 0, 0.0, 700.0), np.full(n, 120.0))
     light = light[light.sun_altitude_deg > 3.0]
     n = len(light)
     data = Dataset(
@@ -59,7 +59,7 @@ def captured() -> Dataset:
         None,
         np.zeros(n),
         180.0,
-        np.array([sun.standard_date(t, SITE.timezone) for t in light.t_utc], "datetime64[D]"),
+        np.array([sun.standard_date(t, SEATTLE.timezone) for t in light.t_utc], "datetime64[D]"),
         tuple(slot_id(t) for t in light.t_utc),
         SETUP,
         np.ones((HEIGHT, 2 * HEIGHT), bool),
@@ -77,7 +77,8 @@ def stated_otherwise(turn_deg: float = 0.0, fast_min: float = 0.0) -> Dataset:
     data = captured()
     light = data.light
     now, then = (
-        sun.position([t + timedelta(minutes=m) for t in light.t_utc], SITE) for m in (0.0, fast_min)
+        sun.position([t + timedelta(minutes=m) for t in light.t_utc], SEATTLE)
+        for m in (0.0, fast_min)
     )
     other = replace(
         light,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import SEATTLE
 
 from fieldlum import simulate, weather
 from fieldlum.cli import main
@@ -24,7 +25,7 @@ from fieldlum.session import open_session
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 SMALL = SiteFile(
-    Site("test room", 47.6, -122.3, "America/Los_Angeles"),
+    SEATTLE,
     CameraSetup(heading_deg=180.0, height_m=1.4),
     Room(
         width_m=4,

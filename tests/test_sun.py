@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum import sun
 from fieldlum.records import Site
 
-SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 SITES = tuple(
     Site(f"{latitude:+g}", latitude, longitude, f"Etc/GMT{-round(longitude / 15):+d}")
     for latitude, longitude in zip(

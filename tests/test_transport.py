@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SEATTLE
 
 from fieldlum import models
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -18,11 +19,10 @@ from fieldlum.models.transport.selection import recipes_for
 from fieldlum.models.transport.solve import Columns, held_out_days, held_out_days_shared, solve
 from fieldlum.models.transport.training_arrays import material_of
 from fieldlum.projection import equirect_rays
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.sky import reinhart_patches
 
-SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
-SETUP = SiteFile(SITE, CameraSetup(heading_deg=180.0))
+SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))
 ROOM = Room(
     width_m=4.0,
     depth_m=4.0,
@@ -43,7 +43,7 @@ def toy(days: list[int], seed: int = 0) -> Dataset:
     times = [start + timedelta(days=d, hours=h) for d in days for h in range(8)]
     n = len(times)
     light = light_at(
-        times, SITE, rng.uniform(0, 800, n) * (rng.random(n) < 0.7), rng.uniform(30, 300, n)
+        times, SEATTLE, rng.uniform(0, 800, n) * (rng.random(n) < 0.7), rng.uniform(30, 300, n)
     )
     light = light[light.sun_altitude_deg > 0.0]
     rays = equirect_rays(HEIGHT, WIDTH, 180.0)

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import SEATTLE
 
 from fieldlum import sun, weather
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.records import Site
-
-SEATTLE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
 
 
 @pytest.mark.authority

@@ -1,0 +1,22 @@
+"""Fixtures that several test files share. Imports are local: most runs need none of them."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tiny_field import Field
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Field:
+    """Return a session of three slots with tiny devices, five minutes before the first slot."""
+    from tiny_field import T0, Field, make_session
+
+    from fieldlum.devices.clock import FastClock
+
+    return Field(make_session(tmp_path / "s"), FastClock(T0 - timedelta(minutes=5)))

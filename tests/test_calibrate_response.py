@@ -1,0 +1,113 @@
+"""`calibrate response` against simulated JPEG cameras whose curve is known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_frames import LENS, PROFILE, SIZE
+
+from fieldlum.calibrate import (
+    response,
+)
+from fieldlum.errors import InputError
+from fieldlum.photometry import response_table, snap_shutter_s
+from fieldlum.profiles import (
+    CameraBody,
+)
+from fieldlum.raw import read_jpeg, write_jpeg
+from fieldlum.records import Exposure
+
+
+def _bracket(
+    folder: Path, table: np.ndarray, seed: int, shutters: tuple[float, ...], drift: float = 0.0
+) -> Path:
+    rng = np.random.default_rng(seed)
+    folder.mkdir()
+    blocks = 0.02 * 10 ** (3.2 * rng.random((SIZE // 6, SIZE // 6)))
+    scene = np.repeat(np.repeat(blocks, 6, axis=0), 6, axis=1)
+    for i, shutter in enumerate(shutters):
+        z = scene[..., None] * snap_shutter_s(shutter) * np.array([0.8, 1.0, 0.7]) * (1 + drift * i)
+        z = z * (1 + 0.004 * rng.normal(size=z.shape))
+        codes = np.rint(np.interp(z, table + np.arange(256) * 1e-9, np.arange(256.0))).astype(
+            np.uint8
+        )
+        write_jpeg(folder / f"{i}.jpg", codes, exposure=Exposure(shutter, 5.6))
+    return folder
+
+
+JPEG_PROFILE = replace(
+    PROFILE, camera=CameraBody("j", "jpeg", SIZE, SIZE), lens=(replace(LENS, radius_px=170.0),)
+)
+
+
+SHUTTERS = (2.0, 1.0, 0.5, 1 / 4, 1 / 8, 1 / 15, 1 / 30, 1 / 60)
+
+
+@pytest.mark.analytic
+def test_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
+    """A curve that is neither sRGB nor linear, within 2 % of light over the codes that count,
+    pooled brackets.
+    """
+    code = np.arange(256) / 255
+    truth = 0.6 * code**2.6 + 0.25 * code**1.5 + 0.15 * code**5
+    folders = [_bracket(tmp_path / f"b{seed}", truth, seed, SHUTTERS) for seed in (1, 2, 3)]
+    places = response.sample(response.brackets_in(folders), JPEG_PROFILE, np.random.default_rng(0))
+    found = response.fit(places)
+    assert found.response.kind == "table"
+    z = response_table("table", found.response.green)
+    codes = np.arange(response.LOW, response.HIGH)
+    ratio = np.log(z[codes] / truth[codes])
+    assert np.ptp(ratio) < 0.06 and np.std(ratio) < 0.02
+    assert (np.diff(z) >= 0).all() and found.residual[1] < 0.03
+
+
+@pytest.mark.analytic
+def test_a_plain_srgb_camera_is_recognised(tmp_path: Path) -> None:
+    folder = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)
+    places = response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
+    found = response.fit(places)
+    assert found.response.kind == "srgb" and "srgb" in found.choice.line
+
+
+@pytest.mark.contract
+def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
+    still = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)
+    assert "CAUTION" not in _fitted(still).choice.line
+    for path in sorted(still.glob("*.jpg"))[::2]:
+        frame = read_jpeg(path)
+        write_jpeg(path, np.roll(frame.codes, 6, axis=1), exposure=frame.exposure)
+    found = _fitted(still)
+    assert (
+        found.response.u_rel > response.DOUBTFUL
+        and "did the camera or the light move" in found.choice.line
+    )
+
+
+def _fitted(folder: Path) -> response.ResponseFit:
+    return response.fit(
+        response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
+    )
+
+
+@pytest.mark.contract
+def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
+    """Frames of another sensor were fitted where the profile's circle happened to lie on them."""
+    _bracket(tmp_path / "b", response_table("srgb"), 3, (0.5, 0.25, 0.125, 1 / 15))
+    other = replace(
+        JPEG_PROFILE, camera=replace(JPEG_PROFILE.camera, width_px=5616, height_px=3744)
+    )
+    with pytest.raises(
+        InputError, match=r"pixels, expected 5616 x 3744, as .* says, use its own profile"
+    ):
+        response.sample(response.brackets_in([tmp_path / "b"]), other, np.random.default_rng(1))
+
+
+@pytest.mark.contract
+def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
+    folder = _bracket(tmp_path / "b", response_table("srgb"), 4, (0.5, 0.25))
+    with pytest.raises(InputError, match="three exposures"):
+        response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no JPEG"):
+        response.brackets_in([tmp_path / "empty"])

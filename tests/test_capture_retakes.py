@@ -1,0 +1,197 @@
+"""Capture: each frame is checked at once and taken again once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tiny_field import FAST, LADDER, Field, make_session
+
+from fieldlum.capture.state import fold
+from fieldlum.capture.verify import doubts
+from fieldlum.devices.clock import FastClock
+from fieldlum.devices.simulated.camera import SimulatedCamera
+from fieldlum.errors import DeviceError
+from fieldlum.profiles import load_camera_profile
+from fieldlum.records import Exposure, Panorama
+from fieldlum.session import (
+    read_journal,
+    sha256,
+)
+
+EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
+
+
+class SlippingCamera:
+    """The simulated camera, whose dial slips to twice the time at the frames in `slips` (counted
+    from 1).
+    """
+
+    def __init__(self, clock: FastClock, slips: set[int]) -> None:
+        world = SimpleNamespace(scene=lambda t_utc: EVEN_LIGHT)
+        self._camera = SimulatedCamera(
+            world, load_camera_profile("sim-fisheye"), clock, overhead_s=1.0
+        )  # type: ignore[arg-type]
+        self._slips, self.count, self.info = slips, 0, self._camera.info
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        self.count += 1
+        slip = 2.0 if self.count in self._slips else 1.0
+        return self._camera.expose(replace(exposure, shutter_s=slip * exposure.shutter_s), target)
+
+    def close(self) -> None:
+        self._camera.close()
+
+
+@pytest.mark.contract
+def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
+    camera = SlippingCamera(rig.clock, {2})
+    rig.session = make_session(rig.session.root.parent / "one", slots=1)
+    events = rig.run(open_cam=lambda: camera, check=doubts)
+    assert rig.outcomes() == ["done"] and camera.count == 4 and events.count("frame") == 3
+    journal = read_journal(rig.session)
+    told = next(e for e in journal if e["event"] == "retake")
+    assert (
+        told["why"] == "shutter 1 instead of 0.5" and told["frame"]["instead_of"] == "01_0.5s.dng"
+    )
+    assert (
+        next(e for e in journal if e["event"] == "done")["why"] == "01_0.5s_again.dng taken again"
+    )
+    folder = rig.session.raw / rig.session.slots()[0].id
+    frames = json.loads((folder / "capture.json").read_text())["frames"]
+    assert [f["file"] for f in frames] == ["00_1s.dng", "01_0.5s_again.dng", "02_0.25s.dng"]
+    assert not any("doubt" in f for f in frames) and all(
+        sha256(folder / f["file"]) == f["sha256"] for f in frames
+    )
+    assert doubts(folder / "01_0.5s.dng", LADDER[1]) == "shutter 1 instead of 0.5", (
+        "the first file is kept"
+    )
+    assert sorted(f.instead_of for f in fold(journal).slots[folder.name].frames) == [
+        "",
+        "",
+        "01_0.5s.dng",
+    ]
+
+
+@pytest.mark.contract
+def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(rig: Field) -> None:
+    camera = SlippingCamera(rig.clock, set(range(100)))
+    rig.session = make_session(rig.session.root.parent / "one", slots=1)
+    rig.run(open_cam=lambda: camera, check=doubts)
+    assert camera.count == 4, "one retake, in vain: the rest of the bracket is not taken twice"
+    why = next(e for e in read_journal(rig.session) if e["event"] == "done")["why"]
+    assert why.count("instead of") == 3 and "taken again" not in why
+    frames = json.loads((rig.session.raw / rig.session.slots()[0].id / "capture.json").read_text())[
+        "frames"
+    ]
+    assert [f["exposure"]["shutter_s"] for f in frames] == [2.0, 1.0, 0.5], (
+        "merge reads the exposure that they have"
+    )
+
+
+@pytest.mark.contract
+def test_half_a_frame_is_seen_at_once_and_taken_again(rig: Field) -> None:
+    """Its EXIF is whole: only its pixels end early. It is looked at when the camera is done."""
+    seen: list[str] = []
+
+    def opens(path: Path) -> str:
+        seen.append(path.name)
+        return (
+            "its pixels end later"
+            if seen.count("01_0.5s.dng") == 1 and path.name == "01_0.5s.dng"
+            else ""
+        )
+
+    events = rig.run(check_opens=opens)
+    assert rig.outcomes() == ["done"] * 3 and events.count("retake") == 1
+    folder = rig.session.raw / rig.session.slots()[0].id
+    frames = json.loads((folder / "capture.json").read_text())["frames"]
+    assert [f["file"] for f in frames] == ["00_1s.dng", "01_0.5s_again.dng", "02_0.25s.dng"]
+    assert (folder / "01_0.5s.dng").exists() and "doubt" not in frames[1]
+
+
+@pytest.mark.contract
+def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(rig: Field) -> None:
+    """A camera newer than LibRaw: one second try, in vain, and every file stays, with what is
+    wrong with it.
+    """
+    rig.session = make_session(rig.session.root.parent / "one", slots=1)
+    events = rig.run(check_opens=lambda path: "an unknown format")
+    assert rig.outcomes() == ["done"] and events.count("retake") == 1 and rig.cameras[0].count == 4
+    told = next(e for e in read_journal(rig.session) if e["event"] == "done")["why"]
+    assert told.count("an unknown format") == 3 and "taken again" not in told
+
+
+@pytest.mark.contract
+def test_no_retake_after_the_window(rig: Field) -> None:
+    camera = SlippingCamera(rig.clock, {2})
+    rig.session = make_session(rig.session.root.parent / "one", slots=1)
+    events = rig.run(replace(FAST, grace_s=4.0), open_cam=lambda: camera, check=doubts)
+    assert "retake" not in events and rig.outcomes() == ["done"] and camera.count == 3
+
+
+@pytest.mark.contract
+def test_a_camera_that_fails_at_the_retake_costs_nothing(rig: Field) -> None:
+    camera = SlippingCamera(rig.clock, {2})
+    whole = camera.expose
+
+    def expose(exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        if camera.count == 2:
+            camera.count += 1
+            raise DeviceError("gone")
+        return whole(exposure, target)
+
+    camera.expose = expose
+    rig.session = make_session(rig.session.root.parent / "one", slots=1)
+    events = rig.run(open_cam=lambda: camera, check=doubts)
+    assert "retake" not in events and "device-lost" in events and rig.outcomes() == ["done"]
+
+
+@pytest.mark.contract
+def test_a_bracket_that_clips_all_over_is_told_at_once(rig: Field) -> None:
+    looked: list[str] = []
+
+    def clipped(path: Path) -> str:
+        looked.append(path.name)
+        return "97 % of the shortest frame is clipped"
+
+    rig.run(
+        check_shortest=clipped,
+        check=lambda path, exposure: "ISO 200 instead of 100" if exposure.shutter_s == 1 else "",
+    )
+    done = [e for e in read_journal(rig.session) if e["event"] == "done"]
+    assert looked == ["02_0.25s.dng"] * 3
+    assert "00_1s_again.dng: ISO 200" in done[0]["why"] and "97 %" in done[0]["why"]
+
+
+@pytest.mark.contract
+def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
+    import numpy as np
+
+    from fieldlum.capture.verify import bracket_doubts, doubts
+    from fieldlum.raw import unreadable, write_dng, write_jpeg
+
+    asked = Exposure(1 / 250, 5.6)
+    grey, white = np.full((16, 16, 3), 90, np.uint8), np.full((16, 16, 3), 255, np.uint8)
+    write_jpeg(tmp_path / "a.jpg", grey, asked)
+    write_jpeg(tmp_path / "b.jpg", white, Exposure(1 / 200, 5.6))
+    assert doubts(tmp_path / "a.jpg", asked) == "" == bracket_doubts(tmp_path / "a.jpg")
+    assert "shutter 0.005 instead of 0.004" in doubts(tmp_path / "b.jpg", asked)
+    assert bracket_doubts(tmp_path / "b.jpg").startswith("100 % of the shortest frame")
+    counts = np.full((48, 48), 16383, np.uint16)
+    write_dng(tmp_path / "c.dng", counts, asked, black_dn=(64.0,) * 4, white_dn=16383.0)
+    assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(
+        tmp_path / "c.dng"
+    )
+    (tmp_path / "d.dng").write_bytes((tmp_path / "c.dng").read_bytes()[:300])
+    assert doubts(tmp_path / "d.dng", asked) or bracket_doubts(tmp_path / "d.dng")
+    for name in ("a.jpg", "c.dng"):
+        whole = (tmp_path / name).read_bytes()
+        (tmp_path / f"half_{name}").write_bytes(whole[: len(whole) - len(whole) // 4])
+        assert unreadable(tmp_path / name) == "" == doubts(tmp_path / f"half_{name}", asked)
+        assert unreadable(tmp_path / f"half_{name}")
+    assert unreadable(tmp_path / "gone.dng") == "No such file or directory"

@@ -1,0 +1,98 @@
+"""Capture: status, the live display, and the commands' exit codes."""
+
+from __future__ import annotations
+
+import json
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from tiny_field import FAST, T0, Field, TinyPyranometer, make_session
+
+from fieldlum.capture.runner import run
+from fieldlum.capture.status import status
+from fieldlum.devices.clock import FastClock
+from fieldlum.session import (
+    day_files,
+    read_day,
+)
+
+
+@pytest.mark.contract
+def test_status_counts_from_files_alone(rig: Field) -> None:
+    before = status(rig.session)
+    assert before["capture"]["owed"] == 3 and before["capture"]["next"] == "20270320T153000Z"
+    rig.run()
+    after = status(rig.session)
+    assert (after["capture"]["done"], after["capture"]["frames"], after["merge"]["owed"]) == (
+        3,
+        9,
+        3,
+    )
+    assert after["irradiance"]["rows"] == sum(len(read_day(p)[0]) for p in day_files(rig.session))
+
+
+@pytest.mark.contract
+def test_commands_exit_as_documented(rig: Field, tmp_path: Path) -> None:
+    from click.testing import CliRunner
+
+    from fieldlum.cli import main
+
+    def code(*words: str) -> int:
+        return CliRunner().invoke(main, [*words]).exit_code
+
+    folder = str(rig.session.root)
+    assert code("capture", folder) == 2, "no camera named, and none remembered"
+    assert code("capture", folder, "--camera", "sim:nowhere", "--clock", "fast") == 4
+    assert code("capture", str(tmp_path), "--camera", "sim:office") == 3
+    assert code("capture", folder, "--camera", "gphoto:", "--clock", "fast") == 2, (
+        "made-up times for real pictures"
+    )
+    assert (
+        code(
+            "capture", folder, "--camera", "sim:office", "--meter", "cl200a:COM3", "--clock", "fast"
+        )
+        == 2
+    )
+    assert code("log", folder, "--pyranometer", "serial:/dev/no-such-port?kind=spn1") == 4
+    assert code("status", str(tmp_path)) == 3
+    assert code("pair", folder) == 5, "nothing was logged"
+    told = CliRunner().invoke(main, ["status", folder, "--json"])
+    assert told.exit_code == 0 and json.loads(told.stdout)["capture"]["owed"] == 3
+    assert (
+        "0 done, 0 missed, 0 aborted, 3 owed" in CliRunner().invoke(main, ["status", folder]).stdout
+    )
+
+
+@pytest.mark.contract
+def test_live_display_and_status_file(rig: Field, tmp_path: Path) -> None:
+    from rich.console import Console
+
+    from fieldlum.cli.live import countdown, panel, shown
+
+    with shown(rig.session.site_file().site, tmp_path / "now.json") as watch:
+        run(
+            rig.session,
+            "tiny:",
+            clock=rig.clock,
+            options=FAST,
+            watch=watch,
+            trusted=lambda: False,
+            open_cam=rig.open_camera,
+            open_pyr=lambda: TinyPyranometer(rig.clock),
+        )
+    table = json.loads((tmp_path / "now.json").read_text())
+    assert (table["state"], table["done"], table["left"]) == ("finished", 3, 0)
+    rig.session = make_session(tmp_path / "again")
+    rig.clock = FastClock(T0 - timedelta(minutes=5))
+    rig.run()
+    console = Console(record=True, width=66, file=__import__("io").StringIO())
+    console.print(panel(rig.shown[0], rig.session.site_file().site))
+    text = console.export_text()
+    assert "1 done" in text and "2 left" in text and "W/m²" in text and "PDT" in text
+    assert (countdown(59.6), countdown(3725), countdown(None), countdown(-3)) == (
+        "01:00",
+        "1:02:05",
+        "-",
+        "00:00",
+    )
