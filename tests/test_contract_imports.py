@@ -11,7 +11,7 @@ pytestmark = pytest.mark.contract
 
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
-    {"errors", "records"},
+    {"errors", "records", "model_registry"},
     {"photometry", "projection", "rowwise", "statistics", "sun", "sky", "light", "light_clock"},
     {"images", "raw", "profiles", "session", "scene", "weather"},
     {"devices", "notify"},

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fieldlum.model_registry import MODELS
 from fieldlum.records import Progress, quiet
 from fieldlum.session import replacing, replacing_path
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-DEFAULT_MODELS = ("mean", "nearest", "transport", "dense")
 TABLE = {
     "name": "model",
     "log10_mse_weighted": "log10 MSE",
@@ -140,7 +140,7 @@ def run(
     *,
     test: Dataset | None = None,
     whole: Dataset | None = None,
-    models: Sequence[str] = DEFAULT_MODELS,
+    models: Sequence[str] = tuple(MODELS),
     seeds: int = 1,
     budget_min: float = 5.0,
     with_stress: bool = False,

@@ -11,7 +11,8 @@ import numpy as np
 
 from fieldlum import models
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.models import MODELS, Patch
+from fieldlum.model_registry import MODELS
+from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Truth, evaluate, summary, truth
 from fieldlum.records import Progress, quiet
@@ -149,7 +150,7 @@ def score_table(
     trials: dict[str, Trial] = {}
     for k, spec in enumerate(specs):
         progress(k, len(specs), spec.label)
-        many = seeds if spec.name not in ("mean", "nearest") and spec.folder is None else 1
+        many = 1 if spec.folder is not None or MODELS[spec.name].baseline else seeds
         for seed in range(many):
             row, trial = score_row(
                 spec, data, asked, seed=seed, budget_s=budget_s, progress=progress

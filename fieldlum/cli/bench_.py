@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.model_registry import MODELS
 
 
 @click.command()
@@ -24,7 +25,7 @@ from fieldlum.cli.terminal import emit_json, progress, say
 )
 @click.option(
     "--models",
-    default="mean,nearest,transport,dense",
+    default=",".join(MODELS),
     show_default=True,
     help="Names, NAME:none or NAME:gain, or folders of trained models, parted by commas.",
 )

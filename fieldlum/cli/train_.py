@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.model_registry import MODELS
 
 
 @click.command()
@@ -21,7 +22,7 @@ from fieldlum.cli.terminal import emit_json, progress, say
     "--model",
     default="auto",
     show_default=True,
-    type=click.Choice(["auto", "transport", "dense", "nearest", "mean"]),
+    type=click.Choice(["auto", *MODELS]),
     help="auto tries all and picks one.",
 )
 @click.option(

@@ -1,4 +1,4 @@
-"""Models of a room: a registry, and what a fitted model must be able to do.
+"""Models of a room: what a fitted model must be able to do, and its folder on disk.
 
 A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) ->
 Fitted``, and one that loads, ``from_state(config, arrays) -> Fitted``. Model folders hold
@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib
 import json
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from fieldlum import __version__
 from fieldlum.errors import InputError
+from fieldlum.model_registry import MODELS
 from fieldlum.session import replacing
 
 if TYPE_CHECKING:
@@ -47,7 +47,11 @@ class Prediction:
 
 
 class Fitted(Protocol):
-    """A trained model."""
+    """A trained model.
+
+    `state` may add a key `with_patch` to config.json: whether `predict` requires sun patches.
+    Without it they are required unless the model was trained with patch "none".
+    """
 
     name: str
     parameters: int  # numbers the model holds: smaller is tried first
@@ -66,31 +70,10 @@ class Fitted(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """Where a model lives. size orders the models from small to large for the one-standard-error
-    rule.
-    """
-
-    module: str
-    size: int
-    fit: str = "fit"
-
-    def fitter(self) -> Callable[..., Fitted]:
-        return getattr(importlib.import_module(self.module), self.fit)
-
-
-MODELS: dict[str, Kind] = {
-    "mean": Kind("fieldlum.models.baselines", 0, "fit_mean"),
-    "nearest": Kind("fieldlum.models.baselines", 1, "fit_nearest"),
-    "transport": Kind("fieldlum.models.transport", 2),
-    "dense": Kind("fieldlum.models.dense", 3),
-}
-
-
 def fit(name: str, data: Dataset, **options: Any) -> Fitted:
-    """Fit the model called `name`. Raises KeyError for an unknown one."""
-    return MODELS[name].fitter()(data, **options)
+    """Fit the model of that name. Raises KeyError for an unknown one."""
+    kind = MODELS[name]
+    return getattr(importlib.import_module(kind.module), kind.fit)(data, **options)
 
 
 def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:

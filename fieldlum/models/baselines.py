@@ -37,7 +37,8 @@ class MeanFitted:
         return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        return {"domain": self.domain.state()}, {"log10_mean": self.log10_mean}
+        config = {"domain": self.domain.state(), "with_patch": False}
+        return config, {"log10_mean": self.log10_mean}
 
 
 def fit_mean(

@@ -56,14 +56,15 @@ class ModelRoom:
 
 
 def wants_patch(config: dict[str, Any]) -> bool:
-    """Whether a model's config says that it was trained with sun patches."""
+    """Return whether the model of a config.json requires sun patches.
+
+    Models state it as `with_patch`; the transport models of 0.1.0 as a patchwork.
+    """
+    if "with_patch" in config:
+        return bool(config["with_patch"])
     if "transport" in config:
         return config["transport"].get("patchwork") is not None
-    return (
-        bool(config["with_patch"])
-        if "with_patch" in config
-        else config.get("patch", "none") != "none"
-    )
+    return config.get("patch", "none") != "none"
 
 
 def room_of(config: dict[str, Any], folder: Path) -> ModelRoom:

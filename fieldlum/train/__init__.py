@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.scores import Scores, evaluate, join, summary, truth
 from fieldlum.records import Progress, quiet
@@ -27,10 +28,7 @@ from fieldlum.train.setting import settle
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-CANDIDATES = ("mean", "nearest", "transport", "dense")
-BASELINES = ("mean", "nearest")
-SLOW = ("dense",)  # no closed form: trained again for each fold, within a share of the budget
-FOLD_SHARE = 0.5  # of the budget; the rest is for the model that is kept
+FOLD_SHARE = 0.5  # of the budget of slow models; the rest is for the model that is stored
 LEAST_FOLDS = 2
 # all folds of a quick model, unless they take longer than this: the budget is for the slow ones
 QUICK_S = 300.0
@@ -113,7 +111,7 @@ def fit_timed(
 ) -> tuple[Fitted, Spent]:
     """A fitted model and the time it took."""
     wall, cpu = time.monotonic(), time.process_time()
-    limit = {"budget_s": budget_s} if name in SLOW else {}
+    limit = {"budget_s": budget_s} if MODELS[name].slow else {}
     fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **limit, **more)
     return fitted, Spent(time.monotonic() - wall, time.process_time() - cpu)
 
@@ -144,7 +142,7 @@ def evaluate_folds(
     for fold in folds:
         if (
             budget_s
-            and name not in SLOW
+            and not MODELS[name].slow
             and len(parts) >= LEAST_FOLDS
             and time.monotonic() - started > budget_s
         ):
@@ -201,12 +199,13 @@ def fit_and_score(
         raise NotEnoughDataError(
             f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check"
         )
-    names = CANDIDATES if model == "auto" else tuple(dict.fromkeys((*BASELINES, model)))
+    names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
     trials: list[Trial] = []
     left_out: list[str] = []
     for name in names:
-        limit = FOLD_SHARE * budget_s if name in SLOW else max(FOLD_SHARE * budget_s, QUICK_S)
-        some = dense_folds(folds, limit) if name in SLOW else tuple(folds)
+        slow = MODELS[name].slow
+        limit = FOLD_SHARE * budget_s if slow else max(FOLD_SHARE * budget_s, QUICK_S)
+        some = dense_folds(folds, limit) if slow else tuple(folds)
         try:
             trials.append(
                 evaluate_folds(
@@ -221,7 +220,7 @@ def fit_and_score(
     trials = [trial for trial in trials if not _is_too_short(trial)]
     left_out += [f"{trial.name}: {_too_short(trial)}" for trial in not_judged]
     choice = choose(trials, data) if model == "auto" else ModelSelection(model, "asked for")
-    more = {"checkpoint": checkpoint} if checkpoint is not None and choice.name in SLOW else {}
+    more = {"checkpoint": checkpoint} if checkpoint is not None and MODELS[choice.name].slow else {}
     fitted, spent = fit_timed(
         choice.name,
         data,
@@ -254,8 +253,8 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
             "better model"
         )
     errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
-    floor = min((errors[name] for name in BASELINES if name in errors), default=float("inf"))
-    if model in errors and model not in BASELINES and errors[model] >= floor:
+    floor = min((errors[name] for name in baselines() if name in errors), default=float("inf"))
+    if model in errors and not MODELS[model].baseline and errors[model] >= floor:
         notes.append(
             f"WARNING: {model} is no better than a baseline on held-out days: do not use it as it "
             f"is"

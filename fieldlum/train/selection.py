@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.models import MODELS
+from fieldlum.model_registry import MODELS
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, by_day, standard_error
 

@@ -220,6 +220,7 @@ class Transport:
         }
         config = {
             "heading_deg": self.heading_deg,
+            "with_patch": self.patchwork is not None,
             "transport": {
                 "kernel": kernel,
                 "recipe": asdict(self.recipe),

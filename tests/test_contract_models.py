@@ -1,0 +1,57 @@
+"""Contract: a model is a module and one entry of the registry; every stage finds it there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from learning_room import dataset
+
+from fieldlum import model_registry, models
+from fieldlum.cli import main
+from fieldlum.model_registry import MODELS
+from fieldlum.predict.blocks import wants_patch
+
+pytestmark = pytest.mark.contract
+
+DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
+QUICK = [name for name, kind in MODELS.items() if not kind.slow]
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_model_comes_back_from_its_folder(name: str, tmp_path: Path) -> None:
+    data = dataset(DAYS, height=6)
+    fitted = models.fit(name, data, patch="absolute", seed=0)
+    models.save(tmp_path, fitted, data, patch="absolute")
+    again = models.load(tmp_path)
+    assert again.name == fitted.name == name
+    maps = [model.predict(data.light, data.patch_cdm2).luminance_cdm2 for model in (fitted, again)]
+    assert maps[0].shape == (len(data), 6, 12)
+    np.testing.assert_array_equal(maps[0], maps[1])
+    assert isinstance(models.read_config(tmp_path)["with_patch"], bool)
+
+
+def test_sizes_order_the_registry() -> None:
+    sizes = [kind.size for kind in MODELS.values()]
+    assert sizes == sorted(set(sizes))
+    assert model_registry.baselines() == ("mean", "nearest")
+
+
+@pytest.mark.parametrize("command", ["train", "bench"])
+def test_every_model_is_offered(command: str) -> None:
+    text = CliRunner().invoke(main, [command, "--help"]).output
+    assert not [name for name in MODELS if name not in text]
+
+
+@pytest.mark.parametrize(
+    ("config", "wanted"),
+    [
+        ({"model": "nearest", "with_patch": True}, True),
+        ({"model": "transport", "transport": {"patchwork": None}, "patch": "absolute"}, False),
+        ({"model": "transport", "transport": {"patchwork": {"a": 1}}}, True),
+        ({"model": "mean", "patch": "none"}, False),
+        ({"model": "mean", "patch": "absolute"}, True),
+    ],
+)
+def test_configs_of_0_1_0_state_whether_patches_are_required(config: dict, wanted: bool) -> None:
+    assert wants_patch(config) is wanted
