@@ -212,7 +212,7 @@ def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("lines", "size", "stated"),
     [
-        ("FORMAT=Radiance_spectra\n", "-Y 2 +X 3", "pcomb"),
+        ("FORMAT=Radiance_spectra\n", "-Y 2 +X 3", "rcomb"),
         ("FORMAT=float\n", "-Y 2 +X 3", "rmtxop"),
         ("FORMAT=32-bit_rle_rgbe\n", "-Y 2 +Y 3", "two axes"),
         ("FORMAT=32-bit_rle_rgbe\n", "-Y 90000 +X 90000", "pixels"),
