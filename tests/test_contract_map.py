@@ -11,7 +11,9 @@ pytestmark = pytest.mark.contract
 
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ("README.md",))])
+PAGES = sorted(
+    [*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))]
+)
 TEXTS = sorted(
     path
     for folder in ("fieldlum", "tests", "docs", "bench", "examples")

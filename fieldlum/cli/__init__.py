@@ -56,7 +56,7 @@ DISK_TROUBLE = {
 }
 
 
-class _TerminationJob(click.Group):
+class _CommandGroup(click.Group):
     """Loads a command's module only when it is asked for, and shows the tool's own errors as one
     line.
     """
@@ -114,7 +114,7 @@ def _hold_standard_files() -> None:
 
 
 @click.group(
-    cls=_TerminationJob,
+    cls=_CommandGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
 @click.version_option(__version__, package_name="fieldlum")

@@ -6,30 +6,33 @@ from pathlib import Path
 
 import click
 
+from fieldlum.cli.options import json_option, out_option, pairs_argument, site_option
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.model_registry import MODELS
 
 
 @click.command()
-@click.argument("pairs", type=click.Path(path_type=Path))
+@pairs_argument
 @click.option(
     "--test", type=click.Path(path_type=Path), help="Pairs to ask about; without it, held-out days."
 )
 @click.option(
     "--pool", type=click.Path(path_type=Path), help="Pairs of other seasons, for --stress."
 )
-@click.option(
-    "--site",
-    type=click.Path(path_type=Path),
-    help="SITE.toml, where no session and no site.toml is near.",
-)
+@site_option
 @click.option(
     "--models",
     default=",".join(MODELS),
     show_default=True,
     help="Names, NAME:none or NAME:gain, or folders of trained models, parted by commas.",
 )
-@click.option("--seeds", default=1, show_default=True, type=click.IntRange(min=1))
+@click.option(
+    "--seeds",
+    default=1,
+    show_default=True,
+    type=click.IntRange(min=1),
+    help="Trainings of each random model, with seeds 0, 1, 2 ...",
+)
 @click.option(
     "--budget",
     default=5.0,
@@ -47,10 +50,8 @@ from fieldlum.model_registry import MODELS
     type=click.IntRange(min=0),
     help="Hours to render with Radiance for the cost row; needs a [room].",
 )
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path), help="Folder of tables and charts."
-)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@out_option("Folder of tables and charts", required=True)
+@json_option
 def command(
     pairs: Path,
     test: Path | None,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import session_argument
 
 if TYPE_CHECKING:
     from fieldlum.notify import Post
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command("capture")
-@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@session_argument
 @click.option(
     "--camera",
     "camera",
@@ -89,7 +90,7 @@ if TYPE_CHECKING:
     help="Fetch the address in FILE after each slot and every 10 minutes, for a monitor outside.",
 )
 def command(
-    folder: Path,
+    session_folder: Path,
     camera: str | None,
     pyranometer: str | None,
     meter: str | None,
@@ -118,7 +119,7 @@ def command(
     from fieldlum.raw import unreadable
     from fieldlum.session import open_session, sha256
 
-    session = open_session(folder)
+    session = open_session(session_folder)
     if session.table().get("plan", {}).get("sha256") != sha256(session.plan):
         terminal.say(
             "note: plan.csv is not the file that session.toml was written for: ask fieldlum doctor"

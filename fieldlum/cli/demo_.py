@@ -28,7 +28,13 @@ def _shown(name: str) -> Iterator[Progress]:
     show_default=True,
     help="quick: 230 x 115, a short training. paper: 460 x 230, half an hour of training.",
 )
-@click.option("--seed", default=1, show_default=True, type=click.IntRange(0))
+@click.option(
+    "--seed",
+    default=1,
+    show_default=True,
+    type=click.IntRange(0),
+    help="Of the simulated camera, instrument and training.",
+)
 def command(folder: Path, preset: str, seed: int) -> None:
     """Do the whole job on simulated captures.
 

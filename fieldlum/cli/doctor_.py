@@ -9,12 +9,13 @@ from pathlib import Path
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import json_option, session_argument
 
 MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "red")}
 
 
 @click.command("doctor")
-@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@session_argument
 @click.option(
     "--camera", metavar="URI", help="Like gphoto: or sim:office; else what the last capture used."
 )
@@ -26,9 +27,13 @@ MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "
 @click.option(
     "--meter", metavar="URI", help="Like cl200a:/dev/ttyUSB1; else what the last capture used."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print the findings as one JSON object.")
+@json_option
 def command(
-    folder: Path, camera: str | None, pyranometer: str | None, meter: str | None, as_json: bool
+    session_folder: Path,
+    camera: str | None,
+    pyranometer: str | None,
+    meter: str | None,
+    as_json: bool,
 ) -> None:
     """Look at devices, clock, disk and plan before you leave.
 
@@ -40,7 +45,7 @@ def command(
     from fieldlum import doctor
     from fieldlum.session import open_session
 
-    session = open_session(folder)
+    session = open_session(session_folder)
     known = session.table().get("devices", {}).get("uris", {})
     uris = (
         known.get("camera", "") if camera is None else camera,

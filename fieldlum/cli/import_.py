@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import session_argument
 
 _SHOWN = 20
 
@@ -41,7 +42,7 @@ def _columns(
 
 
 @click.command("import")
-@click.argument("session_folder", metavar="SESSION", type=click.Path(path_type=Path))
+@session_argument
 @click.argument("folder", metavar="[FOLDER]", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--irradiance",

@@ -8,13 +8,14 @@ from typing import Any
 
 import click
 
+from fieldlum.cli.options import json_lines_option
 from fieldlum.cli.terminal import emit_json
 from fieldlum.errors import InputError
 
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a file on stdout.")
+@json_lines_option
 def command(files: tuple[Path, ...], as_json: bool) -> None:
     """Tell what a raw, picture, plan, profile or model is.
 

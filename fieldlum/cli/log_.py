@@ -8,10 +8,11 @@ from pathlib import Path
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import session_argument
 
 
 @click.command("log")
-@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
+@session_argument
 @click.option(
     "--pyranometer", "uri", metavar="URI", required=True, help="Like serial:/dev/ttyUSB0?kind=spn1."
 )
@@ -27,7 +28,7 @@ from fieldlum.cli import terminal
 @click.option(
     "--rows", type=click.IntRange(min=1), help="Stop after so many rows; else log until Ctrl-C."
 )
-def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
+def command(session_folder: Path, uri: str, every_s: float, rows: int | None) -> None:
     """Log irradiance alone, until stopped.
 
     \b
@@ -37,7 +38,7 @@ def command(folder: Path, uri: str, every_s: float, rows: int | None) -> None:
     from fieldlum.devices.clock import RealClock
     from fieldlum.session import open_session
 
-    session = open_session(folder)
+    session = open_session(session_folder)
     try:
         with terminal.unattended(), terminal.awake():
             written = log(

@@ -6,8 +6,15 @@ from pathlib import Path
 
 import click
 
+from fieldlum.cli.options import (
+    DEFAULT_FISHEYE_SIZE,
+    DEFAULT_SIZE,
+    dimensions,
+    force_option,
+    json_option,
+    panorama_height,
+)
 from fieldlum.cli.terminal import emit_json, progress, say
-from fieldlum.errors import InputError
 
 
 @click.command()
@@ -18,12 +25,15 @@ from fieldlum.errors import InputError
     "--camera", help="Camera profile: a TOML file or a name in calibration/ (with --frames)."
 )
 @click.option("--out", type=click.Path(path_type=Path), help="OUT.exr or OUT.hdr (with --frames).")
-@click.option("--size", help="WxH of the result.  [default: 460x230; fisheye 1000x1000]")
+@click.option(
+    "--size", help=f"WxH of the result. [default: {DEFAULT_SIZE}; fisheye {DEFAULT_FISHEYE_SIZE}]"
+)
 @click.option(
     "--projection",
     type=click.Choice(["equirect", "fisheye"]),
     default="equirect",
     show_default=True,
+    help="Panorama, or equidistant fisheye along the first lens (with --frames).",
 )
 @click.option(
     "--heading",
@@ -47,8 +57,8 @@ from fieldlum.errors import InputError
     show_default=True,
     help="Processes for a session.",
 )
-@click.option("--force", is_flag=True, help="Merge again what is done already.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@force_option
+@json_option
 def command(
     session: Path | None,
     more: tuple[Path, ...],
@@ -87,30 +97,9 @@ def command(
         raise click.UsageError(
             "--camera, --out and --projection go with --frames; a session knows its own"
         )
-    _merge_session(session, _height(size), fit, drop_moved, workers, force, as_json)
-
-
-def _dimensions(size: str) -> tuple[int, int]:
-    """Raises click.UsageError for anything but WxH."""
-    width, _, height = size.lower().partition("x")
-    if not (
-        width.isdigit()
-        and height.isdigit()
-        and 8 <= int(height) <= 8192
-        and 8 <= int(width) <= 16384
-    ):
-        raise click.UsageError(f"--size {size}: write it as 460x230")
-    return int(width), int(height)
-
-
-def _height(size: str | None) -> int:
-    """Of a panorama. Raises click.UsageError when it is not twice as wide as high."""
-    if size is None:
-        return 230
-    width, height = _dimensions(size)
-    if width != 2 * height:
-        raise click.UsageError(f"--size {size}: a panorama is twice as wide as high")
-    return height
+    _merge_session(
+        session, panorama_height(size or DEFAULT_SIZE), fit, drop_moved, workers, force, as_json
+    )
 
 
 def _merge_session(
@@ -162,12 +151,10 @@ def _merge_files(
     from fieldlum.merge import files_to_picture
     from fieldlum.profiles import load_camera_profile
 
-    if out.suffix.lower() not in (".exr", ".hdr"):
-        raise InputError(out, f"suffix '{out.suffix}'", ".exr or .hdr")
     if projection == "equirect":
-        pixels = _height(size)
+        pixels = panorama_height(size or DEFAULT_SIZE)
     else:
-        width, pixels = _dimensions(size or "1000x1000")
+        width, pixels = dimensions(size or DEFAULT_FISHEYE_SIZE)
         if width != pixels:
             raise click.UsageError(f"--size {size}: a fisheye picture is square")
     with progress("Merge") as bar:

@@ -8,12 +8,13 @@ from pathlib import Path
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import force_option, session_argument
 
 
 @click.command("pair")
-@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option("--force", is_flag=True, help="Do it again even where nothing changed.")
-def command(folder: Path, force: bool) -> None:
+@session_argument
+@force_option
+def command(session_folder: Path, force: bool) -> None:
     """Match panoramas with irradiance, sun and sun patches.
 
     \b
@@ -22,7 +23,7 @@ def command(folder: Path, force: bool) -> None:
     from fieldlum import irradiance, pair
     from fieldlum.session import open_session
 
-    session = open_session(folder)
+    session = open_session(session_folder)
     with terminal.progress("irradiance") as progress:
         health = irradiance.run(session, force=force, progress=progress)
     for warning in health.warnings:

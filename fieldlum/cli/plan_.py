@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import json_option, out_option
 
 if TYPE_CHECKING:
     from fieldlum.records import Site
@@ -41,7 +42,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     type=click.Path(path_type=Path),
     help="EPW, TMY3 or CSV: skies and coverage.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="The session folder to make.")
+@out_option("The session folder")
 @click.option("--ics", is_flag=True, help="Also write plan.ics, one event a day.")
 @click.option("--html", is_flag=True, help="Also write plan.html, a printable sheet a day.")
 @click.option(
@@ -51,7 +52,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     help="Rank the hours of the coming two weeks by what they would teach the model.",
 )
 @click.option("--replan", is_flag=True, help="Add make-up slots for the missed ones.")
-@click.option("--json", "as_json", is_flag=True, help="Print the answer as one JSON object.")
+@json_option
 def command(
     target: Path,
     set_: str | None,

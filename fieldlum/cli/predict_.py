@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from fieldlum.cli.options import force_option, json_option, out_option
 from fieldlum.cli.terminal import emit_json, progress, say
 
 
@@ -18,11 +19,7 @@ from fieldlum.cli.terminal import emit_json, progress, say
     type=click.Path(path_type=Path),
     help="EPW, TMY3 or CSV.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for the year. [default: SESSION/annual/NAME]",
-)
+@out_option("Folder of the year", default="SESSION/annual/NAME")
 @click.option(
     "--maps",
     is_flag=True,
@@ -42,8 +39,8 @@ from fieldlum.cli.terminal import emit_json, progress, say
     help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to "
     "18:00]",
 )
-@click.option("--force", is_flag=True, help="Predict again even if nothing changed.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@force_option
+@json_option
 def command(
     model_folder: Path,
     weather_path: Path,

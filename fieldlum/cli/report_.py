@@ -6,15 +6,14 @@ from pathlib import Path
 
 import click
 
+from fieldlum.cli.options import out_option, session_argument
 from fieldlum.cli.terminal import progress, say
 
 
 @click.command()
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Folder for the page; default SESSION/report."
-)
-def command(session: Path, out: Path | None) -> None:
+@session_argument
+@out_option("Folder of the page", default="SESSION/report")
+def command(session_folder: Path, out: Path | None) -> None:
     """Write the page that answers where to sit.
 
     Makes report/index.html, one file without any link outside, and report.json beside it.
@@ -27,6 +26,6 @@ def command(session: Path, out: Path | None) -> None:
     from fieldlum.session import open_session
 
     with progress("report") as shown:
-        page = run(open_session(session), out, progress=shown)
+        page = run(open_session(session_folder), out, progress=shown)
     say(f"report: {page.stat().st_size / 1e6:.1f} MB")
     click.echo(str(page))

@@ -9,6 +9,13 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import (
+    DEFAULT_SIZE,
+    force_option,
+    json_option,
+    out_option,
+    panorama_height,
+)
 
 if TYPE_CHECKING:
     from fieldlum.records import Progress, SiteFile
@@ -20,7 +27,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 
 @click.command("simulate")
 @click.argument("site", metavar="SITE.toml|SESSION", type=click.Path(path_type=Path, exists=True))
-@click.option("--out", type=click.Path(path_type=Path), help="The session folder to make.")
+@out_option("The session folder")
 @click.option(
     "--set",
     "set_",
@@ -50,7 +57,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     help="EPW, TMY3 or CSV of the place.",
 )
 @click.option(
-    "--size", default="460x230", show_default=True, metavar="WxH", help="Of the panoramas."
+    "--size", default=DEFAULT_SIZE, show_default=True, metavar="WxH", help="Of the panoramas."
 )
 @click.option(
     "--quality",
@@ -65,8 +72,8 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     show_default=True,
     help="Of random hours and of synthetic weather.",
 )
-@click.option("--force", is_flag=True, help="Render again what is there.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was made as one JSON object.")
+@force_option
+@json_option
 def command(
     site: Path,
     out: Path | None,
@@ -92,7 +99,7 @@ def command(
     \b
     fieldlum simulate office.toml --set 9-day --size 230x115 --out office-sim
     """
-    height = _height(size)
+    height = panorama_height(size)
     from fieldlum import simulate
     from fieldlum.profiles import load_site
     from fieldlum.session import open_session
@@ -140,21 +147,6 @@ def command(
     click.echo(f"train on the truth:    fieldlum train {session.root}")
     devices = "--camera sim:office --pyranometer sim:office --clock fast"
     click.echo(f"or photograph it:      fieldlum capture {session.root} {devices}")
-
-
-def _height(size: str) -> int:
-    parts = size.lower().split("x")
-    if (
-        len(parts) != 2
-        or not all(p.isdigit() for p in parts)
-        or int(parts[0]) != 2 * int(parts[1])
-        or int(parts[1]) < 8
-    ):
-        raise click.BadParameter(
-            f"'{size}' is no panorama: write the width twice the height, like 460x230",
-            param_hint="--size",
-        )
-    return int(parts[1])
 
 
 def _planned(

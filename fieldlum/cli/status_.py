@@ -8,12 +8,13 @@ from typing import Any
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.options import json_option, session_argument
 
 
 @click.command("status")
-@click.argument("folder", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def command(folder: Path, as_json: bool) -> None:
+@session_argument
+@json_option
+def command(session_folder: Path, as_json: bool) -> None:
     """Show what a session has done and what it owes.
 
     \b
@@ -22,7 +23,7 @@ def command(folder: Path, as_json: bool) -> None:
     from fieldlum.capture.status import status
     from fieldlum.session import open_session
 
-    found = status(open_session(folder))
+    found = status(open_session(session_folder))
     if as_json:
         terminal.emit_json(found)
         return

@@ -7,17 +7,14 @@ from typing import Any
 
 import click
 
+from fieldlum.cli.options import json_option, out_option, pairs_argument, site_option
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.model_registry import MODELS
 
 
 @click.command()
-@click.argument("pairs", type=click.Path(path_type=Path))
-@click.option(
-    "--site",
-    type=click.Path(path_type=Path),
-    help="SITE.toml, where no session and no site.toml is near.",
-)
+@pairs_argument
+@site_option
 @click.option(
     "--model",
     default="auto",
@@ -39,13 +36,9 @@ from fieldlum.model_registry import MODELS
     type=click.FloatRange(min=0, min_open=True),
     help="Minutes.",
 )
-@click.option("--seed", default=0, show_default=True)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Model folder. [default: models/MODEL beside the pairs]",
-)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@click.option("--seed", default=0, show_default=True, help="Of everything random in training.")
+@out_option("Model folder", default="models/MODEL in the folder of the pairs")
+@json_option
 def command(
     pairs: Path,
     site: Path | None,
@@ -67,10 +60,9 @@ def command(
       fieldlum train renderings/pairs.csv --site office.toml --model transport --out models/office
     """
     from fieldlum.models.data import load_pairs
-    from fieldlum.train import run
+    from fieldlum.train import default_folder, run
 
-    root = pairs if pairs.is_dir() else pairs.parent
-    folder = out or root / "models" / model
+    folder = out or default_folder(pairs, model)
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
     with progress("training") as show:

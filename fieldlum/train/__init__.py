@@ -262,6 +262,11 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
     return tuple(notes)
 
 
+def default_folder(pairs: Path, model: str) -> Path:
+    """Return models/MODEL in a session, or in the folder of a pairs.csv."""
+    return (pairs if pairs.is_dir() else pairs.parent) / "models" / model
+
+
 def run(
     data: Dataset,
     model: str = "auto",

@@ -1,0 +1,66 @@
+"""`fieldlum calibrate colour`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli import terminal
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument("source", metavar="SPOTS.csv|FRAME", type=EXISTING_PATH)
+@click.option(
+    "--corners",
+    metavar="X,Y,...",
+    help="Chart corners in FRAME: dark skin, then clockwise: 8 numbers.",
+)
+@calibration_options
+def command(
+    source: Path, corners: str | None, camera: str, out: Path, picture: Path | None, as_json: bool
+) -> None:
+    """Luminance from camera R, G, B, from spot readings or a chart.
+
+    SPOTS.csv: file, x_px, y_px, luminance_cdm2 of surfaces of many colours. FRAME: a 24-patch chart
+    in even light.
+
+    \b
+    fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
+    """
+    from dataclasses import replace
+
+    from fieldlum.calibrate import colour, pictures
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    if source.suffix.lower() == ".csv":
+        colours = colour.from_table(source, profile)
+    else:
+        colours = colour.from_chart(source, profile, _numbers(corners, 8) if corners else ())
+    found = colour.fit(colours, profile)
+    if picture:
+        pictures.save(pictures.of_colour(colours, found), picture)
+    if source.suffix.lower() == ".csv" and abs(found.scale - 1) > 0.03:
+        terminal.say(f"note: the readings want k times {found.scale:.3f}: run calibrate scale next")
+    figures = {
+        "y_from_rgb": list(found.y_from_rgb),
+        "u_rel": found.u_rel,
+        "readings": len(colours.y),
+    }
+    new = replace(profile.colour, y_from_rgb=found.y_from_rgb, u_rel=round(found.u_rel, 5))
+    write_profile(
+        out, profile, [source, *colours.frames], [found.choice.line], figures, as_json, colour=new
+    )
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...]:
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != count:
+        raise click.UsageError(f"--corners wants {count} numbers with commas between")
+    return found

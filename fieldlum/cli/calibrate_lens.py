@@ -1,0 +1,169 @@
+"""`fieldlum calibrate lens`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fieldlum.cli import terminal
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+if TYPE_CHECKING:
+    from fieldlum.profiles import CameraProfile
+
+
+@click.command()
+@click.argument(
+    "sources", metavar="TARGETS.csv|FRAME...", nargs=-1, required=True, type=EXISTING_PATH
+)
+@click.option(
+    "--lens",
+    "lens_number",
+    type=click.IntRange(min=1),
+    default=1,
+    help="Which lens of the profile.",
+)
+@click.option(
+    "--full-angle",
+    "full_angle_deg",
+    type=click.FloatRange(10, 330),
+    help="Angle of the whole image circle.",
+)
+@click.option("--circle", is_flag=True, help="Centre and radius from the edge of one bright FRAME.")
+@click.option(
+    "--chessboard",
+    metavar="CxR",
+    help="Inner corners across x down of a board in the FRAMEs, like 9x6.",
+)
+@click.option(
+    "--against", type=EXISTING_PATH, help="An older frame: move the centre by the shift to FRAME."
+)
+@calibration_options
+def command(
+    sources: tuple[Path, ...],
+    lens_number: int,
+    full_angle_deg: float | None,
+    circle: bool,
+    chessboard: str | None,
+    against: Path | None,
+    camera: str,
+    out: Path,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Centre, circle, mapping and pose of a lens.
+
+    TARGETS.csv: x_px, y_px, azimuth_deg, altitude_deg, relative to the camera's heading and the
+    horizon.
+
+    \b
+    fieldlum calibrate lens targets.csv --full-angle 186 --camera mine.toml --out mine.toml
+    fieldlum calibrate lens board-*.jpg --chessboard 9x6 --camera mine.toml --out mine.toml
+    fieldlum calibrate lens flat.jpg --circle --full-angle 186 --camera mine.toml --out mine.toml
+    """
+    from dataclasses import replace
+
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    if sum((circle, chessboard is not None, against is not None)) > 1:
+        raise click.UsageError(
+            "--circle, --chessboard and --against are three ways: give one of them"
+        )
+    if lens_number > len(profile.lens):
+        raise click.UsageError(
+            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)}"
+        )
+    start = profile.lens[lens_number - 1]
+    if full_angle_deg is not None:
+        start = replace(start, full_angle_deg=full_angle_deg)
+    if circle or against is not None:
+        new, line, figures = _edge(sources, start, against, picture)
+    else:
+        new, line, figures = _mapping(sources, start, chessboard, profile, picture)
+    lenses = list(profile.lens)
+    lenses[lens_number - 1] = new
+    frames = [*sources, *([against] if against else [])]
+    write_profile(out, profile, frames, [line], figures, as_json, lens=tuple(lenses))
+
+
+def _edge(
+    sources: tuple[Path, ...], start: Any, against: Path | None, picture: Path | None
+) -> tuple[Any, str, dict]:
+    from dataclasses import replace
+
+    from fieldlum.calibrate import lens, pictures
+
+    if len(sources) != 1:
+        raise click.UsageError("--circle and --against take one FRAME")
+    grey = lens.grey_picture(sources[0])
+    if against is not None:
+        right, down = lens.shift_px(lens.grey_picture(against), grey)
+        moved = (round(start.centre_px[0] + right, 2), round(start.centre_px[1] + down, 2))
+        return (
+            replace(start, centre_px=moved),
+            f"lens: shifted by {right:+.2f}, {down:+.2f} px",
+            {"shift_px": [right, down]},
+        )
+    found = lens.circle(grey)
+    if picture:
+        pictures.save(pictures.of_circle(grey, found), picture)
+    line = f"lens: circle of radius {found.radius_px:.2f} px, its edge within {found.u_px:.2f} px"
+    figures = {"centre_px": list(found.centre_px), "radius_px": found.radius_px, "u_px": found.u_px}
+    return lens.circle_lens(start, found, start.full_angle_deg), line, figures
+
+
+def _mapping(
+    sources: tuple[Path, ...],
+    start: Any,
+    chessboard: str | None,
+    profile: CameraProfile,
+    picture: Path | None,
+) -> tuple[Any, str, dict]:
+    from fieldlum.calibrate import boards, lens, pictures
+
+    seen = _boards(sources, chessboard, profile) if chessboard else None
+    targets = seen.targets if seen else lens.from_table(sources[0])
+    found = boards.fit(seen, start) if seen else lens.fit(targets, start)
+    if picture:
+        pictures.save(pictures.of_lens(targets, found), picture)
+    if found.widest_deg < 0.9 * start.full_angle_deg / 2:
+        terminal.say(
+            f"note: no target beyond {found.widest_deg:.0f} deg from the axis: the rest, up to "
+            f"{start.full_angle_deg / 2:g} deg, is extrapolated"
+        )
+    for doubt in found.doubts:
+        terminal.say(f"note: {doubt}")
+    line = "; CAUTION: ".join([found.choice.line, *found.doubts])
+    figures = {
+        "mapping": found.lens.mapping,
+        "centre_px": list(found.lens.centre_px),
+        "radius_px": found.lens.radius_px,
+        "coefficients": list(found.lens.coefficients),
+        "azimuth_deg": found.lens.azimuth_deg,
+        "tilt_deg": found.lens.tilt_deg,
+        "roll_deg": found.lens.roll_deg,
+        "rms_px": found.rms_px,
+        "rms_deg": found.rms_deg,
+        "widest_deg": found.widest_deg,
+    }
+    return found.lens, line, figures
+
+
+def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) -> Any:
+    from fieldlum.calibrate import boards
+
+    try:
+        columns, rows = (int(part) for part in chessboard.lower().split("x"))
+    except ValueError:
+        raise click.UsageError("--chessboard wants inner corners across x down, like 9x6") from None
+    found = {path: boards.chessboard_corners(path, columns, rows) for path in sources}
+    seen = {path: corners for path, corners in found.items() if corners is not None}
+    for path in sources:
+        if path not in seen:
+            terminal.say(f"note: no {columns} x {rows} board found in {path}")
+    size = (profile.camera.width_px, profile.camera.height_px)
+    return boards.from_boards(list(seen.values()), columns, rows, size, tuple(seen))

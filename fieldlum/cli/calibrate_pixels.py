@@ -1,0 +1,56 @@
+"""`fieldlum calibrate pixels`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument("sources", metavar="FRAME|FOLDER...", nargs=-1, required=True, type=EXISTING_PATH)
+@click.option("--dark", is_flag=True, help="The frames were taken with the cap on.")
+@calibration_options
+def command(
+    sources: tuple[Path, ...],
+    dark: bool,
+    camera: str,
+    out: Path,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Hot, dead and stuck pixels, into the profile's list (raw cameras).
+
+    Frames of three different views or more, a FOLDER for each (turn the camera: what stays is the
+    sensor's); or two or more long frames with the cap on (--dark), which show no dead pixels.
+    Pixels listed before stay listed.
+
+    \b
+    fieldlum calibrate pixels north south west --camera mine.toml --out mine.toml
+    """
+    from dataclasses import replace
+
+    from fieldlum.calibrate import pictures, pixels
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    found = pixels.find(sources, profile, dark=dark)
+    if picture:
+        pictures.save(
+            pictures.of_pixels(found, profile.camera.width_px, profile.camera.height_px), picture
+        )
+    known = tuple(sorted({*profile.sensor.bad_px, *found.bad_px}))
+    figures: dict[str, Any] = {
+        "found": len(found.bad_px),
+        "new": len(known) - len(profile.sensor.bad_px),
+        "views": found.views,
+        "by_chance": found.by_chance,
+    }
+    if as_json:
+        figures["bad_px"] = [list(place) for place in found.bad_px]
+    sensor = replace(profile.sensor, bad_px=known)
+    write_profile(out, profile, found.frames, [found.line], figures, as_json, sensor=sensor)

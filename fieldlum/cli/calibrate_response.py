@@ -1,0 +1,43 @@
+"""`fieldlum calibrate response`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument("brackets", nargs=-1, required=True, type=EXISTING_PATH)
+@calibration_options
+def command(
+    brackets: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
+) -> None:
+    """JPEG codes to linear light, from brackets of a still scene.
+
+    BRACKETS are folders, one bracket each, or the JPEG files of one.
+
+    \b
+    fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml
+    """
+    import numpy as np
+
+    from fieldlum.calibrate import pictures, response
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    places = response.sample(response.brackets_in(brackets), profile, np.random.default_rng(1))
+    found = response.fit(places)
+    if picture:
+        pictures.save(pictures.of_response(places, found), picture)
+    figures = {
+        "kind": found.response.kind,
+        "u_rel": found.response.u_rel,
+        "residual_rgb": list(found.residual),
+    }
+    write_profile(
+        out, profile, places.frames, [found.choice.line], figures, as_json, response=found.response
+    )

@@ -1,0 +1,85 @@
+"""`fieldlum calibrate scale`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fieldlum.cli import terminal
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument("readings_csv", metavar="READINGS.csv", type=EXISTING_PATH)
+@click.option(
+    "--meter-u",
+    type=click.FloatRange(0, 1),
+    default=0.02,
+    show_default=True,
+    help="The meter's own u, relative.",
+)
+@calibration_options
+def command(
+    readings_csv: Path, meter_u: float, camera: str, out: Path, picture: Path | None, as_json: bool
+) -> None:
+    """The absolute factor k, from spot and illuminance readings.
+
+    READINGS.csv: panorama, azimuth_deg, altitude_deg, luminance_cdm2 or illuminance_lx; the
+    panoramas merged with the profile that --camera names (only its k may have changed since).
+
+    \b
+    fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
+    """
+    from dataclasses import replace
+
+    from fieldlum.calibrate import pictures, scale
+    from fieldlum.photometry import illuminance_verdict
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    readings, frames, notes = scale.from_table(readings_csv, profile)
+    found = scale.fit(readings, meter_u, readings_csv)
+    doubt = scale.check_level(found, profile, readings_csv)
+    for note in [*notes, *scale.slips(readings, found), *([doubt] if doubt else [])]:
+        terminal.say(f"note: {note}")
+    if picture:
+        pictures.save(pictures.of_scale(readings, found), picture)
+    points = [
+        {
+            "reading": r.label,
+            "meter": r.meter,
+            "picture": r.image * found.factor,
+            "off_percent": round(100 * float(off), 2),
+        }
+        for r, off in zip(readings, found.residual, strict=True)
+    ]
+    for point in [] if as_json else points:
+        click.echo(
+            f"  {point['reading']:32} meter {point['meter']:9.4g}  picture "
+            f"{point['picture']:9.4g}  "
+            f"{point['off_percent']:+6.2f} %"
+        )
+    gates = [
+        illuminance_verdict(r.image * found.factor, r.meter)
+        for r in readings
+        if r.kind == "illuminance"
+    ]
+    k, u = round(profile.scale.k * found.factor, 5), round(found.u_rel, 4)
+    figures: dict[str, Any] = {
+        "k": k,
+        "u_rel": u,
+        "factor": found.factor,
+        "far": list(found.far),
+        "illuminance": gates,
+    }
+    if as_json:
+        figures["points"] = points
+    line = f"{found.choice.line}; k = {k:g}, u {100 * u:.1f} % from {len(readings)} readings"
+    line += "".join(f"; vertical illuminance: {gate}" for gate in gates) + (
+        f"; CAUTION: {doubt}" if doubt else ""
+    )
+    new = replace(profile.scale, k=k, u_rel=u)
+    write_profile(out, profile, [readings_csv, *frames], [line], figures, as_json, scale=new)

@@ -1,0 +1,68 @@
+"""`fieldlum calibrate shutter`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fieldlum.cli import terminal
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=EXISTING_PATH)
+@calibration_options
+def command(
+    sessions: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
+) -> None:
+    """The shutter's true times, from the brackets that SESSIONs have merged with this very profile
+    (raw cameras).
+
+    Five brackets or more must show two times alike. A merge with the new profile starts from these
+    times.
+
+    \b
+    fieldlum calibrate shutter my-session --camera mine.toml --out mine.toml
+    """
+    from fieldlum.calibrate import pictures, shutter
+    from fieldlum.profiles import find_camera_profile, load_camera_profile
+    from fieldlum.session import open_session, sha256
+
+    profile, digest = load_camera_profile(camera), sha256(find_camera_profile(camera))
+    read = [shutter.from_session(open_session(path), digest) for path in sessions]
+    found = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
+    if picture:
+        pictures.save(pictures.of_shutter(found), picture)
+    for why in found.left_out:
+        terminal.say(f"note: left out: {why}")
+    rows = [
+        {
+            "nominal_s": t.nominal_s,
+            "true_s": t.true_s,
+            "u_rel": t.u_rel,
+            "assumed_s": known,
+            "brackets": n,
+        }
+        for t, known, n in zip(found.times, found.assumed_s, found.brackets, strict=True)
+    ]
+    for row in [] if as_json else rows:
+        off, u = 100 * (row["true_s"] / row["assumed_s"] - 1), 100 * row["u_rel"]
+        click.echo(
+            f"  {row['nominal_s']:<10.6g} s is {row['true_s']:<10.6g} s: {off:+6.2f} % on what "
+            f"was assumed, "
+            f"u {u:.2f} %, {row['brackets']} brackets"
+        )
+    figures: dict[str, Any] = {"times": rows} if as_json else {"times": len(rows)}
+    files = [file for _, sidecars in read for file in sidecars]
+    write_profile(
+        out,
+        profile,
+        files,
+        [found.line],
+        figures,
+        as_json,
+        shutter=shutter.with_times(profile, found),
+    )

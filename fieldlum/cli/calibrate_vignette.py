@@ -1,0 +1,68 @@
+"""`fieldlum calibrate vignette`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument(
+    "sources", metavar="READINGS.csv|FRAME...", nargs=-1, required=True, type=EXISTING_PATH
+)
+@click.option(
+    "--lens",
+    "lens_number",
+    type=click.IntRange(min=1),
+    default=1,
+    help="Of several lenses, for FRAMEs.",
+)
+@calibration_options
+def command(
+    sources: tuple[Path, ...],
+    lens_number: int,
+    camera: str,
+    out: Path,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Loss of light towards the edge, for one aperture.
+
+    READINGS.csv: file, x_px, y_px (and radius_px, reference) of one patch seen at many angles; or
+    angle_deg, value. FRAMEs: an evenly lit field.
+
+    \b
+    fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
+    """
+    from fieldlum.calibrate import pictures, vignette
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    if lens_number > len(profile.lens):
+        raise click.UsageError(
+            f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)}"
+        )
+    table = len(sources) == 1 and sources[0].suffix.lower() == ".csv"
+    samples = (
+        vignette.from_table(sources[0], profile)
+        if table
+        else vignette.from_uniform(sources, profile, lens_number - 1)
+    )
+    found = vignette.fit(samples)
+    if picture:
+        half = profile.lens[samples.lens].full_angle_deg / 2
+        pictures.save(pictures.of_vignette(samples, found, half), picture)
+    lenses = list(profile.lens)
+    lenses[samples.lens] = vignette.with_curve(lenses[samples.lens], samples.f_number, found)
+    figures = {
+        "f_number": samples.f_number,
+        "coefficients": list(found.coefficients),
+        "u_rel": found.u_rel,
+    }
+    write_profile(
+        out, profile, samples.frames, [found.choice.line], figures, as_json, lens=tuple(lenses)
+    )

@@ -1,0 +1,82 @@
+"""Options and arguments that several commands have: one name, one meaning, one help text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Decorator = Callable[[Command], Command]
+
+PATH = click.Path(path_type=Path)
+EXISTING_PATH = click.Path(path_type=Path, exists=True)
+
+session_argument = click.argument("session_folder", metavar="SESSION", type=PATH)
+"""The session folder, as the parameter `session_folder`."""
+
+pairs_argument = click.argument("pairs", metavar="SESSION|PAIRS.csv", type=PATH)
+"""A session or a pairs.csv, as the parameter `pairs`."""
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print the answer as one JSON object."
+)
+json_lines_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object per file, one a line."
+)
+force_option = click.option(
+    "--force", is_flag=True, help="Compute again what was computed from the same inputs."
+)
+site_option = click.option(
+    "--site",
+    type=PATH,
+    help="SITE.toml. [default: the session's, or site.toml in the folder of the csv]",
+)
+budget_type = click.FloatRange(min=0, min_open=True)
+
+
+def out_option(content: str, *, default: str = "", required: bool = False) -> Decorator:
+    """Return the option --out for a named content: "Session folder", "Model folder" ..."""
+    text = f"{content} to write." + (f" [default: {default}]" if default else "")
+    return click.option("--out", type=PATH, required=required, help=text)
+
+
+def workers_option(default: int | None) -> Decorator:
+    """Return the option --workers; a default of None leaves the number to the stage."""
+    return click.option(
+        "--workers",
+        default=default,
+        show_default=default is not None,
+        type=click.IntRange(min=1),
+        help="Processes that share the work.",
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# sizes
+
+DEFAULT_SIZE = "460x230"  # the maps of Liu, Colburn and Inanici 2020
+DEFAULT_FISHEYE_SIZE = "1000x1000"  # evalglare's usual picture is 800 to 1200 pixels across
+_LARGEST_PX = 16384
+
+
+def dimensions(size: str) -> tuple[int, int]:
+    """Return width and height of WxH. [px] Raises click.UsageError for anything else."""
+    width, _, height = size.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise click.UsageError(f"--size {size}: write it as {DEFAULT_SIZE}")
+    if not (8 <= int(width) <= _LARGEST_PX and 8 <= int(height) <= _LARGEST_PX // 2):
+        raise click.UsageError(
+            f"--size {size}: a width of 8 to {_LARGEST_PX}, a height of 8 to {_LARGEST_PX // 2}"
+        )
+    return int(width), int(height)
+
+
+def panorama_height(size: str) -> int:
+    """Return the height of a panorama's WxH. [px] Raises click.UsageError unless W = 2H."""
+    width, height = dimensions(size)
+    if width != 2 * height:
+        raise click.UsageError(f"--size {size}: a panorama is twice as wide as high")
+    return height
