@@ -102,15 +102,14 @@ def test_a_disc_left_in_a_rendering_becomes_the_sun(tmp_path: Path, maps: np.nda
     ("view", "said"),
     [
         ("", "no VIEW"),
-        ("-vta -vh 180 -vv 90", "proportion"),
+        ("-vta -vh 180 -vv 90", "width over height"),
         ("-vtv -vh 180 -vv 180", "-vtv"),
         ("-vtl -vh 180 -vv 180", "view type -vtl"),
         ("-vh 180 -vv 180", "without a type"),
         ("-vta -vd 0 0 1 -vu 0 0 1 -vh 180 -vv 180", "-vd along -vu"),
         ("-vta -vd 0 0 0 -vh 180 -vv 180", "not all 0"),
         ("-vta -vh nan -vv 180", "a number"),
-        ("-vta -vh 180 -vv 180 -vs 0.2", "shifted"),
-        ("-vta -vd 0 -1 1 -vh 180 -vv 180", "off the horizon"),
+        ("-vta -vh 180 -vv 180 -vs x", "a number"),
     ],
 )
 def test_a_missing_or_contradictory_view_is_refused(
@@ -228,7 +227,7 @@ def test_bad_input_is_one_line_and_exit_3(tmp_path: Path, maps: np.ndarray) -> N
     done = CliRunner().invoke(main, ["glare", str(path)])
     assert done.exit_code == 3
     assert done.stderr.count("\n") == 1
-    assert "write VIEW= -vta" in done.stderr
+    assert '--view "-vta' in done.stderr
     assert CliRunner().invoke(main, ["glare", str(tmp_path / "none.hdr")]).exit_code == 3
     assert (
         CliRunner()

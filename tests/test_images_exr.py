@@ -30,6 +30,7 @@ def _rgb(kind: type = np.float32) -> np.ndarray:
 
 
 @pytest.mark.contract
+@pytest.mark.contract
 @pytest.mark.parametrize("kind", [np.float16, np.float32])
 @pytest.mark.parametrize("alpha", [False, True])
 def test_rgb_and_rgba_of_half_and_float(tmp_path: Path, kind: type, alpha: bool) -> None:
@@ -44,6 +45,7 @@ def test_rgb_and_rgba_of_half_and_float(tmp_path: Path, kind: type, alpha: bool)
     assert picture.attributes["note"] == NO_UNIT
 
 
+@pytest.mark.contract
 @pytest.mark.authority
 def test_chromaticities_and_white_luminance_set_the_unit(tmp_path: Path) -> None:
     rgb = _rgb()
@@ -57,6 +59,7 @@ def test_chromaticities_and_white_luminance_set_the_unit(tmp_path: Path) -> None
 
 
 @pytest.mark.contract
+@pytest.mark.contract
 def test_tiles_and_the_only_layer_are_read(tmp_path: Path) -> None:
     rgb = _rgb()
     channels = {f"beauty.{c}": np.ascontiguousarray(rgb[..., i]) for i, c in enumerate("RGB")}
@@ -68,6 +71,7 @@ def test_tiles_and_the_only_layer_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
+@pytest.mark.contract
 def test_two_layers_are_refused_with_their_names(tmp_path: Path) -> None:
     plane = np.ones(SHAPE, np.float32)
     channels = {f"{layer}.{c}": plane for layer in ("sun", "sky") for c in "RGB"}
@@ -75,6 +79,7 @@ def test_two_layers_are_refused_with_their_names(tmp_path: Path) -> None:
         read_exr(_write(tmp_path / "a.exr", channels))
 
 
+@pytest.mark.contract
 @pytest.mark.contract
 def test_a_crop_stands_in_its_display_window(tmp_path: Path) -> None:
     """What the file does not hold is outside the lens, never black."""
@@ -94,6 +99,7 @@ def test_a_crop_stands_in_its_display_window(tmp_path: Path) -> None:
     assert (picture.luminance_cdm2[inside] == 3.0).all()
 
 
+@pytest.mark.contract
 @pytest.mark.contract
 def test_a_picture_that_claims_too_many_pixels_is_refused_before_decoding(tmp_path: Path) -> None:
     path = _write(tmp_path / "a.exr", {"Y": np.ones(SHAPE, np.float32)})

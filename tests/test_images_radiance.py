@@ -74,6 +74,7 @@ def _pvalue(path: Path) -> np.ndarray:
     return out
 
 
+@pytest.mark.contract
 @pytest.mark.property
 @settings(
     deadline=None,
@@ -108,6 +109,7 @@ def test_any_radiance_pipeline_gives_the_values_of_pvalue(
     )
 
 
+@pytest.mark.analytic
 @pytest.mark.authority
 @pytest.mark.parametrize("first", ["-Y", "+Y", "-X", "+X"])
 @pytest.mark.parametrize("second", ["-", "+"])
@@ -130,6 +132,7 @@ def test_all_eight_orientations_give_the_same_picture(
     np.testing.assert_allclose(found, truth, rtol=0.004)
 
 
+@pytest.mark.contract
 @pytest.mark.authority
 def test_xyze_and_other_primaries_keep_their_luminance(tmp_path: Path, rendering: bytes) -> None:
     """ra_xyze between colour spaces: the luminance of each pixel stays, to RGBE's steps."""
@@ -144,6 +147,7 @@ def test_xyze_and_other_primaries_keep_their_luminance(tmp_path: Path, rendering
         np.testing.assert_allclose(read_radiance_hdr(path).luminance_cdm2, truth, rtol=0.02)
 
 
+@pytest.mark.contract
 @pytest.mark.authority
 def test_old_run_length_coding_is_read(tmp_path: Path) -> None:
     """A pixel, then 1 1 1 n: n more of it, with the count's high byte in the next run."""
@@ -155,6 +159,7 @@ def test_old_run_length_coding_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[0, 299], np.array([128.5, 64.5, 32.5]) / 128.0)
 
 
+@pytest.mark.contract
 @pytest.mark.authority
 @pytest.mark.parametrize(
     "head",
@@ -176,6 +181,7 @@ def test_headers_of_other_programs(tmp_path: Path, head: str) -> None:
     np.testing.assert_allclose(found, 7.0 * 179.0, rtol=0.004)
 
 
+@pytest.mark.contract
 @pytest.mark.authority
 def test_opencv_and_imageio_files_are_read(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
@@ -186,6 +192,7 @@ def test_opencv_and_imageio_files_are_read(tmp_path: Path) -> None:
     assert error.max() < 1 / 128  # RGBE: one step of the largest channel
 
 
+@pytest.mark.contract
 @pytest.mark.contract
 def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) -> None:
     own, inherited = "VIEW= -vta -vh 180 -vv 180", "\tVIEW= -vth -vh 180 -vv 180"
@@ -201,10 +208,11 @@ def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) ->
 
 
 @pytest.mark.contract
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("lines", "size", "stated"),
     [
-        ("FORMAT=Radiance_spectra\n", "-Y 2 +X 3", "pcomb"),
+        ("FORMAT=Radiance_spectra\n", "-Y 2 +X 3", "rcomb"),
         ("FORMAT=float\n", "-Y 2 +X 3", "rmtxop"),
         ("FORMAT=32-bit_rle_rgbe\n", "-Y 2 +Y 3", "two axes"),
         ("FORMAT=32-bit_rle_rgbe\n", "-Y 90000 +X 90000", "pixels"),

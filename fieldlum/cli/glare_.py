@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,35 @@ import click
 
 from fieldlum.cli.options import json_lines_option
 from fieldlum.cli.terminal import emit_json, say
+
+BAD_FILE = 3
+# Columns of --csv: a contract, additions only at the end.
+CSV_COLUMNS = (
+    "file",
+    "t_utc",
+    "azimuth_deg",
+    "altitude_deg",
+    "dgp",
+    "dgps",
+    "ev_lx",
+    "ugr",
+    "dgi",
+    "ugp",
+    "cgi",
+    "veiling_cdm2",
+    "veiling_age70_cdm2",
+    "melanopic_edi_lx",
+    "task_cdm2",
+    "window_to_task",
+    "uniformity",
+    "verdict",
+    "covered_share",
+    "source_count",
+    "reference_dgp",
+    "reference_ev_lx",
+    "calibration_factor",
+    "warnings",
+)
 
 
 @click.command()
@@ -20,20 +50,49 @@ from fieldlum.cli.terminal import emit_json, say
     multiple=True,
     type=float,
     metavar="DEG",
-    help="Look there, clockwise from true north; may be given several times. [default: where it "
-    "faces]",
+    help="Judge a panorama in this direction, clockwise from true north; may be given several "
+    "times. [default: ten directions]",
+)
+@click.option(
+    "--view",
+    "view_options",
+    default="",
+    metavar="VIEW OPTIONS",
+    help='Where the pictures look, in Radiance\'s words, such as "-vta -vd 0 -1 0 -vh 180 -vv 180";'
+    " replaces the VIEW of the file.",
+)
+@click.option(
+    "--calibrate-ev",
+    "measured_ev_lx",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="LX",
+    help="Scale each picture to this measured vertical illuminance of its (first) view.",
+)
+@click.option(
+    "--csv",
+    "csv_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Write one row a picture and view.",
 )
 @json_lines_option
-@click.option(
-    "--reference", is_flag=True, help="Ask evalglare too, on an 800-pixel fisheye of each view."
-)
+@click.option("--reference", is_flag=True, help="Ask evalglare too, and show its answer.")
+@click.pass_context
 def command(
-    images: tuple[Path, ...], azimuths: tuple[float, ...], as_json: bool, reference: bool
+    ctx: click.Context,
+    images: tuple[Path, ...],
+    azimuths: tuple[float, ...],
+    view_options: str,
+    measured_ev_lx: float | None,
+    csv_path: Path | None,
+    as_json: bool,
+    reference: bool,
 ) -> None:
     """Glare of panoramas and fisheyes (.exr, .hdr).
 
-    A panorama is looked at in ten directions unless --view-azimuth names some; a fisheye in its
-    own. A picture without a true VIEW is refused, with the line to write.
+    A panorama is judged in ten directions unless --view-azimuth names some; a fisheye in its own,
+    on its own pixels. A picture that cannot be read is named, and the others are judged; the exit
+    code is then 3.
 
     \b
     Example:
@@ -41,20 +100,64 @@ def command(
     """
     if not all(math.isfinite(azimuth) for azimuth in azimuths):
         raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
+    from fieldlum.errors import InputError
     from fieldlum.glare.single import picture_glare
 
+    rows: list[dict[str, Any]] = []
+    bad = 0
     for path in images:
-        answer = picture_glare(path, azimuths, reference=reference)
+        try:
+            answer = picture_glare(
+                path,
+                azimuths,
+                reference=reference,
+                view_options=view_options,
+                measured_ev_lx=measured_ev_lx,
+            )
+        except InputError as error:
+            say(f"fieldlum glare: {error}")
+            bad += 1
+            continue
         for warning in answer["warnings"]:
             say(f"fieldlum glare: {path}: {warning}")
+        rows += csv_rows(answer)
         if as_json:
             emit_json(answer)
         else:
             _table(answer)
+    if csv_path is not None:
+        _write_csv(csv_path, rows)
+    if bad and len(images) > 1:
+        say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")
+    if bad:
+        ctx.exit(BAD_FILE)
+
+
+def csv_rows(answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row a view, with the names of `CSV_COLUMNS`."""
+    whole = {key: answer.get(key) for key in ("file", "t_utc", "covered_share")}
+    whole["calibration_factor"] = answer.get("calibration_factor")
+    whole["warnings"] = "; ".join(answer["warnings"])
+    rows = []
+    for view in answer["views"]:
+        reference = view.get("reference") or {}
+        extra = {f"reference_{key}": reference.get(key) for key in ("dgp", "ev_lx")}
+        rows.append({key: (view | whole | extra).get(key) for key in CSV_COLUMNS})
+    return rows
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(CSV_COLUMNS)
+        for row in rows:
+            writer.writerow("" if row[key] is None else row[key] for key in CSV_COLUMNS)
 
 
 def _table(answer: dict[str, Any]) -> None:
     click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")
+    if "calibration_factor" in answer:
+        click.echo(f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance")
     click.echo("  view     DGP   DGPs     Ev   m-EDI*   UGR    DGI   window:task  verdict")
     for view in answer["views"]:
         if view["dgp"] is None:
@@ -70,7 +173,17 @@ def _table(answer: dict[str, Any]) -> None:
             f"  {view['melanopic_edi_lx']:6.0f}  {_figure(shown['ugr'])}  {_figure(shown['dgi'])}"
             f"  {_figure(shown['window_to_task'])}        {view['verdict']}{bounds}"
         )
+        if "reference" in view:
+            _reference_line(view["reference"])
     click.echo("  * an estimate: Ev with the spectrum of D65")
+
+
+def _reference_line(answer: dict[str, Any]) -> None:
+    click.echo(
+        f"     evalglare: DGP {answer['dgp']:.3f}, Ev {answer['ev_lx']:.0f} lx, "
+        f"UGR {answer['ugr']:.1f}, DGI {answer['dgi']:.1f}, {answer['sources']} sources "
+        f"({answer['version']}; {answer['flags']})"
+    )
 
 
 def _figure(value: float | str) -> str:

@@ -17,6 +17,10 @@ from fieldlum.records import Float
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")  # beside them contrast, sun_contrast, sun_ev_lx
+MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
+_VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
+YOUNG_AGE, OLD_AGE = 25.0, 70.0  # years, of the two veiling luminances
+_LEAST_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay holds from 1 to 30 degrees
 
 # Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16; evalglare computes with these,
 # and so do we.
@@ -56,6 +60,29 @@ def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
     return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
 
 
+def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
+    """0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014); NaN without a
+    source.
+    """
+    return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
+
+
+def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArray[np.float64]:
+    """CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L2 omega / P2) (Einhorn 1979); NaN without
+    a source. Ed is the illuminance by the sources.
+    """
+    total = np.asarray(contrast, float)
+    ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
+    return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
+
+
+def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> NDArray[np.float64]:
+    """Veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, age-adjusted Stiles-Holladay
+    (CIE 146:2002), from the sum [lx / deg2] over sources at least 1 degree off the line of sight.
+    """
+    return 10.0 * (1.0 + (age_years / _VEILING_AGE) ** 4) * np.asarray(veiling_sum, float)
+
+
 def glare_directions(
     luminance_cdm2: Float,
     heading_deg: float,
@@ -84,13 +111,8 @@ def glare_directions(
     map_ev = (flat @ views.illuminance).astype(float)
     sums = np.stack([_source_sums(flat[i], maps[i], views, map_ev[i]) for i in range(count)])
     sun_cdm2 = disc[:, None] * (cosine > 0) / SUN_SOLID_ANGLE_SR
-    return _combine(
-        map_ev,
-        disc[:, None] * np.clip(cosine, 0.0, None),
-        sums,
-        sun_cdm2,
-        position_index(right, up),
-    )
+    sun_ev = disc[:, None] * np.clip(cosine, 0.0, None)
+    return combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
 
 
 def sun_per_lx(
@@ -126,14 +148,11 @@ def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
 
 
 def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[np.float64]:
-    """Over the map's sources, for d views: sum L2 omega / P2, illuminance of sources, sum for
-    DGI, [3, d].
-    """
+    """`sums_of_sources` of the map's sources, for d views, [4, d]."""
     groups = sources_of(image)
-    out = np.zeros((3, len(views.azimuths_deg)))
     if not groups:
-        return out
-    means, omegas, indices = [], [], []
+        return np.zeros((4, len(views.azimuths_deg)))
+    means, omegas, places, illuminances = [], [], [], []
     for pixels in groups:
         weights = views.moments[pixels]
         bright = flat[pixels]
@@ -142,13 +161,42 @@ def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[
         seen = np.maximum(power, 1e-30)
         means.append(power / np.maximum(omega, 1e-30))
         omegas.append(omega)
-        indices.append(position_index(right / seen, up / seen))
-        out[1] += bright @ views.illuminance[pixels]
-    mean, omega, index = np.stack(means), np.stack(omegas), np.stack(indices)
-    background = np.maximum(ev - out[1], 0.0) / np.pi
-    out[0] = (mean**2 * omega / index**2).sum(axis=0)
-    out[2] = _dgi_terms(mean, omega, index, background).sum(axis=0)
-    return out
+        places.append((right / seen, up / seen))
+        illuminances.append(bright @ views.illuminance[pixels])
+    right, up = np.moveaxis(np.array(places), 1, 0)  # [s, d] each
+    return sums_of_sources(
+        np.stack(means), np.stack(omegas), right, up, np.stack(illuminances).astype(float), ev
+    )
+
+
+def sums_of_sources(
+    mean_cdm2: Float,
+    omega_sr: Float,
+    right_rad: Float,
+    up_rad: Float,
+    source_ev_lx: Float,
+    ev: Float,
+) -> NDArray[np.float64]:
+    """Sums over s sources in d views: L2 omega / P2; illuminance; DGI's terms; E / angle^2
+    [lx/deg2]; [4, d].
+
+    All [s, d] but ev, [d], of the complete view [lx].
+    """
+    index = position_index(right_rad, up_rad)
+    background = np.maximum(ev - source_ev_lx.sum(axis=0), 0.0) / np.pi
+    return np.stack(
+        [
+            (mean_cdm2**2 * omega_sr / index**2).sum(axis=0),
+            source_ev_lx.sum(axis=0),
+            _dgi_terms(mean_cdm2, omega_sr, index, background).sum(axis=0),
+            (source_ev_lx / _glare_angle_deg(right_rad, up_rad) ** 2).sum(axis=0),
+        ]
+    )
+
+
+def _glare_angle_deg(right_rad: Float, up_rad: Float) -> NDArray[np.float64]:
+    """Angle off the line of sight, at least the 1 degree from which Stiles-Holladay holds."""
+    return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _LEAST_GLARE_ANGLE_RAD))
 
 
 def _dgi_terms(mean: Float, omega: Float, index: Float, background: Float) -> Float:
@@ -157,17 +205,18 @@ def _dgi_terms(mean: Float, omega: Float, index: Float, background: Float) -> Fl
     return 0.478 * mean**1.6 * (omega / index**2) ** 0.8 / share
 
 
-def _combine(
-    map_ev: Float, sun_ev: Float, sums: Float, sun_cdm2: Float, sun_index: Float
+def combine(
+    map_ev: Float, sun_ev: Float, sums: Float, sun_cdm2: Float, sun_right: Float, sun_up: Float
 ) -> dict[str, NDArray[np.float64]]:
-    """Put the sun to the other sources; sums: [n, 3, d], all others [n, d]."""
+    """Add the sun to the other sources; sums: [n, 4, d] of `sums_of_sources`, all others [n, d]."""
     ev = map_ev + sun_ev
     omega = np.asarray(SUN_SOLID_ANGLE_SR)
+    sun_index = position_index(sun_right, sun_up)
     sun_contrast = sun_cdm2**2 * omega / sun_index**2
     contrast = sums[:, 0] + sun_contrast
-    background = (
-        np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
-    )  # CIE: what is left of Ev without the sources
+    # CIE 117: what remains of Ev without the sources
+    background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
+    veiling = sums[:, 3] + sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2
     return {
         "ev_lx": ev,
         "contrast": contrast,
@@ -177,4 +226,8 @@ def _combine(
         "dgps": dgps(ev),
         "ugr": ugr(contrast, background),
         "dgi": dgi(sums[:, 2] + _dgi_terms(sun_cdm2, omega, sun_index, background)),
+        "ugp": ugp(contrast, background),
+        "cgi": cgi(contrast, ev, sums[:, 1] + sun_ev),
+        "veiling_cdm2": veiling_cdm2(veiling, YOUNG_AGE),
+        "veiling_age70_cdm2": veiling_cdm2(veiling, OLD_AGE),
     }

@@ -36,6 +36,9 @@ class ReferenceGlare:
     sources: int
     version: str
     flags: str
+    ugp: float = float("nan")
+    cgi: float = float("nan")
+    veiling_cdm2: float = float("nan")  # Lveil_cie: Stiles-Holladay without age
 
 
 @lru_cache(maxsize=1)
@@ -51,13 +54,16 @@ def reference_version() -> str:
     return (shown.stdout or shown.stderr).strip()
 
 
-def reference_glare(fisheye_cdm2: Float, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
-    """evalglare's answer for an equidistant 180-degree picture [N, N]. Raises FieldlumError when
-    it gives none.
+def reference_glare(
+    picture_cdm2: Float, flags: tuple[str, ...] = FLAGS, *, view: str = FISHEYE_VIEW
+) -> ReferenceGlare:
+    """Return evalglare's answer for a picture [H, W], by default an equidistant 180-degree one.
+
+    Raises FieldlumError when it gives none.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
-        write_radiance_hdr(path, fisheye_cdm2, view=FISHEYE_VIEW)
+        write_radiance_hdr(path, picture_cdm2, view=view)
         return reference_glare_of_file(path, flags)
 
 
@@ -91,4 +97,5 @@ def _parse(text: str, trouble: str, flags: str) -> ReferenceGlare:
         int(head) if head.isdigit() else 0,
         reference_version(),
         flags,
+        *(float(row.get(name, "nan")) for name in ("ugp", "cgi", "Lveil_cie")),
     )

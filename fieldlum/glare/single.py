@@ -10,38 +10,29 @@ from typing import Any
 import numpy as np
 
 from fieldlum.errors import InputError
+from fieldlum.glare.answers import (
+    answer_of,
+    plain,
+    scaled_sun,
+    seen_pixels,
+    valid_pixels,
+    verdict,
+)
 from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx, rammg, rammg_lightness
 from fieldlum.glare.fisheye import panorama_to_fisheye
 from fieldlum.glare.geometry import panorama_views, view_azimuths_deg
-from fieldlum.glare.metrics import METRICS, glare_directions
+from fieldlum.glare.metrics import METRICS, MORE_METRICS, glare_directions
 from fieldlum.glare.pictures import Picture, read_picture
 from fieldlum.glare.reference import reference_glare
+from fieldlum.glare.single_fisheye import single_picture_glare
 from fieldlum.glare.sources import group_pixels, widen
 from fieldlum.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
-from fieldlum.projection import (
-    NOT_SEEN,
-    SEEN,
-    direction,
-    equirect_rays,
-    equirect_solid_angles,
-    signed_angle_deg,
-)
-from fieldlum.records import Flag, Float, Panorama, SunSource, utc_text
+from fieldlum.projection import NOT_SEEN, SEEN, direction, equirect_rays, equirect_solid_angles
+from fieldlum.records import Float, Panorama, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 DISC_CDM2 = 1e6  # no matt surface and no sky is that bright
 BRIGHTEST_SUN_CDM2 = 2.2e9
-VERDICTS = (
-    (0.35, "imperceptible"),
-    (0.40, "perceptible"),
-    (0.45, "disturbing"),
-    (np.inf, "intolerable"),
-)
-
-
-def verdict(dgp: float) -> str:
-    """Wienold's four grades of DGP."""
-    return next(name for limit, name in VERDICTS if dgp < limit)
 
 
 def _bounds_verdict(low: float, high: float) -> str:
@@ -51,13 +42,27 @@ def _bounds_verdict(low: float, high: float) -> str:
 
 
 def picture_glare(
-    path: Path, azimuths_deg: Sequence[float] = (), *, reference: bool = False
+    path: Path,
+    azimuths_deg: Sequence[float] = (),
+    *,
+    reference: bool = False,
+    view_options: str = "",
+    measured_ev_lx: float | None = None,
 ) -> dict[str, Any]:
-    """Return file, views (one dict each), contrast of the panorama and warnings of a file.
+    """Return file, views (one dict each), contrast of a panorama, and warnings.
 
-    Raises InputError for an unusable picture.
+    view_options : replace the view that the file states. measured_ev_lx : scale the picture so that
+    the vertical illuminance of its first view is this. Raises InputError for an unusable picture.
     """
-    return _glare_of(read_picture(path), path, azimuths_deg, reference)
+    picture = read_picture(path, view_options)
+    judge = _panorama_answer if picture.view is None else single_picture_glare
+    if measured_ev_lx is None:
+        return judge(picture, path, azimuths_deg, reference, 1.0)
+    ev = judge(picture, path, azimuths_deg, False, 1.0)["views"][0]["ev_lx"]
+    if not ev or ev <= 0.0:
+        raise InputError(path, "no light in the view", "a picture to scale", "check the picture")
+    factor = measured_ev_lx / ev
+    return judge(picture, path, azimuths_deg, reference, factor) | {"calibration_factor": factor}
 
 
 def panorama_glare(
@@ -71,61 +76,72 @@ def panorama_glare(
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
         raise InputError(source, f"{width} x {height} pixels", "a map twice as wide as high")
-    picture = Picture(panorama, None, 2.0 * np.pi)
-    return _glare_of(picture, source, azimuths_deg, reference) | {"file": ""}
+    picture = Picture(panorama, None)
+    return _panorama_answer(picture, source, azimuths_deg, reference, 1.0) | {"file": ""}
 
 
-def _glare_of(
-    picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool
+def _panorama_answer(
+    picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
 ) -> dict[str, Any]:
+    """Judge a panorama in the directions asked for, its luminance times `factor`."""
     panorama = picture.panorama
-    azimuths = _azimuths(picture, azimuths_deg, path)
-    maps, warnings = _sound(panorama, path)
-    warnings += _warnings(picture)
-    maps, sun = take_out_sun(maps, panorama.heading_deg, panorama.sun)
+    azimuths = np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
+    maps, warnings = valid_pixels(panorama, path)
+    maps *= np.float32(factor)
+    seen = seen_pixels(panorama)
+    if seen is not None:
+        warnings.insert(0, _unseen_text(seen))
+    maps, sun = take_out_sun(maps, panorama.heading_deg, scaled_sun(panorama.sun, factor))
+    views = _view_rows(maps, panorama.heading_deg, azimuths, sun, seen)
+    for row in views:
+        if reference and row["seen"] == SEEN:
+            azimuth = row["azimuth_deg"]
+            fisheye = panorama_to_fisheye(maps, panorama.heading_deg, azimuth, sun=sun)
+            row["reference"] = asdict(reference_glare(fisheye))
+    whole = {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)}
+    return answer_of(path, picture, views, warnings, sun) | {"covered_share": 1.0} | whole
+
+
+def _view_rows(
+    maps: Float,
+    heading_deg: float,
+    azimuths: np.ndarray,
+    sun: SunSource | None,
+    seen: np.ndarray | None,
+) -> list[dict[str, Any]]:
+    """Figures of each direction; seen [H, W], None for every pixel."""
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     height, width = maps.shape
-    seen = None if picture.view is not None else _seen(panorama)
-    grid = panorama_views(height, width, panorama.heading_deg, azimuths)
+    grid = panorama_views(height, width, heading_deg, azimuths)
     coverage = view_coverage(seen, grid)
-    parts = glare_directions(maps[None], panorama.heading_deg, azimuths, rays, disc, views=grid)
-    found = {name: parts[name] for name in METRICS}
-    found |= ViewRegions(height, width, panorama.heading_deg, azimuths, seen).ratios(maps[None])
+    parts = glare_directions(maps[None], heading_deg, azimuths, rays, disc, views=grid)
+    figures = {name: parts[name] for name in (*METRICS, *MORE_METRICS)}
+    figures |= ViewRegions(height, width, heading_deg, azimuths, seen).ratios(maps[None])
     most = np.zeros(1) if seen is None else brightest_cdm2(maps[None], seen)
     low, high = unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], most)
     views = []
     for i, azimuth in enumerate(azimuths):
         row: dict[str, Any] = {"azimuth_deg": float(azimuth)}
-        row |= {name: _plain(values[0, i]) for name, values in found.items()}
-        row["melanopic_edi_lx"] = float(melanopic_edi_lx(found["ev_lx"][0, i]))
+        row |= {name: plain(values[0, i]) for name, values in figures.items()}
+        row["melanopic_edi_lx"] = float(melanopic_edi_lx(figures["ev_lx"][0, i]))
         row["verdict"] = verdict(row["dgp"])
         row |= {"seen": coverage.words[i], "seen_share": float(coverage.seen_share[i])}
         if coverage.partly[i]:
             row |= {"dgp_low": float(low[0, i]), "dgp_high": float(high[0, i])}
             row["verdict"] = _bounds_verdict(row["dgp_low"], row["dgp_high"])
         if not coverage.judged[i]:
-            row |= dict.fromkeys((*found, "melanopic_edi_lx")) | {"verdict": NOT_SEEN}
-        if reference and coverage.words[i] == SEEN:
-            view = panorama_to_fisheye(maps, panorama.heading_deg, float(azimuth), sun=sun)
-            row["reference"] = asdict(reference_glare(view))
+            row |= dict.fromkeys((*figures, "melanopic_edi_lx")) | {"verdict": NOT_SEEN}
         views.append(row)
-    whole = (
-        {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)}
-        if picture.view is None
-        else {}
+    return views
+
+
+def _unseen_text(seen: np.ndarray) -> str:
+    return (
+        f"{100 * (~seen).mean():.0f} % of the panorama was seen by no lens: directions that "
+        f"need it have no result or bounds, in which the unseen part has 0 cd/m2 up to the "
+        f"luminance of the brightest hundredth of the seen part"
     )
-    return {
-        "file": str(path),
-        "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
-        "heading_deg": panorama.heading_deg,
-        "covered_share": min(1.0, picture.covered_sr / (2 * np.pi)),
-        "sun": None if sun is None else asdict(sun),
-        "melanopic_der": "D65, assumed",
-        **whole,
-        "views": views,
-        "warnings": warnings,
-    }
 
 
 def take_out_sun(
@@ -164,80 +180,3 @@ def take_out_sun(
     return around.astype(np.float32), SunSource(
         float(altitude), float(azimuth), energy, 1.0, "picture"
     )
-
-
-def _azimuths(picture: Picture, asked: Sequence[float], path: Path) -> np.ndarray:
-    view = picture.view
-    if view is None:
-        return np.asarray(asked or view_azimuths_deg(picture.panorama.heading_deg), float) % 360.0
-    if abs(view.altitude_deg) > 1.0:
-        raise InputError(
-            path,
-            f"a view {view.altitude_deg:.1f} degrees off the horizon",
-            "a level view",
-            "take it with a level head",
-        )
-    if asked and np.abs(signed_angle_deg(np.asarray(asked) - view.azimuth_deg)).max() > 1e-3:
-        raise InputError(
-            path,
-            f"--view-azimuth on a fisheye that looks to {view.azimuth_deg:.1f}",
-            "a panorama",
-            "leave --view-azimuth away",
-        )
-    return np.array([view.azimuth_deg])
-
-
-def _sound(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Negative values are noise and count as 0, and so does what no lens saw; what else is no
-    number is refused.
-    """
-    pixels, said = np.asarray(panorama.luminance_cdm2, np.float32), []
-    if panorama.flags is not None and (outside := panorama.flags & Flag.OUTSIDE_LENS > 0).any():
-        pixels = np.where(outside, np.float32(0.0), pixels)
-        said.append(
-            f"{100 * outside.mean():.0f} % of the panorama was seen by no lens: directions that "
-            f"need it have no result or bounds, in which the unseen part has 0 cd/m2 up to the "
-            f"luminance of the brightest hundredth of the seen part"
-        )
-    bad = int((~np.isfinite(pixels)).sum())
-    if bad:
-        raise InputError(
-            path,
-            f"{bad} pixels that are no numbers",
-            "cd/m2 everywhere",
-            "merge or render it again",
-        )
-    dark = int((pixels < 0).sum())
-    if dark:
-        said.append(f"{dark} pixels below 0 cd/m2 count as 0")
-    return np.maximum(pixels, 0.0), said
-
-
-def _seen(panorama: Panorama) -> np.ndarray | None:
-    """Pixels that a lens saw, [H, W]; None where all were."""
-    if panorama.flags is None:
-        return None
-    outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
-    return ~outside if outside.any() else None
-
-
-def _warnings(picture: Picture) -> list[str]:
-    said = []
-    share = picture.covered_sr / (2.0 * np.pi)
-    if share < 0.98:
-        said.append(f"covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds")
-    if not picture.directed:
-        said.append(
-            "its VIEW has no -vd: glare holds, but whether it looks to azimuth 0 is not known"
-        )
-    flags = picture.panorama.flags
-    clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
-    if clipped:
-        said.append(
-            f"{clipped} pixels clipped in every frame: luminance there, and DGP, are lower bounds"
-        )
-    return said
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

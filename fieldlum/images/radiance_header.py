@@ -34,7 +34,7 @@ _MAX_HEADER_BYTES = 4_000_000  # a year of pcomb and pcompos lines has a few tho
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _FORMATS = ("32-bit_rle_rgbe", "32-bit_rle_xyze")
 _CONVERT = {
-    "Radiance_spectra": "convert it with Radiance's pcomb: pcomb -f none IN > OUT",
+    "Radiance_spectra": "convert it with Radiance's rcomb: rcomb -fc -c RGB IN > OUT",
     "float": "convert it with Radiance's rmtxop: rmtxop -fc IN > OUT.hdr",
     "double": "convert it with Radiance's rmtxop: rmtxop -fc IN > OUT.hdr",
     "ascii": "convert it with Radiance's rmtxop: rmtxop -fc IN > OUT.hdr",

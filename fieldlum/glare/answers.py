@@ -1,0 +1,109 @@
+"""What the answers for panoramas and for single pictures have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.errors import InputError
+from fieldlum.glare.pictures import Picture
+from fieldlum.records import Flag, Panorama, SunSource, utc_text
+
+VERDICTS = (
+    (0.35, "imperceptible"),
+    (0.40, "perceptible"),
+    (0.45, "disturbing"),
+    (np.inf, "intolerable"),
+)
+
+
+def verdict(dgp: float) -> str:
+    """Wienold's four grades of DGP."""
+    return next(name for limit, name in VERDICTS if dgp < limit)
+
+
+def answer_of(
+    path: Path,
+    picture: Picture,
+    views: list[dict[str, Any]],
+    warnings: list[str],
+    sun: SunSource | None,
+) -> dict[str, Any]:
+    """Return the plain values of one picture, without what only one of its kinds has."""
+    panorama = picture.panorama
+    return {
+        "file": str(path),
+        "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
+        "heading_deg": panorama.heading_deg,
+        "sun": None if sun is None else asdict(sun),
+        "melanopic_der": "D65, assumed",
+        "views": views,
+        "warnings": warnings + picture_warnings(picture),
+    }
+
+
+def scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
+    """Return the sun with `factor` times its illuminance."""
+    if sun is None:
+        return None
+    return replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
+
+
+def seen_pixels(panorama: Panorama) -> np.ndarray | None:
+    """Pixels that a lens saw, [H, W]; None where all were."""
+    if panorama.flags is None:
+        return None
+    outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
+    return ~outside if outside.any() else None
+
+
+def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
+    """Return a copy of the luminance in which unseen pixels and negative ones (noise) are 0, and
+    what to say of it.
+
+    Raises InputError for pixels that are not finite.
+    """
+    pixels = np.array(panorama.luminance_cdm2, np.float32)
+    seen = seen_pixels(panorama)
+    if seen is not None:
+        pixels[~seen] = 0.0
+    bad = int((~np.isfinite(pixels)).sum())
+    if bad:
+        raise InputError(
+            path,
+            f"{bad} pixels that are no numbers",
+            "cd/m2 everywhere",
+            "merge or render it again",
+        )
+    dark = int((pixels < 0).sum())
+    np.maximum(pixels, 0.0, out=pixels)
+    return pixels, [f"{dark} pixels below 0 cd/m2 count as 0"] if dark else []
+
+
+def picture_warnings(picture: Picture) -> list[str]:
+    """What a user must know of the file."""
+    warnings = list(picture.notes)
+    if not picture.directed:
+        warnings.append(
+            "its VIEW has no -vd: glare holds, but whether it looks to azimuth 0 is not known"
+        )
+    flags = picture.panorama.flags
+    clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
+    if clipped:
+        warnings.append(
+            f"{clipped} pixels clipped in every frame: luminance there, and DGP, are lower bounds"
+        )
+    return warnings
+
+
+def plain(value: float) -> float | None:
+    """Return a number, or None for what is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
+def plain_values(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {name: plain(value) for name, value in values.items()}

@@ -1,0 +1,207 @@
+"""Glare of a single fisheye or perspective picture on its own pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare.geometry import angles_from_view, position_index
+from fieldlum.glare.metrics import combine, sums_of_sources
+from fieldlum.glare.picture_grid import PictureGrid, centres, row_blocks
+from fieldlum.glare.picture_view import PictureView, picture_rays
+from fieldlum.glare.sources import PEAK_CDM2, SOURCE_CDM2, group_pixels
+from fieldlum.projection import direction
+from fieldlum.records import Float, SunSource
+from fieldlum.sun import SUN_SOLID_ANGLE_SR
+
+# Rows of the panorama of directions on which bright pixels are grouped: 0.25 degrees, a
+# twentieth of the distance within which they are one source.
+_DIRECTION_ROWS = 720
+_WINDOW_CDM2 = 2000.0
+_LEAST_COVERED_SHARE = 0.95  # of the task cone and of the band; less gives no figure
+BAND_SR = 2.0 * np.pi * float(np.sin(np.radians(20.0)))  # front half of the 40-degree band
+TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(15.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class GlareSources:
+    """Glare sources of one view, [s] each, the strongest first.
+
+    right_rad, up_rad : equidistant coordinates of the centre. contrast : L2 omega / P2.
+    label : [H, W] number of each pixel's source, from 1 in this order; 0 elsewhere.
+    """
+
+    mean_cdm2: NDArray[np.float64]
+    solid_angle_sr: NDArray[np.float64]
+    right_rad: NDArray[np.float64]
+    up_rad: NDArray[np.float64]
+    ev_lx: NDArray[np.float64]
+    contrast: NDArray[np.float64]
+    label: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.mean_cdm2)
+
+
+def glare_of_pixels(
+    luminance_cdm2: NDArray[np.float32], grid: PictureGrid, sun: SunSource | None = None
+) -> tuple[dict[str, float], GlareSources]:
+    """Return the figures of `glare_directions` for the picture's own view, and its sources.
+
+    luminance_cdm2 : [H, W] without negative or missing values; sun : a disc that the pixels lack.
+    """
+    ev = weighted_sum(luminance_cdm2, grid.illuminance)
+    sources = glare_sources(luminance_cdm2, grid)
+    sums = np.zeros((4, 1))
+    if len(sources):
+        sums = sums_of_sources(
+            sources.mean_cdm2[:, None],
+            sources.solid_angle_sr[:, None],
+            sources.right_rad[:, None],
+            sources.up_rad[:, None],
+            sources.ev_lx[:, None],
+            np.array([ev]),
+        )
+    right, up, cosine, sun_lx = _sun_in_view(grid.view, sun)
+    one = np.ones((1, 1))
+    figures = combine(
+        ev * one,
+        sun_lx * max(cosine, 0.0) * one,
+        sums[None],
+        sun_lx / SUN_SOLID_ANGLE_SR * (cosine > 0) * one,
+        right * one,
+        up * one,
+    )
+    return {name: float(value[0, 0]) for name, value in figures.items()}, sources
+
+
+def weighted_sum(values: Float, weights: Float) -> float:
+    """Sum of values times weights, [H, W] each, in double precision without a copy of either."""
+    height, width = values.shape
+    return float(
+        sum(
+            np.dot(values[rows].ravel().astype(float), weights[rows].ravel().astype(float))
+            for rows in row_blocks(height, width)
+        )
+    )
+
+
+def _sun_in_view(view: PictureView, sun: SunSource | None) -> tuple[float, float, float, float]:
+    """Coordinates right and up [rad], cosine, and normal illuminance [lx] of a separate sun."""
+    if sun is None:
+        return 0.0, 0.0, 1.0, 0.0
+    ray = direction(sun.altitude_deg, sun.azimuth_deg)
+    right, up, cosine = (float(part) for part in angles_from_view(ray, view.frame))
+    return right, up, cosine, sun.normal_illuminance_lx
+
+
+def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
+    """Return the luminance that puts a separate sun's energy on the pixels of its disc, [H, W]."""
+    from fieldlum.glare.fisheye import SUN_RADIUS_RAD
+
+    height, width = grid.solid_angle.shape
+    out = np.zeros((height, width), np.float32)
+    towards = grid.view.frame @ direction(sun.altitude_deg, sun.azimuth_deg)
+    cosine = np.full((height, width), -1.0, np.float32)
+    for rows in row_blocks(height, width):
+        y, x = centres(rows, height, width)
+        rays = picture_rays(grid.view, x, y)
+        cosine[rows] = rays.right * towards[0] + rays.up * towards[1] + rays.forward * towards[2]
+    disc = (cosine >= np.cos(SUN_RADIUS_RAD)) & (grid.solid_angle > 0)
+    if not disc.any() and towards[2] > 0:
+        disc.flat[int(np.argmax(np.where(grid.solid_angle > 0, cosine, -1.0)))] = True
+    if disc.any():
+        solid_angle = float(grid.solid_angle[disc].sum())
+        out[disc] = sun.normal_illuminance_lx / solid_angle
+    return out
+
+
+def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
+    """Group the pixels above 2000 cd/m2 (see `sources`), and sum up each source."""
+    label = np.zeros(luminance_cdm2.shape, np.int32)
+    row, column = np.nonzero((luminance_cdm2 > SOURCE_CDM2) & (grid.solid_angle > 0.0))
+    if len(row) == 0:
+        none = np.zeros(0)
+        return GlareSources(none, none, none, none, none, none, label)
+    height, width = luminance_cdm2.shape
+    rays = picture_rays(grid.view, (column + 0.5) / width - 0.5, 0.5 - (row + 0.5) / height)
+    bright = luminance_cdm2[row, column].astype(float)
+    number = _numbered(rays.right, rays.up, rays.forward, bright >= PEAK_CDM2)
+    count = int(number.max()) + 1
+    omega = grid.solid_angle[row, column].astype(float)
+    right, up, _ = angles_from_view(
+        np.stack([rays.right, rays.up, rays.forward], axis=-1), np.eye(3)
+    )
+
+    def total(values: Float) -> NDArray[np.float64]:
+        return np.bincount(number, values, count).astype(float)
+
+    power = total(bright * omega)
+    solid_angle = total(omega)
+    mean = power / solid_angle
+    centre = total(bright * omega * right) / power, total(bright * omega * up) / power
+    ev = total(bright * grid.illuminance[row, column])
+    contrast = mean**2 * solid_angle / position_index(*centre) ** 2
+    order = np.argsort(contrast)[::-1]
+    place = np.empty(count, np.int32)
+    place[order] = np.arange(1, count + 1)
+    label[row, column] = place[number]
+    return GlareSources(
+        mean[order],
+        solid_angle[order],
+        centre[0][order],
+        centre[1][order],
+        ev[order],
+        contrast[order],
+        label,
+    )
+
+
+def _numbered(
+    right: Float, up: Float, forward: Float, peak: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Source number of each bright pixel, from 0 without gaps, [k]; peaks have their own."""
+    rows, columns = _DIRECTION_ROWS, 2 * _DIRECTION_ROWS
+    altitude = np.arcsin(np.clip(up, -1.0, 1.0))
+    row = np.clip(((0.5 - altitude / np.pi) * rows).astype(int), 0, rows - 1)
+    turn = np.arctan2(right, forward) / (2.0 * np.pi) + 0.5
+    column = (turn * columns).astype(int) % columns
+
+    def groups(chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
+        mask = np.zeros((rows, columns), bool)
+        mask[row[chosen], column[chosen]] = True
+        return group_pixels(mask)
+
+    number = groups(np.ones(len(row), bool))[row, column]
+    if peak.any():
+        number = np.where(peak, groups(peak)[row, column] + number.max(), number)
+    return np.unique(number, return_inverse=True)[1].reshape(-1)
+
+
+def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
+    """Return task_cdm2, window_to_task and uniformity (see `contrast.ViewRegions`); NaN for a
+    region that the picture does not cover.
+    """
+    totals = np.zeros(7)
+    height, width = luminance_cdm2.shape
+    for rows in row_blocks(height, width):
+        values = luminance_cdm2[rows].astype(float)
+        omega = grid.solid_angle[rows].astype(float)
+        task, band = omega * grid.task[rows], omega * grid.band[rows]
+        bright = omega * (values > _WINDOW_CDM2)
+        inverse = 1.0 / np.maximum(values, 0.1)
+        sums = (task, task * values, band, band * values, band * inverse, bright, bright * values)
+        totals += [part.sum() for part in sums]
+    task_sr, task_power, band_sr, band_power, band_inverse, bright_sr, bright_power = totals
+    task = task_power / task_sr if task_sr > _LEAST_COVERED_SHARE * TASK_SR else np.nan
+    window = bright_power / bright_sr if bright_sr > 0 else np.nan
+    covered = band_sr > _LEAST_COVERED_SHARE * BAND_SR
+    return {
+        "task_cdm2": float(task),
+        "window_to_task": float(window / max(task, 1e-6)) if task == task else np.nan,
+        "uniformity": float(band_sr**2 / (band_inverse * band_power))
+        if covered and band_power > 0
+        else np.nan,
+    }

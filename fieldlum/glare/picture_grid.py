@@ -1,0 +1,120 @@
+"""Weights of a single picture's own pixels: nothing is resampled to judge it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare.contrast import BAND_DEG, TASK_ALTITUDE_DEG, TASK_RADIUS_DEG
+from fieldlum.glare.picture_view import PictureView, picture_rays
+from fieldlum.records import Float
+
+_BLOCK_PIXELS = 250_000  # worked on at a time: about 40 MB of temporary arrays
+# Solid angles are exact to 1e-4 with this many samples along an edge of the picture.
+_FINE_SAMPLES = 400
+_RIM_SAMPLES = 8  # along an edge of a pixel that the edge of the hemisphere crosses
+_GRAZING_COSINE = 0.1  # of -vth: the solid angle of a pixel varies within it
+
+
+@dataclass(frozen=True, slots=True)
+class PictureGrid:
+    """What each pixel of a view weighs, [H, W] each; 0 behind the observer.
+
+    solid_angle [sr]; illuminance : solid angle times cosine [sr]; task, band : pixels within the
+    task cone and the horizontal band (see `contrast`).
+    """
+
+    view: PictureView
+    solid_angle: NDArray[np.float32]
+    illuminance: NDArray[np.float32]
+    task: NDArray[np.bool_]
+    band: NDArray[np.bool_]
+
+    @property
+    def covered_share(self) -> float:
+        """Share of the hemisphere in front that the picture covers."""
+        return min(1.0, float(self.solid_angle.sum(dtype=float)) / (2.0 * np.pi))
+
+
+def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
+    """Return the weights of a picture's pixels, with 10 bytes a pixel."""
+    solid_angle = np.zeros((height, width), np.float32)
+    illuminance = np.zeros((height, width), np.float32)
+    task, band = np.zeros((height, width), bool), np.zeros((height, width), bool)
+    samples = int(np.clip(np.ceil(_FINE_SAMPLES / min(height, width)), 1, _RIM_SAMPLES))
+    for rows in row_blocks(height, width):
+        y, x = centres(rows, height, width)
+        rays = picture_rays(view, x, y)
+        task[rows], band[rows] = _regions(rays.up, rays.forward)
+        solid_angle[rows], illuminance[rows] = _weights(view, x, y, (height, width), samples)
+        rim = _rim(view, x, y, (height, width))
+        if samples < _RIM_SAMPLES and rim.any():
+            row, column = np.nonzero(rim)
+            fine = _weights(view, x[0, column], y[row, 0], (height, width), _RIM_SAMPLES)
+            solid_angle[rows][rim], illuminance[rows][rim] = fine
+    return PictureGrid(view, solid_angle, illuminance, task, band)
+
+
+def row_blocks(height: int, width: int) -> Iterator[slice]:
+    """Yield slices of rows that are worked on at a time."""
+    step = max(1, _BLOCK_PIXELS // width)
+    for first in range(0, height, step):
+        yield slice(first, min(first + step, height))
+
+
+def centres(
+    rows: slice, height: int, width: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return y [k, 1] and x [1, W] of pixel centres, -1/2 to 1/2, y upwards."""
+    y = 0.5 - (np.arange(rows.start, rows.stop) + 0.5) / height
+    x = (np.arange(width) + 0.5) / width - 0.5
+    return y[:, None], x[None, :]
+
+
+def _weights(
+    view: PictureView,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    shape: tuple[int, int],
+    samples: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Solid angle and that times the cosine, of the part of each pixel in front of the observer."""
+    height, width = shape
+    steps = (np.arange(samples) + 0.5) / samples - 0.5
+    solid_angle, illuminance = np.zeros(1), np.zeros(1)
+    for dy in steps / height:
+        for dx in steps / width:
+            rays = picture_rays(view, x + dx, y + dy)
+            part = np.where(rays.forward > 0.0, rays.density, 0.0)
+            solid_angle = solid_angle + part
+            illuminance = illuminance + part * np.maximum(rays.forward, 0.0)
+    pixel = 1.0 / (height * width * samples**2)
+    return solid_angle * pixel, illuminance * pixel
+
+
+def _rim(
+    view: PictureView, x: NDArray[np.float64], y: NDArray[np.float64], shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Pixels that the edge of the hemisphere crosses, and the grazing ones of -vth, [k, W]."""
+    height, width = shape
+    corner_y = np.append(y[:, 0] + 0.5 / height, y[-1, 0] - 0.5 / height)[:, None]  # [k + 1, 1]
+    corner_x = np.append(x[0] - 0.5 / width, x[0, -1] + 0.5 / width)[None, :]  # [1, W + 1]
+    rays = picture_rays(view, corner_x, corner_y)
+    ahead = (rays.forward > 0.0) & (rays.density > 0.0)
+    grazing = (rays.forward < _GRAZING_COSINE) & (view.kind == "h")
+    count = sum(
+        part.astype(np.int8)
+        for part in (ahead[:-1, :-1], ahead[1:, :-1], ahead[:-1, 1:], ahead[1:, 1:])
+    )
+    return (count > 0) & ((count < 4) | grazing[:-1, :-1])
+
+
+def _regions(up: Float, forward: Float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Pixels of the task cone and of the band, relative to the line of sight."""
+    below = np.radians(TASK_ALTITUDE_DEG)
+    to_task = up * np.sin(below) + forward * np.cos(below)
+    task = to_task > np.cos(np.radians(TASK_RADIUS_DEG))
+    return task, (forward > 0.0) & (np.abs(up) < np.sin(np.radians(BAND_DEG)))

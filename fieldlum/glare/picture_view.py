@@ -1,0 +1,208 @@
+"""Radiance's view options: where a picture looks, and the direction and solid angle of its pixels.
+
+The mappings are those of Radiance's viewray (src/common/image.c): x and y run from -1/2 to 1/2
+over the picture, plus shift (-vs) and lift (-vl) in picture widths and heights.
+"""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.projection import direction
+from fieldlum.records import Float
+
+VIEW_TYPES = {"a": "equidistant", "h": "hemispherical", "s": "stereographic", "v": "perspective"}
+EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
+HOW = f'give --view "{EXAMPLE_VIEW}" (a 180-degree fisheye that looks south)'
+_LARGEST_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
+_ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
+# The solid angle of -vth is infinite at its rim; what lies beyond is 0.1 % of the hemisphere.
+_LEAST_COSINE = 1e-3
+_SAME_PROPORTION = 0.02  # -vh and -vv are often written in whole degrees
+
+
+@dataclass(frozen=True, slots=True)
+class PictureView:
+    """A Radiance view: kind a, h, s or v; unit vectors; full angles [deg]; shift and lift [picture
+    widths and heights].
+    """
+
+    kind: str
+    forward: NDArray[np.float64]
+    up: NDArray[np.float64]
+    horizontal_deg: float
+    vertical_deg: float
+    shift: float = 0.0
+    lift: float = 0.0
+
+    @property
+    def azimuth_deg(self) -> float:
+        return float(np.degrees(np.arctan2(self.forward[0], self.forward[1])) % 360.0)
+
+    @property
+    def altitude_deg(self) -> float:
+        return float(np.degrees(np.arcsin(np.clip(self.forward[2], -1.0, 1.0))))
+
+    @property
+    def frame(self) -> NDArray[np.float64]:
+        """Rows right, up and forward, [3, 3]."""
+        return np.stack([np.cross(self.forward, self.up), self.up, self.forward])
+
+    @property
+    def text(self) -> str:
+        """The view in Radiance's words."""
+        vectors = [" ".join(f"{v:.9g}" for v in vector) for vector in (self.forward, self.up)]
+        return (
+            f"-vt{self.kind} -vp 0 0 0 -vd {vectors[0]} -vu {vectors[1]} "
+            f"-vh {self.horizontal_deg:.9g} -vv {self.vertical_deg:.9g} "
+            f"-vo 0 -va 0 -vs {self.shift:.9g} -vl {self.lift:.9g}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PictureRays:
+    """Directions in the frame of the view and their density.
+
+    right, up, forward : components of unit vectors. density : solid angle per unit of x times y
+    [sr]; 0 where the mapping has no direction.
+    """
+
+    right: Float
+    up: Float
+    forward: Float
+    density: Float
+
+
+def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
+    """Return directions of places of the picture; x right and y up, -1/2 to 1/2 each."""
+    reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
+    across = (np.asarray(x, float) + view.shift) * 2.0 * reach[0]
+    upwards = (np.asarray(y, float) + view.lift) * 2.0 * reach[1]
+    across, upwards = np.broadcast_arrays(across, upwards)
+    square = across**2 + upwards**2
+    scale = 4.0 * reach[0] * reach[1]
+    if view.kind == "a":
+        angle = np.sqrt(square)
+        shrink = np.sinc(angle / np.pi)  # sin(angle) / angle
+        density = np.where(angle < np.pi, shrink * scale, 0.0)
+        return PictureRays(across * shrink, upwards * shrink, np.cos(angle), density)
+    if view.kind == "h":
+        forward = np.sqrt(np.maximum(1.0 - square, 0.0))
+        density = np.where(square < 1.0, scale / np.maximum(forward, _LEAST_COSINE), 0.0)
+        return PictureRays(across, upwards, forward, density)
+    if view.kind == "s":
+        ratio = 4.0 / (4.0 + square)
+        forward = (4.0 - square) / (4.0 + square)
+        return PictureRays(across * ratio, upwards * ratio, forward, ratio**2 * scale)
+    forward = 1.0 / np.sqrt(1.0 + square)
+    return PictureRays(across * forward, upwards * forward, forward, forward**3 * scale)
+
+
+def _reach(kind: str, angle_deg: float) -> float:
+    """Radius that half an angle takes in a mapping of focal length 1."""
+    half = np.radians(angle_deg) / 2.0
+    return float(
+        {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}[kind]
+    )
+
+
+def check_proportion(
+    view: PictureView, height: int, width: int, pixel_aspect: float, source: Path
+) -> None:
+    """Raise InputError where the picture's proportion is not that of its angles.
+
+    pixel_aspect : height over width of a pixel, from the header's PIXASPECT lines.
+    """
+    expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
+    actual = width / height / pixel_aspect
+    if abs(actual / expected - 1.0) > _SAME_PROPORTION + 1.0 / min(width, height):
+        raise InputError(
+            source,
+            f"{width} x {height} pixels with -vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}",
+            f"width over height {expected:.3f}",
+            "the picture was cropped or its VIEW is another one's: give the true one with --view",
+        )
+
+
+# ----------------------------------------------------------------------------------------------
+# options
+
+
+def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView:
+    """Parse Radiance's view options, the last of each; without -vd the view is level and faces
+    `heading_deg` (Radiance's own default is north).
+
+    Raises InputError for a type or an angle that is not possible.
+    """
+    options = _options(text, source)
+    kind = options.get("vt", "")
+    if kind not in VIEW_TYPES:
+        if kind:
+            raise InputError(
+                source, f"view type -vt{kind}", "-vta, -vth, -vts or -vtv", "render it with -vta"
+            )
+        raise InputError(source, "a VIEW without a type", "-vta, -vth, -vts or -vtv", HOW)
+    forward = (
+        _vector(options["vd"], "-vd", source) if "vd" in options else direction(0.0, heading_deg)
+    )
+    up = _vector(options.get("vu", "0 0 1"), "-vu", source)
+    if abs(float(forward @ up)) > 0.9999:
+        raise InputError(
+            source,
+            "-vd along -vu",
+            "two different directions",
+            "write -vu 0 1 0 for a picture of the sky",
+        )
+    default = "45" if kind == "v" else "180"
+    angles = [_number(options.get(name, default), f"-{name}", source) for name in ("vh", "vv")]
+    for name, angle in zip(("-vh", "-vv"), angles, strict=True):
+        if not 0.0 < angle <= _LARGEST_DEG[kind]:
+            expected = f"above 0, at most {_LARGEST_DEG[kind]:g}"
+            raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
+    up = up - forward * float(up @ forward)
+    shift, lift = (_number(options.get(name, "0"), f"-{name}", source) for name in ("vs", "vl"))
+    return PictureView(kind, forward, up / np.linalg.norm(up), angles[0], angles[1], shift, lift)
+
+
+def _options(text: str, source: Path) -> dict[str, str]:
+    """-vta is vt = a; -vd x y z is vd = "x y z"; other options are ignored."""
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        shown = f"VIEW {text[:80]!r} ({error})"
+        raise InputError(source, shown, "Radiance's view options", HOW) from None
+    options: dict[str, str] = {}
+    at = 0
+    while at < len(words):
+        name = words[at].lstrip("-")
+        at += 1
+        if name.startswith("vt") and len(name) == 3:
+            options["vt"] = name[2]
+        elif name in _ARGUMENTS:
+            options[name] = " ".join(words[at : at + _ARGUMENTS[name]])
+            at += _ARGUMENTS[name]
+    return options
+
+
+def _number(text: str, name: str, source: Path) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(source, f"{name} {text[:40]!r}", "a number", HOW)
+    return value
+
+
+def _vector(text: str, name: str, source: Path) -> NDArray[np.float64]:
+    values = np.array([_number(part, name, source) for part in text.split()])
+    length = float(np.linalg.norm(values)) if len(values) == 3 else 0.0
+    if not 0.0 < length < np.inf:
+        raise InputError(source, f"{name} {text[:80]!r}", "three numbers that are not all 0", HOW)
+    return values / length

@@ -1,0 +1,98 @@
+"""The answer of `fieldlum glare` for a fisheye or perspective picture, on its own pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.errors import InputError
+from fieldlum.glare.answers import (
+    answer_of,
+    plain_values,
+    scaled_sun,
+    seen_pixels,
+    valid_pixels,
+    verdict,
+)
+from fieldlum.glare.contrast import melanopic_edi_lx
+from fieldlum.glare.metrics import METRICS, MORE_METRICS
+from fieldlum.glare.own_pixels import GlareSources, disc_pixels, glare_of_pixels, region_ratios
+from fieldlum.glare.picture_grid import PictureGrid, picture_grid
+from fieldlum.glare.pictures import Picture
+from fieldlum.glare.reference import reference_glare
+from fieldlum.projection import FULLY_SEEN_SHARE, seen_words, signed_angle_deg
+
+SHOWN_SOURCES = 20  # listed one by one; a noisy picture can have thousands
+
+
+def single_picture_glare(
+    picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
+) -> dict[str, Any]:
+    """Judge a picture in the direction in which it looks, its luminance times `factor`.
+
+    Raises InputError for other directions and for pixels that are not finite.
+    """
+    view = picture.view
+    assert view is not None
+    _check_azimuths(view.azimuth_deg, azimuths_deg, path)
+    pixels, warnings = valid_pixels(picture.panorama, path)
+    pixels *= np.float32(factor)
+    sun = scaled_sun(picture.panorama.sun, factor)
+    grid = _seen_grid(picture, *pixels.shape)
+    parts, sources = glare_of_pixels(pixels, grid, sun)
+    figures = {name: parts[name] for name in (*METRICS, *MORE_METRICS)}
+    figures |= region_ratios(pixels, grid)
+    row: dict[str, Any] = {"azimuth_deg": view.azimuth_deg, "altitude_deg": view.altitude_deg}
+    row |= plain_values(figures)
+    row["melanopic_edi_lx"] = float(melanopic_edi_lx(np.asarray(figures["ev_lx"])))
+    row["verdict"] = verdict(figures["dgp"])
+    seen_share = min(1.0, float(grid.illuminance.sum(dtype=float)) / np.pi)
+    row |= {"seen": seen_words(np.array([seen_share]))[0], "seen_share": seen_share}
+    row |= {"source_count": len(sources), "sources": _source_rows(sources)}
+    if reference:
+        shown = pixels if sun is None else pixels + disc_pixels(grid, sun)
+        row["reference"] = asdict(reference_glare(shown, view=view.text))
+    share = grid.covered_share
+    if share < FULLY_SEEN_SHARE:
+        warnings.append(f"covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds")
+    return answer_of(path, picture, [row], warnings, sun) | {"covered_share": share}
+
+
+def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:
+    """Return the weights of the pixels; those that no lens saw weigh nothing."""
+    assert picture.view is not None
+    grid = picture_grid(picture.view, height, width)
+    seen = seen_pixels(picture.panorama)
+    if seen is not None:
+        grid.solid_angle[~seen] = 0.0
+        grid.illuminance[~seen] = 0.0
+    return grid
+
+
+def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:
+    """Raise InputError for other view directions than the picture's own."""
+    if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
+        raise InputError(
+            path,
+            f"--view-azimuth on a fisheye that looks to {azimuth_deg:.1f}",
+            "a panorama",
+            "leave --view-azimuth away",
+        )
+
+
+def _source_rows(sources: GlareSources) -> list[dict[str, float]]:
+    """The strongest sources, as numbers."""
+    return [
+        {
+            "mean_cdm2": float(sources.mean_cdm2[i]),
+            "solid_angle_sr": float(sources.solid_angle_sr[i]),
+            "right_deg": float(np.degrees(sources.right_rad[i])),
+            "up_deg": float(np.degrees(sources.up_rad[i])),
+            "ev_lx": float(sources.ev_lx[i]),
+        }
+        for i in range(min(len(sources), SHOWN_SOURCES))
+    ]
