@@ -16,7 +16,7 @@ RANKS = (
     {"images", "raw", "profiles", "session", "scene", "weather"},
     {"devices", "notify"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
-    {"models", "train", "predict", "bench"},
+    {"models", "train", "predict", "bench", "scene_fit"},
     {"report", "demo", "cli", "api"},
 )
 RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}

@@ -1,0 +1,212 @@
+"""North, level, clock and lens scale from measured centres of the sun's disc, without a room.
+
+A late clock turns the sun about the celestial pole. A camera's heading, tilt and roll are together
+any turn, that one included: discs alone cannot separate the clock from level and north. One of the
+two must be known otherwise: the clock by NTP or GPS, or the level by a good spirit level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fieldlum import sun
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.records import Site
+from fieldlum.scene_fit.sun_path import rotation, sun_earlier
+
+Array = NDArray[np.float64]
+
+NAMES = ("heading_deg", "tilt_deg", "roll_deg", "clock_min", "lens_scale")
+# Standard uncertainties before any disc was measured: a compass near steel, a camera set by hand,
+# a camera clock compared with NTP (`import` and `capture` record that), an equidistant lens model.
+PRIOR_SD = (5.0, 1.0, 1.0, 0.1, 0.01)
+LEAST_DISCS = 3
+_GROSS_SIGMAS = 5.0  # a disc this far from where the others put it is a reflection or a lamp
+_STEPS = 12  # Gauss-Newton steps; three are enough for errors of a few degrees
+_OPEN_SHARE = 0.5  # of the prior's uncertainty: above it the discs did not determine a parameter
+_VALLEY_CORRELATION = 0.98
+
+
+@dataclass(frozen=True, slots=True)
+class PoseFit:
+    """What the discs determine: values [5] and covariance [5, 5] in the order of `NAMES`.
+
+    heading_deg: add it to the stated heading. tilt_deg: the view axis points up by it; roll_deg:
+    the picture's right-hand side is low by it. clock_min: the recorded times are late by it.
+    lens_scale: true angle from the axis over the stated one, less 1. dropped: indices of gross
+    errors. open: parameters that the discs leave undetermined; pairs that trade against each other.
+    """
+
+    values: Array
+    covariance: Array
+    rms_deg: float
+    dropped: tuple[int, ...]
+    open: tuple[str, ...]
+
+    @property
+    def u(self) -> dict[str, float]:
+        """Standard uncertainties by name."""
+        return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.values[NAMES.index(name)])
+
+
+def fit_pose(
+    altitude_deg: ArrayLike,
+    azimuth_deg: ArrayLike,
+    sigma_deg: ArrayLike,
+    t_utc: Sequence[datetime],
+    site: Site,
+    axis_deg: float,
+    prior_sd: Sequence[float] = PRIOR_SD,
+) -> PoseFit:
+    """Fit north, level, clock and lens scale to measured centres of the disc, n each.
+
+    altitude_deg, azimuth_deg, sigma_deg : [n] as the stated heading, level and lens place them, and
+    their standard uncertainty along each axis. axis_deg: the stated azimuth of the lens's axis. The
+    sun's apparent place is by NREL SPA. One gross error is found and left out where four discs
+    remain. Raises NotEnoughDataError with fewer than three.
+    """
+    altitude, azimuth, sigma = (
+        np.atleast_1d(np.asarray(v, float)) for v in (altitude_deg, azimuth_deg, sigma_deg)
+    )
+    if len(altitude) < LEAST_DISCS:
+        raise NotEnoughDataError(
+            f"{len(altitude)} measured sun discs, at least {LEAST_DISCS} are needed for north, "
+            f"level and clock: capture clear hours with the sun in view"
+        )
+    place = sun.position(list(t_utc), site)
+    bent = place.apparent_altitude_deg - place.altitude_deg  # refraction [n]
+    problem = _Problem(
+        sun.direction(altitude - bent, azimuth),
+        sun.direction(place.altitude_deg, place.azimuth_deg),
+        np.radians(sigma),
+        site.latitude_deg,
+        axis_deg,
+        np.asarray(prior_sd, float),
+    )
+    keep = np.ones(len(altitude), bool)
+    while keep.sum() > LEAST_DISCS + 1:
+        worst, sigmas = _least_explained(problem, keep)
+        if sigmas < _GROSS_SIGMAS:
+            break
+        keep[worst] = False
+    values, _ = problem.solve(keep)
+    residual = problem.residuals(values)[keep]  # [m, 3] in sigmas
+    excess = float((residual**2).sum()) / max(2.0 * keep.sum() - len(NAMES), 1.0)
+    values, covariance = problem.solve(keep, max(1.0, excess))
+    off_deg = np.degrees(np.linalg.norm(residual, axis=1) * problem.sigma[keep])
+    return PoseFit(
+        values,
+        covariance,
+        float(np.sqrt((off_deg**2).mean())),
+        tuple(int(k) for k in np.flatnonzero(~keep)),
+        _undetermined(covariance, problem.prior_sd),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Measured and expected directions [n, 3], sigma [n] rad."""
+
+    measured: Array
+    expected: Array
+    sigma: Array
+    latitude_deg: float
+    axis_deg: float
+    prior_sd: Array
+
+    def residuals(self, values: Array) -> Array:
+        """Measured direction less the sun's, in standard uncertainties, [n, 3]."""
+        heading, tilt, roll, clock, scale = values
+        true = _scaled(self.measured, scale, self.axis_deg) @ (
+            rotation(heading, tilt, roll, self.axis_deg).T
+        )
+        suns = sun_earlier(self.expected, clock, self.latitude_deg)
+        return (true - suns) / self.sigma[:, None]
+
+    def solve(self, keep: NDArray[np.bool_], excess: float = 1.0) -> tuple[Array, Array]:
+        """Gauss-Newton with the priors: values [5] and covariance [5, 5].
+
+        excess: variance of the discs in units of their sigma squared.
+        """
+        values = np.zeros(len(NAMES))
+        normal = np.eye(len(NAMES))
+        for _ in range(_STEPS):
+            base = self.residuals(values)[keep].ravel()
+            slopes = np.stack(
+                [
+                    (self.residuals(values + step)[keep].ravel() - base) / step.max()
+                    for step in np.diag(1e-4 * self.prior_sd)
+                ],
+                axis=1,
+            )  # [3 m, 5]
+            normal = slopes.T @ slopes / excess + np.diag(self.prior_sd**-2)
+            values = values - np.linalg.solve(
+                normal, slopes.T @ base / excess + values / self.prior_sd**2
+            )
+        return values, np.linalg.inv(normal)
+
+
+def _least_explained(problem: _Problem, keep: NDArray[np.bool_]) -> tuple[int, float]:
+    """The disc whose removal helps the others most, and how far it is from where they put it.
+
+    The distance is in standard uncertainties of the disc and of the others' fit, whose own scatter
+    widens it.
+    """
+    worst, most, gain = -1, 0.0, 0.0
+    for k in np.flatnonzero(keep):
+        others = keep.copy()
+        others[k] = False
+        values, covariance = problem.solve(others)
+        left = problem.residuals(values)
+        chi2 = float((left[others] ** 2).sum())
+        spread = max(1.0, chi2 / max(2.0 * others.sum() - len(NAMES), 1.0))
+        slopes = np.stack(
+            [
+                (problem.residuals(values + step)[k] - left[k]) / step.max()
+                for step in np.diag(1e-4 * problem.prior_sd)
+            ],
+            axis=1,
+        )  # [3, 5]
+        own = spread * (slopes @ covariance @ slopes.T + np.eye(3))
+        sigmas = float(np.sqrt(left[k] @ np.linalg.solve(own, left[k])))
+        if worst < 0 or chi2 < gain:
+            worst, most, gain = int(k), sigmas, chi2
+    return worst, most
+
+
+def _scaled(directions: Array, scale: float, axis_deg: float) -> Array:
+    """Directions [n, 3] with their angle from the axis times (1 + scale)."""
+    a = np.radians(axis_deg)
+    axis = np.array([np.sin(a), np.cos(a), 0.0])
+    angle = np.arccos(np.clip(directions @ axis, -1.0, 1.0))
+    side = directions - (directions @ axis)[:, None] * axis
+    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)
+    wide = angle * (1.0 + scale)
+    return np.cos(wide)[:, None] * axis + np.sin(wide)[:, None] * side
+
+
+def _undetermined(covariance: Array, prior_sd: Array) -> tuple[str, ...]:
+    """Names of parameters that still have half of the prior's uncertainty, and of pairs that
+    trade."""
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
+    names = [
+        name
+        for name, after, before in zip(NAMES, sd, prior_sd, strict=True)
+        if after > _OPEN_SHARE * before
+    ]
+    names += [
+        f"{NAMES[i]} and {NAMES[j]}"
+        for i in range(len(NAMES))
+        for j in range(i)
+        if abs(correlation[i, j]) > _VALLEY_CORRELATION
+    ]
+    return tuple(names)
