@@ -151,7 +151,7 @@ class _Problem:
             values = values - np.linalg.solve(
                 normal, slopes.T @ base / excess + values / self.prior_sd**2
             )
-        return values, np.linalg.inv(normal)
+        return values, np.asarray(np.linalg.inv(normal), float)
 
 
 def _least_explained(problem: _Problem, keep: NDArray[np.bool_]) -> tuple[int, float]:
