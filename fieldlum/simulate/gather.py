@@ -34,6 +34,9 @@ _POINTS_A_RUN = 1200
 _RAYS_A_RUN = 600_000
 _OFFSET_M = 1e-3
 _SUB = 4  # squared: sample points of direct sun in a piece
+# m2: members of a set that are equally far from its middle, as in a symmetric room, are taken by
+# their order. Their distances differ in the last bit, and otherwise on every processor.
+_TIE_DECIMALS = 9
 
 
 @dataclass(frozen=True)
@@ -258,6 +261,6 @@ def representatives(
         np.stack([np.bincount(inverse, position[:, k]) for k in range(3)], axis=1) / count[:, None]
     )
     away = ((position - middle[inverse]) ** 2).sum(axis=1)
-    order = np.lexsort((away, inverse))
+    order = np.lexsort((np.round(away, _TIE_DECIMALS), inverse))
     nearest = order[np.concatenate([[0], np.cumsum(count)[:-1]])]
     return nearest, np.bincount(inverse, weight).astype(np.float64)
