@@ -17,6 +17,7 @@ from learning_room import SETUP, dataset, write_pairs
 from fieldlum import models, predict, report
 from fieldlum.cli import main
 from fieldlum.records import Exposure, Slot
+from fieldlum.report import annual as annual_page
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
 from fieldlum.session import Session, create_session
 
@@ -155,3 +156,42 @@ def test_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
     legend = re.search(r'id="legend"[^>]*>(.*?)</div>', shown.stdout, re.DOTALL)
     assert legend and "0.35" in legend[1]
     assert "Uncaught" not in shown.stderr
+
+
+@pytest.mark.property
+def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path: Path) -> None:
+    """The review's missing test 9: warnings of a model reach predict.json, the hours and the
+    page.
+    """
+    import json
+
+    source = session.models / "transport"
+    for name, warning, trusted in (
+        ("lamp", "WARNING: something changed in the room", None),
+        ("poor", f"WARNING: held-out days are off; {models.POOR_WORDS}", 0.0),
+    ):
+        folder = tmp_path / name
+        shutil.copytree(source, folder)
+        config = json.loads((folder / "config.json").read_text("utf-8"))
+        config["warnings"] = [warning]
+        (folder / "config.json").write_text(json.dumps(config), encoding="utf-8")
+        year, _ = predict.run(folder, session.root / "w.csv")
+        assert year.about["model_warnings"] == [warning]
+        if trusted is not None:
+            assert (predict.read_annual(year.folder).hours["trusted"] == trusted).all()
+        first_screen = report._warnings(year)
+        assert first_screen[0].startswith("From training: ") and warning[9:40] in first_screen[0]
+
+
+@pytest.mark.contract
+def test_one_best_direction_in_headline_figures_and_pictures(page: Path, session: Session) -> None:
+    year = predict.read_annual(session.annual / "transport")
+    ends = predict.best_and_worst(year.about["protection"])
+    assert ends is not None
+    best = annual_page.named(ends[0]["azimuth_deg"])
+    kinds = predict.read_pictures(year.folder).kinds
+    text = page.read_text("utf-8")
+    assert f"Sit facing {best}" in text
+    assert {k.split()[-1] for k in kinds if " best " in k} == {f"{ends[0]['azimuth_deg']:g}"}
+    assert f"best: {best.split()[0]} {ends[0]['azimuth_deg']:.0f}°" in text
+    assert "1 days" not in text

@@ -82,6 +82,8 @@ def command(
             "nothing to do: this year was predicted from the same model, weather and settings "
             "(--force does it again)"
         )
+    for text in about.get("model_warnings", ()):
+        say(text)
     for text in (*about["weather"]["repairs"], *about["notes"]):
         say(f"note: {text}")
     click.echo(f"{about['hours']} daylight hours in {annual.folder / 'hourly.csv'}")

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.glare.contrast import rammg
 from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
+from fieldlum.models import trusted_hours
 from fieldlum.models.data import add_disc
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, quiet
@@ -197,7 +198,7 @@ def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64])
         rammg_error=blank.copy(),
         rammg_truth=blank.copy(),
         expected_mse=prediction.expected_mse,
-        trusted=prediction.trusted,
+        trusted=trusted_hours(prediction),
         in_band=in_band,
         slots=data.slots,
     )

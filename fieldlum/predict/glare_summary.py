@@ -19,6 +19,7 @@ from fieldlum.glare.standards import (
     nearest_limits,
     protection,
 )
+from fieldlum.models import POOR_WORDS
 from fieldlum.predict.annual import Annual
 from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.occupancy import Occupancy
@@ -132,6 +133,7 @@ def about_year(
         },
         "disc_from": room.disc_from,
         "seen_share": [] if room.seen is None else _shares(room, annual),
+        "model_warnings": list(config.get("warnings", ())),
         "notes": [
             *_notes(weather, room, untrusted, days),
             *_unseen_notes(found),
@@ -140,6 +142,11 @@ def about_year(
         "protection": protection_table(found),
         "capture_next": hours_to_settle(annual, found, room.setup.site.timezone),
     }
+
+
+def poor(config: dict[str, Any]) -> bool:
+    """Whether training found that no single map of the model can be trusted."""
+    return any(POOR_WORDS in text for text in config.get("warnings", ()))
 
 
 def _shares(room: ModelRoom, annual: Annual) -> list[float]:

@@ -21,6 +21,7 @@ from fieldlum.glare.unseen import (
     unseen_dgp_bounds,
     view_coverage,
 )
+from fieldlum.models import trusted_hours
 from fieldlum.models.disc_in_view import (
     DRAWN_ROOMS,
     EDGE_SD_DEG,
@@ -37,7 +38,7 @@ from fieldlum.predict.annual import (
 )
 from fieldlum.predict.blocks import HourBlock, ModelRoom, blocks, room_of
 from fieldlum.predict.checks import already, begin_anew, check_session, default_folder, inputs_of
-from fieldlum.predict.glare_summary import about_year, judge
+from fieldlum.predict.glare_summary import about_year, judge, poor
 from fieldlum.predict.maps import MapStore
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.pictures import telling_pictures
@@ -96,6 +97,8 @@ def run(
     )
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
+    if poor(config):
+        annual.hours["trusted"][:] = 0.0
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     found = judge(annual, doubt, u_of_maps, hours_used, seed)
     annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found, days))
@@ -208,7 +211,7 @@ def _hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
         "sun_azimuth_deg": light.sun_azimuth_deg,
         "disc_lx": block.disc_lx,
         "occupied": np.zeros(len(light)),
-        "trusted": told.trusted.astype(float),
+        "trusted": trusted_hours(told).astype(float),
         "expected_log10_mse": told.expected_mse,
     }
 

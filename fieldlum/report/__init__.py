@@ -179,7 +179,14 @@ def _warnings(year: Annual | None) -> tuple[str, ...]:
     synthetic = (
         ["The weather is synthetic: do not judge this place by it."] if weather["synthetic"] else []
     )
-    return (*synthetic, *repairs)
+    doubted = [_spoken(text) for text in year.about.get("model_warnings", ())]
+    return (*doubted, *synthetic, *repairs)
+
+
+def _spoken(warning: str) -> str:
+    """A warning of `train` as a sentence of the page."""
+    text = warning.removeprefix("WARNING: ")
+    return f"From training: {text}{'' if text.endswith('.') else '.'}"
 
 
 def run(session: Session, out: Path | None = None, *, progress: Progress = quiet) -> Path:

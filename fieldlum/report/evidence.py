@@ -24,6 +24,8 @@ from fieldlum.report.figures import (
 )
 from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
 
+# Two planned days of one season are under 1 degree apart, seasons over 20 degrees.
+SEASON_GAP_DEG = 8.0
 SHOWN = ("typical", "one in ten is worse", "worst")
 
 
@@ -37,6 +39,7 @@ class HeldOutMaps:
     predicted_cdm2: NDArray[np.float32]
     log10_mse: NDArray[np.float64]
     about: str
+    like_the_year: str = ""  # whether these hours are easier or harder than the year's
 
 
 def held_out(
@@ -52,10 +55,9 @@ def held_out(
         out = np.isin(data.days, days[2::5] if len(days) >= 5 else days[-1:])
         patch = config.get("patch", "absolute" if data.patch_cdm2 is not None else "none")
         fitted = fit(name, data.take(~out), patch=patch, seed=int(config.get("seed", 0)))
-        about = (
-            f"{int(out.sum())} maps of {len(np.unique(data.days[out]))} days that the fit "
-            f"behind them did not see"
-        )
+        maps = _counted(int(out.sum()), "map")
+        of_days = _counted(len(np.unique(data.days[out])), "day")
+        about = f"{maps} of {of_days} that the fit behind them did not see"
     else:
         slots = set(config.get("validation_slots", ()))
         out = np.array([slot in slots for slot in data.slots])
@@ -67,10 +69,32 @@ def held_out(
         return None
     test = data.take(out)
     progress(1, 2, "held-out days")
-    predicted = fitted.predict(test.light, test.patch_cdm2).luminance_cdm2
+    prediction = fitted.predict(test.light, test.patch_cdm2)
+    predicted = prediction.luminance_cdm2
     error = np.log10(np.maximum(predicted, 1.0)) - np.log10(np.maximum(test.luminance_cdm2, 1.0))
     mse = (error**2 * test.weights).mean(axis=(1, 2), dtype=float)
-    return HeldOutMaps(test, predicted, mse, about)
+    return HeldOutMaps(test, predicted, mse, about, _likeness(data, test, out))
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _likeness(data: Dataset, test: Dataset, out: NDArray[np.bool_]) -> str:
+    """Say that the check is harder than the year where no remaining day has the held-out suns.
+
+    The model of the year was fitted on these days too, so it knows their season.
+    """
+    rest = data.light.sun_direction[~out]
+    nearest = (test.light.sun_direction @ rest.T).max(axis=1)
+    alone = float((nearest < np.cos(np.radians(SEASON_GAP_DEG))).mean())
+    if alone < 0.5:
+        return ""
+    return (
+        f"This check is harder than the year: {100 * alone:.0f} % of these maps have a sun over "
+        f"{SEASON_GAP_DEG:g} degrees from any that was left to learn from, while the model of the "
+        f"year learned from these days too."
+    )
 
 
 def _views_of(held: HeldOutMaps, maps: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -90,10 +114,10 @@ def _maps_row(held: HeldOutMaps) -> Row:
     picks = [int(order[i]) for i in dict.fromkeys((n // 2, min(int(0.9 * n), n - 1), n - 1))]
     labels = [f"{held.data.slots[i]}\n{text}" for i, text in zip(picks, SHOWN, strict=False)]
     png = comparison_png(held.data.luminance_cdm2[picks], held.predicted_cdm2[picks], labels)
+    which = ", ".join(text for text, _ in zip(SHOWN, picks, strict=False))
     caption = (
-        "Measured, predicted and their ratio for a typical, a bad and the worst held-out hour; "
-        "the sun's disc is kept "
-        "beside the maps. Red is predicted too bright, blue too dark."
+        f"Measured, predicted and their ratio for held-out hours ({which}); the sun's disc is "
+        "apart from the maps. Red is predicted too bright, blue too dark."
     )
     return Row(
         (png_figure(png, "Measured and predicted luminance panoramas with their ratio.", caption),)
@@ -195,11 +219,11 @@ def section(held: HeldOutMaps | None, scores: dict[str, Any]) -> Section:
     rows = (_maps_row(held), *_agreement_rows(held)) if held else ()
     if held:
         factor = 10 ** np.sqrt(np.median(held.log10_mse))
+        worst = 10 ** np.sqrt(held.log10_mse.max())
         text = (
             f"Checked on {held.about}: half of them are predicted within a factor of {factor:.2f} "
-            f"(rms over the map), "
-            f"the worst within {10 ** np.sqrt(held.log10_mse.max()):.2f}."
-        )
+            f"(rms over the map), the worst within {worst:.2f}. {held.like_the_year}"
+        ).strip()
     else:
         text = (
             "Too few captured days to leave some out: the numbers of this report are not checked."

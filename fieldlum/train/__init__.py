@@ -20,7 +20,7 @@ from fieldlum.models import Fitted, Patch
 from fieldlum.models.scores import Scores, evaluate, join, summary, truth
 from fieldlum.records import Progress, quiet
 from fieldlum.session import replacing
-from fieldlum.train.consistency_warnings import doubts
+from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import MOST_FOLDS, Fold, day_folds, one_day_only
 from fieldlum.train.selection import ModelSelection, Trial, choose
 from fieldlum.train.setting import settle
@@ -231,7 +231,8 @@ def fit_and_score(
         **more,
     )
     fitted, warned = settle(fitted, data, patch, progress)
-    notes = (*_notes(data, patch, model, trials), *left_out, *doubts(fitted, data), *warned)
+    doubted = (*doubts(fitted, data), *hard_captures(fitted, data), *warned)
+    notes = (*_notes(data, patch, model, trials), *left_out, *doubted)
     return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, notes)
 
 
@@ -314,7 +315,13 @@ def run(
     if distributed.rank() == 0:
         mode = patch_mode(data, patch)
         models.save(
-            out, result.fitted, data, patch=mode, seed=seed, chosen_because=result.choice.reason
+            out,
+            result.fitted,
+            data,
+            patch=mode,
+            seed=seed,
+            chosen_because=result.choice.reason,
+            warnings=[note for note in result.notes if note.startswith("WARNING")],
         )
         with replacing(out / "scores.json", "w", encoding="utf-8") as file:
             json.dump(answer, file, indent=1, ensure_ascii=False)

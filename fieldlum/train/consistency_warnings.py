@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fieldlum.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE
 from fieldlum.models.scores import by_day
 
 if TYPE_CHECKING:
@@ -16,6 +17,25 @@ if TYPE_CHECKING:
 
 POOR_MSE = 0.02  # log10: off by a factor of 1.4, which no steady room with right irradiance shows
 ODD_TIMES = 4.0  # a day so many times worse than the median day
+
+
+HARD_SHARE = 0.1  # of the captures; clean sets have under 2 %, a lamp or a moved camera 20 to 60 %
+
+
+def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
+    """A note when many captures are predicted badly by the other days; none without held-out
+    errors.
+    """
+    if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
+        return []
+    share = float((np.nan_to_num(fitted.held_out_mse, nan=np.inf) > TRUSTED_MSE).mean())
+    if share <= HARD_SHARE:
+        return []
+    return [
+        f"WARNING: {share:.0%} of the captures are predicted wrongly by a factor of over "
+        f"{TRUSTED_FACTOR:g} from the other days: something changed in the room, the camera or "
+        f"the light that the model does not know; hours like them are not trusted"
+    ]
 
 
 def doubts(fitted: Fitted, data: Dataset) -> list[str]:
@@ -39,6 +59,6 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
         said.append(
             f"WARNING: held-out days are off by a factor of {factor:.2f}: check clock, north, "
             f"irradiance, "
-            "and whether the room stayed as it was; do not trust single maps of this model"
+            f"and whether the room stayed as it was; {POOR_WORDS}"
         )
     return said

@@ -11,6 +11,7 @@ from fieldlum.records import Progress, SiteFile, quiet
 if TYPE_CHECKING:
     from fieldlum.models import Fitted, Patch
     from fieldlum.models.data import Dataset
+    from fieldlum.models.transport.room_errors import RoomError
     from fieldlum.models.transport.setting_scan import Setting, SettingFinding
 
 
@@ -28,7 +29,7 @@ def settle(
     if patch == "none" or data.patch_cdm2 is None:
         return fitted, []
     found = setting_scan(data, progress)
-    if found is None or found.wrong is None:
+    if found is None or found.slip_deg == 0.0:
         return fitted, []
     if isinstance(fitted, Transport):
         fitted = cast("Fitted", fitted.doubting(found.slip_deg))
@@ -37,6 +38,8 @@ def settle(
 
 def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
     """One line on what is wrong, one on what to write where; none when nothing is."""
+    if found.room is not None:
+        return [_measure_warning(found, found.room)]
     cause = found.wrong
     if cause is None:
         return []
@@ -51,6 +54,18 @@ def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
     lines = [f"{said}. Until it is mended, hours that depend on sun patches are doubted"]
     lines += [f"to mend {f.cause}: {_remedy(f, setup, pixel_deg)}" for f in (cause, *found.alike)]
     return lines
+
+
+def _measure_warning(found: Setting, measure: RoomError) -> str:
+    """What to check where a wrong measure of the room explains as much as north or clock."""
+    first = found.findings[0]
+    return (
+        f"WARNING: captured sun patches are not where [room] puts them ({found.hours} hours): "
+        f"{measure.name} {measure.amount_m:+.2f} m takes away {measure.gain / first.stated:.0%} of "
+        f"the misfit, {first.cause} {first.gain / first.stated:.0%}, so the captures do not show "
+        f"which is wrong; measure the camera's place and the windows again before changing north "
+        f"or clock. Until then hours that depend on sun patches are doubted"
+    )
 
 
 def _words(finding: SettingFinding) -> str:

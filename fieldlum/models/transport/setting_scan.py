@@ -22,6 +22,7 @@ from fieldlum.models.transport.misalignment import (
     Evidence,
     evidence_of,
 )
+from fieldlum.models.transport.room_errors import RoomError, room_error
 from fieldlum.models.transport.uncertainty import edge_range
 from fieldlum.records import Progress, quiet
 
@@ -84,11 +85,14 @@ class Setting:
     alike: tuple[SettingFinding, ...]
     slip_deg: float
     hours: int
+    room: RoomError | None = None  # a measure of the room that explains as much as the first
 
     @property
     def wrong(self) -> SettingFinding | None:
-        """What explains most, when any cause is sure."""
-        return self.findings[0] if self.slip_deg > 0.0 else None
+        """What explains most, when any cause is sure and no wrong measure of the room explains as
+        much.
+        """
+        return self.findings[0] if self.slip_deg > 0.0 and self.room is None else None
 
 
 # ----------------------------------------------------------------------------------------------
@@ -221,7 +225,10 @@ def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
     first = findings[0]
     slip = _slip_deg(found, first.cause, makers[first.cause](*first.amount))
     alike = tuple(f for f in findings[1:] if f.gain > ALIKE * first.gain)
-    return Setting(tuple(findings), alike, slip, len(found.rows))
+    measure = room_error(found, progress)
+    if measure is not None and measure.gain <= ALIKE * first.gain:
+        measure = None
+    return Setting(tuple(findings), alike, slip, len(found.rows), measure)
 
 
 def _misfit(found: Evidence, cause: str, make: Callable[..., Array]) -> Callable[..., Array]:

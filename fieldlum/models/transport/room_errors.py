@@ -1,0 +1,77 @@
+"""Whether a wrong measure of the room explains sun patches that are not where they were computed.
+
+A camera 15 cm off its stated place, or a window 10 cm aside, moves patches much as a wrong north or
+clock does. As long as such an error explains as much, no north, clock or wall is called sure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldlum.errors import InputError
+from fieldlum.models.transport.misalignment import SUB, Evidence
+from fieldlum.records import Progress, Room, quiet
+from fieldlum.scene.drawn_rooms import room_parameters, with_parameters
+from fieldlum.scene.view import look
+
+# What a tape measure over furniture is off by; more is a slip of the pen, and one step shows it.
+STEPS_M = (-0.15, -0.1, -0.05, 0.05, 0.1, 0.15)
+_MOVED = ("camera_x_m", "camera_y_m", "camera_z_m", "window left_m", "window sill_m")
+
+
+@dataclass(frozen=True, slots=True)
+class RoomError:
+    """One measure of the room changed: its name, by how much [m], and the misfit taken away."""
+
+    name: str
+    amount_m: float
+    gain: float
+
+
+def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | None:
+    """Return the wrong measure that takes away most of the misfit; None without a box room.
+
+    Amounts are tried in steps of 5 cm, one measure at a time; windows move together.
+    """
+    room = evidence.data.setup.room
+    if evidence.points is None or room is None:
+        return None
+    stated = _misfit(evidence, room)
+    found = RoomError("", 0.0, 0.0)
+    tries = list(_tries(room))
+    for k, (name, amount, other) in enumerate(tries):
+        progress(k, len(tries), f"room: {name}")
+        try:
+            gain = stated - _misfit(evidence, other)
+        except InputError:  # a window outside its wall, a camera in the furniture
+            continue
+        if gain > found.gain:
+            found = RoomError(name, amount, gain)
+    return found if found.name else None
+
+
+def _tries(room: Room) -> Iterator[tuple[str, float, Room]]:
+    values = room_parameters(room)
+    for moved in _MOVED:
+        last = moved.split()[-1]
+        names = [
+            name
+            for name in values
+            if name == moved
+            or (moved.startswith("window") and name.startswith("window") and name.endswith(last))
+        ]
+        for step in STEPS_M:
+            yield moved, step, with_parameters(room, {name: values[name] + step for name in names})
+
+
+def _misfit(evidence: Evidence, room: Room) -> float:
+    """Mean misfit with the patches of this room."""
+    data = evidence.data
+    points = look(room, data.shape[0], data.heading_deg, SUB).sun_points(evidence.pixels)
+    light = data.light[evidence.rows]
+    towards = points.scene.to_room(light.sun_direction)
+    patch = np.stack([points.direct(d) * e for d, e in zip(towards, light.direct_lx, strict=True)])
+    return float(evidence.misfit(patch, evidence.gains[1]).mean())
