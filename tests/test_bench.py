@@ -20,6 +20,7 @@ DATA = dataset(DAYS, height=8)
 TEST = dataset(("2027-04-02", "2027-06-25"), seed=1, height=8)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
     for name, data in (("train", DATA), ("test", TEST)):
@@ -46,6 +47,7 @@ def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
     assert bad.exit_code == 3 and "'magic'" in bad.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_specs_name_models_patches_and_folders(tmp_path: Path) -> None:
     models.save(tmp_path / "kept", models.fit("mean", DATA), DATA, patch="absolute")
@@ -59,6 +61,7 @@ def test_specs_name_models_patches_and_folders(tmp_path: Path) -> None:
         parse_specs(["transport:half"])
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_training_hours_are_never_asked() -> None:
     mixed = DATA.take(range(10))
@@ -67,6 +70,7 @@ def test_training_hours_are_never_asked() -> None:
         without_training_hours(mixed, DATA)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_hours_of_a_kept_model_are_never_asked(tmp_path: Path) -> None:
     """A model trained before knows its own hours, wherever they came from."""
@@ -75,6 +79,7 @@ def test_hours_of_a_kept_model_are_never_asked(tmp_path: Path) -> None:
     assert set(without_training_hours(DATA, late, tmp_path / "kept").slots) == set(DATA.slots[20:])
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
     """The nearest hour of a training hour is itself, so an error of nothing would mean
@@ -99,6 +104,7 @@ def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
     assert float(normal["log10_mse_weighted"]) > 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_front_holds_what_nothing_beats() -> None:
     """(3, 3) is beaten by (2, 2)."""
@@ -106,6 +112,7 @@ def test_the_front_holds_what_nothing_beats() -> None:
     assert charts.pareto(points) == [1, 2, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_seeds_become_mean_and_spread() -> None:
     """1 and 3 have mean 2 and standard deviation sqrt 2."""
@@ -126,12 +133,14 @@ def test_seeds_become_mean_and_spread() -> None:
     assert row["log10_mse_weighted_sd"] == pytest.approx(2**0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_markdown_leaves_empty_columns_out() -> None:
     text = markdown([{"a": 1.5e-5, "b": None, "c": True}], {"a": "A", "b": "B", "c": "C"})
     assert text == "| A | C |\n|---|---|\n| 1.50e-05 | yes |\n"
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_stress_rows_stand_beside_their_normal_case() -> None:
     spec = parse_specs(["nearest"])[0]
@@ -149,6 +158,7 @@ def test_stress_rows_stand_beside_their_normal_case() -> None:
     assert by_name["sun patch off by 2 px"]["times_normal"] > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_transport_does_not_fail_unseen_in_any_regime() -> None:
     """No wild map may pass that the model trusted and expected to be good, whatever was done to
@@ -159,6 +169,7 @@ def test_transport_does_not_fail_unseen_in_any_regime() -> None:
     assert {row["regime"]: row["wild_unflagged"] for row in rows if row["wild_unflagged"]} == {}
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
     """15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4
@@ -173,6 +184,7 @@ def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
     assert (moved > 1.5).all() and (moved < 12.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_irradiance_changes_keep_what_they_say_they_keep() -> None:
     light = DATA.light
@@ -183,6 +195,7 @@ def test_irradiance_changes_keep_what_they_say_they_keep() -> None:
         assert np.abs(changed.light.dni_wm2 - light.dni_wm2).max() > 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_periods_are_the_papers() -> None:
     found = year.periods(DATA)

@@ -107,6 +107,7 @@ def test_a_chart_is_found_in_a_poor_frame(seed: int, width_px: float, turn_deg: 
     assert found_inside(poor, corners)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_finder_of_lattices_draws_nothing_at_random(
     monkeypatch: pytest.MonkeyPatch,
@@ -135,6 +136,7 @@ def test_a_lattice_gives_the_patches_that_were_not_seen() -> None:
     assert min(float(np.abs(way - centres).max()) for way in ways) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_card_of_other_colours_is_refused() -> None:  # a wrong find must not become a calibration
     order = list(np.random.default_rng(7).permutation(24))

@@ -63,6 +63,7 @@ def _call(*words: object) -> dict:
     return json.loads(found.stdout)
 
 
+@pytest.mark.slow
 def test_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> None:
     flat = _shoot(np.full((H, 2 * H), 300.0), tmp_path / "flat")
     keep = ("--camera", mine, "--out", mine)
@@ -106,6 +107,7 @@ def test_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> None:
     assert final.scale.k == pytest.approx(TRUTH.scale.k * 1.1, rel=0.01)
 
 
+@pytest.mark.slow
 def test_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
     rng = np.random.default_rng(1)
     luminance = np.repeat(np.repeat(rng.uniform(50, 500, (H // 6, H // 3)), 6, axis=0), 6, axis=1)
@@ -119,6 +121,7 @@ def test_shift_of_a_lens_put_back(tmp_path: Path, mine: Path) -> None:
     assert found["shift_px"] == pytest.approx([2.0, -3.0], abs=0.1)
 
 
+@pytest.mark.slow
 def test_colour_by_spots(tmp_path: Path, mine: Path) -> None:
     """Grey spots prove nothing about colour: the prior stays, and the scale is said."""
     rays = equirect_rays(H, 2 * H, 180.0)
@@ -155,6 +158,7 @@ def test_colour_by_spots(tmp_path: Path, mine: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_response_of_the_simulated_jpeg_camera(tmp_path: Path) -> None:
     truth = load_camera_profile("sim-dual-fisheye-jpeg")
     save_profile(tmp_path / "mine.toml", replace(truth, response=Response()))

@@ -32,6 +32,7 @@ def _targets(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize(
     ("mapping", "coefficients"),
@@ -64,6 +65,7 @@ def _with_directions(
     return replace(targets, rays=direction(altitude_deg, azimuth_deg))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
     """A mirrored table was fitted before by a polynomial that folds back, to half a pixel."""
@@ -87,6 +89,7 @@ def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
     assert found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.4) and found.rms_px < 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize(("azimuth", "roll"), [(180.0, 0.0), (0.0, 90.0), (-25.0, -90.0)])
 def test_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: float) -> None:
@@ -97,6 +100,7 @@ def test_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: float) -> 
     assert any("stands turned by" in doubt for doubt in found.doubts)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_lens_from_chessboards() -> None:
     """Boards seen by an equisolid fisheye: OpenCV's model turned into ours misses by under a
@@ -164,6 +168,7 @@ def test_chessboard_corners_in_sensor_coordinates(tmp_path: Path) -> None:
     assert boards.chessboard_corners(tmp_path / "none.png", 9, 6) is None
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_circle_and_shift() -> None:
     rng = np.random.default_rng(9)

@@ -131,6 +131,7 @@ def test_with_the_cap_on(tmp_path: Path) -> None:
         pixels.find([frame(tmp_path / "lit.dng", view(1)), dark[0]], PROFILE, dark=True)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command(tmp_path: Path) -> None:
     camera, out = tmp_path / "small.toml", tmp_path / "new.toml"

@@ -44,6 +44,7 @@ JPEG_PROFILE = replace(
 SHUTTERS = (2.0, 1.0, 0.5, 1 / 4, 1 / 8, 1 / 15, 1 / 30, 1 / 60)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
     """A curve that is neither sRGB nor linear, within 2 % of light over the codes that count,
@@ -62,6 +63,7 @@ def test_response_recovers_an_unknown_curve(tmp_path: Path) -> None:
     assert (np.diff(z) >= 0).all() and found.residual[1] < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_plain_srgb_camera_is_recognised(tmp_path: Path) -> None:
     folder = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)
@@ -70,6 +72,7 @@ def test_a_plain_srgb_camera_is_recognised(tmp_path: Path) -> None:
     assert found.response.kind == "srgb" and "srgb" in found.choice.line
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
     still = _bracket(tmp_path / "b", response_table("srgb"), 4, SHUTTERS)

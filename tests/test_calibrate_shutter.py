@@ -93,6 +93,7 @@ def relative(times: np.ndarray) -> np.ndarray:
     return np.exp(off - off[:3].mean())
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_merged_session_gives_the_times_to_the_profile(session: Session, tmp_path: Path) -> None:
     camera, out = session.root.parent / "small.toml", tmp_path / "new.toml"

@@ -29,6 +29,7 @@ def test_vignetting_from_a_uniform_field(tmp_path: Path) -> None:
     assert "order 4" in found.choice.line.split(";")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_vignetting_from_one_patch_at_many_angles(tmp_path: Path) -> None:
     rng, lines = np.random.default_rng(3), ["file,x_px,y_px,radius_px,reference"]
@@ -51,6 +52,7 @@ def test_vignetting_from_one_patch_at_many_angles(tmp_path: Path) -> None:
     assert np.abs(vignetting_at(found.coefficients, r) / vignetting_at(TRUE_V, r) - 1).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=25)
 @given(st.floats(0, 0.4), st.floats(0, 0.4), st.integers(0, 9))

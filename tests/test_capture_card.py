@@ -62,6 +62,7 @@ def bracket(slot: Slot, clock_s: float) -> Group:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @given(
     change=st.integers(4, 27),
@@ -92,6 +93,7 @@ def _numbered(groups: list[Group]) -> list[tuple[int, Group]]:
     return [(where[group.frames[0].path.name[:16]], group) for group in groups]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_clock_that_was_not_set_is_left_alone() -> None:
     by_hand = np.random.default_rng(1).uniform(0, 1100, len(MONTH))
@@ -101,6 +103,7 @@ def test_a_clock_that_was_not_set_is_left_alone() -> None:
     assert len(clock_parts(afternoons, MONTH)) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -> None:
     """Every bracket lies in its own slot, where one clock for all would put 9 days an
@@ -142,6 +145,7 @@ def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path) -> None:
     plan = [replace(slot, exposures=LADDER[:1]) for slot in MONTH[:72]]

@@ -137,6 +137,7 @@ def kept(told: dict[str, Any]) -> bool:
     return sound and told["disk_full"] == 1 and not told["reserve"]
 
 
+@pytest.mark.slow
 def test_a_frame_that_meets_the_full_disk_first_is_taken_in_the_reserve(
     tmp_path: Path,
 ) -> None:
@@ -144,11 +145,13 @@ def test_a_frame_that_meets_the_full_disk_first_is_taken_in_the_reserve(
     assert kept(told) and told["outcomes"] == ["done", "done", "done"]
 
 
+@pytest.mark.slow
 def test_a_slot_waits_for_room_within_its_window(tmp_path: Path) -> None:
     told = on_a_small_disk(tmp_path, 4, 120.0)
     assert kept(told) and told["outcomes"] == ["done", "done", "done"]
 
 
+@pytest.mark.slow
 def test_without_room_the_slot_is_given_up_and_says_how_much_is_missing(
     tmp_path: Path,
 ) -> None:

@@ -161,6 +161,7 @@ def notes_of(session: Session) -> dict[str, Any]:
     return notes
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_capture_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -> None:
     calm = make_session(tmp_path / "calm" / "s")
@@ -193,6 +194,7 @@ def test_capture_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -
         assert all(read_day(path)[1] == 0 for path in day_files(session)), "no broken row stays"
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_merge_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -> None:
     import shutil
@@ -226,6 +228,7 @@ def test_merge_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -> 
             )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command_itself_goes_on_after_a_kill(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", slots=2)

@@ -41,6 +41,7 @@ def outcomes(session: Session) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_a_display_that_fails_costs_nothing(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", datetime(2027, 3, 20, 18, 30, tzinfo=UTC))
 
@@ -96,6 +97,7 @@ def test_the_panel_fits_narrow_terminals_and_takes_any_text(columns: int) -> Non
     assert names == ["slots", "now", "next", "camera", "global", "disk", "last"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="closed standard files")
 def test_closed_standard_files_never_become_the_journal(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", datetime(2027, 3, 20, 18, 30, tzinfo=UTC))
@@ -106,6 +108,7 @@ def test_closed_standard_files_never_become_the_journal(tmp_path: Path) -> None:
     assert session.journal.read_bytes().count(b"\n") == len(read_journal(session))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="POSIX signals")
 def test_a_closed_terminal_ends_nothing_and_sigterm_ends_properly(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", datetime.now(UTC) + timedelta(hours=1), slots=1)

@@ -48,6 +48,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcom
         return root / "s", demo.run(root / "s", show=_unseen, workers=1, weather=weather)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_every_stage_ran_and_the_report_stands(outcome: tuple[Path, demo.Outcome]) -> None:
     folder, found = outcome
@@ -65,6 +66,7 @@ def test_every_stage_ran_and_the_report_stands(outcome: tuple[Path, demo.Outcome
     assert (folder / "demo.json").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_what_was_merged_and_paired_is_the_truth(outcome: tuple[Path, demo.Outcome]) -> None:
     """Issue's own bounds: median under 1 %; irradiance within the simulated instrument's noise
@@ -77,6 +79,7 @@ def test_what_was_merged_and_paired_is_the_truth(outcome: tuple[Path, demo.Outco
     assert dni < 8.0 and dhi < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_taken_up_again_it_trains_only_on_other_captures_or_options(
     outcome: tuple[Path, demo.Outcome], monkeypatch: pytest.MonkeyPatch
@@ -106,6 +109,7 @@ def test_taken_up_again_it_trains_only_on_other_captures_or_options(
     note.write_text(kept)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_commands_read_what_the_demo_made(outcome: tuple[Path, demo.Outcome]) -> None:
     shown = CliRunner().invoke(main, ["status", str(outcome[0]), "--json"])

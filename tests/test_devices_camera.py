@@ -92,6 +92,7 @@ def test_saturates_below_the_tag(tmp_path: Path) -> None:
     assert np.median(mosaic.counts[0::2, 0::2]) == 15790
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-dual-fisheye")
@@ -109,6 +110,7 @@ def test_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> None:
         )  # a panorama pixel is 3 sensor pixels wide
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_sun_keeps_its_energy() -> None:
     profile = load_camera_profile("sim-fisheye")
@@ -124,6 +126,7 @@ def test_the_sun_keeps_its_energy() -> None:
         assert omega.sum() == pytest.approx(2 * np.pi * (1 - np.cos(np.radians(95.0))), rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_turning_the_head_turns_the_picture(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
@@ -157,6 +160,7 @@ def test_colours_come_back_through_the_profile(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_jpeg_follows_its_response(tmp_path: Path) -> None:
     from fieldlum.photometry import response_table
@@ -170,6 +174,7 @@ def test_jpeg_follows_its_response(tmp_path: Path) -> None:
     )  # code steps: 1 %
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_same_seed_same_moment_same_frame(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
@@ -202,6 +207,7 @@ def test_nearest_takes_a_sixth_of_a_stop_and_no_more() -> None:
         nearest(1 / 30, [1 / 60, 1 / 15], "shutter")
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_built_in_office_needs_nothing_else(tmp_path: Path) -> None:
     clock = FastClock(START)

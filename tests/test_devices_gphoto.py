@@ -66,6 +66,7 @@ def picture(
     yield play
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_bracket_on_the_virtual_camera(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
     camera = open_camera("gphoto:?delete=1", clock=CLOCK)
@@ -79,6 +80,7 @@ def test_bracket_on_the_virtual_camera(picture: Callable[[Exposure], None], tmp_
     camera.close()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_what_is_not_offered_is_known_without_a_picture(
     picture: Callable[[Exposure], None],
@@ -91,6 +93,7 @@ def test_what_is_not_offered_is_known_without_a_picture(
     camera.close()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_settings_are_checked_before_and_after(
     picture: Callable[[Exposure], None], tmp_path: Path
@@ -108,6 +111,7 @@ def test_settings_are_checked_before_and_after(
     camera.close()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_what_the_camera_made_is_kept(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
     camera = open_camera("gphoto:Nikon?delete=1", clock=CLOCK)
@@ -119,6 +123,7 @@ def test_what_the_camera_made_is_kept(picture: Callable[[Exposure], None], tmp_p
     camera.close()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_full_disk_is_no_fault_of_the_camera(
     picture: Callable[[Exposure], None], tmp_path: Path
@@ -133,6 +138,7 @@ def test_a_full_disk_is_no_fault_of_the_camera(
     camera.close()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_full_card_is_told(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
     camera = GphotoCamera(serve, late_file_s=0.01)
@@ -143,6 +149,7 @@ def test_a_full_card_is_told(picture: Callable[[Exposure], None], tmp_path: Path
     camera.close()
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_no_camera_and_unknown_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "empty" / "DCIM").mkdir(parents=True)
@@ -209,6 +216,7 @@ def moody(pipe: Connection) -> None:
             pipe.send(("ok", arguments[1]))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_hang_and_crash_are_survived(tmp_path: Path) -> None:
     camera = GphotoCamera(moody, "Moody", readout_s=3.0)
@@ -228,6 +236,7 @@ def dies(pipe: Connection) -> None:
     sys.exit(3)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_child_that_dies_at_once() -> None:
     child = Child("driver", dies)

@@ -137,6 +137,7 @@ def test_one_damage_under_a_checksum_gives_no_other_number(at: int, put: bytes, 
         )
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.floats(-150, 3900), st.floats(-50, 80))
@@ -240,6 +241,7 @@ def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=50)
 @given(
@@ -438,6 +440,7 @@ def test_a_toa5_number_with_other_decimals_than_its_column_is_left_out() -> None
     assert not parse_toa5(toa5_of([f"{500 + m / 10:g}" for m in range(40)]), timedelta()).broken
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=200)
 @given(st.integers(0, len(TOA5) - 1), st.text(max_size=3), st.integers(0, 3))

@@ -199,6 +199,7 @@ def test_nothing_snaps_silently(theta: dict[str, Any], tmp_path: Path) -> None:
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f", heading_deg=0.0)
 
 
+@pytest.mark.slow
 def test_what_the_camera_made_is_kept(theta: dict[str, Any], tmp_path: Path) -> None:
     theta["lie"] = 2.0
     asked = Exposure(0.004, 5.6)

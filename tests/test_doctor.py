@@ -56,6 +56,7 @@ def _verdicts(findings: list[doctor.Finding]) -> dict[str, str]:
     return {finding.what: finding.verdict for finding in findings}
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_sound_session_passes(tmp_path: Path) -> None:
     found = doctor.run(_session(tmp_path), "", "", NOW)

@@ -140,6 +140,7 @@ def test_position_index_grows_and_is_capped() -> None:
         assert values.max() <= 16.0
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
     # authority: evalglare of pyradiance, 800 px. Tolerances: half a per cent of Ev, 0.005 of DGP

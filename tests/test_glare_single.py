@@ -63,6 +63,7 @@ def test_a_fisheye_and_its_panorama_agree(tmp_path: Path, maps: np.ndarray) -> N
     assert b["dgp"] == pytest.approx(a["dgp"], abs=0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("kind", ["a", "h", "s"])
 def test_a_uniform_fisheye_of_each_mapping_gives_pi_l(tmp_path: Path, kind: str) -> None:

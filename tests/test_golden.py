@@ -11,6 +11,7 @@ import pytest
 from golden_chain import STORED, differences, run_chain, summarise
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_chain_gives_the_stored_results(tmp_path: Path) -> None:
     current = json.loads(json.dumps(summarise(run_chain(tmp_path))))
@@ -18,6 +19,7 @@ def test_the_chain_gives_the_stored_results(tmp_path: Path) -> None:
     assert differences(stored, current) == []
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_difference_is_reported_with_its_place() -> None:
     stored = {"pairs": [{"dni_wm2": 100.0, "ok": 1}], "chosen": "transport"}

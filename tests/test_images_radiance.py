@@ -74,6 +74,7 @@ def _pvalue(path: Path) -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.property
 @settings(

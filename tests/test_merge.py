@@ -244,6 +244,7 @@ def truth() -> np.ndarray:
     return sums[0] / sums[1]
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize(
     ("name", "headings"),
@@ -278,6 +279,7 @@ def test_known_luminance_comes_back(bracket, name: str, headings: tuple) -> None
     assert result.quality["residual_percent"] < 1.5 and result.verdict.startswith("good")
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 def test_the_order_of_frames_does_not_matter(bracket) -> None:
@@ -290,6 +292,7 @@ def test_the_order_of_frames_does_not_matter(bracket) -> None:
     assert np.array_equal(a.flags, b.flags)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 @pytest.mark.parametrize(
@@ -303,6 +306,7 @@ def test_frames_that_are_read_again_give_the_same(bracket, name: str, headings: 
     assert np.array_equal(a.flags, b.flags)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_turned_heading_turns_the_panorama(bracket) -> None:  # whole columns
     shots, profile = bracket("sim-fisheye", headings=(180.0, 0.0))
@@ -372,6 +376,7 @@ def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_bad_pixels_of_the_profile_are_not_used(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", uniform=200.0)

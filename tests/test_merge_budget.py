@@ -29,6 +29,7 @@ def bench() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize(("kind", "parts"), [("raw", ("random",)), ("jpeg", ("random",))])
 def test_noise_is_covered(bench: ModuleType, kind: str, parts: tuple[str, ...]) -> None:
@@ -37,6 +38,7 @@ def test_noise_is_covered(bench: ModuleType, kind: str, parts: tuple[str, ...]) 
     assert 93 < bench.coverage(everything.pull) < 97.5
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_the_whole_budget_is_covered(bench: ModuleType) -> None:
     parts = tuple(p for p in bench.PARTS if p != "response")

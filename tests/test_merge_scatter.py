@@ -149,6 +149,7 @@ def test_black_colours_are_no_trouble(dark: slice) -> None:
     assert np.isfinite(after.variance).all() and (after.variance >= 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_frames_that_are_read_again_give_the_same() -> None:
     kept = frames(white(np.random.default_rng(7)))

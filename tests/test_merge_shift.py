@@ -84,6 +84,7 @@ def photograph(folder: Path, profile: CameraProfile, turn_px: float, of_frame: i
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("name", ["sim-fisheye", "sim-dual-fisheye-jpeg"])
 def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) -> None:
@@ -96,6 +97,7 @@ def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) 
     assert {"shift_px", "shift_u_px"} <= set(COLUMNS)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("name", ["sim-fisheye", "sim-dual-fisheye-jpeg"])
 def test_a_camera_that_stood_still_is_not(tmp_path: Path, name: str) -> None:

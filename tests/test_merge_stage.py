@@ -121,6 +121,7 @@ def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     assert [v.state for v in merge.run(session, height=16)] == ["merged", "kept"]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 def test_two_workers_write_the_files_of_one(session: Session) -> None:

@@ -64,6 +64,7 @@ def test_inputs_are_scaled_as_the_paper_says() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
     """MSE + 10 RER of the batch, differentiated by torch in one piece."""
@@ -116,6 +117,7 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
     torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_the_network_learns_a_tiny_set_by_heart() -> None:
     one = DATA.take(np.array([2]))  # a lone image validates itself
@@ -125,6 +127,7 @@ def test_the_network_learns_a_tiny_set_by_heart() -> None:
     assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 @pytest.mark.parametrize("schedule", ["paper", "short"])
@@ -154,6 +157,7 @@ def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
         models.fit("dense", DATA, checkpoint=kept, plan=FEW, seed=1, **SMALL)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
     a, b, c = (

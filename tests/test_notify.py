@@ -270,6 +270,7 @@ class SteadyPyranometer:
     def close(self) -> None: ...
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_capture_reports_and_no_secret_is_written(session: Session, tmp_path: Path) -> None:
     from fieldlum.capture.remote import informed

@@ -33,6 +33,7 @@ def _plan(site: Site, profile: str, name: str, **asked: object) -> plan.Plan:
     return plan.make_plan(setup, plan.Request(name, **{"today": TODAY, **asked}))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize(("name", "count"), [("9-day", 108), ("12-day", 144), ("4-day", 48)])
 @pytest.mark.parametrize("asked", [{"year": 2027}, {}, {"start": date(2025, 1, 1)}])
@@ -73,6 +74,7 @@ def test_half_hour_zones_keep_to_their_own_standard_time(profile: str) -> None:
     assert {s.t_utc.minute for s in made.slots} == {0}
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_month_without_start_is_the_next_whole_one(profile: str) -> None:
     assert _plan(SEATTLE, profile, "month", today=date(2026, 11, 21)).days[15] == date(2027, 3, 20)

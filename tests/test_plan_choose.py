@@ -64,6 +64,7 @@ def test_medoids_find_clusters() -> None:
     assert sorted(choose.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: DaylightHours) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)
@@ -79,6 +80,7 @@ def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: Dayligh
     assert left["best"] < left["even"] < 0.3 * left["january"]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_march_teaches_more_than_december(weather: Weather) -> None:
     task = choose.learning(SEATTLE, ROOM, weather)
@@ -259,6 +261,7 @@ def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather) -> None:
     """All mornings captured: the afternoon sun, which was never seen, ranks first."""
@@ -272,6 +275,7 @@ def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather)
     assert drops == sorted(drops, reverse=True)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> None:
     """A model that says its light comes from the north finds other hours worth taking."""
@@ -313,6 +317,7 @@ def test_single_gain_is_the_drop_of_the_variance(weather: Weather, year: Dayligh
     assert gain == pytest.approx(drop, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
     import tomli_w

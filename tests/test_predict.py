@@ -67,6 +67,7 @@ def year(model: Path, weather: Path, tmp_path_factory: pytest.TempPathFactory) -
 # year
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Path) -> None:
     hours = read_weather(weather, DATA.setup.site).daylight()
@@ -113,6 +114,7 @@ def test_pictures_are_of_telling_hours(year: Annual) -> None:
     assert "clear day" in pictures.kinds
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_same_inputs_are_not_predicted_twice(
     model: Path, weather: Path, tmp_path: Path
@@ -127,6 +129,7 @@ def test_the_same_inputs_are_not_predicted_twice(
     assert run(model, weather, out=tmp_path, views=5, force=True)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_year_cut_off_by_a_kill_is_no_year(
     model: Path, weather: Path, tmp_path: Path, monkeypatch
@@ -229,6 +232,7 @@ def test_an_interval_across_a_limit_cannot_tell_yet() -> None:
     assert abs(dgp[worth.argmax(), 0] - 0.35) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_intervals_cover_the_truth() -> None:
     """property by simulation: with errors as assumed, 95 % intervals hold the true value in at
@@ -476,6 +480,7 @@ def test_a_model_of_another_site_or_camera_is_refused(
         run(same.models / "nearest", weather)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command(model: Path, weather: Path, tmp_path: Path) -> None:
     words = [

@@ -172,6 +172,7 @@ def disc_energy(azimuth_deg: float, altitude_deg: float, height: int) -> float:
     return float(energy / (2 * np.pi * (1 - np.cos(0.004654))))
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_the_sun_keeps_its_energy_wherever_it_falls() -> None:
     # 1024 x 512, lens of 2900 px across; the sun's illuminance within 1 %.

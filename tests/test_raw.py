@@ -193,6 +193,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
             read(tmp_path / "none.dng")
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(
     deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -71,6 +71,7 @@ def page(session: Session) -> Path:
     return report.run(session)
 
 
+@pytest.mark.slow
 def test_the_page_is_one_file_without_a_link_outside(page: Path) -> None:
     text = page.read_text("utf-8")
     assert page.stat().st_size < 15e6
@@ -81,6 +82,7 @@ def test_the_page_is_one_file_without_a_link_outside(page: Path) -> None:
     assert (page.parent / "report.json").is_file()
 
 
+@pytest.mark.slow
 def test_every_picture_has_words(page: Path) -> None:
     text = page.read_text("utf-8")
     pictures = re.findall(r"<img [^>]*>", text)
@@ -89,11 +91,13 @@ def test_every_picture_has_words(page: Path) -> None:
     assert '<html lang="en">' in text
 
 
+@pytest.mark.slow
 def test_the_first_screen_answers_in_words(page: Path) -> None:
     answer = re.search(r'<p class="answer">(.*?)</p>', page.read_text("utf-8"))
     assert answer and answer[1].startswith("Sit facing ")
 
 
+@pytest.mark.slow
 def test_names_are_escaped(session: Session, tmp_path: Path) -> None:
     from fieldlum.report.page import Page, render
 
@@ -101,6 +105,7 @@ def test_names_are_escaped(session: Session, tmp_path: Path) -> None:
     assert "<script>alert(1)" not in text
 
 
+@pytest.mark.slow
 def test_command_names_the_page_and_refuses_what_is_no_session(
     session: Session, tmp_path: Path
 ) -> None:
@@ -109,12 +114,14 @@ def test_command_names_the_page_and_refuses_what_is_no_session(
     assert CliRunner().invoke(main, ["report", str(tmp_path)]).exit_code == 3
 
 
+@pytest.mark.slow
 def test_a_session_without_pairs_has_nothing_to_report(tmp_path: Path) -> None:
     create_session(tmp_path / "s", SETUP, [], {})
     shown = CliRunner().invoke(main, ["report", str(tmp_path / "s")])
     assert shown.exit_code == 5 and "nothing paired yet" in shown.output
 
 
+@pytest.mark.slow
 def test_the_heat_map_holds_what_it_was_given() -> None:
     grid = day_hour_grid(np.array([1, 365]), np.array([0, 23]), np.array([[0.2], [0.5]]), 365)
     assert np.isfinite(grid).sum() == 2
@@ -131,6 +138,7 @@ def test_the_heat_map_holds_what_it_was_given() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 def test_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
     """From file://; the script ran (it fills the legend), and nothing was written to the console

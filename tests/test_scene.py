@@ -73,6 +73,7 @@ def test_shipped_rooms_can_be(path: Path) -> None:
     assert room is not None and geometry.build(room).openings
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_patch_on_the_floor_by_hand() -> None:
     """Sun from due south at 45 degrees; window z 1 to 2.5, x 1 to 3, wall .25 m thick.
@@ -115,6 +116,7 @@ def test_normal_glass_passes_what_it_says() -> None:
     assert (through + back <= 1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize("room", [OFFICE.room, CORNER], ids=["office", "corner"])
 def test_patches_authority_rtrace(room: Room) -> None:

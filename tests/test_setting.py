@@ -98,6 +98,7 @@ def found_in(data: Dataset) -> Setting:
 # scan
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_right_setting_raises_no_alarm() -> None:
     found = found_in(captured())
@@ -105,6 +106,7 @@ def test_a_right_setting_raises_no_alarm() -> None:
     assert settle(FITTED, captured(), "absolute") == (FITTED, [])
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 @pytest.mark.parametrize("turn_deg", [-2.5])
 def test_north_is_found(turn_deg: float) -> None:
@@ -114,6 +116,7 @@ def test_north_is_found(turn_deg: float) -> None:
     assert found.wrong.amount[0] == pytest.approx(turn_deg, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_a_clock_is_told_from_north() -> None:
     found = found_in(stated_otherwise(fast_min=15.0))
@@ -121,6 +124,7 @@ def test_a_clock_is_told_from_north() -> None:
     assert found.wrong.amount[0] == pytest.approx(15.0, abs=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_moved_patches_and_unknown_gain() -> None:
     data = captured()
@@ -131,6 +135,7 @@ def test_moved_patches_and_unknown_gain() -> None:
     assert 0.5 < found.slip_deg * HEIGHT / 180.0 < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_nothing_to_scan() -> None:
     assert setting_scan(replace(captured(), patch_cdm2=None)) is None
@@ -146,6 +151,7 @@ def test_nothing_to_scan() -> None:
 FITTED = cast(Fitted, fit(captured()))
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     data = stated_otherwise(2.0)
@@ -162,6 +168,7 @@ def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     assert settle(FITTED, captured(), "none") == (FITTED, [])
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_slip_of_a_straight_edge() -> None:
     patch = np.zeros((1, 6, 12), np.float32)
@@ -178,6 +185,7 @@ def test_slip_of_a_straight_edge() -> None:
     assert odds == 0.5 and high[0, 3, 10] == 90.0 and low[0, 3, 11] == 0.0 and high[0, 3, 3] == 90.0
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_experience_of_like_suns_raises_the_expectation() -> None:
     light = captured().light
@@ -189,6 +197,7 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
     assert nowhere == pytest.approx([3e-3])
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_moved_by_whole_and_half_pixels() -> None:
     maps = np.random.default_rng(0).random((2, 5, 10))
@@ -198,6 +207,7 @@ def test_moved_by_whole_and_half_pixels() -> None:
     assert np.allclose(half[:, 1:], (maps[:, 1:] + maps[:, :-1]) / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize("cause", ["north", "clock", "north and clock", "wall", "camera"])
 def test_every_cause_has_words_and_a_remedy(cause: str) -> None:

@@ -82,6 +82,7 @@ def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray
     return np.frombuffer(answer, "<f4").reshape(-1, 3)[:, 0] * 179
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize(("dni", "dhi"), [(0.0, 200.0), (700.0, 100.0)], ids=["overcast", "clear"])
 def test_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: float) -> None:
@@ -97,6 +98,7 @@ def test_plain_rtrace(truth: simulate.GroundTruth, dni: float, dhi: float) -> No
     assert np.mean(np.abs(ratio - 1) < 0.2) > 0.75
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_gathered_light_is_complete(truth: simulate.GroundTruth) -> None:
     """Under a luminance of 1 everywhere every point receives pi (glass takes its part
@@ -107,6 +109,7 @@ def test_gathered_light_is_complete(truth: simulate.GroundTruth) -> None:
     assert np.median(total) > 0.97 * np.pi
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_the_same_room_comes_out_the_same() -> None:
     """rcontrib's own sampling is seeded by the clock: fits of one room then differed by 2 % from
@@ -117,6 +120,7 @@ def test_the_same_room_comes_out_the_same() -> None:
     assert (first.from_pieces != second.from_pieces).nnz == 0
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_linear_in_light(truth: simulate.GroundTruth) -> None:
     """Twice the sky and the sun, twice the picture, the patch and the disc."""
@@ -126,6 +130,7 @@ def test_linear_in_light(truth: simulate.GroundTruth) -> None:
     assert two.disc_lx == pytest.approx(2 * one.disc_lx)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 def test_an_hour_does_not_depend_on_its_company(truth: simulate.GroundTruth) -> None:
@@ -141,6 +146,7 @@ def test_an_hour_does_not_depend_on_its_company(truth: simulate.GroundTruth) -> 
         assert np.array_equal(part.disc_lx, together.disc_lx[rows])
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.GroundTruth) -> None:
     """The winter sun stands in the window: the map stays under any sunlit surface, its energy is
@@ -154,6 +160,7 @@ def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.GroundTruth) -
     assert truth.panorama(t, 0.0, 60.0).sun is None
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_the_cache_gives_the_same_truth(tmp_path: Path) -> None:
     a = simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
@@ -169,12 +176,14 @@ def test_the_cache_gives_the_same_truth(tmp_path: Path) -> None:
     simulate.ground_truth(SMALL, height=8, quality="draft", cache=tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_room_is_needed() -> None:
     with pytest.raises(InputError, match="box room"):
         simulate.ground_truth(replace(SMALL, room=None))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_weather_follows_the_place() -> None:
     assert "seattle" in simulate.weather_for(OFFICE).name
@@ -182,6 +191,7 @@ def test_weather_follows_the_place() -> None:
     assert simulate.weather_for(sydney).synthetic
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_sampled_slots_are_daylight_and_disjoint() -> None:
     year = weather.shipped_seattle()
@@ -199,6 +209,7 @@ def _toml(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
@@ -234,6 +245,7 @@ def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     assert read_panorama(lost).luminance_cdm2.shape == (10, 20)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:
     year = weather.shipped_seattle()
@@ -247,6 +259,7 @@ def test_truth_irradiance_is_steady_within_the_hour(tmp_path: Path) -> None:
     assert open_session(session.root).table()["simulation"]["weather"] == year.name
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize(
     ("arguments", "code"),

@@ -184,6 +184,7 @@ def _crossing(site: Site, low: datetime, high: datetime, altitude_deg: float) ->
     return low
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize("site", SITES, ids=lambda s: s.name)
 def test_rise_and_set_agree_with_the_position(site: Site) -> None:
@@ -282,6 +283,7 @@ def test_dirint_splits_a_clear_day_and_an_overcast_one() -> None:
     assert np.isnan(sun.dirint_dni([np.nan] * 24, times, SEATTLE)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(-10, 1400), min_size=24, max_size=24))

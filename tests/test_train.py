@@ -52,6 +52,7 @@ def test_one_day_is_parted_by_hours_and_said_so() -> None:
         fit_and_score(day.take([0]), "mean")
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_auto_goes_on_without_a_model_that_needs_more_hours() -> None:
     """Three hours: two to learn from are too few for transport, and that is said."""
@@ -120,6 +121,7 @@ def test_a_slow_model_that_saw_few_days_does_not_decide_between_quick_ones() -> 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
     answer = run(DATA, "nearest", out=tmp_path, captures=False)
@@ -147,6 +149,7 @@ def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
     assert found.n_train == round(np.mean([len(fold.teach) for fold in folds]))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_a_short_budget_still_trains_the_network(tmp_path: Path) -> None:
     few = DATA.take(range(0, len(DATA), 6))  # two updates are a pass, on the slowest processor too
@@ -158,6 +161,7 @@ def test_a_short_budget_still_trains_the_network(tmp_path: Path) -> None:
     assert models.load(tmp_path).name == "dense"
 
 
+@pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
 def test_a_network_that_saw_less_than_every_pixel_once_is_not_judged(
@@ -186,6 +190,7 @@ def test_too_few_captures_have_no_curve() -> None:
     assert how_many(DATA.take(range(5)), "absolute") == {}
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_command(tmp_path: Path) -> None:
     path = write_pairs(tmp_path, DATA)

@@ -165,6 +165,7 @@ def test_chunks_do_not_matter() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_unknown_gain_is_found_and_costs_little() -> None:
     assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
@@ -176,6 +177,7 @@ def test_unknown_gain_is_found_and_costs_little() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_no_patch_is_learnt_and_needs_none() -> None:
     model = fit(TRAIN, patch="none")
@@ -200,6 +202,7 @@ def test_doubtful_patches_do_not_teach_the_light() -> None:
     assert (once.patch_gain == 1.0).all() and not np.allclose(once.second, twice.second)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_patches_that_needed_mending_are_doubted(tmp_path: Path) -> None:
     assert TRAIN.patch_cdm2 is not None and TEST.patch_cdm2 is not None
@@ -239,6 +242,7 @@ def test_days_of_one_season_choose_no_width() -> None:
     assert len({r.second for r in recipes_for("none", one_season=False)}) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_captures_under_changing_light_teach_less() -> None:
     """A third of the pictures are off in level; told that their light was not steady, the fit is
@@ -258,6 +262,7 @@ def test_captures_under_changing_light_teach_less() -> None:
     assert told < 0.9 * untold
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_no_more_features_than_held_out_days_ask_for() -> None:
     """What the captures cannot support is not modelled, and few captures keep all they have."""
@@ -291,12 +296,14 @@ def test_two_captures_are_not_enough() -> None:
         fit(TRAIN.take([0, 1]))
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_duplicates_change_little() -> None:
     twice = fit(TRAIN.take([*range(len(TRAIN)), *range(len(TRAIN))]))
     assert log_mse(twice.predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST) < 1.5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_one_season_is_not_trusted_in_another() -> None:
     december = fit(toy([350, 352, 354, 356, 358]))
@@ -306,6 +313,7 @@ def test_one_season_is_not_trusted_in_another() -> None:
     assert found.expected_mse[summer].mean() > 3.0 * np.mean(december.held_out_mse)
 
 
+@pytest.mark.slow
 @pytest.mark.property
 def test_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None:
     with_room = replace(TRAIN, setup=replace(SETUP, room=ROOM))
@@ -330,6 +338,7 @@ def test_room_physics_is_linear_used_and_survives_saving(tmp_path: Path) -> None
 # files
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize("patch", ["absolute", "none"])
 def test_saved_and_loaded_predicts_the_same(tmp_path: Path, patch: models.Patch) -> None:

@@ -54,6 +54,7 @@ def test_a_half_lens_sees_what_the_cosine_says() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_plan_and_doctor_name_directions_before_nine_days_are_spent() -> None:
     profile = load_camera_profile("sim-fisheye")

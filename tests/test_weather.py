@@ -14,6 +14,7 @@ from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.records import Site
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_seattle_ships_with_4379_daylight_hours() -> None:
     """The paper counts 4 379 hours with light and the sun up, by its own sun; ours may move a
@@ -76,6 +77,7 @@ def _write_tmy3(path: Path, year: weather.Weather, zone: float = -8) -> None:
     path.write_text("\n".join(head + rows))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_the_formats_agree(tmp_path) -> None:
     """EPW labels are starts in hour 1..24, TMY3 labels are ends, CSV stands at
@@ -94,6 +96,7 @@ def test_the_formats_agree(tmp_path) -> None:
         assert not found.repairs, name
 
 
+@pytest.mark.slow
 @pytest.mark.analytic
 def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
     """In a cloudless EPW the beam-weighted mean time of a day is solar noon within
@@ -134,6 +137,7 @@ def test_steady_within_the_hour_or_drifting() -> None:
     assert drift[1] == pytest.approx(year.dhi_wm2[k]) and drift[0] != drift[1]
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_repairs_are_said(tmp_path) -> None:
     year = _year()
@@ -178,6 +182,7 @@ def test_bad_files_are_named(tmp_path, change, expected: str) -> None:
         weather.read_weather(path, SEATTLE)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_wrong_time_zone_shows_as_light_at_night(tmp_path) -> None:
     path = tmp_path / "w.csv"
@@ -206,6 +211,7 @@ def test_hopeless_files(tmp_path, content: bytes) -> None:
         weather.read_weather(tmp_path / "missing.epw", SEATTLE)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 def test_synthetic_is_seeded_plausible_and_labelled() -> None:
     for place in (SEATTLE, Site("Sydney", -33.9, 151.2, "Australia/Sydney")):
@@ -282,6 +288,7 @@ def _write_dated(
     path.write_text("\n".join(rows))
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize("shift_min", [-60, -30, 30, 60])
 def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_min: int) -> None:
@@ -295,6 +302,7 @@ def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_mi
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize(
     ("change", "expected"),
@@ -314,6 +322,7 @@ def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
+@pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize(
     ("latitude_deg", "expected"), [(47.6, "sun is down"), (20.0, "another place")]
@@ -342,6 +351,7 @@ def test_rows_that_are_no_hours_are_refused(tmp_path, step_min: int) -> None:
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 
 
+@pytest.mark.slow
 @pytest.mark.authority
 def test_measured_tmy3_files_pass() -> None:
     """The two TMY3 files that pvlib ships, of 36 and 55 degrees north, are read
