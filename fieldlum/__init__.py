@@ -4,8 +4,9 @@ The names of the Python API are loaded from `fieldlum.api` when they are first u
 `import fieldlum` and the command line's --help stay fast. docs/python.md lists them.
 """
 
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
+
+from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.api import (
@@ -27,11 +28,6 @@ if TYPE_CHECKING:
         read_weather,
         write_panorama,
     )
-
-try:
-    __version__ = version("fieldlum")
-except PackageNotFoundError:  # run from a bare checkout
-    __version__ = "0+unknown"
 
 __all__ = [
     "FieldlumError",

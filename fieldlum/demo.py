@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum import __version__
 from fieldlum.profiles import load_site, shipped
 from fieldlum.records import Progress
 from fieldlum.session import Session, open_session, replacing, sha256
+from fieldlum.version import __version__
 
 MODEL = "auto"
 WEATHER = "seattle_dni_dhi.csv"

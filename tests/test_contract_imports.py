@@ -3,6 +3,7 @@ other. Every test has a kind.
 """
 
 import ast
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ pytestmark = pytest.mark.contract
 
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
-    {"errors", "records", "model_registry"},
+    {"errors", "records", "model_registry", "version"},
     {"photometry", "projection", "rowwise", "statistics", "sun", "sky", "light", "light_clock"},
     {"images", "raw", "profiles", "session", "scene", "weather"},
     {"devices", "notify"},
@@ -93,3 +94,74 @@ def test_every_test_has_a_kind(path: Path) -> None:
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
             kinds = set[str]().union(*(_marks(d) for d in node.decorator_list))
             assert kinds, f"{node.name}: mark it with one of {', '.join(KINDS)} (see pyproject)"
+
+
+# ----------------------------------------------------------------------------------------------
+# modules and class names
+
+
+def _modules() -> dict[str, Path]:
+    paths = sorted(PACKAGE.rglob("*.py"))
+    parts = {path: path.relative_to(PACKAGE.parent).with_suffix("").parts for path in paths}
+    return {
+        ".".join(part[:-1] if part[-1] == "__init__" else part): path
+        for path, part in parts.items()
+    }
+
+
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Walk a tree without what only type checkers read."""
+    for child in ast.iter_child_nodes(node):
+        if not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test)):
+            yield child
+            yield from _statements(child)
+
+
+def _module_imports(path: Path, modules: Container[str]) -> set[str]:
+    """Modules that a file imports anywhere, inside functions too."""
+    names: set[str] = set()
+    for node in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {name if name in modules else node.module for name in inner}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return {name for name in names if name in modules}
+
+
+def _circle(edges: dict[str, set[str]]) -> list[str]:
+    """Return one circle, or nothing."""
+    left_behind: set[str] = set()
+
+    def visit(name: str, trail: list[str]) -> list[str]:
+        if name in trail:
+            return [*trail[trail.index(name) :], name]
+        if name in left_behind:
+            return []
+        for target in sorted(edges[name]):
+            if circle := visit(target, [*trail, name]):
+                return circle
+        left_behind.add(name)
+        return []
+
+    return next((circle for name in edges if (circle := visit(name, []))), [])
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    modules = _modules()
+    edges = {name: _module_imports(path, modules) - {name} for name, path in modules.items()}
+    assert not _circle(edges), "move what both need into a module of its own"
+
+
+def test_a_circle_is_found() -> None:
+    assert _circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert _circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_no_public_class_name_stands_twice() -> None:
+    places: dict[str, list[str]] = {}
+    for module, path in _modules().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(module)
+    assert not {name: where for name, where in places.items() if len(where) > 1}

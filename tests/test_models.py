@@ -14,8 +14,8 @@ from learning_room import dataset
 
 from fieldlum import models
 from fieldlum.errors import InputError
-from fieldlum.models import dense, dense_training, distributed
-from fieldlum.models.dense import Net, Shape, decode, encode, parameter_count
+from fieldlum.models import dense_network, dense_training, distributed
+from fieldlum.models.dense_network import Net, Shape, decode, encode, parameter_count
 from fieldlum.models.dense_state import Run, TrainingPlan
 from fieldlum.models.scores import compare, evaluate, summary, truth
 
@@ -52,7 +52,7 @@ def test_normalisation_at_known_points() -> None:
 
 @pytest.mark.authority
 def test_inputs_are_scaled_as_the_paper_says() -> None:
-    at = dense.hours(DATA.light, Shape())
+    at = dense_network.hours(DATA.light, Shape())
     light = DATA.light
     np.testing.assert_allclose(at.sun[:, 0], light.sun_altitude_deg / 90, rtol=1e-5)
     west = light.sun_azimuth_deg > 180
@@ -71,7 +71,7 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
     torch.manual_seed(3)
     shape = Shape(**SMALL)
     net = Net(shape)
-    base = dense.canvas(
+    base = dense_network.canvas(
         np.log10(np.maximum(DATA.luminance_cdm2, 1)).mean(axis=0, dtype=float), 180.0
     )
     pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
@@ -97,7 +97,7 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
     shape = Shape(**SMALL)
     torch.manual_seed(1)
     net = Net(shape)
-    base = dense.canvas(np.zeros((8, 16)), 180.0)
+    base = dense_network.canvas(np.zeros((8, 16)), 180.0)
     pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:333]
 
@@ -272,7 +272,7 @@ def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
 def test_a_loss_that_is_no_number_changes_nothing() -> None:
     """Training never ends in NaN: the update is skipped and the best weights are taken up again."""
     net = Net(Shape(**SMALL))
-    base = dense.canvas(np.zeros((8, 16)), 180.0)
+    base = dense_network.canvas(np.zeros((8, 16)), 180.0)
     pixels = dense_training._pixels(DATA, base, Shape(**SMALL), "absolute", torch.device("cpu"))
     pixels.target[0, 0] = float("nan")
     before = [p.clone() for p in net.parameters()]

@@ -12,10 +12,11 @@ from fieldlum import models
 from fieldlum.cli import main, train_
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.models.scores import Scores
-from fieldlum.train import evaluate_folds, fit_and_score, run
+from fieldlum.train import fit_and_score, run
 from fieldlum.train.captures import how_many, order_of_use
 from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.selection import Trial, choose
+from fieldlum.train.trials import evaluate_folds
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)

@@ -16,9 +16,10 @@ from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Truth, evaluate, summary, truth
 from fieldlum.records import Progress, quiet
-from fieldlum.train import Spent, evaluate_folds, fit_timed, patch_mode
+from fieldlum.train import patch_mode
 from fieldlum.train.folds import day_folds
 from fieldlum.train.selection import Trial
+from fieldlum.train.trials import Spent, evaluate_folds, fit_timed
 
 SPREAD = (
     "log10_mse_weighted",

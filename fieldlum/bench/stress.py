@@ -24,9 +24,10 @@ from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, evaluate, truth
 from fieldlum.records import Progress, quiet
-from fieldlum.train import fit_timed, patch_mode
+from fieldlum.train import patch_mode
 from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import settle
+from fieldlum.train.trials import fit_timed
 
 FEWEST = 8  # hours on either side that a regime needs
 # regimes are made at full size, then every few pixels are kept: thirty fits in a minute or two

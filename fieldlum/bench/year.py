@@ -15,8 +15,9 @@ from fieldlum.bench.rows import Spec
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import evaluate, summary, truth
 from fieldlum.records import Progress, quiet
-from fieldlum.train import fit_timed, patch_mode
+from fieldlum.train import patch_mode
 from fieldlum.train.captures import order_of_use
+from fieldlum.train.trials import fit_timed
 
 COUNTS = (25, 50, 100, 200, 500, 1000)
 TEST_HOURS = 300

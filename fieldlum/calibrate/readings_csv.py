@@ -9,10 +9,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from fieldlum import __version__
 from fieldlum.errors import InputError
 from fieldlum.profiles import CameraProfile, Provenance, save_profile
 from fieldlum.session import sha256
+from fieldlum.version import __version__
 
 
 def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:

@@ -15,7 +15,6 @@ from pathlib import Path
 from shutil import disk_usage
 from typing import Any
 
-from fieldlum import __version__
 from fieldlum.capture.bracket import BracketCapture, Check, shots
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.options import DEFAULTS, Options
@@ -36,6 +35,7 @@ from fieldlum.devices.clock import Clock, FastClock, RealClock
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Exposure, Slot, parse_utc
 from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
+from fieldlum.version import __version__
 
 FAST_LEAD_S = 20.0
 _HOOK_TIMEOUT_S = 300.0

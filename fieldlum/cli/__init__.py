@@ -12,8 +12,8 @@ from pathlib import Path
 
 import click
 
-from fieldlum import __version__
 from fieldlum.errors import FieldlumError
+from fieldlum.version import __version__
 
 # In the order of the job, not of the alphabet. Each name is a module of this folder with a click
 # command `command`.

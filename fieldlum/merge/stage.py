@@ -16,7 +16,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from fieldlum import __version__
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
@@ -28,6 +27,7 @@ from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_pr
 from fieldlum.raw import unreadable
 from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, quiet, utc_text
 from fieldlum.session import Session, replacing, replacing_path, sha256
+from fieldlum.version import __version__
 
 DEFAULT_HEIGHT = 230
 _SUN_WARN = 0.02  # u from which the verdict says so

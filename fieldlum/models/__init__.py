@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import __version__
 from fieldlum.errors import InputError
 from fieldlum.model_registry import MODELS
 from fieldlum.session import replacing
+from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.light import Light

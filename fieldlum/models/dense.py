@@ -1,193 +1,43 @@
-"""The paper's network: two dense branches over pixel position, sun, irradiance, sky map and sun
-patch.
-
-Liu, Colburn, Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building
-Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule as in the paper; where the
-authors' code differs from their text, the text. This file holds the network and what goes in and
-out; `dense_training` holds the loop.
+"""The paper's network as a fitted model: `dense_network` holds the network, `dense_training` the
+loop.
 """
 
 from __future__ import annotations
 
-import itertools
-import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
-from torch.nn import functional as F
 
 from fieldlum.models import Patch, Prediction
+from fieldlum.models.dense_network import (
+    DHI_TOP_WM2,
+    DNI_TOP_WM2,
+    LOG_TOP,
+    POWER,
+    Net,
+    Shape,
+    bfloat16_pays,
+    canvas,
+    decode,
+    encode,
+    hours,
+    parameter_count,
+    pick_device,
+    scene_inputs,
+)
+from fieldlum.models.dense_training import train
 from fieldlum.models.training_domain import Domain, captured
-from fieldlum.projection import equirect_rays, signed_angle_deg
 from fieldlum.records import Progress, quiet
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models.data import Dataset
 
-LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc
-POWER = 1.0 / 1.5
-GAMMA = 10.0  # of the paper's preprocessing without a logarithm
-DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0
 PREDICT_PIXELS = 16384  # a chunk that stays in the processor's cache
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """The network's form. The defaults are the paper's final one; the rest are its ablations
-    (Table 1, Figure 8).
-    """
-
-    width: int = 600
-    depth: int = 4  # layers of branch one
-    patch_width: int = 400  # branch two; the CNN form has 200
-    sky_map: bool = True
-    form: Literal["dense", "cnn"] = (
-        "dense"  # cnn: kernel-1 convolutions, so whole images are the batches
-    )
-    curve: Literal["log", "gamma"] = "log"
-
-
-# ----------------------------------------------------------------------------------------------
-# normalisation
-
-
-def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Luminance [cd/m2] to [0, 1]: floor 1, then (log10 L / 9.2)^(1/1.5), or (L / 1.6e9)^(1/10)."""
-    floored = np.maximum(luminance_cdm2, 1.0)
-    if curve == "gamma":
-        return ((floored / 10.0**LOG_TOP) ** (1.0 / GAMMA)).astype(np.float32)
-    return ((np.log10(floored) / LOG_TOP) ** POWER).astype(np.float32)
-
-
-def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Inverse of `encode`; what the network says outside [0, 1] is cut there, so no prediction
-    is wild.
-    """
-    inside = np.clip(encoded, 0.0, 1.0)
-    if curve == "gamma":
-        return np.maximum(10.0**LOG_TOP * inside**GAMMA, 1.0).astype(np.float32)
-    return (10.0 ** (LOG_TOP * inside ** (1.0 / POWER))).astype(np.float32)
-
-
-# ----------------------------------------------------------------------------------------------
-# network
-
-
-class Net(nn.Module):
-    """1 688 601 parameters with seven inputs in branch one, 1 689 201 with the sky map."""
-
-    def __init__(self, shape: Shape) -> None:
-        super().__init__()
-        sizes = [8 if shape.sky_map else 7] + [shape.width] * shape.depth
-        self.scene = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
-        self.patch = nn.Linear(1, shape.patch_width)
-        self.merge = nn.Linear(shape.width + shape.patch_width, shape.width)
-        self.out = nn.Linear(shape.width, 1)
-
-    def forward(self, scene: Tensor, patch: Tensor) -> Tensor:
-        """scene [b, 7 or 8], patch [b, 1] to encoded luminance [b]."""
-        x = scene
-        for layer in self.scene:
-            x = F.relu(layer(x))
-        x = torch.cat([x, F.relu(self.patch(patch)).to(x.dtype)], dim=1)
-        x = F.relu(self.merge(x))
-        with torch.autocast(
-            x.device.type, enabled=False
-        ):  # the last sum in full precision: it is the answer
-            return self.out(x.float()).squeeze(1)
-
-
-def parameter_count(net: nn.Module) -> int:
-    return sum(p.numel() for p in net.parameters())
-
-
-# ----------------------------------------------------------------------------------------------
-# inputs
-
-
-@dataclass(frozen=True, slots=True)
-class Canvas:
-    """What belongs to a pixel and not to an hour: [P, 3] px, py, avg; [P] nearest sky patch, -1
-    under the horizon.
-    """
-
-    fixed: Tensor
-    sky_patch: Tensor
-
-    def to(self, device: torch.device) -> Canvas:
-        return Canvas(self.fixed.to(device), self.sky_patch.to(device))
-
-
-def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
-    """average_log10 [H, W]: mean over the training images of log10 L."""
-    from fieldlum.sky import reinhart_patches
-
-    height, width = average_log10.shape
-    y, x = np.mgrid[0:height, 0:width]
-    average = (average_log10 / LOG_TOP) ** POWER
-    fixed = np.stack([x / (width - 1), y / (height - 1), average], axis=-1).reshape(-1, 3)
-    rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
-    nearest = np.full(len(rays), -1)
-    up = np.flatnonzero(rays[:, 2] > 0)
-    directions = reinhart_patches().directions
-    for rows in np.array_split(up, max(1, len(up) // 8192)):
-        nearest[rows] = (rays[rows] @ directions.T).argmax(axis=1)
-    return Canvas(torch.from_numpy(fixed.astype(np.float32)), torch.from_numpy(nearest))
-
-
-@dataclass(frozen=True, slots=True)
-class HourInputs:
-    """What belongs to an hour and not to a pixel: [n, 4] altitude, azimuth, DNI, DHI; encoded sky
-    [n, 2306].
-
-    The last sky column is 0 and stands for directions under the horizon.
-    """
-
-    sun: Tensor
-    sky: Tensor | None
-
-    def to(self, device: torch.device) -> HourInputs:
-        return HourInputs(self.sun.to(device), None if self.sky is None else self.sky.to(device))
-
-
-def hours(light: Light, shape: Shape) -> HourInputs:
-    from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
-    columns = (
-        light.sun_altitude_deg / 90.0,
-        (from_south + 180.0) / 360.0,
-        light.dni_wm2 / DNI_TOP_WM2,
-        light.dhi_wm2 / DHI_TOP_WM2,
-    )
-    sky = None
-    if shape.sky_map:
-        sky = torch.from_numpy(np.pad(encode(light.sky_cdm2, shape.curve), ((0, 0), (0, 1))))
-    return HourInputs(torch.from_numpy(np.stack(columns, axis=1).astype(np.float32)), sky)
-
-
-def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor) -> Tensor:
-    """Branch one's input for pairs of (hour, pixel), [b, 7 or 8]."""
-    fixed, sun = canvas.fixed[pixel], hours.sun[hour]
-    columns = [fixed[:, :2], sun, fixed[:, 2:]]
-    if hours.sky is not None:
-        columns.append(hours.sky[hour, canvas.sky_patch[pixel]].unsqueeze(1))
-    return torch.cat(columns, dim=1)
-
-
-# ----------------------------------------------------------------------------------------------
-# fitted
-
-
-def pick_device() -> torch.device:
-    """The card of this process (torchrun numbers them), else the processor."""
-    if not torch.cuda.is_available():
-        return torch.device("cpu")
-    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
 
 
 class DenseFitted:
@@ -303,22 +153,6 @@ def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Dense
     )
 
 
-def bfloat16_pays(device: torch.device) -> bool:
-    """Whether half-width products are done in hardware: emulated they are slower than float32."""
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    told = torch.backends.cpu.get_cpu_capability()
-    return "AVX512" in told and _cpu_has("avx512_bf16")
-
-
-def _cpu_has(flag: str) -> bool:
-    try:
-        with open("/proc/cpuinfo", encoding="ascii", errors="ignore") as file:  # noqa: PTH123
-            return any(flag in line.split() for line in file if line.startswith("flags"))
-    except OSError:
-        return False
-
-
 def fit(
     data: Dataset,
     *,
@@ -328,11 +162,9 @@ def fit(
     progress: Progress = quiet,
     **options: Any,
 ) -> DenseFitted:
-    """Train on `data`; options are fields of `Shape` and of `dense_training.Plan`, and a
+    """Train on `data`; options are fields of `Shape` and of `TrainingPlan`, and a
     checkpoint path.
     """
-    from fieldlum.models.dense_training import train
-
     shape = Shape(
         **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}
     )

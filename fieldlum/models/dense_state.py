@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from fieldlum.errors import InputError
-from fieldlum.models.dense import Net, Shape, pick_device
+from fieldlum.models.dense_network import Net, Shape, pick_device
 from fieldlum.session import replacing
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fieldlum.models import distributed
-from fieldlum.models.dense import (
+from fieldlum.models.dense_network import (
     Canvas,
     HourInputs,
     Net,

@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from fieldlum import __version__
 from fieldlum.errors import InputError
 from fieldlum.predict.annual import Annual, read_annual
 from fieldlum.predict.blocks import ModelRoom
@@ -16,6 +15,7 @@ from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
 from fieldlum.projection import signed_angle_deg
 from fieldlum.session import open_session, sha256
+from fieldlum.version import __version__
 
 
 def default_folder(model_folder: Path) -> Path:

@@ -10,7 +10,6 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import __version__
 from fieldlum.glare.standards import (
     EXCEEDED_SHARE,
     GlareDoubt,
@@ -26,6 +25,7 @@ from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
 from fieldlum.projection import NOT_SEEN, PARTLY_SEEN, SEEN, compass_name, seen_shares
 from fieldlum.records import utc_text
+from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.weather import Weather

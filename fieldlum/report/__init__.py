@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fieldlum import __version__
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, quiet
 from fieldlum.session import Session, replacing
+from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.predict import Annual

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fieldlum.errors import InputError
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import BoxScene, Opening, build, glass_optics
-from fieldlum.scene.patches import SUN_RADIUS_DEG
+from fieldlum.scene.sun_disc import SUN_RADIUS_DEG
 
 Array = NDArray[np.float64]
 

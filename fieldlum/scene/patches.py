@@ -7,36 +7,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.records import Progress, Room, SiteFile, quiet
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
+from fieldlum.scene.sun_disc import SunPatches, disc_rays
 from fieldlum.scene.trace import blocked
 from fieldlum.scene.view import look
 
 Array = NDArray[np.float64]
-SUN_RADIUS_DEG = 0.2665
-
-
-@dataclass(frozen=True, slots=True)
-class SunPatches:
-    """Direct sun only, n moments.
-
-    luminance_cdm2 [n, H, W] of surfaces in the sun, without the disc; visible_fraction [n] of the
-    disc that the camera sees; disc_transmittance [n] of the glass before it (0 where nothing is
-    seen); disc_lx [n] illuminance that the disc gives at the camera, on a plane normal to it.
-    """
-
-    luminance_cdm2: NDArray[np.float32]
-    visible_fraction: Array
-    disc_transmittance: Array
-    disc_lx: Array
-
-    def __len__(self) -> int:
-        return len(self.luminance_cdm2)
 
 
 def iter_sun_patches(
@@ -154,21 +135,6 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
 
 # ---------------------------------------------------------------------------------------------- the
 # disc
-
-
-def disc_rays(toward: Array, rings: int = 4) -> Array:
-    """Directions over the sun's disc, equal areas, [61, 3] for four rings."""
-    radius, angle = [0.0], [0.0]
-    for ring in range(1, rings + 1):
-        count = 6 * ring
-        radius += [(ring - 0.25) / (rings + 0.25)] * count
-        angle += list((np.arange(count) + 0.5 * (ring % 2)) * 2 * np.pi / count)
-    r = np.array(radius) * np.tan(np.radians(SUN_RADIUS_DEG))
-    side = np.cross(toward, (0.0, 0.0, 1.0) if abs(toward[2]) < 0.9 else (1.0, 0.0, 0.0))
-    side /= np.linalg.norm(side)
-    other = np.cross(toward, side)
-    rays = toward + r[:, None] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene.geometry import BoxScene, transmissivity
-from fieldlum.scene.patches import SUN_RADIUS_DEG, SunPatches, disc_rays
+from fieldlum.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
 from fieldlum.scene.view import pixel_rays
 
 Array = NDArray[np.float64]

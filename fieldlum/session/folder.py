@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fieldlum import __version__
 from fieldlum.errors import InputError
 from fieldlum.profiles import site_from_table, site_table
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.writing import replacing, sha256
+from fieldlum.version import __version__
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from fieldlum.models.data import Dataset
 from fieldlum.models.scores import by_day, standard_error
 from fieldlum.records import Progress, quiet
 from fieldlum.train.folds import day_folds
+from fieldlum.train.trials import evaluate_folds
 
 SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)
 FOLDS = 3
@@ -44,8 +45,6 @@ def how_many(
     standard error of all of them) and added_nothing (slots that the order of use puts behind
     those); empty for too few captures.
     """
-    from fieldlum.train import evaluate_folds
-
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:
         return {}
     small = data.thin(THIN_HEIGHT)

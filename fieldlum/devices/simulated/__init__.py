@@ -28,7 +28,7 @@ def _check_place(uri: DeviceUri) -> None:
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Camera:
     """Raises DeviceError for unknown options, InputError for a bad profile or truth."""
     from fieldlum.devices.simulated.camera import SimulatedCamera
-    from fieldlum.devices.simulated.world import open_world
+    from fieldlum.devices.simulated.office import open_world
     from fieldlum.profiles import load_camera_profile
     from fieldlum.records import CameraSetup
 
@@ -53,8 +53,8 @@ def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> Pyranometer:
     """An SPN1 on a pty, read by the real driver."""
+    from fieldlum.devices.simulated.office import open_world
     from fieldlum.devices.simulated.spn1 import open_simulated
-    from fieldlum.devices.simulated.world import open_world
 
     _check_place(uri)
     options = uri.read(seed=_SEED, noise=number(0.0, 100.0))

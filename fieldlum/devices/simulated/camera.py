@@ -113,7 +113,7 @@ class SimulatedCamera:
             self._last = (panorama, heading_deg, image)
         return self._last[2]
 
-    def _views_of(self, turn_deg: float, panorama: tuple[int, int]) -> list[optics.LensView]:
+    def _views_of(self, turn_deg: float, panorama: tuple[int, int]) -> list[optics.LensSampling]:
         lenses = (optics.geometry_of(lens, turn_deg) for lens in self._profile.lens)
         return [optics.look(lens, self._shape, panorama) for lens in lenses]
 

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import projection, sun
-from fieldlum.devices.simulated.world import SimulatedLight
+from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld, World
 from fieldlum.records import CameraSetup, Panorama, Room, Site, SiteFile, SunSource, Window
+from fieldlum.session import Session
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
 # The office of Liu, Colburn and Inanici (2020): 6 x 14 x 4.5 m, one glazed south wall.
@@ -227,3 +228,12 @@ class Office:
             + walls * room.reflectance_walls
         ) / area
         return reflected / (area * (1.0 - mean))
+
+
+def open_world(session: Session | None, seed: int) -> World:
+    """The session's truth where it has one, else the built-in office at the session's place
+    (Seattle without one).
+    """
+    if session is not None and (session.truth / "irradiance.csv").is_file():
+        return TruthWorld(session.truth)
+    return Office(session.site_file() if session is not None else None, seed)

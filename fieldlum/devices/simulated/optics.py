@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class LensView:
+class LensSampling:
     """One lens on the sensor: its pixels (flat indices [n]), how far off its axis they look, and at
     what.
 
@@ -53,7 +53,7 @@ def geometry_of(lens: Lens, turn_deg: float) -> LensGeometry:
     )
 
 
-def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensView:
+def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensSampling:
     """Precompute a lens's view; sensor and panorama are (height, width).
 
     The panorama is taken as constant over each of its pixels; a sensor pixel averages 3 x 3
@@ -78,7 +78,7 @@ def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int])
     weights.sum_duplicates()
     distance = np.hypot(columns + 0.5 - cx, rows + 0.5 - cy) / lens.radius_px
     relative = angle_of_radius(lens, np.minimum(distance, 1.0)) / lens.half_angle_rad
-    return LensView(lens, rows * sensor[1] + columns, relative, weights)
+    return LensSampling(lens, rows * sensor[1] + columns, relative, weights)
 
 
 def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32]:
@@ -107,7 +107,7 @@ def channels(panorama: Panorama) -> NDArray[np.float32]:
 
 
 def on_sensor(
-    panorama: Panorama, views: list[LensView], sensor: tuple[int, int]
+    panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]
 ) -> NDArray[np.float32]:
     """Mean luminance [cd/m2] over each sensor pixel, [h, w, 3] or [h, w, 1] (grey), the sun's
     disc in it.

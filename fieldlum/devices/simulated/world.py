@@ -17,7 +17,6 @@ import numpy as np
 
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Panorama, parse_utc
-from fieldlum.session import Session
 
 NEAREST_TRUTH = timedelta(minutes=45)
 
@@ -88,14 +87,3 @@ def _read_irradiance(path: Path) -> tuple[np.ndarray, np.ndarray]:
             path, f"{len(times)} rows", "two or more sorted rows of numbers", "fieldlum simulate"
         )
     return times, light
-
-
-def open_world(session: Session | None, seed: int) -> World:
-    """The session's truth where it has one, else the built-in office at the session's place
-    (Seattle without one).
-    """
-    if session is not None and (session.truth / "irradiance.csv").is_file():
-        return TruthWorld(session.truth)
-    from fieldlum.devices.simulated.office import Office
-
-    return Office(session.site_file() if session is not None else None, seed)

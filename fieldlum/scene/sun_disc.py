@@ -1,0 +1,44 @@
+"""The sun's disc as rays, and what direct sun gives: shared by shadow rays and Radiance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc seconds (IAU)
+
+
+@dataclass(frozen=True, slots=True)
+class SunPatches:
+    """Direct sun only, n moments.
+
+    luminance_cdm2 [n, H, W] of surfaces in the sun, without the disc; visible_fraction [n] of the
+    disc that the camera sees; disc_transmittance [n] of the glass before it (0 where nothing is
+    seen); disc_lx [n] illuminance that the disc gives at the camera, on a plane normal to it.
+    """
+
+    luminance_cdm2: NDArray[np.float32]
+    visible_fraction: Array
+    disc_transmittance: Array
+    disc_lx: Array
+
+    def __len__(self) -> int:
+        return len(self.luminance_cdm2)
+
+
+def disc_rays(toward: Array, rings: int = 4) -> Array:
+    """Directions over the sun's disc, equal areas, [61, 3] for four rings."""
+    radius, angle = [0.0], [0.0]
+    for ring in range(1, rings + 1):
+        count = 6 * ring
+        radius += [(ring - 0.25) / (rings + 0.25)] * count
+        angle += list((np.arange(count) + 0.5 * (ring % 2)) * 2 * np.pi / count)
+    r = np.array(radius) * np.tan(np.radians(SUN_RADIUS_DEG))
+    side = np.cross(toward, (0.0, 0.0, 1.0) if abs(toward[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side /= np.linalg.norm(side)
+    other = np.cross(toward, side)
+    rays = toward + r[:, None] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)

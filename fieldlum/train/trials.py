@@ -1,0 +1,108 @@
+"""One model on held-out days: fits with their times, and a trial over folds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from fieldlum import models
+from fieldlum.model_registry import MODELS
+from fieldlum.models import Fitted, Patch
+from fieldlum.models.scores import Scores, evaluate, join, truth
+from fieldlum.records import Progress, quiet
+from fieldlum.train.folds import MOST_FOLDS, Fold
+from fieldlum.train.selection import Trial
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+LEAST_FOLDS = 2
+LEAST_FOLD_S = 60.0  # a dense fold shorter than this says little about the network
+
+
+def passes_over_data(fitted: Fitted) -> float | None:
+    """Return how often training saw each pixel on average; None for a model in closed form."""
+    return getattr(fitted, "training", {}).get("pixels_seen_per_pixel")
+
+
+class Spent(NamedTuple):
+    """Seconds by the clock, and of computing: on a busy machine only the second means anything."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def fit_timed(
+    name: str,
+    data: Dataset,
+    *,
+    patch: Patch,
+    seed: int,
+    budget_s: float | None,
+    progress: Progress = quiet,
+    **more: Any,
+) -> tuple[Fitted, Spent]:
+    """A fitted model and the time it took."""
+    wall, cpu = time.monotonic(), time.process_time()
+    limit = {"budget_s": budget_s} if MODELS[name].slow else {}
+    fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **limit, **more)
+    return fitted, Spent(time.monotonic() - wall, time.process_time() - cpu)
+
+
+def evaluate_folds(
+    name: str,
+    data: Dataset,
+    folds: Sequence[Fold],
+    *,
+    patch: Patch,
+    seed: int,
+    budget_s: float | None = None,
+    glare: bool = True,
+    progress: Progress = quiet,
+    **more: Any,
+) -> Trial:
+    """Fit on each fold's teaching rows and compare on the rows held out; budget_s is for all folds
+    together.
+
+    A slow model divides it over the folds; a quick one, once it is spent, leaves the folds that
+    remain (never under two), so that a month of large maps does not hold anybody up.
+    """
+    parts: list[Scores] = []
+    passes: list[float] = []
+    wall_s, cpu_s, taught = 0.0, 0.0, 0
+    share = budget_s / len(folds) if budget_s else None
+    started = time.monotonic()
+    for fold in folds:
+        if (
+            budget_s
+            and not MODELS[name].slow
+            and len(parts) >= LEAST_FOLDS
+            and time.monotonic() - started > budget_s
+        ):
+            break
+        fitted, spent = fit_timed(
+            name,
+            data.take(fold.teach),
+            patch=patch,
+            seed=seed,
+            budget_s=share,
+            progress=progress,
+            **more,
+        )
+        parts.append(evaluate(fitted, truth(data.take(fold.check), glare=glare), progress=progress))
+        if (seen := passes_over_data(fitted)) is not None:
+            passes.append(seen)
+        wall_s, cpu_s, taught = wall_s + spent.wall_s, cpu_s + spent.cpu_s, taught + len(fold.teach)
+    n = len(parts)
+    least = min(passes, default=None)
+    return Trial(name, join(parts), wall_s / n, cpu_s / n, round(taught / n), n, least)
+
+
+def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
+    """As many folds as the dense network can be trained for within its share, at least one."""
+    return tuple(folds[: max(1, min(MOST_FOLDS, int(budget_s / LEAST_FOLD_S / 2)))])
+
+
+# ----------------------------------------------------------------------------------------------
+# train
