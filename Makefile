@@ -1,7 +1,7 @@
 # Each target alone sets up .venv and does its job; only Python 3.11 or newer and a package index are needed.
 PYTHON ?= python3.11
 
-.PHONY: demo check test matrix matrix-short golden clean
+.PHONY: demo check test matrix matrix-short golden docs clean
 
 demo: .venv/ready
 	.venv/bin/fieldlum demo demo
@@ -35,5 +35,9 @@ matrix-short: .venv/ready
 golden: .venv/ready
 	.venv/bin/python tests/golden_chain.py
 
+# The site, docs/_build/html/index.html; a broken link is an error.
+docs: .venv/ready
+	.venv/bin/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+
 clean:
-	rm -rf .venv demo
+	rm -rf .venv demo docs/_build
