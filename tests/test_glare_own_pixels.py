@@ -53,6 +53,18 @@ def test_a_uniform_hemisphere_gives_pi_l_in_every_mapping(kind: str, size: int) 
 
 
 @pytest.mark.analytic
+def test_a_sun_near_the_rim_of_a_hemispherical_picture_is_exact() -> None:
+    """Analytic: in -vth, cosine times solid angle is the pixel's area on the unit disc."""
+    size = 200
+    grid = picture_grid(_view(f"-vth {LEVEL} -vh 180 -vv 180"), size, size)
+    for column in (120, 180, 196, 198):
+        pixels = np.zeros((size, size), np.float32)
+        pixels[size // 2, column] = 1e8
+        figures = glare_of_pixels(pixels, grid)[0]
+        assert figures["ev_lx"] == pytest.approx(1e8 * (2.0 / size) ** 2, rel=1e-3)
+
+
+@pytest.mark.analytic
 def test_crops_by_shift_and_lift_add_up() -> None:
     """Analytic: four quarters of a fisheye, each with -vs and -vl, have the light of all."""
     total = 0.0

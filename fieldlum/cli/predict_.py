@@ -17,7 +17,16 @@ from fieldlum.cli.terminal import emit_json, progress, say
     "weather_path",
     required=True,
     type=click.Path(path_type=Path),
-    help="EPW, TMY3 or CSV.",
+    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV; or the word synthetic: a made-up "
+    "year, never to judge a place by.",
+)
+@click.option(
+    "--label-shift",
+    "label_shift_min",
+    type=click.FloatRange(-720, 720),
+    default=0.0,
+    metavar="MIN",
+    help="Add minutes to the times that the weather file states, where they are known to be wrong.",
 )
 @out_option("Folder of the year", default="SESSION/annual/NAME")
 @click.option(
@@ -44,6 +53,7 @@ from fieldlum.cli.terminal import emit_json, progress, say
 def command(
     model_folder: Path,
     weather_path: Path,
+    label_shift_min: float,
     out: Path | None,
     maps: bool,
     views: int,
@@ -71,6 +81,7 @@ def command(
             views=views,
             occupancy_path=occupancy_path,
             force=force,
+            label_shift_min=label_shift_min,
             progress=show,
         )
     about = annual.about

@@ -90,9 +90,19 @@ def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> tuple[str, str] | 
 
 
 def inputs_of(
-    model: Path, weather: Path, views: int, occupancy: Occupancy, maps: bool, seed: int
+    model: Path,
+    weather: Path,
+    views: int,
+    occupancy: Occupancy,
+    maps: bool,
+    seed: int,
+    label_shift_min: float = 0.0,
 ) -> dict[str, Any]:
-    if not weather.is_file():
+    """What a predicted year depends on, as plain values."""
+    from fieldlum.weather import SYNTHETIC
+
+    synthetic = str(weather) == SYNTHETIC
+    if not synthetic and not weather.is_file():
         raise InputError(weather, "no such file", "an EPW, TMY3 or CSV weather file")
     return {
         "model": model.resolve().name,
@@ -101,7 +111,8 @@ def inputs_of(
         if (model / "weights.npz").is_file()
         else "",
         "weather": weather.name,
-        "weather_sha256": sha256(weather),
+        "weather_sha256": "" if synthetic else sha256(weather),
+        **({"label_shift_min": label_shift_min} if label_shift_min else {}),
         "views": views,
         "occupancy": occupancy.text,
         "maps": maps,

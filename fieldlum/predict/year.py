@@ -65,6 +65,7 @@ def run(
     occupancy_path: Path | None = None,
     force: bool = False,
     seed: int = 0,
+    label_shift_min: float = 0.0,
     progress: Progress = quiet,
 ) -> tuple[Annual, bool]:
     """Predict all daylight hours of a weather file with a trained model; returns the year and
@@ -81,10 +82,10 @@ def run(
     check_session(model_folder, room)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
-    inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed)
+    inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
     if not force and (done := already(folder, inputs)) is not None:
         return done, False
-    weather = read_weather(weather_path, room.setup.site)
+    weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
     hours = weather.daylight()
     if len(hours) == 0:
         raise NotEnoughDataError(f"{weather_path}: no hour with the sun up and any irradiance")

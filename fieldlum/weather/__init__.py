@@ -4,6 +4,7 @@ places without a file.
 
 from __future__ import annotations
 
+from fieldlum.weather.files import SYNTHETIC as SYNTHETIC
 from fieldlum.weather.files import read_weather as read_weather
 from fieldlum.weather.files import shipped_seattle as shipped_seattle
 from fieldlum.weather.year import TYPICAL_YEAR as TYPICAL_YEAR

@@ -18,8 +18,10 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import shipped
 from fieldlum.records import Site, parse_utc
 from fieldlum.weather.plausibility import check_hourly, check_sense
-from fieldlum.weather.year import TYPICAL_YEAR, Weather
+from fieldlum.weather.providers import ProviderYear, best_shift, epw_time_offset, read_provider
+from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
 
+SYNTHETIC = "synthetic"  # in place of a file: a synthetic year
 HIGHEST_WM2 = 1600.0
 LOWEST_WM2 = -10.0  # night offset of a thermopile; anything lower is no offset
 FILLED_GAP_HOURS = 3  # gaps up to this are interpolated, and said so; longer ones stay out
@@ -51,10 +53,14 @@ class _File:
     typical: bool
     name: str
     place: Site | None = None
+    notes: tuple[str, ...] = ()
 
 
-def read_weather(path: Path, site: Site) -> Weather:
-    """Read an EPW, TMY3 or CSV file (docs/file-formats.md, Weather files) as hours at `site`.
+def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
+    """Read an EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV file as hours at `site`.
+
+    label_shift_min : minutes added to the times that the file states, for labels that are known to
+    be wrong; listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.
 
     Raises InputError naming the line for what cannot be read, for irradiance outside -10 to 1600
     W/m2, for a station over 300 km away, for light at night (a wrong time zone), and for what
@@ -63,15 +69,17 @@ def read_weather(path: Path, site: Site) -> Weather:
     up to three hours; longer gaps are left out and listed.
     """
     path = Path(path)
+    if str(path) == SYNTHETIC:
+        return synthetic_weather(site)
     try:
-        found = _read(path, _lines(path), site)
+        found = _shifted(_read(path, _lines(path), site), label_shift_min)
     except (csv.Error, OverflowError) as error:
         raise InputError(
             path, str(error), "an EPW, TMY3 or CSV weather file", "fetch it again"
         ) from None
     if not found.rows:
         raise NotEnoughDataError(f"{path}: no hours in it")
-    repairs = _check_place(path, found.place, site)
+    repairs = [*found.notes, *_check_place(path, found.place, site)]
     rows = _in_order(path, found, site, repairs)
     columns = _values(rows, repairs)
     check_hourly(path, [row.when for row in rows])
@@ -81,7 +89,46 @@ def read_weather(path: Path, site: Site) -> Weather:
     return replace(weather, repairs=tuple(repairs))
 
 
+def _shifted(file: _File, minutes: float) -> _File:
+    """Return the rows with their times moved, and a note of it."""
+    if not minutes:
+        return file
+    shift = timedelta(minutes=minutes)
+    rows = [replace(row, when=row.when + shift) for row in file.rows]
+    return replace(file, rows=rows, notes=(*file.notes, f"labels moved by {minutes:+g} min"))
+
+
+def _of_provider(path: Path, year: ProviderYear) -> _File:
+    """Rows of a file that pvlib read. Raises InputError for irradiance that is not possible."""
+    rows = []
+    columns = zip(year.t_utc, year.dni_wm2, year.dhi_wm2, year.ghi_wm2, strict=True)
+    for number, (when, dni, dhi, ghi) in enumerate(columns, start=1):
+        values = [
+            _number(path, number, name, repr(float(value)))
+            for name, value in (("DNI", dni), ("DHI", dhi), ("GHI", ghi))
+        ]
+        rows.append(_WeatherRow(number, when, *values))
+    return _File(rows, year.typical, f"{path.name} ({year.place.name})", year.place, year.notes)
+
+
+def _pvgis_epw(file: _File, place: Site, offset: timedelta, zone: timedelta) -> _File:
+    """An EPW of PVGIS: values are of one moment, hours 1 to 24 plus the stated offset; the rows are
+    in UTC in some versions, whatever the header's zone.
+    """
+    # `_read_epw` gives the middle of the hour that ends at the label
+    times = tuple(row.when + timedelta(minutes=30) + offset for row in file.rows)
+    dni, dhi, ghi = np.array([(row.dni, row.dhi, row.ghi) for row in file.rows]).T
+    year = ProviderYear(place, times, dni, dhi, ghi, typical=True)
+    stated = f"PVGIS states an irradiance time offset of {offset.total_seconds() / 60:+.0f} min"
+    if zone:
+        year = best_shift(year, {"header's zone": timedelta(0), "UTC": zone}, "rows count as")
+    rows = [replace(row, when=when) for row, when in zip(file.rows, year.t_utc, strict=True)]
+    return replace(file, rows=rows, notes=(stated, *year.notes))
+
+
 def _read(path: Path, lines: list[str], site: Site) -> _File:
+    if (year := read_provider(path, lines)) is not None:
+        return _of_provider(path, year)
     if path.suffix.lower() == ".epw" or lines[0].upper().startswith("LOCATION,"):
         return _read_epw(path, lines)
     if len(lines) > 1 and lines[1].startswith("Date (MM/DD/YYYY)"):
@@ -166,7 +213,9 @@ def _read_epw(path: Path, lines: list[str]) -> _File:
             _number(path, number, n, cells[k]) for k, n in ((13, "GHI"), (14, "DNI"), (15, "DHI"))
         )
         rows.append(_WeatherRow(number, start + timedelta(minutes=30) - offset, dni, dhi, ghi))
-    return _File(rows, True, f"{path.name} ({place.name})", place)
+    file = _File(rows, True, f"{path.name} ({place.name})", place)
+    stated = epw_time_offset(lines)
+    return file if stated is None else _pvgis_epw(file, place, stated, offset)
 
 
 def _read_tmy3(path: Path, lines: list[str]) -> _File:

@@ -153,11 +153,19 @@ def _against(weather: Weather, station: Site, shift_min: int) -> int:
     stood otherwise.
     """
     shift = timedelta(minutes=shift_min)
-    ends = [
-        sun.position([t + shift + half for t in weather.t_utc], station).altitude_deg
-        for half in (-_HALF, _HALF)
-    ]
     light = weather.dni_wm2 + weather.dhi_wm2
+    return hours_against([t + shift for t in weather.t_utc], light, station)
+
+
+def hours_against(
+    times_utc: Sequence[datetime], light: Array, station: Site, half: timedelta = _HALF
+) -> int:
+    """Count the spans from `half` before to `half` after these times that are lit with the sun down
+    at both ends, or dark with it up at both; light [n] is DNI + DHI. [W/m2]
+    """
+    ends = [
+        sun.position([t + edge for t in times_utc], station).altitude_deg for edge in (-half, half)
+    ]
     lit, dark = light > LIGHT_WM2, light < DARK_WM2
     return int(
         (lit & (np.maximum(*ends) < SUNK_DEG)).sum()
