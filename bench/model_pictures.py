@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum import models
-from fieldlum.models.data import add_disc, load_pairs
+from fieldlum.models.data import load_pairs
+from fieldlum.sun_disc import add_disc
 
 
 def main() -> None:

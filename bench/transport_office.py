@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Light
-from fieldlum.models.data import Dataset, add_disc, split_disc
+from fieldlum.models.data import Dataset
 from fieldlum.models.transport import Transport, fit
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene import sun_patches
 from fieldlum.sky import PerezSky
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.sun_disc import add_disc, split_disc
 
 HEADING_DEG = 180.0
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1, 0.88, 4, 0.08, 2.9),))
@@ -66,7 +67,7 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
     patch = np.where(codes > 0, decode(codes), np.float32(0.0))
     maps, disc = whole.copy(), np.zeros(len(rows))
     for k in range(len(rows)):
-        at = (float(altitude[k]), float(azimuth[k]), float(c[k, 3]), HEADING_DEG)
+        at = HEADING_DEG, (float(altitude[k]), float(azimuth[k])), float(c[k, 3])
         maps[k] = split_disc(whole[k], *at)[0]
         patch[k], disc[k] = split_disc(patch[k], *at)
     days = np.array(

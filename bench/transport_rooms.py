@@ -21,10 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.models.data import Dataset, add_disc, load_pairs
+from fieldlum.models.data import Dataset, load_pairs
 from fieldlum.models.transport import fit
 from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Obstruction, Room
+from fieldlum.sun_disc import add_disc
 
 
 def rough(room: Room) -> Room:

@@ -4,14 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from learning_room import dataset, write_pairs
 
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import write_panorama, write_radiance_hdr
-from fieldlum.models.data import add_disc, load_pairs, split_disc
-from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles
+from fieldlum.models.data import load_pairs
+from fieldlum.projection import equirect_rays
 from fieldlum.records import Flag, Panorama
 
 DATA = dataset(("2027-03-20", "2027-06-21"))
@@ -182,52 +180,6 @@ def test_pixels_that_no_lens_saw_are_not_learned_from(pairs: Path) -> None:
     data = load_pairs(pairs)
     assert not data.seen[-2:].any() and data.seen[:-2].all()
     assert data.weights[-2:].max() == 0.0 and data.weights[data.seen].mean() == pytest.approx(1.0)
-
-
-@pytest.mark.property
-@settings(deadline=None, max_examples=50)
-@given(
-    altitude=st.floats(0, 80),
-    azimuth=st.floats(0, 359.9),
-    dni=st.floats(5, 1000),
-    wall=st.floats(1, 8000),
-)
-def test_splitting_a_disc_keeps_its_energy(
-    altitude: float, azimuth: float, dni: float, wall: float
-) -> None:
-    """What was deposited by energy comes out again, and the map is what it was."""
-    height, width, heading = 58, 116, 180.0
-    clean = np.full((height, width), wall, np.float32)
-    row, column = equirect_pixel(altitude, azimuth, height, width, heading)
-    i, j = int(row), int(column) % width
-    lux = 93.0 * dni
-    whole = clean.copy()
-    whole[i, j] += lux / equirect_solid_angles(height, width)[i, j]
-    if (
-        lux / equirect_solid_angles(height, width)[i, j] < 3.0 * wall
-    ):  # a disc that does not stand out is left alone
-        return
-    found, energy = split_disc(whole, altitude, azimuth, dni, heading)
-    assert energy == pytest.approx(lux, rel=1e-4)
-    np.testing.assert_allclose(found, clean, rtol=1e-5)
-
-
-@pytest.mark.analytic
-def test_a_sunlit_wall_is_no_disc() -> None:
-    """A white wall in full sun stays in the map."""
-    bright = np.full((58, 116), 93.0 * 900 / np.pi, np.float32)
-    found, energy = split_disc(bright, 30.0, 180.0, 900.0, 180.0)
-    assert energy == 0.0 and found is bright
-
-
-@pytest.mark.analytic
-def test_add_disc_puts_all_energy_on_the_suns_pixel() -> None:
-    maps = np.zeros_like(DATA.luminance_cdm2)
-    lux = np.full(len(DATA), 5e4)
-    whole = add_disc(maps, DATA.light, lux, 180.0)
-    np.testing.assert_allclose(
-        (whole * equirect_solid_angles(*DATA.shape)).sum(axis=(1, 2)), lux, rtol=1e-5
-    )
 
 
 @pytest.mark.analytic

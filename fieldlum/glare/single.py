@@ -25,14 +25,10 @@ from fieldlum.glare.metrics import METRICS, MORE_METRICS, glare_directions
 from fieldlum.glare.pictures import Picture, read_picture
 from fieldlum.glare.reference import reference_glare
 from fieldlum.glare.single_fisheye import single_picture_glare
-from fieldlum.glare.sources import group_pixels, widen
 from fieldlum.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
-from fieldlum.projection import NOT_SEEN, SEEN, direction, equirect_rays, equirect_solid_angles
+from fieldlum.projection import NOT_SEEN, SEEN, direction
 from fieldlum.records import Float, Panorama, SunSource
-from fieldlum.sun import SUN_SOLID_ANGLE_SR
-
-DISC_CDM2 = 1e6  # no matt surface and no sky is that bright
-BRIGHTEST_SUN_CDM2 = 2.2e9
+from fieldlum.sun_disc import find_disc, without_disc
 
 
 def _bounds_verdict(low: float, high: float) -> str:
@@ -145,38 +141,14 @@ def _unseen_text(seen: np.ndarray) -> str:
 
 
 def take_out_sun(
-    luminance_cdm2: Float, heading_deg: float, known: SunSource | None
+    luminance_cdm2: Float, heading_deg: float, recorded: SunSource | None
 ) -> tuple[Float, SunSource | None]:
-    """A disc that a rendering left in its picture becomes a source of its own, of the sun's own
-    solid angle.
+    """Return a map without the disc that a rendering left in it, and the disc as a source.
 
-    The brightest spot from `DISC_CDM2` up, no larger than a disc that a coarse grid has smeared,
-    and no brighter than the sun once its energy is put into the disc. A sun that the picture names
-    is taken as it stands.
+    A sun that the picture records is returned as it is: its map holds no disc.
     """
-    peaks = luminance_cdm2 >= DISC_CDM2
-    if known is not None or not peaks.any():
-        return luminance_cdm2, known
-    height, width = luminance_cdm2.shape
-    omega = equirect_solid_angles(height, width)
-    groups = group_pixels(peaks)
-    spot = groups == groups.flat[int(np.argmax(luminance_cdm2))]
-    energy = float((luminance_cdm2 * omega)[spot].sum())
-    room = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(omega[spot].max())
-    if (
-        omega[spot].sum() > room
-        or not DISC_CDM2 <= energy / SUN_SOLID_ANGLE_SR <= BRIGHTEST_SUN_CDM2
-    ):
-        return luminance_cdm2, None
-    weights = (luminance_cdm2 * omega)[spot][:, None]
-    x, y, z = (weights * equirect_rays(height, width, heading_deg)[spot]).sum(axis=0)
-    around = np.where(
-        spot, float(np.median(luminance_cdm2[widen(spot, np.radians(3.0)) & ~spot])), luminance_cdm2
-    )
-    altitude, azimuth = (
-        np.degrees(np.arctan2(z, np.hypot(x, y))),
-        np.degrees(np.arctan2(x, y)) % 360.0,
-    )
-    return around.astype(np.float32), SunSource(
-        float(altitude), float(azimuth), energy, 1.0, "picture"
-    )
+    disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
+    if disc is None:
+        return luminance_cdm2, recorded
+    sun = SunSource(disc.altitude_deg, disc.azimuth_deg, disc.normal_lx, 1.0, "picture")
+    return without_disc(luminance_cdm2, disc), sun

@@ -1,5 +1,4 @@
-"""The sun's disc out of the map: by energy, where the ephemeris says it stands and the picture
-shows it.
+"""The sun's disc of a merged panorama, taken out where the ephemeris expects it and it shows.
 
 With frames through a filter the disc's illuminance is measured. Without, every frame clips in it:
 what is taken out is a lower bound, its pixels keep CLIPPED_HIGH, and `pair` completes the source
@@ -12,17 +11,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.profiles import Lens
-from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.records import Flag, Panorama, Site, SunSource
-from fieldlum.sun import SUN_SOLID_ANGLE_SR, position
+from fieldlum.sun import position
+from fieldlum.sun_disc import SUN_RADIUS_RAD, find_disc, without_disc
 
-_DISC_RAD = 0.004654  # mean angular radius of the sun
-_SEARCH_RAD = np.radians(3.0)  # pointing of a camera set up by hand
-# of the disc averaged over its surface: a sun dimmer than this (1.6e9 clear) casts no shadow
-_BRIGHT_CDM2 = 2e5
 _LOWEST_DEG = -0.3
 _ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5  # relative, of a disc one pixel wide, and of a point
 CLIPPED = "clipped"
@@ -47,47 +41,35 @@ def take_out_sun(panorama: Panorama, site: Site) -> Panorama:
 
 
 def take_out_disc(panorama: Panorama, altitude_deg: float, azimuth_deg: float) -> Panorama:
-    """As `take_out_sun`, for a sun at a given apparent position."""
-    light = np.asarray(panorama.luminance_cdm2, np.float64)
-    height, width = light.shape
-    pixel = np.pi / height
-    rays = equirect_rays(height, width, panorama.heading_deg)
-    solid = equirect_solid_angles(height, width)
+    """Return the panorama as `take_out_sun` does, for a sun at a given apparent position."""
     flags = (
-        np.zeros(light.shape, np.uint16)
+        np.zeros(panorama.luminance_cdm2.shape, np.uint16)
         if panorama.flags is None
         else panorama.flags.astype(np.uint16)
     )
-    centre = _brightest(light, solid, rays, direction(altitude_deg, azimuth_deg), pixel)
-    away = np.arccos(np.clip(rays @ centre, -1.0, 1.0))
-    disc = away <= _DISC_RAD + pixel
-    ring = (away > _DISC_RAD + 1.5 * pixel) & (away <= _DISC_RAD + 4.5 * pixel + np.radians(1.0))
-    around = float(np.median(light[ring])) if ring.any() else 0.0
-    excess = np.where(disc, np.maximum(light - around, 0.0), 0.0)
-    normal_lx = float((excess * solid).sum())
-    clipped = bool(((flags & Flag.CLIPPED_HIGH) > 0)[disc].any())
-    if normal_lx < _BRIGHT_CDM2 * SUN_SOLID_ANGLE_SR and not clipped:
-        return panorama
-    if light[disc].max(initial=0.0) < 5 * max(around, 1e-6) and not clipped:
-        return panorama
-    taken = disc & (excess > 0.05 * around)
-    filtered = bool(((flags & Flag.ND) > 0)[disc].any())
-    origin = CLIPPED if clipped else MEASURED if filtered else OPEN
-    flags[taken] |= np.uint16(Flag.FILLED)
-    factor = np.where(taken, around / np.maximum(light, 1e-12), 1.0)
-    u = (
-        None
-        if panorama.u_cdm2 is None
-        else np.where(taken, around, panorama.u_cdm2).astype(np.float32)
+    disc = find_disc(
+        panorama.luminance_cdm2,
+        panorama.heading_deg,
+        near_deg=(altitude_deg, azimuth_deg),
+        clipped=(flags & Flag.CLIPPED_HIGH) > 0,
     )
-    rgb = None if panorama.rgb is None else (panorama.rgb * factor[..., None]).astype(np.float32)
-    source = SunSource(altitude_deg, azimuth_deg, normal_lx, 1.0, origin)
+    if disc is None:
+        return panorama
+    filtered = bool(((flags & Flag.ND) > 0)[disc.pixels].any())
+    origin = CLIPPED if disc.clipped else MEASURED if filtered else OPEN
+    flags[disc.pixels] |= np.uint16(Flag.FILLED)
+    light, u_cdm2, rgb = panorama.luminance_cdm2, panorama.u_cdm2, panorama.rgb
+    if u_cdm2 is not None:
+        u_cdm2 = np.where(disc.pixels, disc.surroundings_cdm2, u_cdm2).astype(np.float32)
+    if rgb is not None:
+        darker = np.where(disc.pixels, disc.surroundings_cdm2 / np.maximum(light, 1e-12), 1.0)
+        rgb = (rgb * darker[..., None]).astype(np.float32)
     return replace(
         panorama,
-        luminance_cdm2=(light * factor).astype(np.float32),
-        u_cdm2=u,
+        luminance_cdm2=without_disc(light, disc),
+        u_cdm2=u_cdm2,
         flags=flags,
-        sun=source,
+        sun=SunSource(altitude_deg, azimuth_deg, disc.normal_lx, 1.0, origin),
         rgb=rgb,
     )
 
@@ -97,7 +79,7 @@ def disc_px(lenses: Sequence[Lens]) -> float:
     smallest. [px]
     """
     return min(
-        2 * _DISC_RAD * lens.radius_px / np.radians(lens.full_angle_deg / 2) for lens in lenses
+        2 * SUN_RADIUS_RAD * lens.radius_px / np.radians(lens.full_angle_deg / 2) for lens in lenses
     )
 
 
@@ -110,25 +92,3 @@ def mosaic_u_rel(diameter_px: float) -> float:
     bound: where the optics spread a point over two pixels, a twentieth of it is left.
     """
     return min(_POINT_ON_MOSAIC, _ON_MOSAIC * diameter_px**-1.5)
-
-
-def _brightest(
-    light: NDArray[np.float64],
-    solid: NDArray[np.float64],
-    rays: NDArray[np.float64],
-    expected: NDArray[np.float64],
-    pixel: float,
-) -> NDArray[np.float64]:
-    """Centre of the brightest spot near where the sun is expected; the expected place when
-    nothing stands out.
-    """
-    near = rays @ expected >= np.cos(max(_SEARCH_RAD, 1.5 * pixel))
-    if not near.any():
-        return expected
-    values = light[near]
-    bright = values >= 0.5 * values.max()
-    if values.max() <= 5 * np.median(values):  # also where no lens looks: all is 0 there
-        return expected
-    weights = (values * solid[near])[bright]
-    mean = (rays[near][bright] * weights[:, None]).sum(axis=0)
-    return mean / np.linalg.norm(mean)

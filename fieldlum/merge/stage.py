@@ -31,7 +31,7 @@ from fieldlum.version import __version__
 
 DEFAULT_HEIGHT = 230
 _SUN_WARN = 0.02  # u from which the verdict says so
-_RECIPE = 4  # raise it when the arithmetic changes: panoramas made before are then made again
+_RECIPE = 5  # increase it when the arithmetic changes: earlier panoramas are then merged again
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,9 +20,10 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
-from fieldlum.projection import equirect_pixel, equirect_solid_angles, signed_angle_deg
+from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import Flag, Panorama, Progress, SiteFile, parse_utc, quiet, slot_id
 from fieldlum.session import Session, open_session
+from fieldlum.sun_disc import split_disc
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
@@ -30,12 +31,8 @@ if TYPE_CHECKING:
 NEEDED = ("t_utc", "panorama", "dni_wm2", "dhi_wm2")
 MOST_IRRADIANCE_WM2 = 1600.0  # above the solar constant with cloud enhancement
 LEAST_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
-LEAST_DISC_CDM2 = (
-    2e4  # a window's edge under a grey sky is far brighter than the frame, and no disc
-)
 _MERGE_ALIKE = "render or merge all brackets at one size and heading"
 _PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again"
-LUMENS_PER_WATT = 93.0  # rough, and only used to tell a disc from a sunlit wall
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,65 +119,6 @@ class Dataset:
                 "days": sorted({str(d) for d in self.days}),
             },
         }
-
-
-# ---------------------------------------------------------------------------------------------- the
-# sun's disc
-
-
-def add_disc(
-    luminance_cdm2: NDArray[np.float32],
-    light: Light,
-    disc_lx: NDArray[np.float64],
-    heading_deg: float,
-) -> NDArray[np.float32]:
-    """Maps with the disc's energy put back on the pixel that holds the sun, [n, H, W]."""
-    height, width = luminance_cdm2.shape[1:]
-    row, column = equirect_pixel(
-        light.sun_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg
-    )
-    i = np.clip(row.astype(int), 0, height - 1)
-    j = column.astype(int) % width
-    whole = luminance_cdm2.copy()
-    whole[np.arange(len(whole)), i, j] += (
-        disc_lx / equirect_solid_angles(height, width)[i, j]
-    ).astype(np.float32)
-    return whole
-
-
-def split_disc(
-    luminance_cdm2: NDArray[np.float32],
-    altitude_deg: float,
-    azimuth_deg: float,
-    dni_wm2: float,
-    heading_deg: float,
-) -> tuple[NDArray[np.float32], float]:
-    """Take the disc out of one map [H, W]: the map without it, and its illuminance [lx] on a plane
-    normal to the sun.
-
-    Disc pixels stand within two pixels of the sun and are brighter than any matt surface or sky
-    could be: over ten times a white wall in that sun, a fiftieth of the whole disc, three times
-    their surroundings, and brighter than any grey sky. They are given the median of the pixels
-    around.
-    """
-    height, width = luminance_cdm2.shape
-    row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, heading_deg)
-    rows = np.clip(np.arange(-2, 3) + int(row), 0, height - 1)[:, None]
-    columns = (np.arange(-2, 3) + int(column))[None, :] % width
-    near = luminance_cdm2[rows, columns]
-    omega = equirect_solid_angles(height, width)[rows, columns + 0 * rows]
-    full_lx = LUMENS_PER_WATT * dni_wm2
-    disc = near > np.maximum(
-        0.02 * full_lx / omega,
-        max(10.0 * full_lx / math.pi, 3.0 * float(np.median(near)), LEAST_DISC_CDM2),
-    )
-    if not disc.any() or disc.sum() > 9:
-        return luminance_cdm2, 0.0
-    background = float(np.median(near[~disc]))
-    illuminance = float(((near - background) * omega)[disc].sum())
-    out = luminance_cdm2.copy()
-    out[rows, columns] = np.where(disc, background, near)
-    return out, illuminance
 
 
 # ----------------------------------------------------------------------------------------------
@@ -433,11 +371,11 @@ def _read_pictures(
         panorama = _checked(
             read_panorama(row.panorama), row.panorama, shape, heading, setup, _MERGE_ALIKE
         )
-        sun_at = (float(altitude[k]), float(azimuth[k]), row.dni_wm2, heading)
+        sun_at = ((float(altitude[k]), float(azimuth[k])), row.dni_wm2)
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if row.sun_in_map:
-            maps[k], disc[k] = split_disc(maps[k], *sun_at)
+            maps[k], disc[k] = split_disc(maps[k], heading, *sun_at)
         if patches is not None and row.sunpatch is not None:
             patch = _checked(
                 read_panorama(row.sunpatch), row.sunpatch, shape, heading, setup, _PAIR_AGAIN
@@ -446,7 +384,7 @@ def _read_pictures(
             if (
                 row.sun_in_map
             ):  # the patch holds the disc alone, without the sky around it: the better measure
-                patches[k], disc[k] = split_disc(patches[k], *sun_at)
+                patches[k], disc[k] = split_disc(patches[k], heading, *sun_at)
             elif patch.sun and not panorama.sun:
                 disc[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")

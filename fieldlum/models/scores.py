@@ -25,9 +25,9 @@ from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuth
 from fieldlum.glare.contrast import rammg
 from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
 from fieldlum.models import trusted_hours
-from fieldlum.models.data import add_disc
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, quiet
+from fieldlum.sun_disc import add_disc
 
 if TYPE_CHECKING:
     from fieldlum.models import Fitted, Prediction

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fieldlum.glare import contrast_levels, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.model_registry import MODELS
 from fieldlum.models import fit, load
-from fieldlum.models.data import Dataset, add_disc
+from fieldlum.models.data import Dataset
 from fieldlum.records import Progress, quiet
 from fieldlum.report.figures import (
     agreement_svg,
@@ -23,6 +23,7 @@ from fieldlum.report.figures import (
     error_by_sun_svg,
 )
 from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
+from fieldlum.sun_disc import add_disc
 
 # Two planned days of one season are under 1 degree apart, seasons over 20 degrees.
 SEASON_GAP_DEG = 8.0

@@ -1,0 +1,307 @@
+"""The sun's disc in a luminance map: find it, take it out and put it back, by energy.
+
+A map holds the sun in one or a few pixels, whose luminance depends on the size of the pixels: only
+the disc's illuminance on a plane normal to the sun is comparable. Merge, training data and the
+glare of single pictures all separate map and disc with the functions of this module.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.projection import (
+    column_azimuths_deg,
+    direction,
+    equirect_pixel,
+    equirect_solid_angles,
+    row_altitudes_deg,
+    row_solid_angles,
+)
+from fieldlum.records import Float
+from fieldlum.sun import SUN_SOLID_ANGLE_SR
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+
+SUN_RADIUS_RAD = 0.004652  # 0.2665 degrees, the mean disc of SUN_SOLID_ANGLE_SR
+# Mean luminance over the true disc. A dimmer sun gives less than 68 lx, a DNI of 0.7 W/m2, which
+# no pyranometer resolves; no sky and no matt surface of the disc's size is as bright.
+LEAST_DISC_CDM2 = 1e6
+# The clear-sky sun outside the atmosphere has 2.0e9 cd/m2 (133 klx), with 10 % margin.
+MOST_DISC_CDM2 = 2.2e9
+# Three times a white surface in full sun (1e5 lx / pi); only clouds within a few degrees of the sun
+# come near it.
+BRIGHTEST_SURFACE_CDM2 = 1e5
+# A uniform overcast sky of 60 klx; the least bound on surfaces where DNI says that the sun is weak.
+_BRIGHTEST_SKY_CDM2 = 2e4
+_SURFACE_MARGIN = 3.0  # of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2
+_LEAST_SHARE = 0.02  # of the sun's illuminance by DNI: less is scattered light, not a part of it
+_LUMENS_PER_WATT = 93.0  # of direct sunlight, to 15 %; only the bounds above depend on it
+_CONTRAST = 3.0  # least ratio of the disc's brightest pixel to the median around it
+_ABOVE_RING = 1.05  # a pixel over this share of the bright pixels around belongs to the disc
+_BRIGHT_QUANTILE = 0.9  # of the ring: bars and walls in it do not make the sky a part of the sun
+_LEAST_PART = 0.05  # of the brightest pixel's excess: dimmer ones are the bright sky at the sun
+_SEARCH_RAD = np.radians(3.0)  # pointing of a camera that was set up by hand
+_CLIPPED_REACH_RAD = np.radians(1.5)  # halo of a clipped disc above the clipping level, at most
+_PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
+
+
+@dataclass(frozen=True, slots=True)
+class SunDisc:
+    """The disc as a map shows it.
+
+    altitude_deg, azimuth_deg: of its measured centre of energy; sigma_deg: standard uncertainty of
+    the centre along each axis, NaN where the map cannot tell (the expected place then stands).
+    normal_lx: illuminance on a plane normal to the sun beyond the surroundings, a lower bound where
+    `clipped`. pixels [H, W]: those that hold it; surroundings_cdm2: what they get without it.
+    """
+
+    altitude_deg: float
+    azimuth_deg: float
+    sigma_deg: float
+    normal_lx: float
+    surroundings_cdm2: float
+    pixels: NDArray[np.bool_]
+    clipped: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Band:
+    """The rows of a map that the search may touch; arrays [rows, W]."""
+
+    first: int
+    light: NDArray[np.float64]
+    solid_sr: NDArray[np.float64]
+    rays: NDArray[np.float64]  # [rows, W, 3]
+    clipped: NDArray[np.bool_]
+    pixel_rad: float
+
+    def angle_rad(self, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the angle of each pixel's centre from a unit vector, [rows, W]."""
+        return np.arccos(np.clip(self.rays @ centre, -1.0, 1.0))
+
+    def centroid(
+        self, pixels: NDArray[np.bool_], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the unit vector to the centre of `weight` times solid angle over `pixels`."""
+        energy = (weight * self.solid_sr)[pixels]
+        mean = (self.rays[pixels] * energy[:, None]).sum(axis=0)
+        return mean / np.linalg.norm(mean)
+
+
+def find_disc(
+    luminance_cdm2: Float,
+    heading_deg: float,
+    *,
+    near_deg: tuple[float, float] | None = None,
+    clipped: NDArray[np.bool_] | None = None,
+    dni_wm2: float | None = None,
+) -> SunDisc | None:
+    """Return the sun's disc in a map [H, W = 2H], or None.
+
+    near_deg: altitude and azimuth where the sun is expected, to 3 degrees or 2.5 pixels; without
+    it the map's brightest spot is examined, and must not be brighter than the sun can be. clipped
+    [H, W]: pixels whose luminance is a lower bound. dni_wm2: direct irradiance where it is known.
+
+    A disc is a compact spot whose brightest pixel exceeds any surface or sky, by three times its
+    surroundings, and whose energy is that of a disc of `LEAST_DISC_CDM2` or more. Where the spot is
+    clipped, only its place counts: a compact clipped spot, or clipping at the expected place.
+    """
+    light = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
+    height, width = light.shape
+    pixel_rad = np.pi / height
+    if near_deg is None:
+        row, column = np.unravel_index(int(np.argmax(light)), light.shape)
+        azimuth = float(column_azimuths_deg(width, heading_deg)[column])
+        expected, search_rad = (float(row_altitudes_deg(height)[row]), azimuth), 0.6 * pixel_rad
+    else:
+        expected, search_rad = near_deg, max(_SEARCH_RAD, 2.5 * pixel_rad)
+    band = _band(light, clipped, heading_deg, expected[0], search_rad)
+    towards = direction(*expected)
+    search = band.angle_rad(towards) <= search_rad
+    if near_deg is not None and (band.clipped & search).any():
+        return _clipped_disc(band, search, towards, light.shape)
+    disc = _measured_disc(band, search, light.shape)
+    if disc is None or not _is_sun(disc, band, dni_wm2):
+        return None
+    too_bright = disc.normal_lx > MOST_DISC_CDM2 * SUN_SOLID_ANGLE_SR
+    return None if near_deg is None and too_bright else disc
+
+
+def without_disc(luminance_cdm2: Float, disc: SunDisc) -> NDArray[np.float32]:
+    """Return the map [H, W] with the disc's pixels at the luminance of their surroundings."""
+    return np.where(disc.pixels, disc.surroundings_cdm2, luminance_cdm2).astype(np.float32)
+
+
+def split_disc(
+    luminance_cdm2: NDArray[np.float32],
+    heading_deg: float,
+    near_deg: tuple[float, float],
+    dni_wm2: float,
+) -> tuple[NDArray[np.float32], float]:
+    """Return a map [H, W] without the disc, and the disc's normal illuminance, 0 without one. [lx]
+
+    near_deg: the sun's altitude and azimuth; dni_wm2: its direct irradiance.
+    """
+    disc = find_disc(luminance_cdm2, heading_deg, near_deg=near_deg, dni_wm2=dni_wm2)
+    if disc is None:
+        return luminance_cdm2, 0.0
+    return without_disc(luminance_cdm2, disc), disc.normal_lx
+
+
+def add_disc(
+    luminance_cdm2: NDArray[np.float32],
+    light: Light,
+    disc_lx: NDArray[np.float64],
+    heading_deg: float,
+) -> NDArray[np.float32]:
+    """Return maps [n, H, W] with each disc's energy on the pixel that holds the sun.
+
+    disc_lx [n]: illuminance on a plane normal to the sun; light: the sun's places.
+    """
+    height, width = luminance_cdm2.shape[1:]
+    row, column = equirect_pixel(
+        light.sun_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg
+    )
+    i = np.clip(row.astype(int), 0, height - 1)
+    j = column.astype(int) % width
+    with_disc = luminance_cdm2.copy()
+    with_disc[np.arange(len(with_disc)), i, j] += (
+        disc_lx / equirect_solid_angles(height, width)[i, j]
+    ).astype(np.float32)
+    return with_disc
+
+
+# ----------------------------------------------------------------------------------------------
+# steps
+
+
+def _reach_rad(pixel_rad: float) -> float:
+    """Return how far from its centre a disc's light may be, by pixels and by the lens's blur."""
+    return SUN_RADIUS_RAD + 1.5 * pixel_rad + np.radians(0.5)
+
+
+def _ring_rad(pixel_rad: float) -> float:
+    """Return the outer radius of the ring that stands for a disc's surroundings."""
+    return _reach_rad(pixel_rad) + 3.0 * pixel_rad + np.radians(1.0)
+
+
+def _band(
+    light: NDArray[np.float64],
+    clipped: NDArray[np.bool_] | None,
+    heading_deg: float,
+    altitude_deg: float,
+    search_rad: float,
+) -> _Band:
+    height, width = light.shape
+    pixel_rad = np.pi / height
+    margin_deg = np.degrees(search_rad + _ring_rad(pixel_rad) + _CLIPPED_REACH_RAD)
+    altitudes = row_altitudes_deg(height)
+    rows = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
+    first, last = int(rows[0]), int(rows[-1]) + 1
+    azimuths = column_azimuths_deg(width, heading_deg)
+    return _Band(
+        first,
+        light[first:last],
+        np.repeat(row_solid_angles(height, width)[first:last, None], width, axis=1),
+        direction(altitudes[first:last, None], azimuths[None, :]),
+        np.zeros((last - first, width), bool) if clipped is None else clipped[first:last],
+        pixel_rad,
+    )
+
+
+def _measured_disc(
+    band: _Band, search: NDArray[np.bool_], shape: tuple[int, ...]
+) -> SunDisc | None:
+    """Return the brightest spot of the search as a disc; None where nothing compact stands out."""
+    if not search.any():
+        return None
+    brightest = int(np.argmax(np.where(search, band.light, -np.inf)))
+    peak = float(band.light.flat[brightest])
+    start = band.rays.reshape(-1, 3)[brightest]
+    about = band.angle_rad(start) <= 2.0 * _reach_rad(band.pixel_rad)
+    bright = about & (band.light >= 0.5 * peak)
+    room_sr = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(band.solid_sr.flat[brightest])
+    if peak <= 0.0 or band.solid_sr[bright].sum() > room_sr:
+        return None
+    centre = band.centroid(bright, band.light)
+    return _disc_at(band, centre, _reach_rad(band.pixel_rad), shape, clipped=False)
+
+
+def _clipped_disc(
+    band: _Band, search: NDArray[np.bool_], towards: NDArray[np.float64], shape: tuple[int, ...]
+) -> SunDisc | None:
+    """Return a disc that clips in every frame: its place and a lower bound of its illuminance.
+
+    A compact clipped spot is the disc's. Where more than that clips (a window in a bracket that is
+    too short) nothing can be measured: the sun is where it is expected, if the map clips there.
+    """
+    spot = band.clipped & search
+    centre = band.centroid(spot, np.ones_like(band.light))
+    extent = float(band.angle_rad(centre)[spot].max())
+    compact = max(_CLIPPED_REACH_RAD, _reach_rad(band.pixel_rad))
+    if extent <= compact:
+        reach = max(extent + 0.5 * band.pixel_rad, _reach_rad(band.pixel_rad))
+        return _disc_at(band, centre, reach, shape, clipped=True)
+    if not (spot & (band.angle_rad(towards) <= _reach_rad(band.pixel_rad))).any():
+        return None
+    return _disc_at(band, towards, _reach_rad(band.pixel_rad), shape, clipped=True, measured=False)
+
+
+def _disc_at(
+    band: _Band,
+    centre: NDArray[np.float64],
+    reach_rad: float,
+    shape: tuple[int, ...],
+    *,
+    clipped: bool,
+    measured: bool = True,
+) -> SunDisc:
+    """Return what exceeds the surroundings within `reach_rad` of a centre, as a disc."""
+    angle = band.angle_rad(centre)
+    ring = (angle > reach_rad) & (angle <= reach_rad + _ring_rad(band.pixel_rad))
+    around = band.light[ring]
+    surroundings = float(np.median(around)) if around.size else 0.0
+    bright = float(np.quantile(around, _BRIGHT_QUANTILE)) if around.size else 0.0
+    near = angle <= reach_rad
+    excess = np.where(near, band.light - surroundings, 0.0)
+    part = min(_LEAST_PART * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
+    inside = (band.light > _ABOVE_RING * bright) & (excess > part)
+    excess = np.where(inside, excess, 0.0)
+    energy = excess * band.solid_sr
+    sigma = np.degrees(band.pixel_rad) * _PIXEL_SIGMA if measured else np.nan
+    if measured and inside.any():
+        centre = band.centroid(inside, excess)
+    if clipped:
+        inside = inside | (near & band.clipped)
+    pixels = np.zeros(shape, bool)
+    pixels[band.first : band.first + len(inside)] = inside
+    x, y, z = (float(v) for v in centre)
+    return SunDisc(
+        float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+        float(np.degrees(np.arctan2(x, y)) % 360.0),
+        float(sigma),
+        float(energy.sum()),
+        surroundings,
+        pixels,
+        clipped,
+    )
+
+
+def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
+    """Return whether a measured spot is too bright and too energetic for a surface or a sky."""
+    inside = disc.pixels[band.first : band.first + len(band.light)]
+    if not inside.any():
+        return False
+    peak, least_lx = float(band.light[inside].max()), LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR
+    surface = BRIGHTEST_SURFACE_CDM2
+    if dni_wm2 is not None:
+        full_lx = _LUMENS_PER_WATT * dni_wm2
+        surface = max(_SURFACE_MARGIN * full_lx / np.pi, _BRIGHTEST_SKY_CDM2)
+        least_lx = max(least_lx, _LEAST_SHARE * full_lx)
+    contrast = peak > _CONTRAST * disc.surroundings_cdm2
+    return peak > surface and contrast and disc.normal_lx >= least_lx
