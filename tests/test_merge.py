@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.errors import InputError
-from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor
+from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor, merge_shots
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frame_checks import NO_PLATEAU
@@ -31,7 +31,7 @@ from fieldlum.profiles import (
     bracket_exposures,
     load_camera_profile,
 )
-from fieldlum.projection import equirect_rays, equirect_solid_angles
+from fieldlum.projection import Equirect, direction, equirect_rays, equirect_solid_angles
 from fieldlum.raw import write_dng
 from fieldlum.records import Exposure, Flag, Panorama, SunSource
 
@@ -333,7 +333,7 @@ def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", sun=sun)
     panorama = merge(shots, profile).panorama
     assert panorama.flags is not None and (panorama.flags & Flag.ND).any()
-    without = take_out_disc(panorama, 25.0, 190.0)
+    without, _ = take_out_disc(panorama, 25.0, 190.0)
     assert without.sun is not None and without.flags is not None
     assert without.sun.origin == "nd-frames"
     u_rel = mosaic_u_rel(
@@ -344,6 +344,31 @@ def test_the_sun_is_measured_through_the_filter_and_taken_out(bracket) -> None:
     total = vertical_illuminance_lx(without.luminance_cdm2, 180.0, 180.0, without.sun)
     assert total == pytest.approx(
         vertical_illuminance_lx(panorama.luminance_cdm2, 180.0, 180.0), rel=0.01
+    )
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("through_filter", [True, False])
+def test_the_suns_centre_is_measured_on_the_sensor(bracket, through_filter: bool) -> None:
+    """The map's pixels are far larger than sigma, and the ephemeris is a degree off."""
+    shots, profile = bracket("sim-dual-fisheye", sun=SunSource(25.0, 190.0, 60_000.0))
+    start = datetime(2027, 3, 20, 20, tzinfo=UTC)
+    timed = [
+        replace(s, t_utc=start + timedelta(seconds=10 * i))
+        for i, s in enumerate(shots)
+        if through_filter or not s.exposure.nd
+    ]
+    sun = merge_shots(
+        timed, profile, target=Equirect(HEIGHT), heading_deg=180.0, sun_deg=(25.7, 189.2)
+    ).sun
+    assert sun is not None and sun.sigma_deg < (0.05 if through_filter else 0.25)
+    away = direction(25.0, 190.0) @ direction(sun.altitude_deg, sun.azimuth_deg)
+    assert np.degrees(np.arccos(min(away, 1.0))) < 3 * np.sqrt(2) * sun.sigma_deg
+    shown = [s.t_utc.timestamp() for s in timed if s.t_utc and s.exposure.nd]
+    last = min((s for s in timed), key=lambda s: s.exposure.shutter_s).t_utc
+    assert sun.t_utc is not None and last is not None
+    assert sun.t_utc.timestamp() == pytest.approx(
+        np.mean(shown) if through_filter else last.timestamp()
     )
 
 
@@ -367,7 +392,7 @@ def test_a_small_disc_scatters_as_stated(
 def test_without_a_filter_the_sun_is_a_lower_bound(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", sun=SunSource(25.0, 190.0, 60_000.0))
     panorama = merge([s for s in shots if not s.exposure.nd], profile).panorama
-    without = take_out_disc(panorama, 25.0, 190.0)
+    without, _ = take_out_disc(panorama, 25.0, 190.0)
     assert without.sun is not None and without.flags is not None
     assert without.sun.origin == "clipped" and without.sun.normal_illuminance_lx < 60_000
     assert (without.flags & Flag.CLIPPED_HIGH).any()
@@ -394,7 +419,7 @@ def test_bad_pixels_of_the_profile_are_not_used(bracket) -> None:
 def test_a_hidden_sun_is_left_alone(bracket) -> None:
     shots, profile = bracket("sim-dual-fisheye", headings=(None,))
     panorama = merge(shots, profile).panorama
-    assert take_out_disc(panorama, 25.0, 0.0).sun is None
+    assert take_out_disc(panorama, 25.0, 0.0)[0].sun is None
 
 
 @pytest.mark.analytic
@@ -402,7 +427,7 @@ def test_a_sun_behind_the_only_lens_takes_nothing_out_and_says_nothing() -> None
     light = np.zeros((60, 120), np.float32)
     light[:, 30:90] = 500.0
     panorama = Panorama(light, 0.0)
-    assert take_out_disc(panorama, 25.0, 180.0) is panorama
+    assert take_out_disc(panorama, 25.0, 180.0)[0] is panorama
 
 
 # ----------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from fieldlum import merge
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, read_radiance_hdr
-from fieldlum.merge import stage
+from fieldlum.merge import MergeResult, stage
 from fieldlum.merge.session_summary import drift_percent, shutter_table
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import (
@@ -146,9 +147,12 @@ def test_a_sun_on_few_pixels_says_how_well_it_is_known(
         ("clipped", ""),
     ):  # a lower bound says so already
         sun = SunSource(25.0, 190.0, 60_000.0, 1.0, origin)
-        monkeypatch.setattr(
-            stage, "take_out_sun", lambda panorama, _, sun=sun: replace(panorama, sun=sun)
-        )
+
+        def with_sun(*given: Any, sun: SunSource = sun, **options: Any) -> MergeResult:
+            result = merge.merge_frames(*given, **options)
+            return replace(result, panorama=replace(result.panorama, sun=sun))
+
+        monkeypatch.setattr(stage, "merge_frames", with_sun)
         slot = take(session, 0 if note else 1)
         verdict = next(v for v in merge.run(session, height=16) if v.slot == slot)
         assert verdict.text.endswith(note) and ("px wide" in verdict.text) == bool(note)

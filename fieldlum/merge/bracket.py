@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from fieldlum.images import calibration_mark
 from fieldlum.merge.defects import good_pixels
+from fieldlum.merge.disc import MEASURED, MeasuredSun, sun_on_sensor, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frame_cache import FRAMES_BYTES, FrameStore
 from fieldlum.merge.frame_checks import FirstLook, first_look, held_otherwise
@@ -51,19 +53,21 @@ from fieldlum.photometry import RatioFit, fit_ratios
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.projection.resample import Target
-from fieldlum.records import Panorama, Progress, quiet
+from fieldlum.records import Flag, Panorama, Progress, quiet
+from fieldlum.sun_disc import SunDisc
 
 
 @dataclass(frozen=True, slots=True)
 class MergeResult:
     """The map, one line about it, and the figures behind that line. view: Radiance's words,
-    empty for a panorama.
+    empty for a panorama. sun: where the disc is, when it was looked for and found.
     """
 
     panorama: Panorama
     quality: dict[str, Any]
     verdict: str
     view: str = ""
+    sun: MeasuredSun | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,9 +210,13 @@ def merge_shots(
     heading_deg: float,
     fit: bool | None = None,
     drop_moved: bool = False,
+    sun_deg: tuple[float, float] | None = None,
     progress: Progress = quiet,
 ) -> MergeResult:
-    """Merge a bracket of one or several headings to a target grid. Raises InputError."""
+    """Merge a bracket of one or several headings to a target grid. Raises InputError.
+
+    sun_deg: the sun's apparent altitude and azimuth; its disc is then taken out of a panorama.
+    """
     ordered = sorted_shots(shots, profile)
     parts, views = look_through(
         ordered,
@@ -236,8 +244,42 @@ def merge_shots(
         done.rgb,
         calibration_mark(profile),
     )
+    sun = None
+    if sun_deg is not None and isinstance(target, Equirect):
+        panorama, disc = take_out_disc(panorama, *sun_deg)
+        sun = None if disc is None else _measured_sun(parts, profile, panorama, disc)
     view = "" if isinstance(target, Equirect) else target.view
-    return MergeResult(panorama, quality, verdict(quality), view)
+    return MergeResult(panorama, quality, verdict(quality), view, sun)
+
+
+def _measured_sun(
+    parts: Sequence[SensorMerge], profile: CameraProfile, panorama: Panorama, disc: SunDisc
+) -> MeasuredSun | None:
+    """Return the disc's centre by the sensor pixels, and when the frames that show it were taken.
+
+    These are the frames through a filter, else the least exposed one of each heading.
+    """
+    views = []
+    for part in parts:
+        light, flags = part.merged.value_cdm2, part.merged.flags
+        if profile.camera.kind == "jpeg":
+            light = light @ np.asarray(profile.colour.y_from_rgb, np.float32)  # [h, w]
+            flags = np.bitwise_or.reduce(flags, axis=-1)
+        clipped = (flags.reshape(part.crop.height, -1) & Flag.CLIPPED_HIGH) > 0
+        turn_deg = (part.shots[0].heading_deg or panorama.heading_deg) - panorama.heading_deg
+        for lens in profile.lens:
+            geometry = lens_geometry(lens, part.crop, turn_deg)
+            views.append((light.reshape(part.crop.height, -1), clipped, geometry))
+    pixel_rad = np.pi / len(panorama.luminance_cdm2)
+    place = sun_on_sensor(views, disc, panorama.heading_deg, pixel_rad)
+    if place is None:
+        return None
+    filtered = [s for part in parts for s in part.shots if s.exposure.nd]
+    through = panorama.sun is not None and panorama.sun.origin == MEASURED
+    shown = filtered if through else [part.shots[-1] for part in parts]
+    times = [s.t_utc.timestamp() for s in shown if s.t_utc is not None]
+    t_utc = datetime.fromtimestamp(float(np.mean(times)), UTC) if times else None
+    return MeasuredSun(*place, t_utc)
 
 
 def merge_frames(
@@ -249,6 +291,7 @@ def merge_frames(
     shots: Sequence[Shot] | None = None,
     fit: bool | None = None,
     drop_moved: bool = False,
+    sun_deg: tuple[float, float] | None = None,
     progress: Progress = quiet,
 ) -> MergeResult:
     """A bracket of raw or JPEG files to a luminance panorama [height, 2 height].
@@ -264,5 +307,6 @@ def merge_frames(
         heading_deg=heading_deg,
         fit=fit,
         drop_moved=drop_moved,
+        sun_deg=sun_deg,
         progress=progress,
     )

@@ -8,40 +8,61 @@ from the irradiance of that hour.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import datetime
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum.profiles import Lens
+from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
 from fieldlum.records import Flag, Panorama, Site, SunSource
 from fieldlum.sun import position
-from fieldlum.sun_disc import SUN_RADIUS_RAD, find_disc, without_disc
+from fieldlum.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
 _LOWEST_DEG = -0.3
 _ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5  # relative, of a disc one pixel wide, and of a point
+# Standard uncertainty of a disc's centre of energy on a mosaic, of a disc one pixel wide, sharp
+# optics: 0.08 px rms over the places where it may fall, falling with its width (150 draws each).
+_CENTRE_PX, _LEAST_CENTRE_PX = 0.1, 0.02
+_CLIPPED_CENTRE = 0.05  # of a clipped spot's width: its halo is not quite round
+_BLUR_RAD = np.radians(0.5)  # of a lens
+_DISC_PART = 0.05  # of the brightest pixel's excess: dimmer ones are sky
 CLIPPED = "clipped"
 MEASURED = "nd-frames"
 OPEN = "merge"
 
 
-def take_out_sun(panorama: Panorama, site: Site) -> Panorama:
-    """The panorama with the disc's pixels brought down to their surroundings (FILLED) and the
-    source beside it.
+@dataclass(frozen=True, slots=True)
+class MeasuredSun:
+    """Where the pictures show the sun's centre, by the profile's lens and the camera's heading.
 
-    Unchanged when the sun is down, hidden, or the time is unknown. Its origin says how far to trust
-    it: nd-frames (measured), merge (no frame clipped), clipped (a lower bound).
+    sigma_deg: standard uncertainty of the centre along each axis, without that of lens and pose.
+    t_utc: mean time of the frames that show it; None where their times are unknown.
     """
-    if panorama.t_utc is None:
-        return panorama
-    sun = position([panorama.t_utc], site)
+
+    altitude_deg: float
+    azimuth_deg: float
+    sigma_deg: float
+    t_utc: datetime | None
+
+
+def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:
+    """Return the sun's apparent altitude and azimuth, or None when it is down. [deg]"""
+    sun = position([t_utc], site)
     altitude, azimuth = float(sun.apparent_altitude_deg[0]), float(sun.azimuth_deg[0])
-    if altitude < _LOWEST_DEG:
-        return panorama
-    return take_out_disc(panorama, altitude, azimuth)
+    return None if altitude < _LOWEST_DEG else (altitude, azimuth)
 
 
-def take_out_disc(panorama: Panorama, altitude_deg: float, azimuth_deg: float) -> Panorama:
-    """Return the panorama as `take_out_sun` does, for a sun at a given apparent position."""
+def take_out_disc(
+    panorama: Panorama, altitude_deg: float, azimuth_deg: float
+) -> tuple[Panorama, SunDisc | None]:
+    """Return the panorama with the disc's pixels at their surroundings (FILLED), and the disc.
+
+    The panorama's `sun` gets the disc's illuminance at the place given, the sun's apparent one. Its
+    origin says how far to trust it: nd-frames (measured through a filter), merge (no frame
+    clipped), clipped (a lower bound). The panorama is unchanged where it shows no disc.
+    """
     flags = (
         np.zeros(panorama.luminance_cdm2.shape, np.uint16)
         if panorama.flags is None
@@ -54,7 +75,7 @@ def take_out_disc(panorama: Panorama, altitude_deg: float, azimuth_deg: float) -
         clipped=(flags & Flag.CLIPPED_HIGH) > 0,
     )
     if disc is None:
-        return panorama
+        return panorama, None
     filtered = bool(((flags & Flag.ND) > 0)[disc.pixels].any())
     origin = CLIPPED if disc.clipped else MEASURED if filtered else OPEN
     flags[disc.pixels] |= np.uint16(Flag.FILLED)
@@ -64,7 +85,7 @@ def take_out_disc(panorama: Panorama, altitude_deg: float, azimuth_deg: float) -
     if rgb is not None:
         darker = np.where(disc.pixels, disc.surroundings_cdm2 / np.maximum(light, 1e-12), 1.0)
         rgb = (rgb * darker[..., None]).astype(np.float32)
-    return replace(
+    without = replace(
         panorama,
         luminance_cdm2=without_disc(light, disc),
         u_cdm2=u_cdm2,
@@ -72,6 +93,7 @@ def take_out_disc(panorama: Panorama, altitude_deg: float, azimuth_deg: float) -
         sun=SunSource(altitude_deg, azimuth_deg, disc.normal_lx, 1.0, origin),
         rgb=rgb,
     )
+    return without, disc
 
 
 def disc_px(lenses: Sequence[Lens]) -> float:
@@ -92,3 +114,58 @@ def mosaic_u_rel(diameter_px: float) -> float:
     bound: where the optics spread a point over two pixels, a twentieth of it is left.
     """
     return min(_POINT_ON_MOSAIC, _ON_MOSAIC * diameter_px**-1.5)
+
+
+# ----------------------------------------------------------------------------------------------
+# the disc's centre on the sensor
+
+
+def sun_on_sensor(
+    views: Sequence[tuple[NDArray[np.float32], NDArray[np.bool_], LensGeometry]],
+    disc: SunDisc,
+    heading_deg: float,
+    pixel_rad: float,
+) -> tuple[float, float, float] | None:
+    """Return altitude, azimuth and standard uncertainty of the disc's centre, by sensor pixels.
+
+    views: of each lens of each heading the merged luminance [h, w], what is clipped in it [h, w],
+    and the lens relative to the panorama's heading; the one that shows the disc nearest to its axis
+    counts. pixel_rad: of the panorama that the disc was found in, whose pixels are too large to
+    place it. None where the sensor does not tell. [deg]
+    """
+    towards = direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
+    places = [lens_pixels(lens, towards) for _, _, lens in views]
+    number = int(np.argmin([float(angle) for _, _, angle in places]))
+    light, clipped, lens = views[number]
+    x, y, angle = (float(v) for v in places[number])
+    if angle >= lens.half_angle_rad or np.isnan(disc.sigma_deg):
+        return None
+    px_per_rad = lens.radius_px / lens.half_angle_rad
+    reach_px = 2.0 + px_per_rad * (SUN_RADIUS_RAD + _BLUR_RAD + 2.0 * pixel_rad)
+    top, left = max(int(y - reach_px), 0), max(int(x - reach_px), 0)
+    window = np.s_[top : int(y + reach_px) + 2, left : int(x + reach_px) + 2]
+    core = np.unravel_index(int(np.argmax(light[window])), light[window].shape)
+    bound_only = bool(clipped[window][core])
+    weight = _disc_weight(light[window], clipped[window] if bound_only else None)
+    if not weight.any():
+        return None
+    rows, columns = np.indices(weight.shape)
+    down = float((weight * (rows + 0.5)).sum() / weight.sum()) + top
+    across = float((weight * (columns + 0.5)).sum() / weight.sum()) + left
+    wide_px = 2.0 * np.sqrt(np.count_nonzero(weight) / np.pi)
+    sigma_px = _CLIPPED_CENTRE * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)
+    sigma_px = max(float(sigma_px), _LEAST_CENTRE_PX)
+    east, north, up = (float(v) for v in lens_rays(lens, across, down))
+    altitude = float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
+    azimuth = (float(np.degrees(np.arctan2(east, north))) + heading_deg) % 360.0
+    return altitude, azimuth, float(np.degrees(sigma_px / px_per_rad))
+
+
+def _disc_weight(
+    light: NDArray[np.float32], clipped: NDArray[np.bool_] | None
+) -> NDArray[np.float64]:
+    """Return each pixel's weight for the disc's centre: its excess, or 1 where the disc clips."""
+    if clipped is not None:
+        return clipped.astype(float)
+    excess = light - float(np.median(light))
+    return np.where(excess > _DISC_PART * excess.max(initial=0.0), excess, 0.0).astype(float)

@@ -19,7 +19,13 @@ from typing import Any
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
-from fieldlum.merge.disc import CLIPPED, disc_px, mosaic_u_rel, take_out_sun
+from fieldlum.merge.disc import (
+    CLIPPED,
+    MeasuredSun,
+    disc_px,
+    expected_sun_deg,
+    mosaic_u_rel,
+)
 from fieldlum.merge.session_summary import survey_owed, write_survey
 from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
@@ -128,10 +134,10 @@ def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
         known = None if job.force else _done_before(job.session, job.slot, recipe["digest"])
         if known is not None:
             return Verdict(job.slot, "kept", known["verdict"], known["quality"])
-        result, lost = _merged_without_lost(job, shots, progress)
         note = _capture_note(job.session, job.slot)
-        panorama = replace(result.panorama, t_utc=_slot_time(note, job.slot, shots))
-        panorama = take_out_sun(panorama, job.site)
+        t_utc = _slot_time(note, job.slot, shots)
+        result, lost = _merged_without_lost(job, shots, expected_sun_deg(t_utc, job.site), progress)
+        panorama = replace(result.panorama, t_utc=t_utc)
         ev = vertical_illuminance_lx(
             panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
         )
@@ -152,7 +158,10 @@ def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
 
 
 def _merged_without_lost(
-    job: _MergeJob, shots: list[Shot], progress: Progress
+    job: _MergeJob,
+    shots: list[Shot],
+    sun_deg: tuple[float, float] | None,
+    progress: Progress,
 ) -> tuple[MergeResult, list[str]]:
     """The bracket, and which frames it had to do without: a few that cannot be read are no
     reason to lose an hour.
@@ -167,6 +176,7 @@ def _merged_without_lost(
             shots=some,
             fit=job.fit,
             drop_moved=job.drop_moved,
+            sun_deg=sun_deg,
             progress=progress,
         )
 
@@ -190,7 +200,7 @@ def _write(job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
         "t_utc": utc_text(result.panorama.t_utc) if result.panorama.t_utc else "",
         "verdict": result.verdict,
         "quality": result.quality,
-        "sun": _sun_table(result.panorama.sun, p),
+        "sun": _sun_table(result.panorama.sun, result.sun, p),
         "factors": {
             "k": p.scale.k,
             "y_from_rgb": p.colour.y_from_rgb,
@@ -209,9 +219,19 @@ def _write(job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
         json.dump(table, file, indent=1)
 
 
-def _sun_table(sun: SunSource | None, profile: CameraProfile) -> dict[str, Any] | None:
+def _sun_table(
+    sun: SunSource | None, measured: MeasuredSun | None, profile: CameraProfile
+) -> dict[str, Any] | None:
     if sun is None:
         return None
+    centre = None
+    if measured is not None:
+        centre = {
+            "altitude_deg": round(measured.altitude_deg, 4),
+            "azimuth_deg": round(measured.azimuth_deg, 4),
+            "sigma_deg": float(f"{measured.sigma_deg:.3g}"),
+            "t_utc": utc_text(measured.t_utc) if measured.t_utc else "",
+        }
     return {
         "altitude_deg": sun.altitude_deg,
         "azimuth_deg": sun.azimuth_deg,
@@ -219,6 +239,7 @@ def _sun_table(sun: SunSource | None, profile: CameraProfile) -> dict[str, Any] 
         "u_mosaic_percent": round(100 * _sun_u_rel(profile), 2),
         "origin": sun.origin,
         "lower_bound": sun.origin == CLIPPED,
+        "measured": centre,
     }
 
 
