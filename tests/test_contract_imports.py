@@ -13,7 +13,17 @@ pytestmark = pytest.mark.contract
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
     {"errors", "records", "model_registry", "version"},
-    {"photometry", "projection", "rowwise", "statistics", "sun", "sky", "light", "light_clock"},
+    {
+        "photometry",
+        "projection",
+        "rowwise",
+        "statistics",
+        "sun",
+        "sun_disc",
+        "sky",
+        "light",
+        "light_clock",
+    },
     {"images", "raw", "profiles", "session", "scene", "weather"},
     {"devices", "notify"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
