@@ -1,5 +1,6 @@
 """Shared options of the command line: one help text each, sizes read strictly."""
 
+import inspect
 from collections import defaultdict
 
 import click
@@ -43,6 +44,17 @@ def test_a_shared_option_has_one_help_text(parameter: str) -> None:
 def test_every_option_has_help(name: str) -> None:
     options = [option for option in _commands()[name].params if isinstance(option, click.Option)]
     assert not [option.opts for option in options if not option.help]
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("name", _commands())
+def test_every_help_has_one_form(name: str) -> None:
+    """One line that ends with a period, then text, then examples of one line each."""
+    text = inspect.cleandoc(_commands()[name].help or "")
+    first, _, rest = text.partition("\n\n")
+    assert "\n" not in first and first.endswith(".") and len(first) <= 70
+    examples = rest.split("Example:\n")[1].splitlines()
+    assert all(line.startswith(f"  fieldlum {name} ") for line in examples), examples
 
 
 @pytest.mark.analytic

@@ -27,20 +27,16 @@ class _PartGroup(click.Group):
 def command() -> None:
     """Fit a camera's profile from ordinary captures.
 
-    Each fit starts from a profile (--camera) and writes a new one (--out). In this order:
+    Each fit starts from a profile (--camera) and writes a new one (--out); both may be one file.
+    Raw cameras also have shutter and pixels, once some sessions are merged.
 
     \b
-    fieldlum calibrate lens     flat.dng --circle --full-angle 186 --camera mine.toml --out
-    mine.toml
-    fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml      (JPEG
-    only)
-    fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
-    fieldlum calibrate colour   spots.csv --camera mine.toml --out mine.toml
-    fieldlum calibrate scale    readings.csv --camera mine.toml --out mine.toml
-
-    Raw cameras also, once some sessions are merged:
-
-    \b
-    fieldlum calibrate shutter  SESSION --camera mine.toml --out mine.toml
-    fieldlum calibrate pixels   cap-on-*.dng --dark --camera mine.toml --out mine.toml
+    Example, in this order:
+      fieldlum calibrate lens flat.dng --circle --full-angle 186 --camera mine.toml --out mine.toml
+      fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml
+      fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
+      fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
+      fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
+      fieldlum calibrate shutter SESSION --camera mine.toml --out mine.toml
+      fieldlum calibrate pixels cap-on-*.dng --dark --camera mine.toml --out mine.toml
     """

@@ -22,13 +22,14 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(
     source: Path, corners: str | None, camera: str, out: Path, picture: Path | None, as_json: bool
 ) -> None:
-    """Luminance from camera R, G, B, from spot readings or a chart.
+    """Fit luminance from camera R, G, B, by spot readings or a chart.
 
     SPOTS.csv: file, x_px, y_px, luminance_cdm2 of surfaces of many colours. FRAME: a 24-patch chart
     in even light.
 
     \b
-    fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
+    Example:
+      fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
     """
     from dataclasses import replace
 

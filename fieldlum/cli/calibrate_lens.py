@@ -54,15 +54,16 @@ def command(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Centre, circle, mapping and pose of a lens.
+    """Fit centre, circle, mapping and pose of a lens.
 
     TARGETS.csv: x_px, y_px, azimuth_deg, altitude_deg, relative to the camera's heading and the
     horizon.
 
     \b
-    fieldlum calibrate lens targets.csv --full-angle 186 --camera mine.toml --out mine.toml
-    fieldlum calibrate lens board-*.jpg --chessboard 9x6 --camera mine.toml --out mine.toml
-    fieldlum calibrate lens flat.jpg --circle --full-angle 186 --camera mine.toml --out mine.toml
+    Example:
+      fieldlum calibrate lens targets.csv --full-angle 186 --camera mine.toml --out mine.toml
+      fieldlum calibrate lens board-*.jpg --chessboard 9x6 --camera mine.toml --out mine.toml
+      fieldlum calibrate lens flat.jpg --circle --full-angle 186 --camera mine.toml --out mine.toml
     """
     from dataclasses import replace
 

@@ -23,14 +23,15 @@ def command(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Hot, dead and stuck pixels, into the profile's list (raw cameras).
+    """List hot, dead and stuck pixels in the profile (raw cameras).
 
     Frames of three different views or more, a FOLDER for each (turn the camera: what stays is the
     sensor's); or two or more long frames with the cap on (--dark), which show no dead pixels.
     Pixels listed before stay listed.
 
     \b
-    fieldlum calibrate pixels north south west --camera mine.toml --out mine.toml
+    Example:
+      fieldlum calibrate pixels north south west --camera mine.toml --out mine.toml
     """
     from dataclasses import replace
 

@@ -16,12 +16,13 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(
     brackets: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
 ) -> None:
-    """JPEG codes to linear light, from brackets of a still scene.
+    """Fit JPEG codes to linear light, from brackets of a still scene.
 
     BRACKETS are folders, one bracket each, or the JPEG files of one.
 
     \b
-    fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml
+    Example:
+      fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml
     """
     import numpy as np
 

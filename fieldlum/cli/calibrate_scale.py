@@ -25,13 +25,14 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(
     readings_csv: Path, meter_u: float, camera: str, out: Path, picture: Path | None, as_json: bool
 ) -> None:
-    """The absolute factor k, from spot and illuminance readings.
+    """Fit the absolute factor k from spot and illuminance readings.
 
     READINGS.csv: panorama, azimuth_deg, altitude_deg, luminance_cdm2 or illuminance_lx; the
     panoramas merged with the profile that --camera names (only its k may have changed since).
 
     \b
-    fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
+    Example:
+      fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
     """
     from dataclasses import replace
 

@@ -18,14 +18,15 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(
     sessions: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
 ) -> None:
-    """The shutter's true times, from the brackets that SESSIONs have merged with this very profile
-    (raw cameras).
+    """Fit the shutter's true times from merged sessions (raw cameras).
 
-    Five brackets or more must show two times alike. A merge with the new profile starts from these
-    times.
+    The SESSIONs must have been merged with this profile. A pair of neighbouring times counts when
+    five or more brackets agree on it within 2 %. A merge with the new profile starts from the
+    fitted times.
 
     \b
-    fieldlum calibrate shutter my-session --camera mine.toml --out mine.toml
+    Example:
+      fieldlum calibrate shutter my-session --camera mine.toml --out mine.toml
     """
     from fieldlum.calibrate import pictures, shutter
     from fieldlum.profiles import find_camera_profile, load_camera_profile

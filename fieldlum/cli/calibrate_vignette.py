@@ -30,13 +30,14 @@ def command(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Loss of light towards the edge, for one aperture.
+    """Fit the loss of light towards the edge, for one aperture.
 
     READINGS.csv: file, x_px, y_px (and radius_px, reference) of one patch seen at many angles; or
     angle_deg, value. FRAMEs: an evenly lit field.
 
     \b
-    fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
+    Example:
+      fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
     """
     from fieldlum.calibrate import pictures, vignette
     from fieldlum.profiles import load_camera_profile

@@ -108,7 +108,8 @@ def command(
     Can be stopped and started again at any moment: at most the frame in flight is taken anew.
 
     \b
-    fieldlum capture office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
+    Example:
+      fieldlum capture office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum import capture
     from fieldlum.capture.preflight import wait_for_clock

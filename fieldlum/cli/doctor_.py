@@ -40,7 +40,8 @@ def command(
     Exit code 0: nothing failed. 4: a device or this computer. 3: a file.
 
     \b
-    fieldlum doctor office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
+    Example:
+      fieldlum doctor office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum import doctor
     from fieldlum.session import open_session

@@ -78,7 +78,8 @@ def command(
     matches nothing is listed. The card is left as it is, and can be imported again.
 
     \b
-    fieldlum import office-2027 /media/card/DCIM --irradiance CR1000_sky.dat --utc-offset -08:00
+    Example:
+      fieldlum import office-2027 /media/card/DCIM --irradiance CR1000_sky.dat --utc-offset -08:00
     """
     if folder is None and logger is None:
         raise click.UsageError("name a card's folder, or a logger's file with --irradiance")

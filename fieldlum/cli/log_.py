@@ -32,7 +32,8 @@ def command(session_folder: Path, uri: str, every_s: float, rows: int | None) ->
     """Log irradiance alone, until stopped.
 
     \b
-    fieldlum log office-2027 --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
+    Example:
+      fieldlum log office-2027 --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum.capture.logger import log
     from fieldlum.devices.clock import RealClock

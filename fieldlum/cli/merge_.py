@@ -79,8 +79,7 @@ def command(
     \b
     Example:
       fieldlum merge my-session --workers 2
-      fieldlum merge --frames IMG_*.JPG --camera canon-5d2-8mm-f5.6 --out office.hdr --projection
-      fisheye
+      fieldlum merge --frames *.JPG --camera mine.toml --out office.hdr --projection fisheye
     """
     if session is None:
         raise click.UsageError("name a SESSION, or --frames FILE... --camera PROFILE --out OUT")

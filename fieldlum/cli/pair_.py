@@ -18,7 +18,8 @@ def command(session_folder: Path, force: bool) -> None:
     """Match panoramas with irradiance, sun and sun patches.
 
     \b
-    fieldlum pair office-2027
+    Example:
+      fieldlum pair office-2027
     """
     from fieldlum import irradiance, pair
     from fieldlum.session import open_session

@@ -73,9 +73,10 @@ def command(
     On a session: say what to capture next, or add make-ups for missed hours.
 
     \b
-    fieldlum plan office.toml --set 9-day --out office-2027 --ics --html
-    fieldlum plan office-2027 --next --weather seattle.epw
-    fieldlum plan office-2027 --replan
+    Example:
+      fieldlum plan office.toml --set 9-day --out office-2027 --ics --html
+      fieldlum plan office-2027 --next --weather seattle.epw
+      fieldlum plan office-2027 --replan
     """
     if next_ and replan:
         raise click.UsageError("--next and --replan do different things: give one of them")

@@ -97,7 +97,8 @@ def command(
     which is said. Given a SESSION, it renders the plan that stands there.
 
     \b
-    fieldlum simulate office.toml --set 9-day --size 230x115 --out office-sim
+    Example:
+      fieldlum simulate office.toml --set 9-day --size 230x115 --out office-sim
     """
     height = panorama_height(size)
     from fieldlum import simulate

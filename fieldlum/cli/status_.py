@@ -18,7 +18,8 @@ def command(session_folder: Path, as_json: bool) -> None:
     """Show what a session has done and what it owes.
 
     \b
-    fieldlum status office-2027
+    Example:
+      fieldlum status office-2027
     """
     from fieldlum.capture.status import status
     from fieldlum.session import open_session
