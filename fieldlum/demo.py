@@ -33,9 +33,14 @@ class Preset:
     height: int  # of the panoramas; they are twice as wide
     quality: str  # of the rendered truth
     budget_min: float  # for the dense network
+    troubles: str = ""  # file in capture_plans/
 
 
-PRESETS = {"quick": Preset(115, "quick", 0.5), "paper": Preset(230, "paper", 30.0)}
+PRESETS = {
+    "quick": Preset(115, "quick", 0.5),
+    "paper": Preset(230, "paper", 30.0),
+    "hard": Preset(58, "draft", 0.5, "hard.toml"),
+}
 
 Show = Callable[[str], Any]
 """Called with a stage's name; gives a context manager that yields a Progress."""
@@ -235,7 +240,15 @@ def run(
 
     session = stage("plan", lambda _: prepare(folder))
     year = simulate.weather_for(session.site_file(), weather)
-    render = {"height": how.height, "quality": how.quality, "workers": workers}
+    troubles = (
+        simulate.load_troubles(shipped("capture_plans") / how.troubles) if how.troubles else None
+    )
+    render = {
+        "height": how.height,
+        "quality": how.quality,
+        "workers": workers,
+        "troubles": None if troubles is None else troubles.seeded(seed - 1),
+    }
     stage("render the room", lambda p: simulate.run(session, year, progress=p, **render))
     stage("capture", lambda p: capture(session, seed, p))
     stage("merge", lambda p: merge.run(session, workers=workers, height=how.height, progress=p))

@@ -23,10 +23,11 @@ def _shown(name: str) -> Iterator[Progress]:
 @click.argument("folder", default="fieldlum-demo", type=click.Path(path_type=Path))
 @click.option(
     "--preset",
-    type=click.Choice(["quick", "paper"]),
+    type=click.Choice(["quick", "paper", "hard"]),
     default="quick",
     show_default=True,
-    help="quick: 230 x 115, a short training. paper: 460 x 230, half an hour of training.",
+    help="quick: 230 x 115, a short training. paper: 460 x 230, half an hour of training. hard: "
+    "116 x 58, with clouds, lamps, a knocked camera and ten more troubles.",
 )
 @click.option(
     "--seed",

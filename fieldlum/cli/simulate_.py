@@ -66,6 +66,12 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 )
 @click.option("--drift", is_flag=True, help="Let the light change within the hour.")
 @click.option(
+    "--troubles",
+    "troubles_file",
+    type=click.Path(path_type=Path),
+    help="TOML of what goes wrong: clouds, lamps, a knocked camera ... (docs/simulation.md).",
+)
+@click.option(
     "--seed",
     type=int,
     default=1,
@@ -86,6 +92,7 @@ def command(
     size: str,
     quality: str | None,
     drift: bool,
+    troubles_file: Path | None,
     seed: int,
     force: bool,
     as_json: bool,
@@ -108,6 +115,7 @@ def command(
     session = open_session(site) if site.is_dir() else None
     if session is None and out is None:
         raise click.UsageError("give --out, like: fieldlum simulate office.toml --out office-sim")
+    troubles = None if troubles_file is None else simulate.load_troubles(troubles_file)
     setup = session.site_file() if session is not None else load_site(site)
     weather = simulate.weather_for(setup, weather_file, seed)
     for repair in weather.repairs:
@@ -125,6 +133,7 @@ def command(
             height=height,
             quality=chosen,
             drift=drift,
+            troubles=troubles,
             force=force,
             progress=progress,
         )

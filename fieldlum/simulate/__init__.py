@@ -24,6 +24,9 @@ from fieldlum.images import write_panorama
 from fieldlum.light import Light, light_at
 from fieldlum.records import Panorama, Progress, SiteFile, Slot, quiet, utc_text
 from fieldlum.session import Session, create_session, replacing, replacing_path, update_session
+from fieldlum.simulate.troubles import Troubles as Troubles
+from fieldlum.simulate.troubles import load_troubles as load_troubles
+from fieldlum.simulate.troubles import measured_irradiance, troubled_pictures, true_light
 from fieldlum.simulate.truth import QUALITIES as QUALITIES
 from fieldlum.simulate.truth import GroundTruth as GroundTruth
 from fieldlum.simulate.truth import Rendering as Rendering
@@ -98,6 +101,7 @@ def run(
     height: int = 230,
     quality: str = "paper",
     drift: bool = False,
+    troubles: Troubles | None = None,
     force: bool = False,
     cache: Path | None = None,
     workers: int | None = None,
@@ -106,8 +110,9 @@ def run(
     """Render the truth of every slot of a session's plan and write pairs.csv.
 
     Slots that are rendered already, in the same way, are kept. drift: irradiance changes within the
-    hour instead of holding its mean. cache: where the Radiance coefficients are kept, by default
-    the session's truth/. Raises InputError for a room that cannot be rendered.
+    hour instead of holding its mean. troubles: what differs from what is stated. cache: where the
+    Radiance coefficients are kept, by default the session's truth/. Raises InputError for a room
+    that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     truth = ground_truth(
@@ -119,19 +124,32 @@ def run(
         progress=progress,
     )
     light, lit = _light_of(setup, slots, weather)
-    _forget_other(session, slots, truth, weather)
+    wrong = troubles or Troubles()
+    shining = true_light(light, wrong, setup.site) if wrong.names else light
+    _forget_other(session, slots, truth, weather, wrong.key)
     owed = [k for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
     for start in range(0, len(owed), _CHUNK):
         progress(start, len(owed), "truth")
         rows = owed[start : start + _CHUNK]
-        _write(session, truth, truth.render(light[np.array(rows)]), [slots[k] for k in rows])
-    _write_irradiance(session, weather, slots, drift)
-    write_pairs(session, slots, light, lit, weather)
+        made = truth.render(shining[np.array(rows)])
+        if wrong.names:
+            # Patches are computed from what is stated, as `pair` does.
+            stated = truth.render(light[np.array(rows)])
+            made = replace(made, patch_cdm2=stated.patch_cdm2)
+            times = [slot.t_utc for slot in slots]
+            made = troubled_pictures(made, truth, [times[k] for k in rows], times, wrong)
+        _write(session, truth, made, [slots[k] for k in rows])
+    _write_irradiance(session, weather, slots, drift, wrong)
+    dni, dhi = measured_irradiance(
+        light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, wrong
+    )
+    write_pairs(session, slots, replace(light, dni_wm2=dni, dhi_wm2=dhi), lit, weather)
     about = {
         "weather": weather.name,
         "height": height,
         "quality": quality,
         "synthetic_weather": weather.synthetic,
+        **({"troubles": list(wrong.names)} if wrong.names else {}),
     }
     update_session(session, {"simulation": about})
     return Simulated(len(owed), int(lit.sum()) - len(owed), int((~lit).sum()), weather.name)
@@ -155,7 +173,7 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
 
 
 def _forget_other(
-    session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather
+    session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather, troubles: str
 ) -> None:
     """Take away pictures of another room, size, quality or weather, so that a cut run cannot mix
     them with new ones.
@@ -165,6 +183,7 @@ def _forget_other(
         np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()
     ).hexdigest()
     now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
+    now |= {"troubles": troubles} if troubles else {}
     if path.is_file() and json.loads(path.read_text(encoding="utf-8")) == now:
         return
     for slot in slots:
@@ -202,7 +221,7 @@ def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequenc
 
 
 def _write_irradiance(
-    session: Session, weather: Weather, slots: Sequence[Slot], drift: bool
+    session: Session, weather: Weather, slots: Sequence[Slot], drift: bool, troubles: Troubles
 ) -> None:
     """truth/irradiance.csv over the planned days: readers interpolate between its rows, so a
     steady hour has two.
@@ -219,13 +238,18 @@ def _write_irradiance(
                 else [begin, begin + timedelta(minutes=59, seconds=59)]
             )
     found = weather.at(times)
+    ghi_wm2, dni_wm2, dhi_wm2 = (
+        np.nan_to_num(v) for v in (found.ghi_wm2, found.dni_wm2, found.dhi_wm2)
+    )
+    if troubles.names:
+        altitude = sun.position(times, weather.site).altitude_deg
+        dni_wm2, dhi_wm2 = measured_irradiance(times, dni_wm2, dhi_wm2, altitude, troubles)
+        ghi_wm2 = dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0) + dhi_wm2
     with replacing(session.truth / "irradiance.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2"))
-        for t, ghi, dhi, dni in zip(
-            times, found.ghi_wm2, found.dhi_wm2, found.dni_wm2, strict=True
-        ):
-            writer.writerow((utc_text(t), *(f"{np.nan_to_num(v):.3f}" for v in (ghi, dhi, dni))))
+        for t, ghi, dhi, dni in zip(times, ghi_wm2, dhi_wm2, dni_wm2, strict=True):
+            writer.writerow((utc_text(t), *(f"{v:.3f}" for v in (ghi, dhi, dni))))
 
 
 def write_pairs(

@@ -1,0 +1,347 @@
+"""Troubles of a real campaign, put into a simulated one: each with a size and a seed from a file.
+
+A trouble changes what the room shows (truth/<slot>.exr, the pictures that cameras take) or what the
+instrument measures (truth/irradiance.csv, pairs.csv). What is stated stays as it was: the site, the
+room, the slots' times and the sun patches computed from them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.errors import InputError
+from fieldlum.light import Light
+from fieldlum.profiles import build
+from fieldlum.projection import equirect_rays
+from fieldlum.records import Site
+from fieldlum.sky import reinhart_patches
+
+if TYPE_CHECKING:
+    from fieldlum.simulate.truth import GroundTruth, Rendering
+
+Array = NDArray[Any]
+
+_CLOUD_WAVES = 12  # plane waves of the cloud field; their sum is nearly normal
+_CLOUD_SCALE_RAD = 0.5  # correlation length, about 30 degrees as in the learning review's probe
+_FAR_M, _FAR_SD = 500.0, 0.3  # DNI under broken cloud decorrelates within some hundred metres
+_KNOCKED_DAYS = (3, 6)  # first day of the knock and first day after it, counted from 0
+_EVENING_H = 15.0  # local standard time from which lamps may be on
+_LAMP_SPOTS = 20.0  # a luminaire is so many times brighter than the wall that it lights
+_PERSON_DEG = (12.0, 50.0)  # width and height of somebody 2 m away, from the feet up
+_CHAIR_DEG = (18.0, 14.0)
+_CLIP_CDM2 = 1500.0  # what a bracket without its shortest frames still holds
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """How large, in the unit of the trouble, and the seed of what is random about it."""
+
+    size: float
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Troubles:
+    """What goes wrong; None: it does not.
+
+    clouds : sd of ln luminance of a smooth field over the sky, another each hour; DHI is kept.
+    distant_instrument : distance of the instrument [m]; its DNI is that of other clouds.
+    instrument_drift : relative change of what it measures from the first to the last slot.
+    horizon : altitude below which the instrument is in shade [deg].
+    north : room and camera are so much further clockwise than stated [deg].
+    clock_drift : the stated times fall behind the true ones by this much in a week [min].
+    knock : turn of the camera from the 4th to the 6th day [deg].
+    lamps : luminance that lamps add to walls in some evenings [cd/m2].
+    blind : share of light that a half-lowered blind takes away on one day.
+    people : share of the pictures with a person in them.
+    chair : share of light that a moved chair takes from a part of the floor, from the middle day.
+    exposures : relative sd of a picture's level by wrong exposure times.
+    clipped : number of pictures without their shortest exposures.
+    """
+
+    clouds: Trouble | None = None
+    distant_instrument: Trouble | None = None
+    instrument_drift: Trouble | None = None
+    horizon: Trouble | None = None
+    north: Trouble | None = None
+    clock_drift: Trouble | None = None
+    knock: Trouble | None = None
+    lamps: Trouble | None = None
+    blind: Trouble | None = None
+    people: Trouble | None = None
+    chair: Trouble | None = None
+    exposures: Trouble | None = None
+    clipped: Trouble | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Troubles that are there."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+    @property
+    def key(self) -> str:
+        """Changes with any size or seed."""
+        text = json.dumps(asdict(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
+
+    def only(self, name: str) -> Troubles:
+        """The same with one trouble alone. Raises KeyError for one that is not there."""
+        if name not in self.names:
+            raise KeyError(name)
+        return Troubles(**{name: getattr(self, name)})
+
+    def seeded(self, seed: int) -> Troubles:
+        """The same sizes with other seeds."""
+        changed = {
+            n: replace(getattr(self, n), seed=getattr(self, n).seed + seed) for n in self.names
+        }
+        return replace(self, **changed)
+
+
+LIMITS = {  # largest size of each trouble; the smallest is 0
+    "clouds": 1.0,
+    "distant_instrument": 5000.0,
+    "instrument_drift": 0.5,
+    "horizon": 30.0,
+    "north": 10.0,
+    "clock_drift": 60.0,
+    "knock": 10.0,
+    "lamps": 1000.0,
+    "blind": 1.0,
+    "people": 1.0,
+    "chair": 1.0,
+    "exposures": 1.0,
+    "clipped": 1000.0,
+}
+
+
+def load_troubles(path: Path) -> Troubles:
+    """Read troubles from TOML: a table for each, with `size` and `seed`.
+
+    Raises InputError for an unknown trouble or key, and for a size outside `LIMITS`.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(path, str(error), "a TOML file of troubles") from None
+    troubles = build(Troubles, table, str(path))
+    for name in troubles.names:
+        size = getattr(troubles, name).size
+        if not abs(size) <= LIMITS[name] or (size < 0 and name not in _SIGNED):
+            least = -LIMITS[name] if name in _SIGNED else 0
+            raise InputError(path, f"[{name}] size = {size:g}", f"{least:g} to {LIMITS[name]:g}")
+    return troubles
+
+
+_SIGNED = ("instrument_drift", "north", "clock_drift", "knock")
+
+
+# ----------------------------------------------------------------------------------------------
+# light
+
+
+@dataclass(frozen=True)
+class CloudyLight(Light):
+    """Light whose sky is Perez's times a smooth log-normal field, another one each moment."""
+
+    cloud_sd: float = 0.0
+    cloud_seed: int = 0
+
+    def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> CloudyLight:
+        plain = super().__getitem__(rows)
+        values = {f.name: getattr(plain, f.name) for f in fields(Light)}
+        return CloudyLight(**values, cloud_sd=self.cloud_sd, cloud_seed=self.cloud_seed)
+
+    def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Luminance of the clouded sky, [n, m]; the diffuse illuminance is that of the clear
+        Perez sky, and the ground below the horizon is unchanged.
+        """
+        plain = super().sky_at(directions)
+        patches = reinhart_patches()
+        weights = patches.solid_angles_sr * np.maximum(patches.directions[:, 2], 0.0)
+        base = super().sky_at(patches.directions)  # [n, 2305]
+        up = np.asarray(directions)[:, 2] > 0.0
+        out = plain.copy()
+        for k, t in enumerate(self.t_utc):
+            rng = np.random.default_rng([self.cloud_seed, int(t.timestamp())])
+            field, everywhere = _cloud_field(rng, self.cloud_sd, directions, patches.directions)
+            kept = float(base[k] @ weights) / max(float((base[k] * everywhere) @ weights), 1e-9)
+            out[k, up] *= (kept * field[up]).astype(np.float32)
+        return out
+
+
+def _cloud_field(
+    rng: np.random.Generator, sd: float, *directions: NDArray[np.floating]
+) -> list[NDArray[np.float64]]:
+    """exp of a smooth normal field at each set of directions [m, 3], [m] each."""
+    waves = rng.normal(0.0, 1.0 / _CLOUD_SCALE_RAD, (_CLOUD_WAVES, 3))
+    phases = rng.uniform(0.0, 2.0 * np.pi, _CLOUD_WAVES)
+    scale = sd * np.sqrt(2.0 / _CLOUD_WAVES)
+    return [np.exp(scale * np.cos(d @ waves.T + phases).sum(axis=1)) for d in directions]
+
+
+def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
+    """Return the light that the room really gets, in the stated frame of room and camera."""
+    altitude, azimuth = light.sun_altitude_deg, light.sun_azimuth_deg
+    if troubles.clock_drift is not None:
+        start = min(light.t_utc)
+        late = [troubles.clock_drift.size * ((t - start) / timedelta(days=7)) for t in light.t_utc]
+        # Planned days may be months apart; a clock is set again after a week.
+        late = [minutes % troubles.clock_drift.size for minutes in late]
+        times = [t + timedelta(minutes=m) for t, m in zip(light.t_utc, late, strict=True)]
+        at = sun.position(times, site)
+        altitude, azimuth = np.maximum(at.altitude_deg, 0.05), at.azimuth_deg
+    if troubles.north is not None:
+        azimuth = azimuth - troubles.north.size
+    moved = replace(light, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth)
+    if troubles.clouds is None:
+        return moved
+    values = {f.name: getattr(moved, f.name) for f in fields(Light)}
+    return CloudyLight(**values, cloud_sd=troubles.clouds.size, cloud_seed=troubles.clouds.seed)
+
+
+def measured_irradiance(
+    times_utc: Sequence[datetime],
+    dni_wm2: Array,
+    dhi_wm2: Array,
+    altitude_deg: Array,
+    troubles: Troubles,
+) -> tuple[Array, Array]:
+    """Return DNI and DHI [n] as the troubled instrument gives them. [W/m2]"""
+    dni, dhi = np.array(dni_wm2, float), np.array(dhi_wm2, float)
+    rise = np.maximum(np.sin(np.radians(altitude_deg)), 0.02)
+    if troubles.distant_instrument is not None:
+        apart = troubles.distant_instrument
+        sd = _FAR_SD * (1.0 - np.exp(-apart.size / _FAR_M))
+        total = dni * rise + dhi
+        factor = [np.exp(sd * _normal(apart.seed, t)) for t in times_utc]
+        dni = np.minimum(dni * factor, 0.97 * total / rise)
+        dhi = np.maximum(total - dni * rise, 0.0)
+    if troubles.horizon is not None:
+        dni = np.where(altitude_deg < troubles.horizon.size, 0.0, dni)
+    if troubles.instrument_drift is not None and len(times_utc) > 1:
+        seconds = np.array([t.timestamp() for t in times_utc])
+        gain = 1.0 + troubles.instrument_drift.size * (seconds - seconds.min()) / np.ptp(seconds)
+        dni, dhi = dni * gain, dhi * gain
+    return dni, dhi
+
+
+def _normal(seed: int, t_utc: datetime) -> float:
+    """A normal number of an hour: the same at all its seconds."""
+    hour = int(t_utc.timestamp() // 3600)
+    return float(np.random.default_rng([seed, hour]).standard_normal())
+
+
+# ----------------------------------------------------------------------------------------------
+# pictures
+
+
+def troubled_pictures(
+    made: Rendering,
+    truth: GroundTruth,
+    slots: Sequence[datetime],
+    all_slots: Sequence[datetime],
+    troubles: Troubles,
+) -> Rendering:
+    """Return the rendering of `slots` with what was different in the room and the camera.
+
+    all_slots : of the complete plan: days are counted by it.
+    """
+    zone = truth.setup.site.timezone
+    days = sorted({sun.standard_date(t, zone) for t in all_slots})
+    maps = made.luminance_cdm2.copy()
+    for k, t in enumerate(slots):
+        day = days.index(sun.standard_date(t, zone))
+        local = sun.standard_time(t, zone)
+        hour = local.hour + local.minute / 60.0
+        maps[k] = _changed_room(maps[k], truth, day, len(days), hour, troubles)
+        maps[k] = _changed_picture(maps[k], t, all_slots, day, troubles)
+    return replace(made, luminance_cdm2=maps)
+
+
+def _changed_room(
+    image: Array, truth: GroundTruth, day: int, days: int, hour: float, troubles: Troubles
+) -> Array:
+    """Lamps, a blind and a chair, [H, W]."""
+    out = image.copy()
+    height, width = out.shape
+    if troubles.lamps is not None and hour >= _EVENING_H:
+        rng = np.random.default_rng([troubles.lamps.seed, day])
+        if rng.random() < 0.5:
+            lit = np.full_like(out, troubles.lamps.size)
+            lit[height // 8 : height // 6, width // 8 :: width // 4] *= _LAMP_SPOTS
+            out += np.where(truth.view.sky > 0, 0.0, lit).astype(np.float32)
+    if troubles.blind is not None and day == _blind_day(troubles.blind, days):
+        window = truth.view.sky > 0
+        rows = np.flatnonzero(window.any(axis=1))
+        upper = window & (np.arange(height)[:, None] <= np.median(rows))
+        left = 1.0 - troubles.blind.size
+        out = np.where(upper, out * left, out * (0.5 + 0.5 * left)).astype(np.float32)
+    if troubles.chair is not None and day >= days // 2:
+        azimuth = float(np.random.default_rng(troubles.chair.seed).uniform(0.0, 360.0))
+        where = _block(height, width, azimuth, -35.0, *_CHAIR_DEG)
+        out[where] *= np.float32(1.0 - troubles.chair.size)
+    return out
+
+
+def _blind_day(blind: Trouble, days: int) -> int:
+    return int(np.random.default_rng(blind.seed).integers(days))
+
+
+def _changed_picture(
+    image: Array, t_utc: datetime, all_slots: Sequence[datetime], day: int, troubles: Troubles
+) -> Array:
+    """A person, a turned camera, wrong exposure times and clipping, [H, W]."""
+    out = image
+    height, width = out.shape
+    if troubles.people is not None:
+        rng = np.random.default_rng([troubles.people.seed, int(t_utc.timestamp())])
+        if rng.random() < troubles.people.size:
+            body = _block(height, width, rng.uniform(0.0, 360.0), -20.0, *_PERSON_DEG)
+            out = np.where(body, np.float32(0.3 * np.median(out)), out)
+    if troubles.knock is not None and _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]:
+        shift = troubles.knock.size / 360.0 * width
+        whole = int(np.floor(shift))
+        near, far = np.roll(out, -whole, axis=1), np.roll(out, -whole - 1, axis=1)
+        out = (near * (1.0 - (shift - whole)) + far * (shift - whole)).astype(np.float32)
+    if troubles.exposures is not None:
+        rng = np.random.default_rng([troubles.exposures.seed, int(t_utc.timestamp())])
+        out = out * np.float32(np.exp(troubles.exposures.size * rng.standard_normal()))
+    if troubles.clipped is not None:
+        order = sorted(all_slots, key=lambda t: _draw(troubles.clipped, t))
+        if t_utc in order[: int(troubles.clipped.size)]:
+            out = np.minimum(out, np.float32(_CLIP_CDM2))
+    return out
+
+
+def _draw(trouble: Trouble | None, t_utc: datetime) -> int:
+    """A number that orders slots at random."""
+    return zlib.crc32(f"{trouble.seed if trouble else 0} {t_utc.timestamp():.0f}".encode())
+
+
+def _block(
+    height: int,
+    width: int,
+    azimuth_deg: float,
+    altitude_deg: float,
+    wide_deg: float,
+    high_deg: float,
+) -> NDArray[np.bool_]:
+    """Pixels of an upright rectangle on the sphere, azimuth counted from the heading, [H, W]."""
+    rays = equirect_rays(height, width, 0.0)
+    altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
+    azimuth = np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
+    beside = np.abs((azimuth - azimuth_deg + 180.0) % 360.0 - 180.0)
+    return (beside < wide_deg / 2) & (np.abs(altitude - altitude_deg) < high_deg / 2)
