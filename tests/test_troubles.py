@@ -12,7 +12,6 @@ import pytest
 
 from fieldlum import plan, simulate
 from fieldlum.errors import InputError
-from fieldlum.images import read_panorama
 from fieldlum.light import light_at
 from fieldlum.profiles import load_site, shipped
 from fieldlum.session import Session, create_session
@@ -22,6 +21,7 @@ from fieldlum.simulate.troubles import (
     Troubles,
     load_troubles,
     measured_irradiance,
+    troubled_pictures,
     true_light,
 )
 
@@ -94,40 +94,41 @@ def test_the_instrument_drifts_is_shaded_and_is_far_away() -> None:
     assert np.abs(np.log(dni[high] / light.dni_wm2[high])).mean() > 0.05
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("coefficients")
-
-
-def _run(out: Path, cache: Path, troubles: Troubles | None) -> Session:
-    session = create_session(out, SETUP, SLOTS[2::9], {"set": "test"})
-    simulate.run(
-        session, WEATHER, height=16, quality="draft", troubles=troubles, cache=cache, workers=1
-    )
-    return session
-
-
-def _maps(session: Session) -> np.ndarray:
-    with session.pairs.open(encoding="utf-8") as file:
-        paths = [row["panorama"] for row in csv.DictReader(file) if row["ok"] == "1"]
-    return np.stack([read_panorama(session.root / path).luminance_cdm2 for path in paths])
-
-
 @pytest.mark.property
-def test_every_trouble_changes_the_campaign_and_none_changes_nothing(
-    tmp_path: Path, cache: Path
+def test_every_trouble_of_room_and_camera_changes_pictures(tmp_path: Path) -> None:
+    truth = simulate.ground_truth(SETUP, height=16, quality="draft", workers=1)
+    rows = np.arange(5, 105, 14)
+    made = truth.render(_light()[rows])
+    some = [TIMES[k] for k in rows]
+    loud = replace(HARD, people=Trouble(0.9, 1), lamps=Trouble(10.0, 2), clipped=Trouble(60.0, 1))
+    for name in ("knock", "lamps", "people", "chair", "exposures", "clipped", "blind"):
+        changed = troubled_pictures(made, truth, some, TIMES, loud.only(name))
+        again = troubled_pictures(made, truth, some, TIMES, loud.only(name))
+        np.testing.assert_array_equal(changed.luminance_cdm2, again.luminance_cdm2)
+        if name != "blind":  # its day may be one without a slot here
+            assert not np.array_equal(changed.luminance_cdm2, made.luminance_cdm2), name
+        np.testing.assert_array_equal(changed.patch_cdm2, made.patch_cdm2)
+    none = troubled_pictures(made, truth, some, TIMES, Troubles())
+    np.testing.assert_array_equal(none.luminance_cdm2, made.luminance_cdm2)
+
+
+@pytest.mark.contract
+def test_a_session_keeps_what_is_stated_and_renders_again_for_other_troubles(
+    tmp_path: Path,
 ) -> None:
-    clean = _run(tmp_path / "clean", cache, None)
-    same = _run(tmp_path / "same", cache, Troubles())
-    maps, pairs = _maps(clean), clean.pairs.read_text()
-    np.testing.assert_array_equal(maps, _maps(same))
-    loud = replace(HARD, people=Trouble(0.9, 1), lamps=Trouble(10.0, 2), clipped=Trouble(4.0, 1))
-    for name in ("knock", "lamps", "people", "chair", "exposures", "clipped", "clouds", "north"):
-        session = _run(tmp_path / name, cache, loud.only(name))
-        assert not np.array_equal(_maps(session), maps), name
-        assert session.pairs.read_text() == pairs, name
-        assert session.table()["simulation"]["troubles"] == [name]
-    for name in ("distant_instrument", "instrument_drift"):
-        session = _run(tmp_path / name, cache, loud.only(name))
-        assert session.pairs.read_text() != pairs, name
-        np.testing.assert_array_equal(_maps(session), maps)
+    session = create_session(tmp_path / "s", SETUP, SLOTS[2::40], {"set": "test"})
+    how = {"height": 12, "quality": "draft", "cache": tmp_path, "workers": 1}
+    assert simulate.run(session, WEATHER, **how).rendered == 3
+    clean = _rows(session)
+    troubles = Troubles(instrument_drift=Trouble(0.1), exposures=Trouble(0.1, 3))
+    assert simulate.run(session, WEATHER, troubles=troubles, **how).rendered == 3
+    wrong = _rows(session)
+    assert session.table()["simulation"]["troubles"] == ["instrument_drift", "exposures"]
+    assert [r["sun_azimuth_deg"] for r in wrong] == [r["sun_azimuth_deg"] for r in clean]
+    assert float(wrong[-1]["dhi_wm2"]) == pytest.approx(1.1 * float(clean[-1]["dhi_wm2"]), rel=1e-3)
+    assert simulate.run(session, WEATHER, troubles=troubles, **how).rendered == 0
+
+
+def _rows(session: Session) -> list[dict[str, str]]:
+    with session.pairs.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
