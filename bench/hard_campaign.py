@@ -50,7 +50,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--troubles", type=Path, default=shipped("capture_plans") / "hard.toml")
+    parser.add_argument("--troubles", type=Path, default=shipped("capture_plans") / "troubles" / "hard.toml")
     parser.add_argument("--height", type=int, default=29)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--hours", type=int, default=80)

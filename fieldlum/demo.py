@@ -39,7 +39,7 @@ class Preset:
 PRESETS = {
     "quick": Preset(115, "quick", 0.5),
     "paper": Preset(230, "paper", 30.0),
-    "hard": Preset(58, "draft", 0.5, "hard.toml"),
+    "hard": Preset(58, "draft", 0.5, "troubles/hard.toml"),
 }
 
 Show = Callable[[str], Any]

@@ -26,7 +26,7 @@ from fieldlum.simulate.troubles import (
 )
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
-HARD = load_troubles(shipped("capture_plans") / "hard.toml")
+HARD = load_troubles(shipped("capture_plans") / "troubles" / "hard.toml")
 SLOTS = plan.make_plan(SETUP, plan.Request("9-day", today=date(2027, 1, 1), year=2027)).slots
 WEATHER = simulate.weather_for(SETUP)
 TIMES = [slot.t_utc for slot in SLOTS]
