@@ -30,6 +30,7 @@ from fieldlum.simulate import Troubles, load_troubles
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.setting import settle
 
+HARD = shipped("capture_plans") / "troubles" / "hard.toml"
 COLUMNS = {
     "trouble": "trouble",
     "seed": "seed",
@@ -50,7 +51,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--troubles", type=Path, default=shipped("capture_plans") / "troubles" / "hard.toml")
+    parser.add_argument("--troubles", type=Path, default=HARD)
     parser.add_argument("--height", type=int, default=29)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--hours", type=int, default=80)
