@@ -28,6 +28,7 @@ COMMANDS = (
     "calibrate",
     "merge",
     "pair",
+    "scene",
     "train",
     "predict",
     "glare",

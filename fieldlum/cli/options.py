@@ -34,6 +34,12 @@ site_option = click.option(
     type=PATH,
     help="SITE.toml. [default: the session's, or site.toml in the folder of the csv]",
 )
+scene_option = click.option(
+    "--scene",
+    metavar="DIR|none",
+    default="",
+    help="Folder of a fitted scene, or none. [default: scene/ beside the pairs, where it is]",
+)
 budget_type = click.FloatRange(min=0, min_open=True)
 
 

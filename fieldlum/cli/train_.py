@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from fieldlum.cli.options import json_option, out_option, pairs_argument, site_option
+from fieldlum.cli.options import json_option, out_option, pairs_argument, scene_option, site_option
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.model_registry import MODELS
 
@@ -37,6 +37,7 @@ from fieldlum.model_registry import MODELS
     help="Minutes.",
 )
 @click.option("--seed", default=0, show_default=True, help="Of everything random in training.")
+@scene_option
 @out_option("Model folder", default="models/MODEL in the folder of the pairs")
 @json_option
 def command(
@@ -46,6 +47,7 @@ def command(
     patch: Any,
     budget: float,
     seed: int,
+    scene: str,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -60,11 +62,13 @@ def command(
       fieldlum train renderings/pairs.csv --site office.toml --model transport --out models/office
     """
     from fieldlum.models.data import load_pairs
+    from fieldlum.scene_fit.apply import in_scene
     from fieldlum.train import default_folder, run
 
     folder = out or default_folder(pairs, model)
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
+        data, patch = in_scene(data, pairs, scene, patch, progress=show)
     with progress("training") as show:
         answer = run(
             data, model, budget_min=budget, patch=patch, seed=seed, out=folder, progress=show

@@ -57,6 +57,7 @@ class Dataset:
     steadiness: NDArray[np.float64]
     source: str = ""
     notes: tuple[str, ...] = field(default=())
+    scene: dict[str, Any] | None = None  # of `scene_fit.with_scene`: what was stated, what was used
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -113,6 +114,7 @@ class Dataset:
             "heading_deg": self.heading_deg,
             "height": self.shape[0],
             "width": self.shape[1],
+            **({"scene": self.scene} if self.scene else {}),
             "training": {
                 "source": self.source,
                 "slots": list(self.slots),

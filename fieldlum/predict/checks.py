@@ -31,9 +31,11 @@ def default_folder(model_folder: Path) -> Path:
     )
 
 
-def check_session(model_folder: Path, room: ModelRoom) -> None:
-    """A model that stands in a session must have been trained on its place, heading and picture
-    size.
+def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | None = None) -> None:
+    """Raise InputError for a model whose place, heading or picture size are not its session's.
+
+    scene: of the model's config.json, where it was trained with a fitted scene; what was stated
+    before the fit is compared then.
     """
     resolved = model_folder.resolve()
     root = resolved.parents[1]
@@ -52,7 +54,9 @@ def check_session(model_folder: Path, room: ModelRoom) -> None:
             f"one of {theirs.name} ({theirs.latitude_deg:g}, {theirs.longitude_deg:g})",
             "train one in this session",
         )
-    if changed := _changes(site_table(room.setup), site_table(setup)):
+    stated = scene["stated"] if scene else site_table(room.setup)
+    heading_deg = float(scene["stated_heading_deg"]) if scene else room.heading_deg
+    if changed := _changes(stated, site_table(setup)):
         raise InputError(
             model_folder,
             f"a model of {changed[0]}",
@@ -70,8 +74,8 @@ def check_session(model_folder: Path, room: ModelRoom) -> None:
             raise InputError(
                 model_folder, found, f"{width} x {height} as in this session", "train it again"
             )
-        if abs(signed_angle_deg(first.heading_deg - room.heading_deg)) > 0.1:
-            found = f"a model that faces {room.heading_deg:g}"
+        if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
+            found = f"a model that faces {heading_deg:g}"
             raise InputError(
                 model_folder, found, f"{first.heading_deg:g} as in this session", "train it again"
             )

@@ -1,0 +1,92 @@
+"""`fieldlum scene`: the room from its own captures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fieldlum.cli.options import PATH, json_option, pairs_argument, site_option
+from fieldlum.cli.terminal import emit_json, progress, say
+
+if TYPE_CHECKING:
+    from fieldlum.scene_fit.scene_file import Scene
+
+
+@click.group("scene")
+def command() -> None:
+    """Find the room's geometry, north and clock from captures."""
+
+
+@command.command()
+@pairs_argument
+@site_option
+@click.option("--out", type=PATH, help="Folder to write. [default: scene/ in the session's folder]")
+@click.option("--seed", default=0, show_default=True, help="Of the pixels drawn.")
+@json_option
+def fit(pairs: Path, site: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
+    """Fit north, clock, camera, windows, bars and furniture to the sun patches of captures.
+
+    Starts at the `[room]` that was measured by tape and edits nothing of yours: it writes
+    scene.toml, with values before and after and their uncertainties, and pictures to check them.
+    `train`, `bench` and `report` then use a session's own scene/ unless `--scene none` is given.
+
+    \b
+    Example:
+      fieldlum scene fit office-2027
+      fieldlum scene fit renderings/pairs.csv --site office.toml --out office-scene
+    """
+    from fieldlum.models.data import load_pairs
+    from fieldlum.scene_fit.stage import run
+
+    folder = out or (pairs if pairs.is_dir() else pairs.parent) / "scene"
+    with progress("reading pictures") as show:
+        data = load_pairs(pairs, site, progress=show)
+    with progress("fitting the scene") as show:
+        result = run(data, folder, seed=seed, progress=show)
+    if as_json:
+        emit_json(_answer(result.scene))
+    else:
+        _show(result.scene)
+    say("written: " + ", ".join(str(file) for file in result.files))
+
+
+def _answer(scene: Scene) -> dict[str, Any]:
+    room = scene.room
+    windows = [
+        {
+            "wall": w.wall,
+            "left_m": w.left_m,
+            "width_m": w.width_m,
+            "sill_m": w.sill_m,
+            "height_m": w.height_m,
+        }
+        for w in room.window
+    ]
+    return {
+        "north_deg": scene.north_deg,
+        "clock_min": scene.clock_min,
+        "camera_m": [room.camera_x_m, room.camera_y_m, room.camera_z_m],
+        "window": windows,
+        "u": scene.u,
+        "misfit_before": scene.misfit.get("stated"),
+        "misfit_after": scene.misfit.get("fitted"),
+        "misfit_none": scene.misfit.get("none"),
+        "chosen": scene.chosen,
+        "verdict": scene.verdict,
+        "expected_log10_mse": scene.expected_log10_mse,
+        "hours": scene.hours,
+        "notes": list(scene.notes),
+    }
+
+
+def _show(scene: Scene) -> None:
+    click.echo(f"{'':20} {'stated':>9} {'fitted':>9}  uncertainty")
+    for name, value in scene.after.items():
+        click.echo(f"{name:20} {scene.before[name]:9.3f} {value:9.3f}  +- {scene.u[name]:.3f}")
+    bars_and_solids = len(scene.room.obstruction)
+    click.echo(f"bars and furniture   {bars_and_solids:9d}")
+    click.echo(scene.verdict)
+    for note in scene.notes:
+        say(f"note: {note}")

@@ -1,0 +1,133 @@
+"""A scene put to use: captures with the north, clock, room and sun patches that it holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fieldlum import sun
+from fieldlum.errors import InputError
+from fieldlum.light import Light
+from fieldlum.profiles import site_table
+from fieldlum.projection import signed_angle_deg
+from fieldlum.records import Progress, quiet
+from fieldlum.scene_fit.fit import SceneFit
+from fieldlum.scene_fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+
+def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
+    """Return a fit as a scene, its room turned to true north."""
+    room = replace(
+        fit.room, wall_azimuth_deg=(fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
+    )
+    return Scene(
+        north_deg=fit.guess.north_deg,
+        clock_min=fit.guess.clock_min,
+        room=room,
+        chosen=chosen,
+        verdict=verdict,
+        hours=fit.hours,
+        misfit=fit.misfits.mean(),
+        before=fit.before,
+        after=fit.after,
+        u=fit.u,
+        notes=fit.notes,
+    )
+
+
+def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Dataset:
+    """Return the captures as the scene explains them.
+
+    chosen "fitted": heading and room turned to true north, the sun where it stood at the true
+    times, sun patches computed from the fitted room. "stated": patches of the stated room. "none":
+    no patches. Raises InputError for a stated room that is missing.
+    """
+    about = {
+        "north_deg": scene.north_deg,
+        "clock_min": scene.clock_min,
+        "chosen": scene.chosen,
+        "stated": site_table(data.setup),
+        "stated_heading_deg": data.heading_deg,
+    }
+    if scene.chosen == "none":
+        return replace(data, patch_cdm2=None, scene=about)
+    if scene.chosen == "stated":
+        if data.setup.room is None:
+            raise InputError("the site", "no [room]", "a room", "state it, or use --scene none")
+        return with_patches(replace(data, scene=about), progress=progress)
+    camera = replace(
+        data.setup.camera, heading_deg=(data.setup.camera.heading_deg + scene.north_deg) % 360.0
+    )
+    turned = replace(
+        data,
+        light=earlier(data.light, scene.clock_min, data),
+        heading_deg=(data.heading_deg + scene.north_deg) % 360.0,
+        setup=replace(data.setup, camera=camera, room=scene.room),
+        scene=about,
+    )
+    return with_patches(turned, progress=progress)
+
+
+def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
+    """Return the captures with sun patches computed from their setup's room."""
+    from fieldlum.scene import sun_patches
+
+    assert data.setup.room is not None
+    made = sun_patches(
+        data.setup.room,
+        data.setup,
+        data.light.sun_direction,
+        data.light.direct_lx,
+        height=data.shape[0],
+        heading_deg=data.heading_deg,
+        progress=progress,
+    )
+    return replace(data, patch_cdm2=made.luminance_cdm2)
+
+
+def earlier(light: Light, minutes: float, data: Dataset) -> Light:
+    """Return the light with times and sun `minutes` earlier; irradiance and sky stay.
+
+    The sun's columns of the captures are moved by what the sun moved in that time, so that a
+    rendering keeps its own formula of the sun.
+    """
+    if minutes == 0.0:
+        return light
+    site = data.setup.site
+    times = tuple(t - timedelta(minutes=minutes) for t in light.t_utc)
+    stated, true = sun.position(light.t_utc, site), sun.position(times, site)
+    altitude = light.sun_altitude_deg + true.altitude_deg - stated.altitude_deg
+    turn = signed_angle_deg(np.asarray(true.azimuth_deg - stated.azimuth_deg))
+    azimuth = (light.sun_azimuth_deg + turn) % 360.0
+    return Light(times, light.dni_wm2, light.dhi_wm2, altitude, azimuth, light.perez)
+
+
+def in_scene(
+    data: Dataset, pairs: Path, option: str, patch: str, *, progress: Progress = quiet
+) -> tuple[Dataset, str]:
+    """Return captures as the option ``--scene`` asks for, and the patch mode to train with.
+
+    option: a folder with scene.toml; "none": ignore any; empty: the folder scene/ beside the pairs
+    where there is one. A csv without patches whose site has a box `[room]` gets its patches made.
+    Raises InputError for a folder without a scene.
+    """
+    beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"
+    folder = Path(option) if option else beside
+    if option != "none" and (option or (beside / SCENE_TOML).is_file()):
+        scene = read_scene(folder)
+        data = with_scene(data, scene, progress=progress)
+        note = f"scene {folder}: {scene.verdict}"
+        data = replace(data, notes=(*data.notes, note))
+        return data, "none" if scene.chosen == "none" else patch
+    room = data.setup.room
+    if data.patch_cdm2 is None and patch != "none" and room is not None and room.window:
+        data = with_patches(data, progress=progress)
+        data = replace(data, notes=(*data.notes, "sun patches made from [room]"))
+    return data, patch

@@ -1,0 +1,137 @@
+"""Bars and transoms: the window as the sun sees it, from the patches that it throws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from fieldlum.scene.geometry import WALLS
+from fieldlum.scene_fit.evidence import SUB, SceneEvidence
+from fieldlum.scene_fit.guess import Bar, Guess
+from fieldlum.scene_fit.renderer import lit_entries, surfaces
+
+Array = NDArray[np.floating]
+
+# From the study of the office (docs/scene.md): its bars are 8 cm wide and 12 cm deep.
+CELL_M = 0.02
+MAX_SLOPE = 0.6  # of the sun against the window's normal: flatter suns blur the bars' depth
+MIN_DIP = 0.2  # of the light between bars
+RUNNING_M = 1.0
+MAX_BAR_M = 0.2  # wider is no bar: a column, a wall between windows
+MIN_BAR_M = 0.015
+START_DEPTH_M = 0.06
+_WHOLE = 0.8  # share of a pixel's rays that must be lit for its brightness to count
+
+
+@dataclass(frozen=True)
+class WindowPicture:
+    """Transmitted share of the sun at cells of the window's middle plane: value, weight [z, u];
+    edges of the cells [m].
+    """
+
+    value: Array
+    weight: Array
+    u_m: Array
+    z_m: Array
+
+    def profile(self, axis: int) -> Array:
+        """Weighted mean across the picture: over z (axis 0) or over u (axis 1); NaN where no sun
+        was.
+        """
+        weight = self.weight.sum(axis=axis)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return (self.value * self.weight).sum(axis=axis) / np.where(weight > 0, weight, np.nan)
+
+
+def window_picture(
+    evidence: SceneEvidence, guess: Guess, number: int, albedo: Array
+) -> WindowPicture:
+    """Return what window `number` lets through, found by following sunlit pixels back to it."""
+    rect = guess.windows[number]
+    axis, side = WALLS[rect.wall]
+    along = 1 - axis
+    only = Guess(
+        guess.size_m,
+        guess.camera_m,
+        guess.wall_azimuth_deg,
+        guess.thickness_m,
+        (rect,),
+        (),
+        guess.solids,
+        guess.north_deg,
+        guess.clock_min,
+    )
+    ends = surfaces(guess, evidence.rays)
+    suns = evidence.suns_room(guess)
+    lit = lit_entries(only, ends, suns)
+    pixel = evidence.pixel[lit.ray]
+    pixels = len(evidence.pixels)
+    flat = lit.hour * pixels + pixel
+    cells = len(evidence) * pixels
+    share = np.bincount(flat, minlength=cells) / SUB**2
+    strength = np.bincount(flat, lit.strength, cells) / SUB**2
+    full = evidence.direct_lx.repeat(pixels) * strength / np.pi
+    full *= np.tile(evidence.pixel_albedo(ends, albedo), len(evidence))
+    below = evidence.below.ravel()
+    excess = np.exp(evidence.log_seen).ravel() - below
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = np.clip(excess / full, -0.2, 1.2)
+        weight = 1.0 / (0.1 + 0.2 * below / full) ** 2
+    outward = 1.0 if side else -1.0
+    toward = suns[lit.hour, axis] * outward
+    inner = guess.size_m[axis] if side else 0.0
+    position = ends.position_m[lit.ray]
+    reach = ((inner - position[:, axis]) * outward + guess.thickness_m / 2.0) / toward
+    u = position[:, along] + reach * suns[lit.hour, along]
+    z = position[:, 2] + reach * suns[lit.hour, 2]
+    steep = np.hypot(suns[lit.hour, along], suns[lit.hour, 2]) < MAX_SLOPE * toward
+    use = steep & (share[flat] > _WHOLE) & np.isfinite(value[flat]) & np.isfinite(weight[flat])
+    u_m = np.arange(rect.u_m[0], rect.u_m[1] + CELL_M, CELL_M)
+    z_m = np.arange(rect.z_m[0], rect.z_m[1] + CELL_M, CELL_M)
+    w = weight[flat][use]
+    v = value[flat][use]
+    total, *_ = np.histogram2d(z[use], u[use], (z_m, u_m), weights=w)
+    mean, *_ = np.histogram2d(z[use], u[use], (z_m, u_m), weights=w * v)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return WindowPicture(np.where(total > 0, mean / total, 0.0), total, u_m, z_m)
+
+
+def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]:
+    """Return upright and level bars where the picture is darker than within a metre around."""
+    middle = guess.thickness_m / 2.0
+    half = min(START_DEPTH_M, 0.8 * middle)
+    depth = (middle - half, middle + half)
+    bars: list[Bar] = []
+    for upright, edges, profile in (
+        (True, picture.u_m, picture.profile(0)),
+        (False, picture.z_m, picture.profile(1)),
+    ):
+        for low, high in _dips(profile, edges):
+            bars.append(Bar(number, upright, (low, high), depth))
+    return bars
+
+
+def _dips(profile: Array, edges: Array) -> list[tuple[float, float]]:
+    """Extents of the dips of a profile [k] with cell edges [k + 1]; a dip's width is its area."""
+    good = np.isfinite(profile)
+    if good.sum() < 20:
+        return []
+    filled = np.interp(np.arange(len(profile)), np.flatnonzero(good), profile[good])
+    around = median_filter(filled, size=round(RUNNING_M / CELL_M) | 1, mode="nearest")
+    drop = np.clip((around - filled) / np.maximum(around, 0.1), 0.0, 1.0)
+    drop[~good] = 0.0
+    deep = drop > MIN_DIP
+    found: list[tuple[float, float]] = []
+    starts = np.flatnonzero(np.diff(np.concatenate([[0], deep.astype(int)])) == 1)
+    stops = np.flatnonzero(np.diff(np.concatenate([deep.astype(int), [0]])) == -1) + 1
+    for start, stop in zip(starts, stops, strict=True):
+        reach = slice(max(start - 2, 0), min(stop + 2, len(drop)))
+        area = float(drop[reach].sum()) * CELL_M
+        at = np.arange(len(drop))[reach]
+        centre = edges[0] + CELL_M * (0.5 + float((at * drop[reach]).sum() / drop[reach].sum()))
+        if MIN_BAR_M <= area <= MAX_BAR_M:
+            found.append((centre - area / 2.0, centre + area / 2.0))
+    return found

@@ -1,0 +1,288 @@
+"""What the captures hold about the scene: sunny hours, pixels, and the light below sun patches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from fieldlum import sun
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.light import Kernel, facades_of, light_features
+from fieldlum.projection import equirect_solid_angles, signed_angle_deg
+from fieldlum.records import Room
+from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.renderer import SHELL, Surfaces, surfaces, unit_patches
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+Array = NDArray[np.floating]
+
+# Found by the study of two rendered rooms (docs/scene.md, "How it was chosen").
+MAX_HOURS = 60
+PIXELS = 4000
+SUB = 2  # rays a pixel is divided into, each way
+MIN_SUNNY_HOURS = 6
+WIDTH = 0.4  # log error at which a pixel counts as half wrong
+RANK = 15  # few enough features that smooth light cannot imitate a patch
+ROUNDS = 6
+BRIGHTER, DARKER = 0.12, 0.5  # a patch never takes light away: what is darker is forgiven less
+_RIDGE = 1e-3
+_FAINT_SUN = 0.1  # of the strongest direct sun before a window
+_CLOCK_REACH_MIN = 20
+_LEAST_CDM2 = 0.1
+_WINDOW_MARGIN_DEG = 4.0  # pixels so near a window are left out: they may look through it
+
+
+@dataclass(frozen=True)
+class SceneEvidence:
+    """Sunny hours [n] at pixels [m] of the captures.
+
+    log_seen, below [n, m]: ln of the captured luminance, and the light below any patch [cd/m2];
+    direct_lx [n]; weights [m], of sum 1; rays [r, 3] in stated world axes, pixel [r]; days [n];
+    clock [c, n, 2]: altitude and azimuth if the stated time were -20 ... 20 min late.
+    """
+
+    log_seen: Array
+    below: Array
+    direct_lx: Array
+    weights: Array
+    rays: NDArray[np.float32]
+    pixel: NDArray[np.intp]
+    days: NDArray[np.datetime64]
+    clock: Array
+    rows: NDArray[np.intp]
+    pixels: NDArray[np.intp]
+    shape: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def hours(self, index: NDArray) -> SceneEvidence:
+        """The same at some of the hours."""
+        return replace(
+            self,
+            log_seen=self.log_seen[index],
+            below=self.below[index],
+            direct_lx=self.direct_lx[index],
+            days=self.days[index],
+            clock=self.clock[:, index],
+            rows=self.rows[index],
+        )
+
+    def thinned(self, every: int) -> SceneEvidence:
+        """The same at every n-th pixel."""
+        keep = np.arange(0, len(self.pixels), every)
+        place = np.full(len(self.pixels), -1)
+        place[keep] = np.arange(len(keep))
+        of = place[self.pixel] >= 0
+        weights = self.weights[keep]
+        return replace(
+            self,
+            log_seen=self.log_seen[:, keep],
+            below=self.below[:, keep],
+            weights=weights / weights.sum(),
+            rays=self.rays[of],
+            pixel=place[self.pixel[of]],
+            pixels=self.pixels[keep],
+        )
+
+    def suns_room(self, guess: Guess) -> NDArray[np.float32]:
+        """Directions to the sun in room axes under the guess's north and clock, [n, 3]."""
+        at = guess.clock_min + _CLOCK_REACH_MIN
+        low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
+        share = at - low
+        altitude, azimuth = ((1.0 - share) * self.clock[low] + share * self.clock[low + 1]).T
+        world = sun.direction(altitude, azimuth - guess.north_deg)
+        return (world @ guess.turn.T).astype(np.float32)
+
+    def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
+        """Irradiance per lx of the sun [n, m], and where the rays end."""
+        ends = surfaces(guess, self.rays)
+        suns = self.suns_room(guess)
+        return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
+
+    def patches(self, guess: Guess, albedo: Array) -> Array:
+        """Luminance of the sun patches [n, m] cd/m2; albedo [6 + solids] of the surfaces."""
+        unit, ends = self.unit(guess)
+        return self.direct_lx[:, None] * unit * self.pixel_albedo(ends, albedo) / np.pi
+
+    def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
+        """Mean albedo of what a pixel's rays end on, [m]."""
+        value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
+        hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
+        return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
+
+    def misfit(self, patch: Array) -> Array:
+        """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log
+        errors that saturate.
+        """
+        error = (np.log(self.below + patch) - self.log_seen) ** 2
+        return (error / (error + WIDTH**2)) @ self.weights
+
+    def albedos(self, guess: Guess, start: Array) -> Array:
+        """Albedo of each surface [6 + solids]: the median over entries that a patch dominates;
+        `start` where too few entries do.
+        """
+        unit, ends = self.unit(guess)
+        first = np.full(len(self.pixels), -1)
+        first[self.pixel] = ends.surface  # the last ray of each pixel: edges are rare
+        full = self.direct_lx[:, None] * unit / np.pi
+        excess = np.exp(self.log_seen) - self.below
+        albedo = np.resize(start, SHELL + len(guess.solids)).astype(float)
+        albedo[len(start) :] = [solid.albedo for solid in guess.solids[len(start) - SHELL :]]
+        whole = unit > 0.8 * unit.max(axis=1, keepdims=True)
+        for surface in range(len(albedo)):
+            on = first[None, :] == surface
+            use = on & whole & (albedo[surface] * full > 0.2 * self.below)
+            if use.sum() >= 30:
+                albedo[surface] = float(np.clip(np.median(excess[use] / full[use]), 0.02, 0.95))
+        return albedo
+
+
+def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) -> SceneEvidence:
+    """Collect the evidence of captures with a stated box room.
+
+    Raises InputError for a room that is no box or has no window, NotEnoughDataError with fewer
+    than six captures of direct sun before a window.
+    """
+    if room.kind != "box" or not room.window:
+        found = f"kind '{room.kind}', {len(room.window)} windows"
+        raise InputError("[room]", found, "a box with a window", "state the window in SITE.toml")
+    guess = guess_of(room)
+    rows = _sunny(data, guess)
+    if len(rows) < MIN_SUNNY_HOURS:
+        raise NotEnoughDataError(
+            f"{len(rows)} captures have direct sun before a window, at least {MIN_SUNNY_HOURS} are "
+            f"needed: capture clear hours, or use the stated room"
+        )
+    chosen, weights = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
+    rays, pixel = _rays(data, chosen)
+    seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], _LEAST_CDM2)
+    below = light_below(data, seen)[rows]
+    return SceneEvidence(
+        np.log(seen[rows]),
+        below,
+        data.light.direct_lx[rows],
+        weights / weights.sum(),
+        rays,
+        pixel,
+        data.days[rows],
+        _clock_table(data, rows),
+        rows,
+        chosen,
+        data.shape,
+    )
+
+
+def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
+    """Rows with direct sun before a window, the strongest first up to `MAX_HOURS`, in order."""
+    from fieldlum.scene.geometry import WALLS
+
+    suns = data.light.sun_direction @ guess.turn.T
+    through = np.zeros(len(data))
+    for rect in guess.windows:
+        axis, side = WALLS[rect.wall]
+        outward = suns[:, axis] * (1.0 if side else -1.0)
+        through = np.maximum(through, np.clip(outward, 0.0, None) * data.light.direct_lx)
+    through[data.light.sun_altitude_deg < 2.0] = 0.0
+    order = np.argsort(through)[::-1][:MAX_HOURS]
+    return np.sort(order[through[order] > _FAINT_SUN * max(through.max(), 1.0)])
+
+
+def _draw(
+    data: Dataset, guess: Guess, rows: NDArray[np.intp], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Array]:
+    """Pixels by solid angle, those that brighten strongly in some hour four times as often, and
+    weights that undo it; none that may look through a window.
+    """
+    height, width = data.shape
+    every, _ = _all_rays(data)
+    away = surfaces(guess, every).surface < 0
+    margin = round(_WINDOW_MARGIN_DEG / 180.0 * height)
+    glass = binary_dilation(away.reshape(height, width), iterations=max(1, margin))
+    usable = data.seen & ~np.asarray(glass, bool)
+    omega = np.where(usable, equirect_solid_angles(height, width), 0.0).ravel()
+    bright = data.luminance_cdm2[rows].reshape(len(rows), -1)
+    level = bright / np.maximum(np.median(bright, axis=0), _LEAST_CDM2)
+    peaks = (level.max(axis=0) > 2.0) & usable.ravel()
+    boost = np.where(peaks, 4.0, 1.0)
+    chance = omega * boost
+    count = min(count, int((chance > 0.0).sum()))
+    drawn = rng.choice(len(omega), count, replace=False, p=chance / chance.sum())
+    chosen = np.sort(drawn)
+    return chosen, 1.0 / boost[chosen]
+
+
+def _all_rays(data: Dataset) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    from fieldlum.scene.view import pixel_rays
+
+    pixel, rays = pixel_rays(data.shape[0], data.heading_deg, 1)
+    return rays.astype(np.float32), pixel.astype(np.intp)
+
+
+def _rays(data: Dataset, chosen: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """Sub-rays of the chosen pixels [r, 3], and which of the chosen each belongs to [r]."""
+    from fieldlum.scene.view import pixel_rays
+
+    pixel, rays = pixel_rays(data.shape[0], data.heading_deg, SUB)
+    place = np.full(data.shape[0] * data.shape[1], -1)
+    place[chosen] = np.arange(len(chosen))
+    of = place[pixel] >= 0
+    return rays[of].astype(np.float32), place[pixel[of]]
+
+
+def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
+    """Sun positions [c, n, 2] for clocks that run -20 ... 20 min late, as offsets from the
+    captures' own sun columns.
+    """
+    light, site = data.light[rows], data.setup.site
+    at = sun.position(light.t_utc, site)
+    table = []
+    for late in range(-_CLOCK_REACH_MIN, _CLOCK_REACH_MIN + 1):
+        moved = sun.position([t - timedelta(minutes=late) for t in light.t_utc], site)
+        altitude = light.sun_altitude_deg + moved.altitude_deg - at.altitude_deg
+        azimuth = light.sun_azimuth_deg + signed_angle_deg(moved.azimuth_deg - at.azimuth_deg)
+        table.append(np.stack([altitude, azimuth], axis=-1))
+    return np.stack(table)
+
+
+def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:
+    """Light that the pixels [n, m] would show without direct sun on them [cd/m2].
+
+    patch [n, m]: a known patch, taken off; entries that it dominates count less.
+
+    A ridge regression of few smooth features of sky and sun, in rounds that trust a pixel less the
+    more it is brighter than the fit: a sun patch adds light and never takes any away.
+    """
+    features = light_features(data.light)
+    kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
+    value, vector = np.linalg.eigh(kernel)
+    rank = min(RANK, len(data) - 1)
+    basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
+    basis = np.column_stack([basis, np.ones(len(data))]) / np.sqrt(np.mean(basis**2) * rank)
+    total = data.light.total_lx[:, None]
+    known = np.zeros_like(seen) if patch is None else patch
+    trust = 1.0 / (1.0 + (known / (0.3 * seen)) ** 2)  # [n, m]
+    y = np.maximum(seen - known, 0.02 * seen) / total
+    scale = np.median(y, axis=0)
+    y = y / scale  # [n, m] of median 1
+    fit = np.maximum(np.minimum(y, 1.5), 0.05)
+    weight = trust / (y * fit)
+    least = 0.05
+    for _ in range(ROUNDS):
+        normal = np.einsum("nm,nk,nl->mkl", weight, basis, basis, optimize=True)
+        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / normal.shape[1]
+        normal = normal + ridge * np.eye(basis.shape[1])
+        right = np.einsum("nm,nk->mk", weight * y, basis, optimize=True)
+        coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # [m, k]
+        fit = np.maximum(basis @ coefficients.T, least)
+        q = np.log(y / fit)
+        doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
+        weight = trust / (y * fit) / (1.0 + doubt)
+    return np.maximum(fit * scale * total, _LEAST_CDM2)

@@ -1,0 +1,224 @@
+"""Furniture: boxes proposed where single pixels ask for another depth, kept where they pay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
+
+from fieldlum.scene_fit.evidence import SUB, WIDTH, SceneEvidence
+from fieldlum.scene_fit.guess import Guess, Solid
+from fieldlum.scene_fit.renderer import Surfaces, lit_entries, surfaces
+from fieldlum.scene_fit.search import Parameter
+
+Array = NDArray[np.floating]
+
+# From the study of the office and one more room (docs/scene.md).
+DEPTHS = 40
+NEAREST_M = 0.3
+ALBEDOS = (0.1, 0.2, 0.35, 0.5, 0.7)
+MIN_PIXEL_GAIN = 0.02  # of a pixel's misfit: less is noise
+CELL_M = 0.15  # of the plan in which proposals are grouped
+MIN_CELLS = 2
+MAX_PROPOSALS = 10
+MIN_SIZE_M = 0.08
+
+# The faces that a pixel may look at: axis and sign of the normal.
+FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
+
+
+@dataclass(frozen=True)
+class PixelDepths:
+    """For each pixel [m] the point, face, albedo and gain of the depth that explains it best."""
+
+    position_m: Array
+    face: NDArray[np.intp]
+    albedo: Array
+    gain: Array
+
+
+def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
+    """Try depths, faces and albedos for every pixel alone.
+
+    Each pixel has its own pattern of sunlit and dark hours. Where the guess explains it worse than
+    a surface at another depth would, something stands there that the guess does not know.
+    """
+    pixels = len(evidence.pixels)
+    first = np.searchsorted(
+        evidence.pixel[np.argsort(evidence.pixel, kind="stable")], range(pixels)
+    )
+    order = np.argsort(evidence.pixel, kind="stable")
+    middle = order[first + SUB**2 // 2]
+    rays = evidence.rays[middle]
+    ends = surfaces(guess, rays)
+    eye = np.array(guess.camera_m, np.float32)
+    full_m = np.linalg.norm(ends.position_m - eye, axis=1)  # [m]
+    patch = evidence.patches(guess, albedo)
+    stated = _loss(evidence, patch)  # [m]
+    suns = evidence.suns_room(guess)
+    best = PixelDepths(
+        ends.position_m.astype(float),
+        np.zeros(pixels, np.intp),
+        np.full(pixels, 0.35),
+        np.zeros(pixels),
+    )
+    position, face, tone, gain = best.position_m, best.face, best.albedo, best.gain
+    room_rays = (ends.position_m - eye) / np.maximum(full_m, 1e-6)[:, None]
+    shares = np.linspace(0.0, 1.0, DEPTHS + 1)[:-1]
+    for share in shares:
+        depth = NEAREST_M + share * np.maximum(full_m - NEAREST_M, 0.0)
+        at = (eye + room_rays * depth[:, None]).astype(np.float32)
+        for number, (axis, sign) in enumerate(FACES):
+            sees = -sign * room_rays[:, axis] > 0.02  # the face looks at the camera
+            if not sees.any():
+                continue
+            point = Surfaces(
+                at,
+                np.full(pixels, axis, np.int8),
+                np.full(pixels, sign, np.float32),
+                np.where(sees, 0, -1).astype(np.int16),
+            )
+            lit = lit_entries(guess, point, suns)
+            unit = np.zeros((len(evidence), pixels))
+            unit[lit.hour, lit.ray] += lit.strength
+            luminance = evidence.direct_lx[:, None] * unit / np.pi
+            for value in ALBEDOS:
+                better = stated - _loss(evidence, value * luminance)
+                take = sees & (better > gain)
+                position[take], face[take] = at[take], number
+                tone[take], gain[take] = value, better[take]
+    return best
+
+
+def _loss(evidence: SceneEvidence, patch: Array) -> Array:
+    """Mean misfit of each pixel over the hours, [m]."""
+    error = (np.log(evidence.below + patch) - evidence.log_seen) ** 2
+    return (error / (error + WIDTH**2)).mean(axis=0)
+
+
+def propose_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
+    """Return boxes on the floor where pixels that ask for another depth cluster in plan, those that
+    gain most first.
+    """
+    use = found.gain > MIN_PIXEL_GAIN
+    inside = (found.position_m[:, 2] > 0.1) & (found.position_m[:, 2] < guess.size_m[2] - 0.1)
+    use &= inside
+    if not use.any():
+        return []
+    proposals: list[tuple[float, Solid]] = []
+    tops = use & (found.face == 0)
+    sides = use & (found.face != 0)
+    for group in (tops, sides, use):
+        proposals += _clusters(found, group, guess)
+    proposals.sort(key=lambda pair: -pair[0])
+    return _distinct([solid for _, solid in proposals])[:MAX_PROPOSALS]
+
+
+def _clusters(
+    found: PixelDepths, group: NDArray[np.bool_], guess: Guess
+) -> list[tuple[float, Solid]]:
+    rows = np.flatnonzero(group)
+    if not len(rows):
+        return []
+    cells = np.floor(found.position_m[rows, :2] / CELL_M).astype(int)
+    low = cells.min(axis=0)
+    grid = np.zeros(cells.max(axis=0) - low + 1)
+    np.add.at(grid, tuple((cells - low).T), found.gain[rows])
+    names, count = label(grid > 2.0 * MIN_PIXEL_GAIN, np.ones((3, 3)))
+    of = names[tuple((cells - low).T)]
+    proposals: list[tuple[float, Solid]] = []
+    for number in range(1, count + 1):
+        member = rows[of == number]
+        if (names == number).sum() < MIN_CELLS or len(member) < 5:
+            continue
+        points = found.position_m[member]
+        x0, y0 = np.quantile(points[:, :2], 0.05, axis=0)
+        x1, y1 = np.quantile(points[:, :2], 0.95, axis=0)
+        flat = member[found.face[member] == 0]
+        heights = found.position_m[flat, 2] if len(flat) else points[:, 2]
+        top = float(np.median(heights)) if len(flat) else float(np.quantile(heights, 0.95))
+        albedo = float(np.median(found.albedo[member]))
+        x0, x1 = _at_least(x0, x1)
+        y0, y1 = _at_least(y0, y1)
+        camera = guess.camera_m
+        if x0 < camera[0] < x1 and y0 < camera[1] < y1 and top > camera[2] - 0.2:
+            continue
+        gain = float(found.gain[member].sum())
+        proposals.append((gain, Solid((x0, y0, 0.0), (x1, y1, max(top, MIN_SIZE_M)), albedo)))
+        if found.gain[member].size > 10:
+            tall = Solid((x0, y0, 0.0), (x1, y1, guess.size_m[2]), albedo)
+            proposals.append((0.5 * gain, tall))
+    return proposals
+
+
+def _at_least(low: float, high: float) -> tuple[float, float]:
+    lacking = max(MIN_SIZE_M - (high - low), 0.0) / 2.0
+    return float(low) - lacking, float(high) + lacking
+
+
+def _distinct(solids: Sequence[Solid]) -> list[Solid]:
+    kept: list[Solid] = []
+    for solid in solids:
+        corners = np.array(solid.low_m + solid.high_m)
+        near = (np.abs(corners - np.array(k.low_m + k.high_m)).max() < 0.1 for k in kept)
+        if not any(near):
+            kept.append(solid)
+    return kept
+
+
+def solid_parameters(number: int) -> list[Parameter]:
+    """The five faces and the albedo of a solid that stands on the floor; no prior."""
+
+    def changed(change: Callable[[Solid, float], Solid]) -> Callable[[Guess, float], Guess]:
+        def apply(g: Guess, by: float) -> Guess:
+            solids = list(g.solids)
+            solids[number] = change(solids[number], by)
+            return replace(g, solids=tuple(solids))
+
+        return apply
+
+    def face(which: str, axis: int) -> Parameter:
+        def move(solid: Solid, by: float) -> Solid:
+            values = list(getattr(solid, which))
+            values[axis] += by
+            other = solid.high_m if which == "low_m" else solid.low_m
+            extent = (other[axis] - values[axis]) * (1.0 if which == "low_m" else -1.0)
+            if extent < 0.01:
+                return solid
+            return replace(solid, **{which: tuple(values)})
+
+        def read(g: Guess) -> float:
+            return getattr(g.solids[number], which)[axis]
+
+        name = f"solid {number + 1} {which[0]}{'xyz'[axis]}"
+        return Parameter(name, read, changed(move), 0.16, 0.01, np.inf)
+
+    def tone(solid: Solid, by: float) -> Solid:
+        return replace(solid, albedo=float(np.clip(solid.albedo + by, 0.03, 0.9)))
+
+    def slide(axis: int) -> Parameter:
+        def move(solid: Solid, by: float) -> Solid:
+            low, high = list(solid.low_m), list(solid.high_m)
+            low[axis] += by
+            high[axis] += by
+            return replace(solid, low_m=tuple(low), high_m=tuple(high))
+
+        def read(g: Guess) -> float:
+            return g.solids[number].low_m[axis]
+
+        name = f"solid {number + 1} slide {'xyz'[axis]}"
+        return Parameter(name, read, changed(move), 0.16, 0.01, np.inf)
+
+    albedo = Parameter(
+        f"solid {number + 1} albedo",
+        lambda g: g.solids[number].albedo,
+        changed(tone),
+        0.1,
+        0.01,
+        np.inf,
+    )
+    faces = [face("low_m", 0), face("high_m", 0), face("low_m", 1), face("high_m", 1)]
+    return [slide(0), slide(1), *faces, face("high_m", 2), albedo]

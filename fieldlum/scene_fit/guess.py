@@ -1,0 +1,177 @@
+"""What is looked for: a box room with windows, bars and solid boxes, where north is, and the clock.
+
+Room axes: x grows to the right of the "south" wall seen from outside, y away from it, z up, as in
+`fieldlum.records.Room`. Lengths in m, angles in degrees, the clock in minutes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.records import Obstruction, Room, Window
+from fieldlum.scene.geometry import WALLS, build
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRect:
+    """A window's opening: along the wall `u_m` (x or y, whichever is free), in height `z_m`."""
+
+    wall: str
+    u_m: tuple[float, float]
+    z_m: tuple[float, float]
+    transmittance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A bar within a window's wall: upright if `upright`, else level.
+
+    span_m: its extent across its own length, in u or in z. depth_m: from the inner face of the
+    wall outwards.
+    """
+
+    window: int
+    upright: bool
+    span_m: tuple[float, float]
+    depth_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """An opaque box from corner `low_m` to corner `high_m`: furniture, a column, a neighbour."""
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+    albedo: float
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """One possible scene. north_deg: room and camera stand so much further clockwise than stated.
+    clock_min: the stated times are so much later than the true ones.
+    """
+
+    size_m: tuple[float, float, float]
+    camera_m: tuple[float, float, float]
+    wall_azimuth_deg: float
+    thickness_m: float
+    windows: tuple[WindowRect, ...]
+    bars: tuple[Bar, ...] = ()
+    solids: tuple[Solid, ...] = ()
+    north_deg: float = 0.0
+    clock_min: float = 0.0
+
+    @property
+    def turn(self) -> Array:
+        """Rows are the room's axes in the stated world axes: room = turn @ world, [3, 3]."""
+        azimuth = np.radians(self.wall_azimuth_deg)
+        x = (-np.cos(azimuth), np.sin(azimuth), 0.0)
+        y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)
+        return np.array([x, y, (0.0, 0.0, 1.0)])
+
+
+def guess_of(room: Room) -> Guess:
+    """Return the guess that a stated box room is, without its bars' false precision.
+
+    Frames and bars of the room become bars. Raises InputError for a room that cannot be.
+    """
+    scene = build(room)
+    windows = []
+    bars: list[Bar] = []
+    for number, (window, opening) in enumerate(zip(room.window, scene.openings, strict=True)):
+        rect = WindowRect(window.wall, opening.u_m, opening.z_m, window.transmittance)
+        windows.append(rect)
+        bars += _stated_bars(room, window, rect, number)
+    solids = tuple(
+        Solid(
+            (o.x_m, o.y_m, o.z_m),
+            (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m),
+            o.reflectance,
+        )
+        for o in room.obstruction
+    )
+    return Guess(
+        (room.width_m, room.depth_m, room.height_m),
+        (room.camera_x_m, room.camera_y_m, room.camera_z_m),
+        room.wall_azimuth_deg,
+        room.wall_thickness_m,
+        tuple(windows),
+        tuple(bars),
+        solids,
+    )
+
+
+def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> list[Bar]:
+    """The frame, the bars between panes and the transom, as `fieldlum.scene` builds them."""
+    frame = window.frame_m
+    if frame <= 0.0:
+        return []
+    half = min(frame, 0.9 * room.wall_thickness_m) / 2.0
+    middle = room.wall_thickness_m / 2.0
+    depth = (middle - half, middle + half)
+    (u0, u1), (z0, z1) = rect.u_m, rect.z_m
+    pane = (u1 - u0) / window.panes
+    upright = [(u0, u0 + frame), (u1 - frame, u1)]
+    for k in range(1, window.panes):
+        centre = u0 + k * pane
+        upright.append((centre - frame / 2.0, centre + frame / 2.0))
+    level = [(z0, z0 + frame), (z1 - frame, z1)]
+    if z0 < window.transom_m < z1:
+        level.append((window.transom_m - frame / 2.0, window.transom_m + frame / 2.0))
+    bars = [Bar(number, True, span, depth) for span in upright]
+    return bars + [Bar(number, False, span, depth) for span in level]
+
+
+def room_of(guess: Guess, stated: Room) -> Room:
+    """Return the guess as a `[room]`: bars become obstructions within the wall.
+
+    north_deg is not in it: the wall's azimuth stays as stated, see `Guess.north_deg`.
+    """
+    windows = tuple(_window(guess, rect) for rect in guess.windows)
+    bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
+    solids = tuple(
+        Obstruction(*solid.low_m, *_extent(solid.low_m, solid.high_m), solid.albedo)
+        for solid in guess.solids
+    )
+    return replace(
+        stated,
+        width_m=guess.size_m[0],
+        depth_m=guess.size_m[1],
+        height_m=guess.size_m[2],
+        camera_x_m=guess.camera_m[0],
+        camera_y_m=guess.camera_m[1],
+        camera_z_m=guess.camera_m[2],
+        wall_thickness_m=guess.thickness_m,
+        window=windows,
+        obstruction=bars + solids,
+    )
+
+
+def _window(guess: Guess, rect: WindowRect) -> Window:
+    """A window as `[[room.window]]` states it: left_m counts from the left end seen from inside."""
+    length = guess.size_m[0] if WALLS[rect.wall][0] == 1 else guess.size_m[1]
+    (u0, u1), (z0, z1) = rect.u_m, rect.z_m
+    left = length - u1 if rect.wall in ("south", "east") else u0
+    return Window(rect.wall, left, u1 - u0, z0, z1 - z0, rect.transmittance, 1, 0.0, 0.0)
+
+
+def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:
+    rect = guess.windows[bar.window]
+    axis, side = WALLS[rect.wall]
+    inner = guess.size_m[axis] if side else 0.0
+    outward = 1.0 if side else -1.0
+    across = sorted(inner + outward * depth for depth in bar.depth_m)
+    u, z = (bar.span_m, rect.z_m) if bar.upright else (rect.u_m, bar.span_m)
+    low, high = [0.0, 0.0, z[0]], [0.0, 0.0, z[1]]
+    low[axis], high[axis] = across
+    low[1 - axis], high[1 - axis] = u
+    return Obstruction(*low, *_extent(low, high), albedo)
+
+
+def _extent(low: tuple[float, ...] | list[float], high: tuple[float, ...] | list[float]) -> list:
+    return [b - a for a, b in zip(low, high, strict=True)]

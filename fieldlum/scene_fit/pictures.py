@@ -1,0 +1,143 @@
+"""Pictures of a fitted scene: patch edges over captures, windows as the sun sees them, the plan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
+from fieldlum.scene_fit.bars import window_picture
+from fieldlum.scene_fit.evidence import SceneEvidence
+from fieldlum.scene_fit.fit import SceneFit
+from fieldlum.scene_fit.guess import Guess
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+SHOWN_HOURS = 4
+FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
+
+
+def draw(
+    folder: Path, data: Dataset, fit: SceneFit, evidence: SceneEvidence, guess: Guess
+) -> list[Path]:
+    """Write overlay.png, windows.png and plan.png into a folder and return their paths."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    folder.mkdir(parents=True, exist_ok=True)
+    makers = {
+        "overlay.png": lambda: _overlay(data, fit, evidence),
+        "windows.png": lambda: _windows(evidence, guess, fit.albedo),
+        "plan.png": lambda: _plan(fit),
+    }
+    written = []
+    for name, make in makers.items():
+        figure = make()
+        figure.savefig(folder / name, dpi=110, bbox_inches="tight")
+        _close(figure)
+        written.append(folder / name)
+    return written
+
+
+def _close(figure: Any) -> None:
+    from matplotlib import pyplot
+
+    pyplot.close(figure)
+
+
+def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
+    """Captures in grey with the edges of the fitted patches and of the stated ones."""
+    from matplotlib import pyplot
+
+    rows = _telling_rows(evidence)
+    hours = data.take(rows)
+    fitted = with_scene(hours, scene_of(fit, "fitted", "")).patch_cdm2
+    stated = with_patches(hours).patch_cdm2
+    assert fitted is not None and stated is not None
+    figure, axes = pyplot.subplots(len(rows), 1, figsize=(9, 4.2 * len(rows)), squeeze=False)
+    for k, axis in enumerate(axes[:, 0]):
+        axis.imshow(np.log10(np.maximum(hours.luminance_cdm2[k], 1.0)), cmap="gray")
+        for patch, colour in ((stated[k], STATED_COLOUR), (fitted[k], FITTED_COLOUR)):
+            if (patch > 0.0).any():
+                axis.contour(patch > 0.0, levels=[0.5], colors=[colour], linewidths=0.9)
+        axis.set_title(f"{hours.slots[k]}: patches fitted (red) and as stated (blue)", fontsize=9)
+        axis.set_axis_off()
+    return figure
+
+
+def _telling_rows(evidence: SceneEvidence) -> NDArray[np.intp]:
+    """The hours with most light in patches, one of each of several sun directions."""
+    excess = np.clip(np.exp(evidence.log_seen) - evidence.below, 0.0, None) @ evidence.weights
+    parts = np.array_split(np.arange(len(evidence)), SHOWN_HOURS)
+    best = [part[np.argmax(excess[part])] for part in parts if len(part)]
+    return evidence.rows[np.array(best)]
+
+
+def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]) -> Any:
+    """What each window lets through, with the bars found."""
+    from matplotlib import pyplot
+    from matplotlib.patches import Rectangle
+
+    count = len(guess.windows)
+    figure, axes = pyplot.subplots(count, 1, figsize=(9, 4.5 * count), squeeze=False)
+    for number, axis in enumerate(axes[:, 0]):
+        picture = window_picture(evidence, guess, number, albedo)
+        value = np.where(picture.weight > 0.0, picture.value, np.nan)
+        extent = (picture.u_m[0], picture.u_m[-1], picture.z_m[0], picture.z_m[-1])
+        axis.imshow(value, origin="lower", extent=extent, vmin=0, vmax=1.1, cmap="viridis")
+        rect = guess.windows[number]
+        for bar in guess.bars:
+            if bar.window != number:
+                continue
+            u, z = (bar.span_m, rect.z_m) if bar.upright else (rect.u_m, bar.span_m)
+            outline = Rectangle(
+                (u[0], z[0]), u[1] - u[0], z[1] - z[0], fill=False, edgecolor=FITTED_COLOUR
+            )
+            axis.add_patch(outline)
+        axis.set_title(f"window {number + 1} ({rect.wall}): share of sun let through", fontsize=9)
+        axis.set_xlabel("along the wall [m]")
+        axis.set_ylabel("height [m]")
+    return figure
+
+
+def _plan(fit: SceneFit) -> Any:
+    """The room from above: walls, windows, furniture, camera and north; stated in blue."""
+    from matplotlib import pyplot
+    from matplotlib.patches import Rectangle
+
+    from fieldlum.scene.geometry import WALLS
+
+    guess = fit.guess
+    figure, axis = pyplot.subplots(figsize=(5.5, 8))
+    stated = Rectangle(
+        (0, 0), fit.stated.width_m, fit.stated.depth_m, fill=False, edgecolor=STATED_COLOUR, ls="--"
+    )
+    axis.add_patch(stated)
+    axis.add_patch(Rectangle((0, 0), *guess.size_m[:2], fill=False, edgecolor="black", lw=1.5))
+    for rect in guess.windows:
+        wall_axis, side = WALLS[rect.wall]
+        at = guess.size_m[wall_axis] if side else 0.0
+        ends = (rect.u_m, (at, at)) if wall_axis == 1 else ((at, at), rect.u_m)
+        axis.plot(*ends, color="#ff9900", lw=5, solid_capstyle="butt")
+    for solid in guess.solids:
+        (x0, y0, _), (x1, y1, top) = solid.low_m, solid.high_m
+        axis.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color="0.75"))
+        axis.annotate(f"{top:.2f} m", ((x0 + x1) / 2, (y0 + y1) / 2), ha="center", fontsize=8)
+    axis.plot(*guess.camera_m[:2], "k^", ms=9)
+    north = np.radians(guess.wall_azimuth_deg + guess.north_deg)
+    base = np.array(guess.camera_m[:2])
+    # In room axes north is turn @ (0, 1): x = sin(azimuth), y = -cos(azimuth).
+    tip = base + 0.8 * np.array([np.sin(north), -np.cos(north)])
+    axis.annotate(
+        "N", tip, base, arrowprops={"arrowstyle": "<-", "color": "0.3"}, color="0.3", fontsize=10
+    )
+    axis.set_aspect("equal")
+    axis.set_xlabel("x [m]")
+    axis.set_ylabel("y [m]")
+    axis.set_title("plan: fitted (black), stated (blue), windows orange", fontsize=9)
+    axis.margins(0.05)
+    return figure

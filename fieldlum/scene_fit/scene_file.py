@@ -1,0 +1,69 @@
+"""scene.toml: what a fit found, and what was chosen."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from fieldlum.errors import InputError
+from fieldlum.profiles import build, plain
+from fieldlum.records import Room
+from fieldlum.session import replacing
+
+SCENE_TOML = "scene.toml"
+FORMAT = 1
+Chosen = Literal["none", "stated", "fitted"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A fitted scene as `train`, `bench` and `report` use it.
+
+    room: the fitted box against true north. north_deg: room and camera stand so much further
+    clockwise than stated; clock_min: the stated times are so much late. before, after, u: values
+    and standard uncertainties by parameter. misfit: share of the pixels near sun patches that are
+    wrong, on hours kept out of the search. chosen: which geometry the captures support.
+    """
+
+    north_deg: float
+    clock_min: float
+    room: Room
+    chosen: Chosen
+    verdict: str
+    trusted: bool = True
+    hours: int = 0
+    expected_log10_mse: float | None = None
+    misfit: dict[str, float] = field(default_factory=dict)
+    before: dict[str, float] = field(default_factory=dict)
+    after: dict[str, float] = field(default_factory=dict)
+    u: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    format: int = FORMAT
+
+
+def write_scene(folder: Path, scene: Scene) -> Path:
+    """Write scene.toml into a folder and return its path."""
+    import tomli_w
+
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / SCENE_TOML
+    with replacing(path) as file:
+        file.write(tomli_w.dumps(plain(scene)).encode())
+    return path
+
+
+def read_scene(folder: Path) -> Scene:
+    """Read the scene.toml of a folder. Raises InputError for one that is missing or damaged."""
+    path = folder / SCENE_TOML
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        found = getattr(error, "strerror", None) or str(error)
+        remedy = "make it with: fieldlum scene fit SESSION --out DIR"
+        raise InputError(path, found, "a fitted scene", remedy) from None
+    if table.get("format") != FORMAT:
+        found = f"format {table.get('format')}"
+        raise InputError(path, found, f"format {FORMAT}", "fit the scene again")
+    return build(Scene, table, str(path))

@@ -1,0 +1,72 @@
+"""`fieldlum scene fit` without its command line: captures in, scene.toml and pictures out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fieldlum.errors import InputError
+from fieldlum.records import Progress, quiet
+from fieldlum.scene_fit.apply import scene_of
+from fieldlum.scene_fit.evidence import gather
+from fieldlum.scene_fit.fit import Misfits, fit_scene
+from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+
+@dataclass(frozen=True, slots=True)
+class SceneResult:
+    """A scene and the files written."""
+
+    scene: Scene
+    files: tuple[Path, ...]
+
+
+def run(data: Dataset, out: Path, *, seed: int = 0, progress: Progress = quiet) -> SceneResult:
+    """Fit the scene of captures and write scene.toml, overlay.png, windows.png and plan.png.
+
+    Raises InputError without a `[room]` of kind box with a window, NotEnoughDataError with too few
+    sunny captures; nothing is written then.
+    """
+    room = data.setup.room
+    if room is None:
+        raise InputError(
+            data.source or "the site",
+            "no [room]",
+            "a box with a window, measured by tape",
+            "add [room] to SITE.toml, or train with --scene none",
+        )
+    fit = fit_scene(data, room, seed=seed, progress=progress)
+    chosen, verdict = choose_by_misfit(fit.misfits)
+    scene = scene_of(fit, chosen, verdict)
+    files = [write_scene(out, scene)]
+    from fieldlum.scene_fit.pictures import draw
+
+    files += draw(out, data, fit, gather(data, room, seed=seed), fit.guess)
+    return SceneResult(scene, tuple(files))
+
+
+def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
+    """Return the geometry that hours kept out of the search support, and why in words.
+
+    A richer geometry must beat each simpler one by more than one standard error of the paired
+    difference, hours taken as independent.
+    """
+    order: tuple[Chosen, ...] = ("none", "stated", "fitted")
+    chosen: Chosen = "none"
+    for name in order[1:]:
+        gain = getattr(misfits, chosen) - getattr(misfits, name)
+        error = float(np.std(gain, ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
+        if float(gain.mean()) > error:
+            chosen = name
+    mean = misfits.mean()
+    shares = ", ".join(f"{name} {100 * mean[name]:.1f} %" for name in order)
+    return chosen, (
+        f"{chosen}: pixels near sun patches that are wrong in {len(misfits.none)} hours kept out "
+        f"of the search: {shares}"
+    )

@@ -1,0 +1,225 @@
+"""The room from its own captures: renderer, evidence, search, files and the command."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fieldlum import sun
+from fieldlum.cli import main
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.light import Light
+from fieldlum.models.data import Dataset
+from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window, slot_id
+from fieldlum.scene import sun_patches
+from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
+from fieldlum.scene_fit.bars import propose_bars, window_picture
+from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
+from fieldlum.scene_fit.fit import Misfits, fit_scene
+from fieldlum.scene_fit.guess import guess_of, room_of
+from fieldlum.scene_fit.renderer import surfaces, unit_patches
+from fieldlum.scene_fit.scene_file import read_scene, write_scene
+from fieldlum.scene_fit.search import (
+    PRIOR_SHARE,
+    Objective,
+    pattern_search,
+    room_parameters,
+    stated_albedo,
+)
+from fieldlum.scene_fit.stage import choose_by_misfit
+
+HEIGHT = 64
+SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
+ROOM = Room(
+    width_m=5.0,
+    depth_m=6.0,
+    height_m=3.0,
+    camera_x_m=2.4,
+    camera_y_m=3.0,
+    camera_z_m=1.3,
+    window=(Window("south", 0.6, 3.6, 0.8, 1.9, 0.85, 2, 0.0, 0.0),),
+)
+
+
+def captures(room: Room, days: tuple[str, ...] = ("2027-03-20", "2027-06-21", "2027-12-21")):
+    """Clear hours of a linear room: skylight that falls off with depth, and its sun patches."""
+    times = [
+        datetime.fromisoformat(day).replace(tzinfo=UTC) + timedelta(hours=hour)
+        for day in days
+        for hour in np.arange(15.5, 26.0, 1.0)
+    ]
+    at = sun.position(times, SITE)
+    up = at.altitude_deg > 4.0
+    times = [t for t, u in zip(times, up, strict=True) if u]
+    count = len(times)
+    light = Light(
+        tuple(times),
+        np.where(np.arange(count) % 4 == 3, 0.0, 700.0),
+        np.full(count, 90.0),
+        at.altitude_deg[up],
+        at.azimuth_deg[up],
+    )
+    setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), room)
+    patch = sun_patches(
+        room, setup, light.sun_direction, light.direct_lx, height=HEIGHT, heading_deg=180.0
+    ).luminance_cdm2
+    shade = 1.0 + np.cos(np.linspace(0, 2 * np.pi, 2 * HEIGHT))[None, :] * 0.3
+    base = light.total_lx[:, None, None] * 0.004 * shade * np.ones((1, HEIGHT, 1))
+    return Dataset(
+        light,
+        (base + patch).astype(np.float32),
+        None,
+        np.zeros(count),
+        180.0,
+        np.array([sun.standard_date(t, SITE.timezone) for t in times], "datetime64[D]"),
+        tuple(slot_id(t) for t in times),
+        setup,
+        np.ones((HEIGHT, 2 * HEIGHT), bool),
+        np.zeros(count),
+    )
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    return captures(ROOM)
+
+
+@pytest.fixture(scope="module")
+def evidence(data: Dataset) -> SceneEvidence:
+    return gather(data, ROOM, pixels=3000)
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize("wall", ["south", "west", "north", "east"])
+def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
+    """authority: fieldlum.scene, which is compared with rtrace in test_scene.py."""
+    furnished = replace(
+        ROOM,
+        window=(
+            replace(ROOM.window[0], wall=wall, width_m=3.0, panes=2, frame_m=0.06, transom_m=2.0),
+        ),
+        obstruction=(Obstruction(1.0, 1.2, 0.0, 1.0, 0.6, 0.7), Obstruction(-3, -4, 0, 2, 1, 3)),
+    )
+    azimuth = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}[wall]
+    suns = sun.direction(np.array([35.0, 20.0, 50.0]), azimuth + np.array([0.0, 25.0, -30.0]))
+    setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), furnished)
+    exact = sun_patches(furnished, setup, suns, 1e5, height=HEIGHT, heading_deg=180.0, sub=SUB)
+    guess = guess_of(furnished)
+    from fieldlum.scene.view import pixel_rays
+
+    pixel, rays = pixel_rays(HEIGHT, 180.0, SUB)
+    ends = surfaces(guess, rays.astype(np.float32))
+    room_suns = (suns @ guess.turn.T).astype(np.float32)
+    unit = unit_patches(guess, ends, room_suns, pixel.astype(np.intp), 2 * HEIGHT**2, SUB)
+    lit, want = unit > 0.05, exact.luminance_cdm2.reshape(3, -1) > 300.0
+    inside = ends.surface.reshape(-1) >= 0
+    count = np.bincount(pixel, inside, 2 * HEIGHT**2) == SUB**2  # pixels beside the glass differ
+    assert (lit & count).sum() > 60
+    assert (lit != want)[:, count].sum() < 0.04 * want[:, count].sum()
+
+
+@pytest.mark.analytic
+def test_a_guess_and_its_room_are_inverse() -> None:
+    room = replace(ROOM, window=(replace(ROOM.window[0], wall="east"),))
+    again = room_of(guess_of(room), room)
+    assert again.window[0].left_m == pytest.approx(room.window[0].left_m)
+    assert again.window[0].sill_m == pytest.approx(room.window[0].sill_m)
+    assert again.camera_x_m == room.camera_x_m
+
+
+@pytest.mark.analytic
+def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> None:
+    wrong = replace(
+        ROOM, camera_x_m=2.45, window=(replace(ROOM.window[0], left_m=0.65, height_m=1.86),)
+    )
+    start = replace(guess_of(wrong), north_deg=0.0)
+    turned = replace(evidence, clock=evidence.clock + np.array([0.0, 1.0]))  # stated north: 1 off
+    # With pixels of 2.8 degrees the clock and the wall's azimuth cannot be told from north.
+    known = ("clock_min", "wall_azimuth_deg")
+    parameters = [p for p in room_parameters(start) if p.name not in known]
+    albedo = turned.albedos(start, stated_albedo(wrong))
+    first = float(turned.misfit(turned.patches(start, albedo)).mean())
+    objective = Objective(turned, start, parameters, albedo, PRIOR_SHARE * first)
+    coarse, _ = pattern_search(objective, start, parameters, fine=4.0)
+    found, _ = pattern_search(objective, coarse, parameters, coarse=0.25)
+    values = {p.name: p.read(found) for p in parameters}
+    assert found.north_deg == pytest.approx(1.0, abs=0.45)  # a sixth of a pixel
+    assert values["window 1 u1"] == pytest.approx(0.6, abs=0.04)
+    assert values["camera_x_m"] == pytest.approx(2.4, abs=0.04)
+
+
+@pytest.mark.analytic
+def test_a_bar_is_seen_in_the_picture_of_the_window() -> None:
+    barred = replace(ROOM, window=(replace(ROOM.window[0], panes=2, frame_m=0.1),))
+    found = gather(captures(barred), ROOM, pixels=2500)
+    bare = guess_of(ROOM)
+    albedo = found.albedos(bare, stated_albedo(ROOM))
+    bars = propose_bars(window_picture(found, bare, 0, albedo), bare, 0)
+    middle = 5.0 - 0.6 - 1.8  # of the window, in room coordinates
+    assert any(b.upright and abs(np.mean(b.span_m) - middle) < 0.05 for b in bars)
+
+
+@pytest.mark.property
+def test_the_light_below_hardly_knows_the_patches(data: Dataset, evidence: SceneEvidence) -> None:
+    true = guess_of(ROOM)
+    patch = evidence.patches(true, stated_albedo(ROOM))
+    light = np.maximum(np.exp(evidence.log_seen) - patch, 1.0)
+    dark = patch == 0.0
+    assert np.median(np.abs(np.log(evidence.below / light))[dark]) < 0.05
+    sunny = patch > light
+    assert np.median(evidence.below[sunny] / light[sunny]) < 1.5
+
+
+@pytest.mark.analytic
+def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> None:
+    few = data.take(np.arange(len(data)))
+    fit = fit_scene(few, ROOM, pixels=250)
+    assert fit.misfits.mean()["fitted"] < fit.misfits.mean()["none"]
+    chosen, verdict = choose_by_misfit(fit.misfits)
+    assert chosen in ("stated", "fitted") and "wrong" in verdict
+    scene = scene_of(fit, "fitted", verdict)
+    write_scene(tmp_path, scene)
+    again = read_scene(tmp_path)
+    assert again.room == scene.room and again.u == pytest.approx(scene.u)
+    put = with_scene(few, again)
+    assert put.patch_cdm2 is not None and put.about()["scene"]["chosen"] == "fitted"
+    assert put.setup.camera.heading_deg == pytest.approx((180.0 + scene.north_deg) % 360.0)
+    assert with_scene(few, replace(again, chosen="none")).patch_cdm2 is None
+    (tmp_path / "scene.toml").write_text("format = 7\n")
+    with pytest.raises(InputError, match="format 7"):
+        read_scene(tmp_path)
+
+
+@pytest.mark.contract
+def test_what_cannot_be_fitted_is_refused_in_one_line(data: Dataset, tmp_path: Path) -> None:
+    blind = replace(ROOM, window=())
+    with pytest.raises(InputError, match="window"):
+        gather(data, blind)
+    dull = data.light.dni_wm2 == 0.0
+    with pytest.raises(NotEnoughDataError, match="captures have direct sun"):
+        gather(data.take(dull), ROOM)
+    with pytest.raises(InputError, match=r"scene\.toml"):
+        in_scene(data, tmp_path / "pairs.csv", str(tmp_path), "absolute")
+    unchanged, patch = in_scene(data, tmp_path / "pairs.csv", "none", "none")
+    assert unchanged is data and patch == "none"
+    ran = CliRunner().invoke(main, ["scene", "fit", "--help"])
+    assert ran.exit_code == 0 and "Example" in ran.output
+
+
+@pytest.mark.analytic
+def test_the_simplest_geometry_that_explains_is_chosen() -> None:
+    hours = np.linspace(0.9, 1.1, 9)
+    days = np.array(["2027-03-20"] * 9, "datetime64[D]")
+
+    def chosen(none: float, stated: float, fitted: float) -> str:
+        return choose_by_misfit(Misfits(none * hours, stated * hours, fitted * hours, days))[0]
+
+    assert chosen(0.10, 0.05, 0.02) == "fitted"
+    assert chosen(0.10, 0.05, 0.05) == "stated"
+    assert chosen(0.10, 0.12, 0.11) == "none"
+    assert chosen(0.10, 0.12, 0.05) == "fitted"
