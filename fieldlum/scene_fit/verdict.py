@@ -1,0 +1,187 @@
+"""Which geometry the learning should use, and what error to expect: no patch, the stated box, or
+the fitted scene.
+
+Held-out days of a clustered campaign have neighbours: 20 March is predicted from 19 and 21 March,
+whose sun was in the same place. They rank geometries wrongly and promise too much. Here a sunny
+hour is left out with all others whose suns are close, as in a year most suns are new.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.light import facades_of
+from fieldlum.projection import equirect_solid_angles
+from fieldlum.records import Progress, Room, quiet
+
+if TYPE_CHECKING:
+    from fieldlum.models import Fitted
+    from fieldlum.models.data import Dataset
+
+Array = NDArray[np.float64]
+
+BLOCK_DEG = 9.0  # suns closer than this leave together; neighbouring hours are 12 to 15 deg apart
+FOLDS = 3
+PIXELS = 500  # drawn by solid angle; the ranking of three geometries stays with 250
+_SUNNY_SHARE = 0.1  # of the light outside that falls directly on a window's plane
+_LEAST_SUN_LX = 1000.0
+_LOWEST_SUN_DEG = 2.0
+_FLOOR_CDM2 = 1.0
+# A richer geometry must promise this much less than a simpler one; less is the scatter of folds.
+_WORTH = 0.9
+
+FitTransport = Callable[["Dataset", str], "Fitted"]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A geometry: captures with its heading, sun, room and sun patches (None: no patch), and its
+    patch misfit on hours that no search saw (NaN: not known).
+    """
+
+    name: str
+    data: Dataset
+    misfit: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class CandidateScore:
+    """Expected log10 MSE of a year's hours, by left-out sun directions, and the patch misfit."""
+
+    name: str
+    expected_log10_mse: float
+    standard_error: float  # over the blocks left out
+    misfit: float
+
+
+@dataclass(frozen=True, slots=True)
+class SceneVerdict:
+    """The chosen candidate and why. trusted: whether left-out errors and patch misfit agree."""
+
+    chosen: str
+    expected_log10_mse: float
+    trusted: bool
+    reason: str
+    scores: tuple[CandidateScore, ...]
+
+
+def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
+    """Return a block number for each sun [n, 3]: linked suns closer than `reach_deg` share one."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    near = suns @ suns.T > np.cos(np.radians(reach_deg))
+    return connected_components(csr_matrix(near), directed=False)[1].astype(np.intp)
+
+
+def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
+    """Return which hours have direct sun on a window's plane, [n]."""
+    normals = facades_of(room).normals
+    facing = np.maximum(data.light.sun_direction @ normals.T, 0.0).max(axis=1)
+    onto = facing * data.light.direct_lx
+    strong = (onto > _SUNNY_SHARE * data.light.total_lx) & (onto > _LEAST_SUN_LX)
+    return strong & (data.light.sun_altitude_deg > _LOWEST_SUN_DEG)
+
+
+def fold_numbers(data: Dataset, room: Room | None, seed: int = 0) -> NDArray[np.intp]:
+    """Return which fold leaves each hour out, [n]: sunny hours by blocks of the sun's direction,
+    others by days. Raises NotEnoughDataError with fewer blocks than folds.
+    """
+    sunny = sunny_hours(data, room)
+    blocks = sun_blocks(data.light.sun_direction[sunny])
+    count = int(blocks.max(initial=-1)) + 1
+    if count < FOLDS:
+        raise NotEnoughDataError(
+            f"{int(sunny.sum())} sunny hours in {count} directions of the sun, at least {FOLDS} "
+            f"directions are needed to judge a scene: capture clear hours over a day"
+        )
+    folds = np.searchsorted(np.unique(data.days), data.days) % FOLDS
+    folds[sunny] = np.random.default_rng(seed).permutation(count)[blocks] % FOLDS
+    return folds
+
+
+def judge(
+    candidates: Sequence[Candidate],
+    fit: FitTransport,
+    *,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> SceneVerdict:
+    """Choose among candidates of the same hours, simplest first.
+
+    fit: fits the transport model to captures with patch mode "absolute" or "none". Raises
+    NotEnoughDataError where too few directions of the sun were captured.
+    """
+    first = candidates[0].data
+    room = next((c.data.setup.room for c in candidates if c.data.setup.room is not None), None)
+    folds = fold_numbers(first, room, seed)
+    pixels = _draw(first, np.random.default_rng(seed))
+    scores = []
+    for k, candidate in enumerate(candidates):
+        progress(k, len(candidates), f"scene: judging {candidate.name}")
+        errors = left_out_errors(replace(candidate.data, seen=pixels), folds, fit)
+        blocks = [errors[folds == fold].mean() for fold in range(FOLDS)]
+        scores.append(
+            CandidateScore(
+                candidate.name,
+                float(errors.mean()),
+                float(np.std(blocks, ddof=1) / np.sqrt(FOLDS)),
+                candidate.misfit,
+            )
+        )
+    progress(len(candidates), len(candidates), "")
+    return choose_candidate(scores)
+
+
+def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Some of the seen pixels, by solid angle, [H, W]."""
+    chance = np.where(data.seen, equirect_solid_angles(*data.shape), 0.0).ravel()
+    count = min(PIXELS, int((chance > 0.0).sum()))
+    mask = np.zeros(chance.size, bool)
+    mask[rng.choice(chance.size, count, replace=False, p=chance / chance.sum())] = True
+    return mask.reshape(data.shape)
+
+
+def left_out_errors(data: Dataset, folds: NDArray[np.intp], fit: FitTransport) -> Array:
+    """Return the mean squared log10 error of each hour by a model that did not see its fold, [n].
+
+    The seen pixels are drawn by solid angle and count alike.
+    """
+    mode = "none" if data.patch_cdm2 is None else "absolute"
+    out = np.zeros(len(data))
+    for fold in range(FOLDS):
+        model = fit(data.take(folds != fold), mode)
+        check = data.take(folds == fold)
+        made = model.predict(check.light, check.patch_cdm2).luminance_cdm2[:, data.seen]
+        true = check.luminance_cdm2[:, data.seen]  # [m, P]
+        error = np.log10(np.maximum(made, _FLOOR_CDM2) / np.maximum(true, _FLOOR_CDM2))
+        out[folds == fold] = (error**2).mean(axis=1)
+    return out
+
+
+def choose_candidate(scores: Sequence[CandidateScore]) -> SceneVerdict:
+    """Return the simplest score that no richer one beats clearly; scores are simplest first.
+
+    A choice that the patch misfit contradicts is made, and not trusted.
+    """
+    chosen = scores[0]
+    for score in scores[1:]:
+        if score.expected_log10_mse < _WORTH * chosen.expected_log10_mse:
+            chosen = score
+    text = ", ".join(f"{s.name} {s.expected_log10_mse:.1e}" for s in scores)
+    reason = f"{chosen.name}: least error where sun directions are left out ({text})"
+    measured = [s for s in scores if np.isfinite(s.misfit)]
+    other = min(measured, key=lambda s: s.misfit) if measured else chosen
+    if other.name != chosen.name:
+        reason += (
+            f"; sun patches of hours kept out speak for {other.name}: capture more clear hours"
+        )
+    return SceneVerdict(
+        chosen.name, chosen.expected_log10_mse, other.name == chosen.name, reason, tuple(scores)
+    )

@@ -1,0 +1,141 @@
+"""Which geometry the learning uses: sun directions left out together, and the choice."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from fieldlum import scene, sun
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.light import light_at
+from fieldlum.models.data import Dataset
+from fieldlum.models.transport import fit
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.scene_fit.verdict import (
+    FOLDS,
+    Candidate,
+    CandidateScore,
+    choose_candidate,
+    fold_numbers,
+    judge,
+    sun_blocks,
+    sunny_hours,
+)
+
+SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
+ROOM = Room(
+    width_m=4.0,
+    depth_m=5.0,
+    height_m=3.0,
+    camera_x_m=2.0,
+    camera_y_m=3.0,
+    camera_z_m=1.5,
+    window=(Window("south", 1.0, 2.0, 0.8, 1.8, 0.88, 1, 0.0),),
+)
+SHIFTED = replace(ROOM, window=(replace(ROOM.window[0], left_m=1.6, sill_m=0.4),))
+
+
+def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
+    """Captures of a room whose light is the diffuse light outside and its own sun patches."""
+    times = [
+        datetime(2027, *day, 16, 30, tzinfo=UTC) + timedelta(hours=h)
+        for day in days
+        for h in range(8)
+    ]
+    place = sun.position(times, SEATTLE)
+    up = np.maximum(np.sin(np.radians(place.altitude_deg)), 0.0)
+    light = light_at(times, SEATTLE, 800.0 * (up > 0.05) * clear, 60.0 + 40.0 * up)
+    height = 12
+    patch = scene.sun_patches(
+        ROOM, None, light.sun_direction, light.direct_lx, height=height, heading_deg=180.0
+    ).luminance_cdm2
+    base = (0.01 * light.diffuse_lx)[:, None, None] * np.ones((height, 2 * height))
+    n = len(times)
+    return Dataset(
+        light,
+        (base + patch).astype(np.float32),
+        patch,
+        np.zeros(n),
+        180.0,
+        np.array([sun.standard_date(t, SEATTLE.timezone) for t in times], "datetime64[D]"),
+        tuple(map(slot_id, times)),
+        SiteFile(SEATTLE, CameraSetup(heading_deg=180.0), ROOM),
+        np.ones((height, 2 * height), bool),
+        np.zeros(n),
+    )
+
+
+CAPTURES = _captures(((3, 19), (3, 20), (3, 21), (12, 20), (12, 21)))
+
+
+@pytest.mark.analytic
+def test_suns_of_neighbouring_days_are_one_block() -> None:
+    suns = CAPTURES.light.sun_direction
+    blocks = sun_blocks(suns[:24])  # three days at the equinox, eight hours each
+    assert (blocks[:8] == blocks[8:16]).all() and len(np.unique(blocks)) == 8
+
+
+@pytest.mark.property
+def test_no_sunny_hour_teaches_one_of_its_own_block() -> None:
+    folds = fold_numbers(CAPTURES, ROOM)
+    sunny = np.flatnonzero(sunny_hours(CAPTURES, ROOM))
+    blocks = sun_blocks(CAPTURES.light.sun_direction[sunny])
+    for block in np.unique(blocks):
+        assert len(np.unique(folds[sunny[blocks == block]])) == 1
+    assert set(folds) == set(range(FOLDS))
+
+
+@pytest.mark.analytic
+def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
+    def fitted(data: Dataset, mode: str):
+        return fit(data, patch=mode)
+
+    wrong = scene.sun_patches(
+        SHIFTED,
+        None,
+        CAPTURES.light.sun_direction,
+        CAPTURES.light.direct_lx,
+        height=12,
+        heading_deg=180.0,
+    ).luminance_cdm2
+    bare = replace(CAPTURES, setup=replace(CAPTURES.setup, room=None))
+    verdict = judge(
+        [
+            Candidate("none", replace(bare, patch_cdm2=None), 0.2),
+            Candidate("stated", replace(bare, patch_cdm2=wrong), 0.3),
+            Candidate("fitted", bare, 0.01),
+        ],
+        fitted,
+    )
+    by_name = {s.name: s.expected_log10_mse for s in verdict.scores}
+    assert verdict.chosen == "fitted" and verdict.trusted
+    assert by_name["fitted"] < 0.5 * min(by_name["none"], by_name["stated"])
+    assert verdict.expected_log10_mse == by_name["fitted"]
+
+
+@pytest.mark.property
+def test_a_choice_against_the_patch_misfit_is_not_trusted() -> None:
+    scores = [
+        CandidateScore("none", 5e-3, 1e-3, 0.10),
+        CandidateScore("stated", 3e-3, 1e-3, 0.20),
+    ]
+    verdict = choose_candidate(scores)
+    assert verdict.chosen == "stated" and not verdict.trusted
+    assert "speak for none" in verdict.reason
+
+
+@pytest.mark.property
+def test_a_richer_geometry_must_be_clearly_better() -> None:
+    scores = [
+        CandidateScore("none", 5.0e-3, 1e-3, 0.1),
+        CandidateScore("stated", 4.8e-3, 1e-3, 0.1),
+    ]
+    assert choose_candidate(scores).chosen == "none"
+
+
+@pytest.mark.contract
+def test_overcast_captures_say_what_is_missing() -> None:
+    overcast = _captures(((3, 20),), clear=False)
+    with pytest.raises(NotEnoughDataError, match="capture clear hours"):
+        judge([Candidate("none", overcast)], lambda data, mode: fit(data, patch=mode))
