@@ -9,14 +9,15 @@ import pytest
 from fieldlum import scene, sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.light import light_at
+from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
-from fieldlum.models.transport import fit
+from fieldlum.models.transport import Transport, fit
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit.verdict import (
     FOLDS,
-    Candidate,
-    CandidateScore,
-    choose_candidate,
+    GeometryCandidate,
+    GeometryScore,
+    choose_geometry,
     fold_numbers,
     judge,
     sun_blocks,
@@ -44,8 +45,9 @@ def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
         for h in range(8)
     ]
     place = sun.position(times, SEATTLE)
-    up = np.maximum(np.sin(np.radians(place.altitude_deg)), 0.0)
-    light = light_at(times, SEATTLE, 800.0 * (up > 0.05) * clear, 60.0 + 40.0 * up)
+    up = np.asarray(np.maximum(np.sin(np.radians(place.altitude_deg)), 0.0), float)
+    beam = np.where((up > 0.05) & clear, 800.0, 0.0)
+    light = light_at(times, SEATTLE, beam, np.asarray(60.0 + 40.0 * up, np.float64))
     height = 12
     patch = scene.sun_patches(
         ROOM, None, light.sun_direction, light.direct_lx, height=height, heading_deg=180.0
@@ -64,6 +66,10 @@ def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
         np.ones((height, 2 * height), bool),
         np.zeros(n),
     )
+
+
+def _fit(data: Dataset, mode: Patch) -> Transport:
+    return fit(data, patch=mode)
 
 
 CAPTURES = _captures(((3, 19), (3, 20), (3, 21), (12, 20), (12, 21)))
@@ -88,9 +94,6 @@ def test_no_sunny_hour_teaches_one_of_its_own_block() -> None:
 
 @pytest.mark.analytic
 def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
-    def fitted(data: Dataset, mode: str):
-        return fit(data, patch=mode)
-
     wrong = scene.sun_patches(
         SHIFTED,
         None,
@@ -102,11 +105,11 @@ def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
     bare = replace(CAPTURES, setup=replace(CAPTURES.setup, room=None))
     verdict = judge(
         [
-            Candidate("none", replace(bare, patch_cdm2=None), 0.2),
-            Candidate("stated", replace(bare, patch_cdm2=wrong), 0.3),
-            Candidate("fitted", bare, 0.01),
+            GeometryCandidate("none", replace(bare, patch_cdm2=None), 0.2),
+            GeometryCandidate("stated", replace(bare, patch_cdm2=wrong), 0.3),
+            GeometryCandidate("fitted", bare, 0.01),
         ],
-        fitted,
+        _fit,
     )
     by_name = {s.name: s.expected_log10_mse for s in verdict.scores}
     assert verdict.chosen == "fitted" and verdict.trusted
@@ -117,10 +120,10 @@ def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
 @pytest.mark.property
 def test_a_choice_against_the_patch_misfit_is_not_trusted() -> None:
     scores = [
-        CandidateScore("none", 5e-3, 1e-3, 0.10),
-        CandidateScore("stated", 3e-3, 1e-3, 0.20),
+        GeometryScore("none", 5e-3, 1e-3, 0.10),
+        GeometryScore("stated", 3e-3, 1e-3, 0.20),
     ]
-    verdict = choose_candidate(scores)
+    verdict = choose_geometry(scores)
     assert verdict.chosen == "stated" and not verdict.trusted
     assert "speak for none" in verdict.reason
 
@@ -128,14 +131,14 @@ def test_a_choice_against_the_patch_misfit_is_not_trusted() -> None:
 @pytest.mark.property
 def test_a_richer_geometry_must_be_clearly_better() -> None:
     scores = [
-        CandidateScore("none", 5.0e-3, 1e-3, 0.1),
-        CandidateScore("stated", 4.8e-3, 1e-3, 0.1),
+        GeometryScore("none", 5.0e-3, 1e-3, 0.1),
+        GeometryScore("stated", 4.8e-3, 1e-3, 0.1),
     ]
-    assert choose_candidate(scores).chosen == "none"
+    assert choose_geometry(scores).chosen == "none"
 
 
 @pytest.mark.contract
 def test_overcast_captures_say_what_is_missing() -> None:
     overcast = _captures(((3, 20),), clear=False)
     with pytest.raises(NotEnoughDataError, match="capture clear hours"):
-        judge([Candidate("none", overcast)], lambda data, mode: fit(data, patch=mode))
+        judge([GeometryCandidate("none", overcast)], _fit)

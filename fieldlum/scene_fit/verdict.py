@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ from fieldlum.projection import equirect_solid_angles
 from fieldlum.records import Progress, Room, quiet
 
 if TYPE_CHECKING:
-    from fieldlum.models import Fitted
+    from fieldlum.light import Light
+    from fieldlum.models import Patch, Prediction
     from fieldlum.models.data import Dataset
 
 Array = NDArray[np.float64]
@@ -36,11 +37,20 @@ _FLOOR_CDM2 = 1.0
 # A richer geometry must promise this much less than a simpler one; less is the scatter of folds.
 _WORTH = 0.9
 
-FitTransport = Callable[["Dataset", str], "Fitted"]
+
+class Predictor(Protocol):
+    """What a fitted model must do here."""
+
+    def predict(
+        self, light: Light, patch_cdm2: NDArray[np.float32] | None = None
+    ) -> Prediction: ...
+
+
+FitTransport = Callable[["Dataset", "Patch"], Predictor]
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class GeometryCandidate:
     """A geometry: captures with its heading, sun, room and sun patches (None: no patch), and its
     patch misfit on hours that no search saw (NaN: not known).
     """
@@ -51,7 +61,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class CandidateScore:
+class GeometryScore:
     """Expected log10 MSE of a year's hours, by left-out sun directions, and the patch misfit."""
 
     name: str
@@ -68,7 +78,7 @@ class SceneVerdict:
     expected_log10_mse: float
     trusted: bool
     reason: str
-    scores: tuple[CandidateScore, ...]
+    scores: tuple[GeometryScore, ...]
 
 
 def sun_blocks(suns: Array, reach_deg: float = BLOCK_DEG) -> NDArray[np.intp]:
@@ -107,7 +117,7 @@ def fold_numbers(data: Dataset, room: Room | None, seed: int = 0) -> NDArray[np.
 
 
 def judge(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[GeometryCandidate],
     fit: FitTransport,
     *,
     seed: int = 0,
@@ -128,7 +138,7 @@ def judge(
         errors = left_out_errors(replace(candidate.data, seen=pixels), folds, fit)
         blocks = [errors[folds == fold].mean() for fold in range(FOLDS)]
         scores.append(
-            CandidateScore(
+            GeometryScore(
                 candidate.name,
                 float(errors.mean()),
                 float(np.std(blocks, ddof=1) / np.sqrt(FOLDS)),
@@ -136,7 +146,7 @@ def judge(
             )
         )
     progress(len(candidates), len(candidates), "")
-    return choose_candidate(scores)
+    return choose_geometry(scores)
 
 
 def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -153,7 +163,7 @@ def left_out_errors(data: Dataset, folds: NDArray[np.intp], fit: FitTransport) -
 
     The seen pixels are drawn by solid angle and count alike.
     """
-    mode = "none" if data.patch_cdm2 is None else "absolute"
+    mode: Patch = "none" if data.patch_cdm2 is None else "absolute"
     out = np.zeros(len(data))
     for fold in range(FOLDS):
         model = fit(data.take(folds != fold), mode)
@@ -165,7 +175,7 @@ def left_out_errors(data: Dataset, folds: NDArray[np.intp], fit: FitTransport) -
     return out
 
 
-def choose_candidate(scores: Sequence[CandidateScore]) -> SceneVerdict:
+def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
     """Return the simplest score that no richer one beats clearly; scores are simplest first.
 
     A choice that the patch misfit contradicts is made, and not trusted.
