@@ -209,7 +209,9 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
             images.write_radiance_hdr(temporary, pixels, heading_deg=panorama.heading_deg)
 
 
-def read_weather(file: str | Path, site: SiteFile | Site | str | Path) -> Weather:
+def read_weather(
+    file: str | Path, site: SiteFile | Site | str | Path, *, label_shift_min: float = 0.0
+) -> Weather:
     """Read a weather year.
 
     Parameters
@@ -219,6 +221,8 @@ def read_weather(file: str | Path, site: SiteFile | Site | str | Path) -> Weathe
     site
         Where the room is: a loaded site, or the path of a SITE.toml. Times and distances are
         checked against it.
+    label_shift_min
+        Added to the times in the file, where its labels are known to be off. [min]
 
     Returns
     -------
@@ -242,7 +246,7 @@ def read_weather(file: str | Path, site: SiteFile | Site | str | Path) -> Weathe
     """
     from fieldlum import weather
 
-    return weather.read_weather(Path(file), _place(site))
+    return weather.read_weather(Path(file), _place(site), label_shift_min=label_shift_min)
 
 
 def _place(site: SiteFile | Site | str | Path) -> Site:
@@ -311,7 +315,7 @@ def plan_captures(
     request = plan.Request(capture_set, counted_from, start, year, days, count)
     if out is None:
         return plan.make_plan(setup, request, weather)
-    return plan.run(setup, request, Path(out), weather)[1]
+    return plan.run(setup, request, Path(out), weather).plan
 
 
 def merge_frames(
@@ -592,6 +596,7 @@ def predict_year(
     views: int = 10,
     maps: bool = False,
     occupancy_file: str | Path | None = None,
+    label_shift_min: float = 0.0,
     force: bool = False,
     progress: Progress = quiet,
 ) -> Annual:
@@ -612,6 +617,8 @@ def predict_year(
         Also store every map, as maps.zarr in the folder (0.7 GB for a year at 460 x 230).
     occupancy_file
         When the room is used; None: 08:00 to 18:00.
+    label_shift_min
+        Added to the times in the weather file, where its labels are known to be off. [min]
     force
         Predict again even if the folder has this year from the same inputs.
     progress
@@ -638,14 +645,14 @@ def predict_year(
     """
     from fieldlum import predict
 
-    annual, _ = predict.run(
+    return predict.run(
         Path(model_folder),
         Path(weather_file),
         out=None if out is None else Path(out),
         maps=maps,
         views=views,
         occupancy_path=None if occupancy_file is None else Path(occupancy_file),
+        label_shift_min=label_shift_min,
         force=force,
         progress=progress,
-    )
-    return annual
+    ).annual

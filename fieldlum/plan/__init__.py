@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import date, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -95,6 +95,13 @@ class Plan:
             "megabytes_per_slot": self.megabytes_per_slot,
             "sun_band_percent": round(self.coverage.sun_band_percent, 1),
         }
+
+
+class PlannedSession(NamedTuple):
+    """What `run` wrote."""
+
+    session: Session
+    plan: Plan
 
 
 def make_plan(
@@ -358,10 +365,10 @@ def run(
     out: Path,
     weather: Weather | None = None,
     progress: Progress = quiet,
-) -> tuple[Session, Plan]:
+) -> PlannedSession:
     """Plan and create the session folder. Raises InputError when `out` is a session already."""
     plan = make_plan(setup, request, weather, progress)
-    return create_session(out, setup, plan.slots, plan.about(request)), plan
+    return PlannedSession(create_session(out, setup, plan.slots, plan.about(request)), plan)
 
 
 def write_calendar(session: Session, made_utc: datetime) -> Path:

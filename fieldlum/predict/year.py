@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,13 @@ if TYPE_CHECKING:
     from fieldlum.weather import Weather
 
 
+class PredictedYear(NamedTuple):
+    """What `run` did: the year, and whether it was computed now or read from its folder."""
+
+    annual: Annual
+    new: bool
+
+
 def run(
     model_folder: Path,
     weather_path: Path,
@@ -67,7 +74,7 @@ def run(
     seed: int = 0,
     label_shift_min: float = 0.0,
     progress: Progress = quiet,
-) -> tuple[Annual, bool]:
+) -> PredictedYear:
     """Predict all daylight hours of a weather file with a trained model; returns the year and
     whether it is new.
 
@@ -84,7 +91,7 @@ def run(
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
     if not force and (done := already(folder, inputs)) is not None:
-        return done, False
+        return PredictedYear(done, new=False)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
     hours = weather.daylight()
     if len(hours) == 0:
@@ -107,7 +114,7 @@ def run(
     write_hourly(folder / "hourly.csv", annual, zone)
     write_pictures(folder / "pictures.npz", telling_pictures(fitted, room, light, annual))
     write_about(folder / "predict.json", annual.about)
-    return annual, True
+    return PredictedYear(annual, new=True)
 
 
 def light_of(weather: Weather) -> Light:
