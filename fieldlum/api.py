@@ -217,7 +217,8 @@ def read_weather(
     Parameters
     ----------
     file
-        EPW, TMY3, or CSV (docs/file-formats.md).
+        A weather year in any format of docs/file-formats.md (EPW, TMY3, CSV and others), or
+        ``synthetic``.
     site
         Where the room is: a loaded site, or the path of a SITE.toml. Times and distances are
         checked against it.
@@ -607,7 +608,7 @@ def predict_year(
     model_folder
         A model folder that `fit` or `fieldlum train` wrote.
     weather_file
-        EPW, TMY3 or CSV.
+        A weather year in any format of docs/file-formats.md, or ``synthetic``.
     out
         Folder for hourly.csv, predict.json and pictures.npz; None: annual/NAME in the session, or
         next to the model folder.
