@@ -360,6 +360,8 @@ class CameraProfile:
     glare_floor_rel: float = 0.0005  # veiling glare of the lens, as a share of the mean luminance
     expires: str = ""  # ISO date; doctor warns after it
     provenance: Provenance = field(default_factory=Provenance)
+    # What nominal times mean where [[shutter]] has no measured one: see photometry/shutter_law.py.
+    shutter_law: Literal["auto", "third-stops", "half-stops", "exact"] = "auto"
 
 
 def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:

@@ -12,7 +12,7 @@ from fieldlum.errors import InputError
 from fieldlum.photometry import (
     response_table,
     saturation_plateau,
-    snap_shutter_s,
+    time_under,
     vignetting_at,
     z_per_cdm2,
 )
@@ -82,9 +82,9 @@ def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
 
 
 def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> float:
-    """The profile's measured time where it has one, else the snapped one."""
+    """Return the profile's measured time where it has one, else the time under its shutter law."""
     known = (s.true_s for s in profile.shutter if abs(s.nominal_s / exposure.shutter_s - 1) < 0.02)
-    return next(known, snap_shutter_s(exposure.shutter_s))
+    return next(known, time_under(profile.shutter_law, exposure.shutter_s))
 
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:

@@ -13,7 +13,7 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fieldlum.calibrate.model_selection import Candidate, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import prior_u_log, snap_shutter_s
+from fieldlum.photometry import AUTO, prior_u_log, time_under
 from fieldlum.profiles import CameraProfile, ShutterTime
 from fieldlum.records import parse_utc, shutter_text
 from fieldlum.session import Session, parse_exposure
@@ -113,6 +113,25 @@ def from_session(
             f"{session.panoramas}: no merged bracket with overlapping frames, merge some first"
         )
     return brackets, tuple(files)
+
+
+def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfile:
+    """Return the profile with the shutter law that its brackets were merged under.
+
+    Raises InputError where they were merged under several.
+    """
+    notes = [json.loads(path.read_text(encoding="utf-8")) for path in sidecars]
+    laws = {note["quality"].get("shutter_law", {}).get("law") for note in notes} - {None}
+    if profile.shutter_law != AUTO or not laws:
+        return profile
+    if len(laws) > 1:
+        raise InputError(
+            sidecars[0].parent,
+            f"brackets merged under several shutter laws: {', '.join(sorted(laws))}",
+            "one law",
+            'write shutter_law = "exact" (or another) into the profile and merge again',
+        )
+    return replace(profile, shutter_law=laws.pop())
 
 
 def readings_of(quality: dict[str, Any]) -> list[ShutterReading]:
@@ -298,8 +317,8 @@ def assumed_s(nominal_s: float, profile: CameraProfile) -> tuple[float, float]:
     for known in profile.shutter:
         if abs(known.nominal_s / nominal_s - 1) < _SAME:
             return known.true_s, known.u_rel
-    snapped = snap_shutter_s(nominal_s)
-    return snapped, float(prior_u_log(np.asarray(snapped)))
+    seconds = time_under(profile.shutter_law, nominal_s)
+    return seconds, float(prior_u_log(np.asarray(seconds)))
 
 
 def _levelled(

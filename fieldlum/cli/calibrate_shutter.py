@@ -34,6 +34,7 @@ def command(
 
     profile, digest = load_camera_profile(camera), sha256(find_camera_profile(camera))
     read = [shutter.from_session(open_session(path), digest) for path in sessions]
+    profile = shutter.with_law_of(profile, [file for _, sidecars in read for file in sidecars])
     found = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
     if picture:
         pictures.save(pictures.of_shutter(found), picture)

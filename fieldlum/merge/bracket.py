@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -47,9 +47,11 @@ from fieldlum.merge.shots import (
     exposure_covariance,
     shots_of_files,
     sorted_shots,
+    stated_law,
+    times_by_law,
     true_shutter_s,
 )
-from fieldlum.photometry import RatioFit, fit_ratios
+from fieldlum.photometry import RatioFit, ShutterLaw, fit_ratios, law_of_frames
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.projection.resample import Target
@@ -88,6 +90,7 @@ class SensorMerge:
     dropped: tuple[
         float, ...
     ]  # share of its pixels that each frame lost to motion; empty: not asked for
+    law: ShutterLaw
 
 
 def merge_sensor(
@@ -110,6 +113,8 @@ def merge_sensor(
     Raises InputError for a frame that cannot be read or does not belong.
     """
     crop = lens_crop(profile)
+    law = stated_law(shots, profile)
+    profile = replace(profile, shutter_law=law.law)
     times = [true_shutter_s(shot.exposure, profile)[0] for shot in shots]
     raw = profile.camera.kind == "raw"
     look = first_look(shots, profile)
@@ -124,6 +129,14 @@ def merge_sensor(
     moved = shifts([store.small(i) for i in range(len(store))], lenses)
     samples = take_samples(store)
     pairs = bracket_pairs(samples)
+    if law.decided_by == "labels":
+        by_law = times_by_law(shots, profile)
+        law = law_of_frames(by_law, law, pairs)
+        if law.law != profile.shutter_law:
+            store.correct(by_law[law.law] / np.asarray(times))
+            profile = replace(profile, shutter_law=law.law)
+            samples = take_samples(store)
+            pairs = bracket_pairs(samples)
     wanted = raw if fit is None else fit
     prior = exposure_covariance([s.exposure for s in shots], profile)
     ratios = fit_ratios(pairs if wanted else [], prior)
@@ -171,6 +184,7 @@ def merge_sensor(
         u_ratio,
         curve,
         dropped,
+        law,
     )
 
 

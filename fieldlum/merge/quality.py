@@ -100,6 +100,7 @@ def quality_of(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) 
         "noise_over_said": max(p.noise.larger for p in parts),
         "plateau_dn": {f"{iso:g}": list(found) for iso, found in parts[0].look.plateau_dn.items()},
         "black_off_dn": max((p.look.black_off_dn for p in parts), key=abs),
+        "shutter_law": asdict(parts[0].law),
         "u_ratio_percent": 100 * float(np.sqrt(np.mean([p.u_ratio**2 for p in parts]))),
     }
 

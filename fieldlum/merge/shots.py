@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.photometry import prior_u_log, snap_shutter_s, z_per_cdm2
+from fieldlum.photometry import (
+    AUTO,
+    LAWS,
+    ShutterLaw,
+    law_of_labels,
+    prior_u_log,
+    time_under,
+    z_per_cdm2,
+)
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import JPEG_SUFFIXES, read_exif
 from fieldlum.records import Exposure, parse_utc
@@ -158,14 +166,31 @@ def is_jpeg(path: Path) -> bool:
 
 
 def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, float]:
-    """The profile's measured time where it has one, else the snapped one; and its relative u
-    before any fit.
+    """Return the profile's measured time where it has one, else the time under its shutter law;
+    and its relative u before any fit.
     """
     for known in profile.shutter:
         if abs(known.nominal_s / exposure.shutter_s - 1) < 0.02:
             return known.true_s, known.u_rel
-    snapped = snap_shutter_s(exposure.shutter_s)
-    return snapped, float(prior_u_log(np.asarray(snapped)))
+    seconds = time_under(profile.shutter_law, exposure.shutter_s)
+    return seconds, float(prior_u_log(np.asarray(seconds)))
+
+
+def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
+    """Return the profile's shutter law; for "auto" that of the bracket's labels."""
+    if profile.shutter_law != AUTO:
+        return ShutterLaw(profile.shutter_law, "profile")
+    nominal_s = [shot.exposure.shutter_s for shot in shots]
+    return law_of_labels(nominal_s, profile.camera.model)
+
+
+def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDArray[np.float64]]:
+    """Return the time of each frame under each law, [frames] s; measured times stay under all."""
+    profiles = {law: replace(profile, shutter_law=law) for law in LAWS}
+    return {
+        law: np.array([true_shutter_s(shot.exposure, p)[0] for shot in shots])
+        for law, p in profiles.items()
+    }
 
 
 def exposure_covariance(

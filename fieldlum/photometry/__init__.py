@@ -23,18 +23,32 @@ from fieldlum.photometry.response import (
     response_table,
     srgb_table,
 )
+from fieldlum.photometry.shutter_law import (
+    AUTO,
+    LAWS,
+    ShutterLaw,
+    law_of_frames,
+    law_of_labels,
+    time_under,
+    times_under,
+)
 from fieldlum.photometry.vignetting import check_vignetting, vignetting_at
 
 __all__ = [
+    "AUTO",
+    "LAWS",
     "STONITS",
     "PairRatio",
     "RatioFit",
+    "ShutterLaw",
     "check_vignetting",
     "dark_floor",
     "fit_ratios",
     "fit_response",
     "illuminance_lx",
     "illuminance_verdict",
+    "law_of_frames",
+    "law_of_labels",
     "monotone",
     "pair_ratio",
     "pick_places",
@@ -44,6 +58,8 @@ __all__ = [
     "saturation_plateau",
     "snap_shutter_s",
     "srgb_table",
+    "time_under",
+    "times_under",
     "vertical_illuminance_lx",
     "vignetting_at",
     "z_per_cdm2",

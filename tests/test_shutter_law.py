@@ -1,0 +1,116 @@
+"""One shutter law for a bracket: from the profile, the labels, or the frames."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fieldlum.errors import InputError
+from fieldlum.merge import merge_frames
+from fieldlum.photometry import (
+    LAWS,
+    PairRatio,
+    law_of_frames,
+    law_of_labels,
+    time_under,
+    times_under,
+    z_per_cdm2,
+)
+from fieldlum.profiles import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Lens,
+    Sensor,
+    load_camera_profile,
+    save_profile,
+)
+from fieldlum.raw import write_dng
+from fieldlum.records import Exposure
+
+FULL_STOPS_S = (1 / 4, 1 / 8, 1 / 15, 1 / 30, 1 / 60, 1 / 125, 1 / 250)
+HALF_STOPS_S = (1 / 20, 1 / 30, 1 / 45, 1 / 60, 1 / 90, 1 / 125, 1 / 180, 1 / 250)
+SMALL = CameraProfile(
+    CameraBody("small", "raw", 128, 64),
+    (Lens((64.0, 32.0), 31.0, 180.0),),
+    Bracket(4.0, 100.0, (0.125, 1 / 15, 1 / 60)),
+    Sensor("RGGB", (256.0,) * 4, (4000.0,) * 4, 4095.0, 2.0, 5.0, 100.0),
+)
+
+
+@pytest.mark.analytic
+def test_a_half_stop_bracket_keeps_to_half_stops() -> None:
+    """1/20 alone is nearer to a third of a stop: 11.6 % off in one frame of a Nikon D7000."""
+    assert law_of_labels(HALF_STOPS_S).law == "half-stops"
+    assert times_under("half-stops", HALF_STOPS_S)[0] == pytest.approx(2**-4.5)
+    assert time_under("auto", 1 / 20) == pytest.approx(2 ** (-13 / 3))
+    assert law_of_labels(FULL_STOPS_S).law == "third-stops"
+    assert law_of_labels(FULL_STOPS_S, "RICOH THETA Z1").law == "exact"
+
+
+@pytest.mark.property
+@settings(deadline=None, max_examples=60)
+@given(st.sampled_from(LAWS), st.floats(-0.08, 0.08), st.integers(0, 1000))
+def test_the_frames_give_the_law_whatever_the_response(true: str, bend: float, seed: int) -> None:
+    """A response that is wrong stretches all steps alike; frames err by 0.5 % each."""
+    nominal = np.array(HALF_STOPS_S if true == "half-stops" else FULL_STOPS_S)
+    labels = law_of_labels(nominal)
+    by_law = {law: times_under(law, nominal) for law in LAWS}
+    seen = np.log(by_law[true]) * (1 + bend) - np.log(by_law[labels.law])
+    seen += 0.005 * np.random.default_rng(seed).standard_normal(len(nominal))
+    pairs = [
+        PairRatio(i, j, seen[j] - seen[i], 1e-3, 1000)
+        for i in range(len(nominal))
+        for j in range(i + 1, min(i + 4, len(nominal)))
+    ]
+    found = law_of_frames(by_law, labels, pairs)
+    assert found.law == true and found.decided_by == "frames"
+
+
+@pytest.mark.contract
+def test_without_pairs_the_labels_decide() -> None:
+    labels = law_of_labels(FULL_STOPS_S)
+    by_law = {law: times_under(law, FULL_STOPS_S) for law in LAWS}
+    assert law_of_frames(by_law, labels, []) == labels
+
+
+def _bracket(folder: Path, law: str) -> list[Path]:
+    """Three raw frames of a uniform 100 cd/m2 by a shutter that keeps to a law."""
+    files, rng = [], np.random.default_rng(1)
+    for nominal_s in SMALL.bracket.shutter_s:
+        true_s = float(times_under(law, nominal_s))
+        mean = 100.0 * z_per_cdm2(true_s, 4.0, 100.0) * (4095 - 256)
+        noise = np.sqrt(mean / 2 + (5 / 2) ** 2) * rng.standard_normal((64, 128))
+        counts = np.clip(np.round(256 + mean + noise), 0, 4000).astype(np.uint16)
+        files.append(folder / f"{nominal_s:.5f}.dng")
+        exposure = Exposure(nominal_s, 4.0)
+        write_dng(files[-1], counts, exposure, black_dn=(256,) * 4, white_dn=4095)
+    return files
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("law", ["exact", "third-stops"])
+def test_a_merge_finds_the_law_and_reports_it(tmp_path: Path, law: str) -> None:
+    result = merge_frames(_bracket(tmp_path, law), SMALL, height=16)
+    assert result.quality["shutter_law"]["law"] == law
+    assert result.quality["shutter_law"]["decided_by"] == "frames"
+    corrections = [frame["correction"] for frame in result.quality["frames"]]
+    assert corrections == pytest.approx([1.0] * 3, abs=0.003)
+    seen = np.asarray(result.panorama.flags) == 0
+    assert np.median(result.panorama.luminance_cdm2[seen]) == pytest.approx(100.0, rel=0.003)
+
+
+@pytest.mark.contract
+def test_the_profile_has_the_last_word(tmp_path: Path) -> None:
+    stated = replace(SMALL, shutter_law="third-stops")
+    save_profile(tmp_path / "p.toml", stated)
+    assert load_camera_profile(tmp_path / "p.toml").shutter_law == "third-stops"
+    quality = merge_frames(_bracket(tmp_path, "exact"), stated, height=16).quality
+    assert quality["shutter_law"]["decided_by"] == "profile"
+    text = (tmp_path / "p.toml").read_text().replace("third-stops", "thirds")
+    (tmp_path / "p.toml").write_text(text)
+    with pytest.raises(InputError, match="shutter_law"):
+        load_camera_profile(tmp_path / "p.toml")
