@@ -13,10 +13,15 @@ from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import Transport, fit
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.scene_fit import stage
+from fieldlum.scene_fit.fit import Misfits, SceneFit
+from fieldlum.scene_fit.guess import guess_of
+from fieldlum.scene_fit.search import stated_albedo
 from fieldlum.scene_fit.verdict import (
     FOLDS,
     GeometryCandidate,
     GeometryScore,
+    SceneVerdict,
     choose_geometry,
     fold_numbers,
     judge,
@@ -142,3 +147,30 @@ def test_overcast_captures_say_what_is_missing() -> None:
     overcast = _captures(((3, 20),), clear=False)
     with pytest.raises(NotEnoughDataError, match="capture clear hours"):
         judge([GeometryCandidate("none", overcast)], _fit)
+
+
+def _fit_of(captures: Dataset) -> SceneFit:
+    """A fit whose kept-out misfits speak for the fitted scene, which is the true room."""
+    hours = np.arange(6)
+    misfits = Misfits(0.2 + 0.01 * hours, 0.1 + 0.01 * hours, 0.01 * hours, captures.days[:6])
+    return SceneFit(SHIFTED, guess_of(ROOM), ROOM, stated_albedo(ROOM), {}, {}, {}, misfits, 6, ())
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("chosen", ["none", "stated", "fitted"])
+def test_the_verdict_reaches_the_scene(chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    verdict = SceneVerdict(chosen, 3e-3, chosen == "fitted", f"{chosen}: least error", ())
+    monkeypatch.setattr(stage, "judge_fit", lambda *_args, **_more: verdict)
+    scene_ = stage.judged_scene(CAPTURES, _fit_of(CAPTURES))
+    assert scene_.chosen == chosen and scene_.trusted == (chosen == "fitted")
+    assert scene_.expected_log10_mse == 3e-3
+    assert "least error" in scene_.verdict and "kept out" in scene_.verdict
+
+
+@pytest.mark.property
+def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
+    one = CAPTURES.take([3, 11, 19])  # the same hour of three days
+    scene_ = stage.judged_scene(replace(one, patch_cdm2=None), _fit_of(CAPTURES))
+    assert scene_.chosen == "fitted" and not scene_.trusted
+    assert scene_.expected_log10_mse is None
+    assert any("directions" in note for note in scene_.notes)

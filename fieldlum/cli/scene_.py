@@ -75,6 +75,7 @@ def _answer(scene: Scene) -> dict[str, Any]:
         "misfit_none": scene.misfit.get("none"),
         "chosen": scene.chosen,
         "verdict": scene.verdict,
+        "trusted": scene.trusted,
         "expected_log10_mse": scene.expected_log10_mse,
         "hours": scene.hours,
         "notes": list(scene.notes),
@@ -88,5 +89,8 @@ def _show(scene: Scene) -> None:
     bars_and_solids = len(scene.room.obstruction)
     click.echo(f"bars and furniture   {bars_and_solids:9d}")
     click.echo(scene.verdict)
+    if scene.expected_log10_mse is not None:
+        doubt = "" if scene.trusted else " (not trusted: the evidence contradicts itself)"
+        click.echo(f"expected log10 MSE over a year: {scene.expected_log10_mse:.1e}{doubt}")
     for note in scene.notes:
         say(f"note: {note}")

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from fieldlum.errors import InputError
+from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.records import Progress, quiet
-from fieldlum.scene_fit.apply import scene_of
+from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
 from fieldlum.scene_fit.evidence import gather
-from fieldlum.scene_fit.fit import Misfits, fit_scene
+from fieldlum.scene_fit.fit import Misfits, SceneFit, fit_scene
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
+from fieldlum.scene_fit.verdict import GeometryCandidate, SceneVerdict, judge
 
 if TYPE_CHECKING:
+    from fieldlum.models import Patch
     from fieldlum.models.data import Dataset
+    from fieldlum.scene_fit.verdict import Predictor
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +45,52 @@ def run(data: Dataset, out: Path, *, seed: int = 0, progress: Progress = quiet) 
             "add [room] to SITE.toml, or train with --scene none",
         )
     fit = fit_scene(data, room, seed=seed, progress=progress)
-    chosen, verdict = choose_by_misfit(fit.misfits)
-    scene = scene_of(fit, chosen, verdict)
+    scene = judged_scene(data, fit, seed=seed, progress=progress)
     files = [write_scene(out, scene)]
     from fieldlum.scene_fit.pictures import draw
 
     files += draw(out, data, fit, gather(data, room, seed=seed), fit.guess)
     return SceneResult(scene, tuple(files))
+
+
+def judged_scene(
+    data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
+) -> Scene:
+    """Return the fit as a scene, with the geometry that left-out sun directions choose.
+
+    Where too few directions of the sun were captured for that, the patch misfit of hours kept out
+    of the search chooses alone, nothing is expected, and the choice is not trusted.
+    """
+    chosen, reason = choose_by_misfit(fit.misfits)
+    try:
+        verdict = judge_fit(data, fit, seed=seed, progress=progress)
+    except NotEnoughDataError as error:
+        scene = scene_of(fit, chosen, reason)
+        return replace(scene, trusted=False, notes=(*scene.notes, str(error)))
+    return replace(
+        scene_of(fit, cast("Chosen", verdict.chosen), f"{verdict.reason}. {reason}"),
+        trusted=verdict.trusted,
+        expected_log10_mse=verdict.expected_log10_mse,
+    )
+
+
+def judge_fit(
+    data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
+) -> SceneVerdict:
+    """Judge no patch, the stated box and the fitted scene by transport models of the captures."""
+    from fieldlum.models.transport import fit as fit_transport
+
+    def fit_model(captures: Dataset, patch: Patch) -> Predictor:
+        return fit_transport(captures, patch=patch)
+
+    mean = fit.misfits.mean()
+    stated = replace(data, setup=replace(data.setup, room=fit.stated))
+    candidates = [
+        GeometryCandidate("none", replace(stated, patch_cdm2=None), mean["none"]),
+        GeometryCandidate("stated", with_patches(stated), mean["stated"]),
+        GeometryCandidate("fitted", with_scene(data, scene_of(fit, "fitted", "")), mean["fitted"]),
+    ]
+    return judge(candidates, fit_model, seed=seed, progress=progress)
 
 
 def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
