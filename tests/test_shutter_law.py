@@ -71,6 +71,17 @@ def test_the_frames_give_the_law_whatever_the_response(true: str, bend: float, s
 
 
 @pytest.mark.contract
+def test_frames_that_scatter_do_not_decide() -> None:
+    """The phone's bracket through a response that is not its own: steps disagree by tens of %."""
+    labels = law_of_labels(FULL_STOPS_S)
+    by_law = {law: times_under(law, FULL_STOPS_S) for law in LAWS}
+    seen = (-0.63, -0.11, -0.48, -0.66, -0.65, -0.76)  # ln ratios between neighbours, measured
+    pairs = [PairRatio(i, i + 1, ratio, 0.003, 1000) for i, ratio in enumerate(seen)]
+    found = law_of_frames(by_law, labels, pairs)
+    assert (found.law, found.decided_by) == ("third-stops", "labels")
+
+
+@pytest.mark.contract
 def test_without_pairs_the_labels_decide() -> None:
     labels = law_of_labels(FULL_STOPS_S)
     by_law = {law: times_under(law, FULL_STOPS_S) for law in LAWS}

@@ -96,8 +96,10 @@ def law_of_frames(
         tells = np.abs(apart) > clear
         if not tells.any():
             continue
-        decided = True
         left = measured - expected[best] - step * _stretch(measured, step, tells)
+        if (~tells).sum() > 1 and np.std(left[~tells]) > _NEAR * np.abs(apart[tells]).mean():
+            continue  # pairs on which the laws agree scatter as much: the response is not known
+        decided = True
         if abs(float(np.median(left[tells] / apart[tells])) - 1.0) < _NEAR:
             best = law
     misfit = {
