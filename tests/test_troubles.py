@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fieldlum import plan, simulate
+from fieldlum import models, plan, simulate, sun
 from fieldlum.errors import InputError
 from fieldlum.light import light_at
+from fieldlum.models.data import Dataset
+from fieldlum.models.scores import evaluate, summary, truth
 from fieldlum.profiles import load_site, shipped
+from fieldlum.records import slot_id
 from fieldlum.session import Session, create_session
 from fieldlum.simulate.troubles import (
     LIMITS,
@@ -24,6 +27,8 @@ from fieldlum.simulate.troubles import (
     troubled_pictures,
     true_light,
 )
+from fieldlum.train.consistency_warnings import doubts
+from fieldlum.train.setting import settle
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
 HARD = load_troubles(shipped("capture_plans") / "troubles" / "hard.toml")
@@ -132,3 +137,44 @@ def test_a_session_keeps_what_is_stated_and_renders_again_for_other_troubles(
 def _rows(session: Session) -> list[dict[str, str]]:
     with session.pairs.open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+# ----------------------------------------------------------------------------------------------
+# skies that are not Perez
+
+
+def _cloudy(truth: simulate.GroundTruth, times: list[datetime], sd: float, seed: int) -> Dataset:
+    """Captures under another cloud field each."""
+    found = WEATHER.at(times)
+    dni, dhi = np.nan_to_num(found.dni_wm2), np.nan_to_num(found.dhi_wm2)
+    light = light_at(times, SETUP.site, dni, dhi)
+    light = light[(light.dni_wm2 + light.dhi_wm2 > 0) & (light.sun_altitude_deg > 0)]
+    made = truth.render(true_light(light, Troubles(clouds=Trouble(sd, seed)), SETUP.site))
+    zone = SETUP.site.timezone
+    return Dataset(
+        light=light,
+        luminance_cdm2=made.luminance_cdm2,
+        patch_cdm2=made.patch_cdm2,
+        disc_lx=made.disc_lx,
+        heading_deg=truth.view.heading_deg,
+        days=np.array([sun.standard_date(t, zone) for t in light.t_utc], "datetime64[D]"),
+        slots=tuple(slot_id(t) for t in light.t_utc),
+        setup=SETUP,
+        seen=np.ones(made.luminance_cdm2.shape[1:], bool),
+        steadiness=np.zeros(len(light)),
+    )
+
+
+@pytest.mark.property
+@pytest.mark.slow
+@pytest.mark.parametrize("sd", [0.2, 0.4])
+def test_intervals_hold_under_clouds_and_north_is_not_blamed(sd: float) -> None:
+    """The review's missing test 8."""
+    truth_of = simulate.ground_truth(SETUP, height=16, quality="draft", workers=1)
+    data = _cloudy(truth_of, TIMES, sd, 3)
+    asked = [slot.t_utc for slot in simulate.sample_slots(SETUP, WEATHER, 80, 4, TIMES)]
+    fitted = models.fit("transport", data, patch="absolute", seed=0)
+    found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
+    assert 0.85 <= found["in_90_band"] <= 0.95
+    text = " ".join((*doubts(fitted, data), *settle(fitted, data, "absolute")[1]))
+    assert "check clock" not in text and "north is off" not in text

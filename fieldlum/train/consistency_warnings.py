@@ -57,8 +57,8 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
         factor = 10.0 ** np.sqrt(errors.mean())
         said.append(
-            f"WARNING: held-out days are off by a factor of {factor:.2f}: check clock, north, "
-            f"irradiance, "
-            f"and whether the room stayed as it was; {POOR_WORDS}"
+            f"WARNING: held-out days are off by a factor of {factor:.2f}: skies of broken cloud, "
+            f"wrong irradiance, or a room that did not stay as it was (a wrong north or clock has "
+            f"a warning of its own); {POOR_WORDS}"
         )
     return said
