@@ -119,7 +119,7 @@ class _Perfect:
     def predict(self, light: Light, patch_cdm2: object = None) -> Prediction:
         rows = [self.of[t] for t in light.t_utc]
         maps = 1.1 * self.data.luminance_cdm2[rows]
-        return Prediction(maps, None, np.full(len(rows), 0.01), np.ones(len(rows), bool))
+        return Prediction(maps, None, np.full(len(rows), 0.004), np.ones(len(rows), bool))
 
 
 def _data(setup: SiteFile) -> Dataset:
@@ -159,7 +159,7 @@ def test_a_wrong_north_scores_worse_with_the_disc_of_the_room() -> None:
     assert rows["off"]["dgp_mse_own_disc"] > 2.0 * rows["right"]["dgp_mse_own_disc"]
     assert rows["none"]["dgp_mse_own_disc"] is not None
     assert rows["right"]["bias_log10"] == pytest.approx(np.log10(1.1), rel=0.02)
-    assert rows["right"]["expected_log10_mse"] == pytest.approx(0.01)
+    assert rows["right"]["expected_log10_mse"] == pytest.approx(0.004)
     assert rows["right"]["trusted_share"] == 1.0
 
 
