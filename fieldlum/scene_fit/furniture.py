@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,7 +128,8 @@ def _clusters(
     low = cells.min(axis=0)
     grid = np.zeros(cells.max(axis=0) - low + 1)
     np.add.at(grid, tuple((cells - low).T), found.gain[rows])
-    names, count = label(grid > 2.0 * MIN_PIXEL_GAIN, np.ones((3, 3)))
+    labelled: Any = label(grid > 2.0 * MIN_PIXEL_GAIN, np.ones((3, 3)))
+    names, count = labelled
     of = names[tuple((cells - low).T)]
     proposals: list[tuple[float, Solid]] = []
     for number in range(1, count + 1):

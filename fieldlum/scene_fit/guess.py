@@ -6,7 +6,9 @@ Room axes: x grows to the right of the "south" wall seen from outside, y away fr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,7 @@ Array = NDArray[np.floating]
 class WindowRect:
     """A window's opening: along the wall `u_m` (x or y, whichever is free), in height `z_m`."""
 
-    wall: str
+    wall: Literal["south", "west", "north", "east"]
     u_m: tuple[float, float]
     z_m: tuple[float, float]
     transmittance: float
@@ -134,10 +136,7 @@ def room_of(guess: Guess, stated: Room) -> Room:
     """
     windows = tuple(_window(guess, rect) for rect in guess.windows)
     bars = tuple(_bar_obstruction(guess, bar, stated.reflectance_frame) for bar in guess.bars)
-    solids = tuple(
-        Obstruction(*solid.low_m, *_extent(solid.low_m, solid.high_m), solid.albedo)
-        for solid in guess.solids
-    )
+    solids = tuple(_obstruction(s.low_m, s.high_m, s.albedo) for s in guess.solids)
     return replace(
         stated,
         width_m=guess.size_m[0],
@@ -170,8 +169,16 @@ def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:
     low, high = [0.0, 0.0, z[0]], [0.0, 0.0, z[1]]
     low[axis], high[axis] = across
     low[1 - axis], high[1 - axis] = u
-    return Obstruction(*low, *_extent(low, high), albedo)
+    return _obstruction(low, high, albedo)
 
 
-def _extent(low: tuple[float, ...] | list[float], high: tuple[float, ...] | list[float]) -> list:
-    return [b - a for a, b in zip(low, high, strict=True)]
+def _obstruction(low: Sequence[float], high: Sequence[float], albedo: float) -> Obstruction:
+    return Obstruction(
+        x_m=low[0],
+        y_m=low[1],
+        z_m=low[2],
+        width_m=high[0] - low[0],
+        depth_m=high[1] - low[1],
+        height_m=high[2] - low[2],
+        reflectance=albedo,
+    )

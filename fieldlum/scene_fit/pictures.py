@@ -129,11 +129,11 @@ def _plan(fit: SceneFit) -> Any:
         axis.annotate(f"{top:.2f} m", ((x0 + x1) / 2, (y0 + y1) / 2), ha="center", fontsize=8)
     axis.plot(*guess.camera_m[:2], "k^", ms=9)
     north = np.radians(guess.wall_azimuth_deg + guess.north_deg)
-    base = np.array(guess.camera_m[:2])
+    x, y = guess.camera_m[:2]
     # In room axes north is turn @ (0, 1): x = sin(azimuth), y = -cos(azimuth).
-    tip = base + 0.8 * np.array([np.sin(north), -np.cos(north)])
+    tip = (x + 0.8 * float(np.sin(north)), y - 0.8 * float(np.cos(north)))
     axis.annotate(
-        "N", tip, base, arrowprops={"arrowstyle": "<-", "color": "0.3"}, color="0.3", fontsize=10
+        "N", tip, (x, y), arrowprops={"arrowstyle": "<-", "color": "0.3"}, color="0.3", fontsize=10
     )
     axis.set_aspect("equal")
     axis.set_xlabel("x [m]")
