@@ -47,8 +47,8 @@ class Prediction:
 
 
 # An hour that the model itself expects to be off by more is not trusted. Measured on the office's
-# nine days: with a lamp on, a camera put back 1 px off on three days, snow, or four days only, the
-# hours beyond it have 3 to 10 times the error of the others; on clean days there are none.
+# nine days: no hour of clean days is beyond it; with a lamp on, a camera put back 1 px off on three
+# days, snow, or four days only, 5 to 77 % of the hours are (docs/models.md).
 TRUSTED_FACTOR = 1.2
 TRUSTED_MSE = float(np.log10(TRUSTED_FACTOR) ** 2)
 
