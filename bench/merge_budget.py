@@ -23,12 +23,13 @@ from time import process_time
 import numpy as np
 
 from fieldlum.devices.simulated.sensor import RawSensor
+from fieldlum.linear_light import lens_geometry, true_shutter_s
 from fieldlum.merge.bracket import look_through
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
-from fieldlum.merge.project import SensorMap, blend, finish, lens_geometry, u_of_edges, view_through
+from fieldlum.merge.project import SensorMap, blend, finish, u_of_edges, view_through
 from fieldlum.merge.ratios import RatioCurve
-from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots, true_shutter_s
+from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots
 from fieldlum.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
 from fieldlum.profiles import (
     Bracket,
@@ -111,7 +112,7 @@ def profile_of(which: Set) -> CameraProfile:
 
 def snapped(dial_s: float) -> float:
     bare = CameraProfile(CameraBody("", "raw", 2, 2), (), Bracket(1.0, 100.0, ()))
-    return true_shutter_s(Exposure(dial_s, 5.6), bare)[0]
+    return true_shutter_s(dial_s, bare)[0]
 
 
 # ---------------------------------------------------------------------------------------------- one
@@ -184,7 +185,7 @@ def sensor_picture(
     rows, columns = np.mgrid[0.5 : size[0], 0.5 : size[1]]
     light, shading = np.full((*size, 3), 0.01), np.ones(size)
     for lens in profile.lens:
-        g = lens_geometry(lens, Crop(0, 0, *size), turn)
+        g = lens_geometry(lens, turn)
         inside = np.hypot(columns - g.centre_px[0], rows - g.centre_px[1]) <= 1.06 * g.radius_px
         r = np.hypot(columns - g.centre_px[0], rows - g.centre_px[1])[inside] / g.radius_px
         light[inside] = scene(lens_rays(g, columns[inside], rows[inside]), shape, bright)
@@ -217,17 +218,16 @@ def realise(
     bright = 3e5 if profile.nd else 0.0
     crop, size = lens_crop(profile), (profile.camera.height_px, profile.camera.width_px)
     sample = scene(
-        lens_rays(lens_geometry(profile.lens[0], crop, 0.0), *_grid(size[0])), shape, bright
+        lens_rays(lens_geometry(profile.lens[0], corner_px=(crop.left, crop.top)), *_grid(size[0])),
+        shape,
+        bright,
     )
     shares = (
         sample * profile.colour.y_from_rgb / (sample @ profile.colour.y_from_rgb)[..., None]
     ).reshape(-1, 3)
     true = true_camera(profile, shares, rng)
     has_ratios = "ratios" in which.parts
-    off = {
-        t: float(np.exp(rng.normal() * true_shutter_s(Exposure(t, 5.6), profile)[1]))
-        for t in DIAL_S
-    }
+    off = {t: float(np.exp(rng.normal() * true_shutter_s(t, profile)[1])) for t in DIAL_S}
     flare = abs(rng.normal()) * profile.glare_floor_rel
     shots, views = [], []
     for heading in which.headings:
@@ -237,7 +237,9 @@ def realise(
         mean = _mean_colour(shape, bright, target)
         exposed = (light + flare * mean) * shading[..., None]
         for i, e in enumerate(bracket_exposures(profile.bracket)):
-            true_s = true_shutter_s(e, profile)[0] * (off[e.shutter_s] if has_ratios else 1.0)
+            true_s = true_shutter_s(e.shutter_s, profile)[0] * (
+                off[e.shutter_s] if has_ratios else 1.0
+            )
             true_s *= np.exp(U_REPEAT * rng.normal())  # the merge always reckons with it
             path = folder / f"{i:02d}_{heading}"
             shots.append(

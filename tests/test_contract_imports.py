@@ -24,7 +24,7 @@ RANKS = (
         "light",
         "light_clock",
     },
-    {"images", "raw", "profiles", "session", "scene", "weather"},
+    {"images", "linear_light", "raw", "profiles", "session", "scene", "weather"},
     {"devices", "notify"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench", "scene_fit"},

@@ -13,10 +13,11 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.camera import SimulatedCamera
-from fieldlum.devices.simulated.sensor import camera_from_scene, true_shutter_s
+from fieldlum.devices.simulated.sensor import camera_from_scene
 from fieldlum.devices.simulated.world import SimulatedLight, TruthWorld
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.images import write_panorama
+from fieldlum.linear_light import lens_geometry, true_shutter_s
 from fieldlum.photometry import vignetting_at, z_per_cdm2
 from fieldlum.profiles import CameraProfile, load_camera_profile
 from fieldlum.raw import read_jpeg, read_mosaic
@@ -52,7 +53,7 @@ def test_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -> None:
     profile = load_camera_profile("sim-fisheye")
     mosaic = read_mosaic(camera(uniform(300.0), profile).expose(DIAL, tmp_path / "f"))
     lens = profile.lens[0]
-    geometry = optics.geometry_of(lens, 0.0)
+    geometry = lens_geometry(lens, 0.0)
     rows, columns = np.mgrid[0.5:484, 0.5:484]
     r = np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) / lens.radius_px
     relative = optics.angle_of_radius(geometry, np.minimum(r, 1.0)) / geometry.half_angle_rad
@@ -75,13 +76,11 @@ def test_uniform_room_gives_the_counts_of_the_profile(tmp_path: Path) -> None:
 
 @pytest.mark.analytic
 def test_exif_says_the_dial_and_the_shutter_does_otherwise(tmp_path: Path) -> None:
-    mosaic = read_mosaic(
-        camera(uniform(10.0), load_camera_profile("sim-fisheye")).expose(DIAL, tmp_path / "f")
-    )
+    profile = load_camera_profile("sim-fisheye")
+    mosaic = read_mosaic(camera(uniform(10.0), profile).expose(DIAL, tmp_path / "f"))
     assert mosaic.exposure == DIAL
-    assert true_shutter_s(1 / 60) == 1 / 64 and true_shutter_s(13.0) == pytest.approx(
-        12.7, abs=0.01
-    )
+    assert true_shutter_s(1 / 60, profile)[0] == 1 / 64
+    assert true_shutter_s(13.0, profile)[0] == pytest.approx(12.7, abs=0.01)
 
 
 @pytest.mark.analytic
@@ -104,7 +103,7 @@ def test_a_bright_spot_lands_where_the_lens_puts_it(tmp_path: Path) -> None:
         row, column = np.unravel_index(mosaic.counts.argmax(), mosaic.counts.shape)
         ray = projection.equirect_rays(180, 360, 180.0)[int(i), int(j)]
         lens = profile.lens[0] if np.cos(np.radians(azimuth - 180)) > 0 else profile.lens[1]
-        x, y, _ = projection.lens_pixels(optics.geometry_of(lens, 180.0), ray)
+        x, y, _ = projection.lens_pixels(lens_geometry(lens, 180.0), ray)
         assert (
             np.hypot(column + 0.5 - x, row + 0.5 - y) < 4.0
         )  # a panorama pixel is 3 sensor pixels wide
@@ -116,7 +115,7 @@ def test_the_sun_keeps_its_energy() -> None:
     profile = load_camera_profile("sim-fisheye")
     for altitude, azimuth in ((30.0, 190.3), (5.0, 120.0), (70.1, 250.0)):
         panorama = replace(uniform(0.0), sun=SunSource(altitude, azimuth, 80_000.0))
-        geometry = optics.geometry_of(profile.lens[0], 0.0)
+        geometry = lens_geometry(profile.lens[0], 0.0)
         image = optics.on_sensor(
             panorama, [optics.look(geometry, (484, 484), (46, 92))], (484, 484)
         )[..., 0]

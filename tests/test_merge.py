@@ -16,12 +16,13 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.errors import InputError
+from fieldlum.linear_light import vignetting_of
 from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor, merge_shots
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frame_checks import NO_PLATEAU
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
-from fieldlum.merge.project import LensView, blend, vignetting_of
+from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import (
@@ -477,7 +478,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
         white_dn=4095,
     )
     with pytest.raises(InputError, match="128 x 64 pixels, expected 968 x 484"):
-        load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile), 0.1, NO_PLATEAU)
+        load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile), NO_PLATEAU)
     own = replace(
         profile, camera=replace(profile.camera, width_px=128, height_px=64, model="Alpha 2")
     )
@@ -493,7 +494,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
             path, counts, Exposure(0.1, 5.6), black_dn=(0, 0, 0, 0), white_dn=4095, model=model
         )
         with pytest.raises(InputError, match=said) if said else nullcontext():
-            load_raw(Shot(path, Exposure(0.1, 5.6)), own, lens_crop(own), 0.1, NO_PLATEAU)
+            load_raw(Shot(path, Exposure(0.1, 5.6)), own, lens_crop(own), NO_PLATEAU)
     with pytest.raises(InputError, match="filter 'nd9'"):
         sorted_shots([Shot(path, Exposure(0.1, 5.6, 100, "nd9"))], profile)
     with pytest.raises(InputError, match="a JPEG frame"):

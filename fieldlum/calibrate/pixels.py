@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import JPEG_SUFFIXES, Mosaic, channel_positions, read_mosaic
 
@@ -158,15 +159,8 @@ def _frames_of(source: Path) -> list[Path]:
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     if path.suffix.lower() in JPEG_SUFFIXES:
         raise InputError(path, "a JPEG frame", f"raw frames, as {profile.camera.name} takes")
-    mosaic, body = read_mosaic(path), profile.camera
-    if mosaic.counts.shape != (body.height_px, body.width_px):
-        found = f"{mosaic.counts.shape[1]} x {mosaic.counts.shape[0]} pixels"
-        raise InputError(
-            path,
-            found,
-            f"{body.width_px} x {body.height_px}, as {body.name} says",
-            "use its own profile",
-        )
+    mosaic = read_mosaic(path)
+    check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     return mosaic
 
 
@@ -183,14 +177,16 @@ def _planes(
     mosaic: Mosaic, profile: CameraProfile
 ) -> list[tuple[NDArray[np.uint16], float, float, float]]:
     """Of R, G1, G2, B: counts, black, electrons a count, saturation."""
-    sensor = profile.sensor
-    black = sensor.black_dn if any(sensor.black_dn) else mosaic.black_dn
-    gain = sensor.gain_e_per_dn * sensor.iso / mosaic.exposure.iso
+    gain = gain_e_per_dn(mosaic.exposure.iso, profile)
+    levels = zip(
+        channel_positions(mosaic.cfa),
+        black_dn(mosaic, profile),
+        full_dn(mosaic, profile),
+        strict=True,
+    )
     return [
-        (np.ascontiguousarray(mosaic.counts[r::2, c::2]), b, gain, min(full, mosaic.white_dn))
-        for (r, c), b, full in zip(
-            channel_positions(mosaic.cfa), black, sensor.saturation_dn, strict=True
-        )
+        (np.ascontiguousarray(mosaic.counts[r::2, c::2]), black, gain, full)
+        for (r, c), black, full in levels
     ]
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.frames import check_size, true_shutter_s
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.linear_light import check_frame, true_shutter_s
 from fieldlum.photometry import dark_floor, fit_response, response_table
 from fieldlum.profiles import CameraProfile, Response
 from fieldlum.raw import JPEG_SUFFIXES, read_jpeg
@@ -71,7 +71,10 @@ def sample(
     parts, exposures = [], []
     for paths in brackets:
         blocks, found = _blocks_of(paths, profile)
-        log_e = [np.log(true_shutter_s(exposure, profile) * exposure.iso) for exposure in found]
+        log_e = [
+            np.log(true_shutter_s(exposure.shutter_s, profile)[0] * exposure.iso)
+            for exposure in found
+        ]
         if len({round(e, 3) for e in log_e}) < 3:
             raise InputError(
                 paths[0].parent, f"{len(paths)} frames", "a bracket of at least three exposures"
@@ -105,7 +108,7 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
     for path in paths:
         frame = read_jpeg(path)
         if not codes:
-            check_size(path, frame.codes.shape[:2], profile)
+            check_frame(path, frame.codes.shape, frame.model, profile)
             shape = frame.codes.shape[:2]
             step = max(3, int(np.ceil(np.sqrt(shape[0] * shape[1] / BLOCKS))))
             y, x = (g.ravel() for g in np.mgrid[1 : shape[0] - 1 : step, 1 : shape[1] - 1 : step])

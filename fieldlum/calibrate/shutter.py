@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from fieldlum.calibrate.model_selection import Candidate, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.photometry import AUTO, prior_u_log, time_under
+from fieldlum.linear_light import SAME_TIME, true_shutter_s
+from fieldlum.photometry import AUTO
 from fieldlum.profiles import CameraProfile, ShutterTime
 from fieldlum.records import parse_utc, shutter_text
 from fieldlum.session import Session, parse_exposure
@@ -33,7 +34,6 @@ WIDEST = 0.02  # relative spread of a pair over brackets: beyond it light or shu
 _NOISY = 0.01  # relative u of one bracket's pair: what is known worse is left out
 _FLOOR = 2e-4  # of a time's u
 _LINEAR = 5e-4  # of a pair's ratio, however many brackets: linearity of the sensor
-_SAME = 0.02  # times nearer than this are one setting of the dial
 
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
 
@@ -165,7 +165,7 @@ def _reading(
     a, b = (e.shutter_s for e in exposures)
     if (
         any(e.nd for e in exposures)
-        or abs(b / a - 1) < _SAME
+        or abs(b / a - 1) < SAME_TIME
         or exposures[0].iso != exposures[1].iso
     ):
         return None
@@ -257,7 +257,7 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
             f"no table is better than the times that the profile assumes: {choice.line}"
         )
     nominal = sorted({time for t in chain for time in t.pair}, reverse=True)
-    assumed = [assumed_s(time, profile) for time in nominal]
+    assumed = [true_shutter_s(time, profile) for time in nominal]
     delta, u = _levelled(
         chain, nominal, np.array([known_u for _, known_u in assumed]), _drift_error(brackets)
     )
@@ -310,17 +310,6 @@ def _held_out(
     return np.array(errors).T
 
 
-def assumed_s(nominal_s: float, profile: CameraProfile) -> tuple[float, float]:
-    """What a merge assumes for a setting, and its relative u: the profile's time, else the
-    snapped one.
-    """
-    for known in profile.shutter:
-        if abs(known.nominal_s / nominal_s - 1) < _SAME:
-            return known.true_s, known.u_rel
-    seconds = time_under(profile.shutter_law, nominal_s)
-    return seconds, float(prior_u_log(np.asarray(seconds)))
-
-
 def _levelled(
     chain: Sequence[FramePairTable],
     nominal: Sequence[float],
@@ -351,6 +340,6 @@ def with_times(profile: CameraProfile, found: ShutterFit) -> tuple[ShutterTime, 
     kept = [
         s
         for s in profile.shutter
-        if not any(abs(s.nominal_s / t.nominal_s - 1) < _SAME for t in found.times)
+        if not any(abs(s.nominal_s / t.nominal_s - 1) < SAME_TIME for t in found.times)
     ]
     return tuple(sorted((*kept, *found.times), key=lambda t: -t.nominal_s))

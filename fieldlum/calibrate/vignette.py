@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.frames import geometry_of, linear_frame, nearest_lens, relative_angle
+from fieldlum.calibrate.frames import linear_frame, nearest_lens, relative_angle
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.calibrate.readings_csv import columns_of, needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
@@ -116,7 +116,7 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
     """Frames of an evenly lit field (a sphere, a diffuser over the lens): medians of BINS rings."""
-    geometry, rings = geometry_of(profile.lens[lens]), []
+    geometry, rings = profile.lens[lens].geometry, []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
     for path in paths:
         frame = linear_frame(path, profile)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.images import calibration_mark
+from fieldlum.linear_light import lens_geometry, true_shutter_s
 from fieldlum.merge.defects import good_pixels
 from fieldlum.merge.disc import MEASURED, MeasuredSun, sun_on_sensor, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
@@ -28,7 +29,7 @@ from fieldlum.merge.frames import (
 from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
 from fieldlum.merge.motion import leave_out_moved
 from fieldlum.merge.noise import SeenNoise, seen_noise
-from fieldlum.merge.project import LensView, SensorMap, blend, finish, lens_geometry, view_through
+from fieldlum.merge.project import LensView, SensorMap, blend, finish, view_through
 from fieldlum.merge.quality import Offsets, quality_of, verdict
 from fieldlum.merge.ratios import (
     Neighbours,
@@ -49,7 +50,6 @@ from fieldlum.merge.shots import (
     sorted_shots,
     stated_law,
     times_by_law,
-    true_shutter_s,
 )
 from fieldlum.photometry import RatioFit, ShutterLaw, fit_ratios, law_of_frames
 from fieldlum.profiles import CameraProfile
@@ -114,18 +114,17 @@ def merge_sensor(
     """
     crop = lens_crop(profile)
     law = stated_law(shots, profile)
-    profile = replace(profile, shutter_law=law.law)
-    times = [true_shutter_s(shot.exposure, profile)[0] for shot in shots]
+    assumed = profile = replace(profile, shutter_law=law.law)  # as every frame is read
     raw = profile.camera.kind == "raw"
     look = first_look(shots, profile)
 
     def loader(i: int) -> Any:
         if raw:
-            return load_raw(shots[i], profile, crop, times[i], look.plateau(shots[i]))
-        return load_jpeg(shots[i], profile, crop, times[i], (i == 0, i == len(shots) - 1))
+            return load_raw(shots[i], assumed, crop, look.plateau(shots[i]))
+        return load_jpeg(shots[i], assumed, crop, (i == 0, i == len(shots) - 1))
 
     store = FrameStore([lambda i=i: loader(i) for i in range(len(shots))], budget_bytes)
-    lenses = [lens_geometry(lens, crop, 0.0) for lens in profile.lens]
+    lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     moved = shifts([store.small(i) for i in range(len(store))], lenses)
     samples = take_samples(store)
     pairs = bracket_pairs(samples)
@@ -133,6 +132,7 @@ def merge_sensor(
         by_law = times_by_law(shots, profile)
         law = law_of_frames(by_law, law, pairs)
         if law.law != profile.shutter_law:
+            times = [true_shutter_s(shot.exposure.shutter_s, assumed)[0] for shot in shots]
             store.correct(by_law[law.law] / np.asarray(times))
             profile = replace(profile, shutter_law=law.law)
             samples = take_samples(store)
@@ -282,7 +282,7 @@ def _measured_sun(
         clipped = (flags.reshape(part.crop.height, -1) & Flag.CLIPPED_HIGH) > 0
         turn_deg = (part.shots[0].heading_deg or panorama.heading_deg) - panorama.heading_deg
         for lens in profile.lens:
-            geometry = lens_geometry(lens, part.crop, turn_deg)
+            geometry = lens_geometry(lens, turn_deg, (part.crop.left, part.crop.top))
             views.append((light.reshape(part.crop.height, -1), clipped, geometry))
     pixel_rad = np.pi / len(panorama.luminance_cdm2)
     place = sun_on_sensor(views, disc, panorama.heading_deg, pixel_rad)

@@ -5,20 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
+from fieldlum.linear_light import (
+    black_dn,
+    check_frame,
+    frame_z_per_cdm2,
+    full_dn,
+    gain_e_per_dn,
+    nd_factors,
+    response_tables,
+)
 from fieldlum.merge.estimator import Strip
 from fieldlum.merge.frame_checks import Plateau
 from fieldlum.merge.shift import Small, reduced
-from fieldlum.merge.shots import Shot, nd_factors
-from fieldlum.photometry import response_table, z_per_cdm2
+from fieldlum.merge.shots import Shot
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import channel_positions, read_jpeg, read_mosaic, same_model
+from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
 
 _GATE = 0.97  # of the saturation, for predictions; noise is added to it
 _FULL = 0.99  # of the saturation: a count that is taken for saturated
@@ -193,30 +200,26 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[n
     return np.tile(cell, (1, width // 2))
 
 
-def load_raw(
-    shot: Shot, profile: CameraProfile, crop: Crop, shutter_s: float, plateau: Plateau
-) -> RawSignal:
+def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -> RawSignal:
     """plateau: of R, G1, G2, B as found in the frames. Raises InputError for a frame that is
     none of this camera's.
     """
     mosaic = read_mosaic(shot.path)
     sensor, body = profile.sensor, profile.camera
-    _check_camera(shot.path, mosaic.counts.shape, mosaic.model, profile)
+    check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:
         raise InputError(shot.path, f"mosaic {mosaic.cfa}", f"{sensor.cfa}, as {body.name} says")
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)
-    black = sensor.black_dn if any(sensor.black_dn) else mosaic.black_dn
-    tops = zip(sensor.saturation_dn, plateau, black, strict=True)
-    full = [min(s, mosaic.white_dn, p or np.inf) - b for s, p, b in tops]
-    exposure = replace(shot.exposure, shutter_s=shutter_s)
-    per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
-    red, green, blue = nd_factors(exposure, profile)
+    black = black_dn(mosaic, profile)
+    full = [f - b for f, b in zip(full_dn(mosaic, profile, plateau), black, strict=True)]
+    per = frame_z_per_cdm2(shot.exposure, profile)
+    red, green, blue = nd_factors(shot.exposure.nd, profile)
     per_colour = [
         per * (sensor.white_dn - b) / f
         for b, f in zip(black, (red, green, green, blue), strict=True)
     ]
-    gain = sensor.gain_e_per_dn * sensor.iso / exposure.iso
+    gain = gain_e_per_dn(shot.exposure.iso, profile)
     return RawSignal(
         counts,
         _cell_pattern(mosaic.cfa, black, crop.width),
@@ -224,24 +227,8 @@ def load_raw(
         _cell_pattern(mosaic.cfa, per_colour, crop.width),
         gain,
         (sensor.read_noise_e / gain) ** 2 + 1 / 12,
-        bool(exposure.nd),
+        bool(shot.exposure.nd),
     )
-
-
-def _check_camera(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
-    """By size and, where both tell it, by the model's name."""
-    body = profile.camera
-    if shape[:2] != (body.height_px, body.width_px):
-        size = f"{shape[1]} x {shape[0]} pixels"
-        raise InputError(
-            path,
-            size,
-            f"{body.width_px} x {body.height_px}, as {body.name} says",
-            "use its own profile",
-        )
-    if model and body.model and not same_model(model, body.model):
-        remedy = "use its own profile; where this is its own, write that model under [camera]"
-        raise InputError(path, f"taken by {model}", f"{body.model}, as {body.name} says", remedy)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -370,39 +357,27 @@ def _or_none(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[
     return np.zeros(shape, bool) if mask is None else mask[0]
 
 
-def response_tables(profile: CameraProfile) -> NDArray[np.float32]:
-    """z of the 256 codes of R, G, B, [256, 3]. Raises InputError for a broken response."""
-    r = profile.response
-    try:
-        tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
-    except ValueError as error:
-        raise InputError(profile.camera.name, f"[response]: {error}") from None
-    return np.stack(tables, axis=1).astype(np.float32)
-
-
 def load_jpeg(
     shot: Shot,
     profile: CameraProfile,
     crop: Crop,
-    shutter_s: float,
     ends: tuple[bool, bool] = (False, False),
 ) -> JpegSignal:
     """ends: whether this is the bracket's most and least exposed frame. Raises InputError."""
     frame = read_jpeg(shot.path)
-    _check_camera(shot.path, frame.codes.shape, frame.model, profile)
-    exposure = shot.exposure
-    per = z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
+    check_frame(shot.path, frame.codes.shape, frame.model, profile)
+    per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)
     return JpegSignal(
         np.ascontiguousarray(
             frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
         ),
-        response_tables(profile),
+        response_tables(profile).astype(np.float32),
         np.tile(
-            np.asarray([per / f for f in nd_factors(exposure, profile)], np.float32),
+            np.asarray([per / f for f in factors], np.float32),
             (crop.width, 1),
         ),
         profile.response.low_code,
         profile.response.high_code,
         *ends,
-        bool(exposure.nd),
+        bool(shot.exposure.nd),
     )

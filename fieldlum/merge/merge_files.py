@@ -13,7 +13,7 @@ from fieldlum.merge.bracket import MergeResult, merge_shots
 from fieldlum.merge.shots import shots_of_files
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile
-from fieldlum.projection import Equirect, Fisheye, LensGeometry
+from fieldlum.projection import Equirect, Fisheye
 from fieldlum.projection.resample import Target
 from fieldlum.records import Progress, quiet
 from fieldlum.session import replacing_path
@@ -22,17 +22,7 @@ from fieldlum.session import replacing_path
 def fisheye_target(profile: CameraProfile, pixels: int) -> Fisheye:
     """Along the axis of the camera's first lens, with its full angle."""
     lens = profile.lens[0]
-    pose = LensGeometry(
-        lens.centre_px,
-        lens.radius_px,
-        lens.full_angle_deg,
-        lens.mapping,
-        lens.coefficients,
-        lens.azimuth_deg,
-        lens.tilt_deg,
-        lens.roll_deg,
-    )
-    return Fisheye(pixels, lens.full_angle_deg, pose)
+    return Fisheye(pixels, lens.full_angle_deg, lens.geometry)
 
 
 def axis_illuminance_lx(result: MergeResult, target: Target) -> float:

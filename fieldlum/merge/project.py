@@ -5,21 +5,21 @@ uncertainty of the result.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
+from fieldlum.linear_light import lens_geometry, vignetting_of
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop
 from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.ratios import RatioCurve
-from fieldlum.photometry import check_vignetting, vignetting_at
+from fieldlum.photometry import vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
-from fieldlum.projection import Equirect, LensGeometry, Resampler, resampler, signed_angle_deg
+from fieldlum.projection import Equirect, Resampler, resampler
 from fieldlum.projection.resample import Target
 from fieldlum.records import Flag
 
@@ -78,39 +78,6 @@ class Map:
     u_random_cdm2: NDArray[np.float32]
 
 
-def lens_geometry(lens: Lens, crop: Crop, turn_deg: float) -> LensGeometry:
-    """The lens over a crop of its sensor, the camera turned."""
-    x, y = lens.centre_px
-    turned_deg = float(signed_angle_deg(lens.azimuth_deg + turn_deg))
-    return replace(lens.geometry, centre_px=(x - crop.left, y - crop.top), azimuth_deg=turned_deg)
-
-
-def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
-    """Coefficients and relative uncertainty at the edge. Raises InputError for a curve that cannot
-    be one.
-
-    An aperture without a curve takes the nearest one, at most a third of a stop away; a lens
-    without any has V = 1.
-    """
-    if not lens.vignetting:
-        return (1.0,), 0.0
-    nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
-    if abs(2 * np.log2(nearest.f_number / f_number)) > 0.4:
-        known = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
-        raise InputError(
-            lens.name,
-            f"no vignetting for f/{f_number:g}",
-            f"one of {known}",
-            "calibrate this aperture",
-        )
-    wrong = check_vignetting(nearest.coefficients)
-    if wrong:
-        raise InputError(
-            lens.name, f"vignetting at f/{nearest.f_number:g}: {wrong}", "a loss towards the edge"
-        )
-    return nearest.coefficients, nearest.u_rel
-
-
 def _project(
     sensor: SensorMap, r: Resampler
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
@@ -155,7 +122,7 @@ def _project(
 
 def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: Target) -> LensView:
     """One lens's contribution, vignetting undone."""
-    geometry = lens_geometry(lens, sensor.crop, sensor.turn_deg)
+    geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
     r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
     rgb, var, flags = _project(sensor, r)

@@ -13,15 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.photometry import (
-    AUTO,
-    LAWS,
-    ShutterLaw,
-    law_of_labels,
-    prior_u_log,
-    time_under,
-    z_per_cdm2,
-)
+from fieldlum.linear_light import true_shutter_s
+from fieldlum.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import JPEG_SUFFIXES, read_exif
 from fieldlum.records import Exposure, parse_utc
@@ -165,17 +158,6 @@ def is_jpeg(path: Path) -> bool:
     return path.suffix.lower() in JPEG_SUFFIXES
 
 
-def true_shutter_s(exposure: Exposure, profile: CameraProfile) -> tuple[float, float]:
-    """Return the profile's measured time where it has one, else the time under its shutter law;
-    and its relative u before any fit.
-    """
-    for known in profile.shutter:
-        if abs(known.nominal_s / exposure.shutter_s - 1) < 0.02:
-            return known.true_s, known.u_rel
-    seconds = time_under(profile.shutter_law, exposure.shutter_s)
-    return seconds, float(prior_u_log(np.asarray(seconds)))
-
-
 def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
     """Return the profile's shutter law; for "auto" that of the bracket's labels."""
     if profile.shutter_law != AUTO:
@@ -188,7 +170,7 @@ def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDA
     """Return the time of each frame under each law, [frames] s; measured times stay under all."""
     profiles = {law: replace(profile, shutter_law=law) for law in LAWS}
     return {
-        law: np.array([true_shutter_s(shot.exposure, p)[0] for shot in shots])
+        law: np.array([true_shutter_s(shot.exposure.shutter_s, p)[0] for shot in shots])
         for law, p in profiles.items()
     }
 
@@ -206,7 +188,7 @@ def exposure_covariance(
         [e.nd for e in exposures],
         [e.iso for e in exposures],
     )
-    u_time = np.array([true_shutter_s(e, profile)[1] for e in exposures])
+    u_time = np.array([true_shutter_s(e.shutter_s, profile)[1] for e in exposures])
     u_nd = np.array(
         [next((nd.u_rel for nd in profile.nd if nd.name == e.nd), 0.0) for e in exposures]
     )
@@ -216,7 +198,3 @@ def exposure_covariance(
     kinds = (times, u_time), (filters, u_nd), (isos, u_iso)
     shared = [np.equal.outer(np.array(k), np.array(k)) * np.outer(u, u) for k, u in kinds]
     return np.sum(shared, axis=0) + np.diag(np.full(len(exposures), U_REPEAT**2))
-
-
-def nd_factors(exposure: Exposure, profile: CameraProfile) -> tuple[float, float, float]:
-    return next((nd.factor_rgb for nd in profile.nd if nd.name == exposure.nd), (1.0, 1.0, 1.0))

@@ -18,6 +18,7 @@ from fieldlum.devices.settings import nearest
 from fieldlum.devices.simulated import optics, sensor
 from fieldlum.devices.simulated.world import World
 from fieldlum.errors import DeviceError
+from fieldlum.linear_light import lens_geometry, true_shutter_s, vignetting_of
 from fieldlum.photometry import vignetting_at
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import write_dng, write_jpeg
@@ -96,8 +97,7 @@ class SimulatedCamera:
         return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
 
     def _true_s(self, dial_s: float) -> float:
-        measured = {round(t.nominal_s, 9): t.true_s for t in self._profile.shutter}
-        return measured.get(round(dial_s, 9), sensor.true_shutter_s(dial_s))
+        return true_shutter_s(dial_s, self._profile)[0]
 
     def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
         """Camera channels before vignetting, [h, w] on the mosaic or [h, w, 3]; kept while the
@@ -114,7 +114,7 @@ class SimulatedCamera:
         return self._last[2]
 
     def _views_of(self, turn_deg: float, panorama: tuple[int, int]) -> list[optics.LensSampling]:
-        lenses = (optics.geometry_of(lens, turn_deg) for lens in self._profile.lens)
+        lenses = (lens_geometry(lens, turn_deg) for lens in self._profile.lens)
         return [optics.look(lens, self._shape, panorama) for lens in lenses]
 
     def _shading_of(self, f_number: float) -> NDArray[np.float32]:
@@ -122,7 +122,7 @@ class SimulatedCamera:
         out = np.ones(self._shape, np.float32)
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
         for lens in self._profile.lens:
-            geometry = optics.geometry_of(lens, 0.0)
+            geometry = lens.geometry
             distance = (
                 np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1]) / lens.radius_px
             )
@@ -130,7 +130,7 @@ class SimulatedCamera:
                 optics.angle_of_radius(geometry, np.minimum(distance, 1.0))
                 / geometry.half_angle_rad
             )
-            curve = next((v.coefficients for v in lens.vignetting if v.f_number == f_number), ())
+            curve, _ = vignetting_of(lens, f_number)
             out = np.where(distance <= 1.0, vignetting_at(curve, relative), out)
         return (
             out.astype(np.float32)[..., None] if self._jpeg is not None else out.astype(np.float32)

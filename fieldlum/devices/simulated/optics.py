@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import projection
-from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.records import Panorama, SunSource
 
@@ -37,20 +36,6 @@ class LensSampling:
     pixels: NDArray[np.intp]
     relative_angle: Array
     weights: csr_array
-
-
-def geometry_of(lens: Lens, turn_deg: float) -> LensGeometry:
-    """turn_deg: the camera's heading minus the panorama's."""
-    return LensGeometry(
-        lens.centre_px,
-        lens.radius_px,
-        lens.full_angle_deg,
-        lens.mapping,
-        lens.coefficients,
-        lens.azimuth_deg + turn_deg,
-        lens.tilt_deg,
-        lens.roll_deg,
-    )
 
 
 def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensSampling:

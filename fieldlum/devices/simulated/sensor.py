@@ -4,12 +4,11 @@ about them.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.photometry import response_table, z_per_cdm2
+from fieldlum.linear_light import gain_e_per_dn, nd_factors, response_tables
+from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions
 from fieldlum.records import Exposure
@@ -66,11 +65,6 @@ DIAL_S = tuple(
 )
 _GAUSSIAN_ABOVE_E = 60.0  # a Poisson of more electrons is a normal distribution to 0.1 %
 RADIANCE_Y = (0.265, 0.670, 0.065)
-
-
-def true_shutter_s(dial_s: float) -> float:
-    """What the shutter does: 2^(k/3) s, up to 4 % from what the dial and EXIF say."""
-    return 2.0 ** (round(3.0 * math.log2(dial_s)) / 3.0)
 
 
 def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
@@ -130,9 +124,9 @@ class RawSensor:
         rounding noise.
         """
         sensor, k = self._profile.sensor, self._profile.scale.k
-        gain = sensor.gain_e_per_dn * sensor.iso / exposure.iso
+        gain = gain_e_per_dn(exposure.iso, self._profile)
         per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
-        red, green, blue = nd_factors(self._profile, exposure.nd)
+        red, green, blue = nd_factors(exposure.nd, self._profile)
         attenuation = _cells(sensor.cfa, (red, green, green, blue), mosaic_cdm2.shape)
         electrons = mosaic_cdm2 * (self._range * np.float32(per * gain)) / attenuation
         electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
@@ -151,9 +145,8 @@ class JpegSensor:
     """A camera that writes 8 bits through a response curve."""
 
     def __init__(self, profile: CameraProfile) -> None:
-        r = profile.response
         self._profile = profile
-        self._z = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
+        self._z = response_tables(profile).T  # [3, 256]
 
     def codes(
         self,
@@ -169,7 +162,7 @@ class JpegSensor:
         z = (
             image_cdm2
             * np.float32(per)
-            / np.asarray(nd_factors(self._profile, exposure.nd), np.float32)
+            / np.asarray(nd_factors(exposure.nd, self._profile), np.float32)
         )
         spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
         z = z + rng.standard_normal(z.shape, np.float32) * spread
@@ -178,10 +171,3 @@ class JpegSensor:
             codes = np.interp(z[..., c], table + np.arange(256) * 1e-12, np.arange(256.0))
             out[..., c] = np.rint(codes)
         return out
-
-
-def nd_factors(profile: CameraProfile, name: str) -> tuple[float, float, float]:
-    """Luminance without over luminance with the filter; ones for no filter. Raises KeyError for
-    an unknown one.
-    """
-    return {"": (1.0, 1.0, 1.0), **{nd.name: nd.factor_rgb for nd in profile.nd}}[name]

@@ -1,0 +1,151 @@
+"""From the counts and codes of a camera frame to linear light, by the camera's profile.
+
+Merge, calibrate and the simulated cameras share these rules, so that a frame means the same in all
+of them: which frames belong to a profile, black level and saturation, gain, the true shutter time
+with its uncertainty, filters, vignetting, response, and the lens on a part of the sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.photometry import (
+    check_vignetting,
+    prior_u_log,
+    response_table,
+    time_under,
+    z_per_cdm2,
+)
+from fieldlum.profiles import CameraProfile, Lens
+from fieldlum.projection import LensGeometry, signed_angle_deg
+from fieldlum.raw import Mosaic, same_model
+from fieldlum.records import Exposure
+
+SAME_TIME = 0.02  # relative: times nearer than this are one setting of the dial (steps are 12 %)
+# A measured loss towards the edge holds for its own aperture: a third of a stop and rounding.
+_SAME_APERTURE_STOPS = 0.4
+
+
+def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
+    """Raise InputError for a frame of another size or camera model than the profile's.
+
+    shape: (height, width, ...); model: as the file records it, "" where it does not.
+    """
+    body = profile.camera
+    if shape[:2] != (body.height_px, body.width_px):
+        size = f"{shape[1]} x {shape[0]} pixels"
+        expected = f"{body.width_px} x {body.height_px}, as {body.name} says"
+        raise InputError(path, size, expected, "use its own profile")
+    if model and body.model and not same_model(model, body.model):
+        remedy = "use its own profile; where this is its own, write that model under [camera]"
+        raise InputError(path, f"taken by {model}", f"{body.model}, as {body.name} says", remedy)
+
+
+def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
+    """Return the black level of R, G1, G2, B: the profile's, else the file's. [DN]"""
+    own = profile.sensor.black_dn
+    return own if any(own) else mosaic.black_dn
+
+
+def full_dn(
+    mosaic: Mosaic,
+    profile: CameraProfile,
+    plateau_dn: Sequence[float | None] = (None, None, None, None),
+) -> list[float]:
+    """Return the counts at which R, G1, G2, B are full, black included. [DN]
+
+    The least of the profile's saturation, the file's white level and the plateau that the frames
+    show (None: they show none).
+    """
+    tops = zip(profile.sensor.saturation_dn, plateau_dn, strict=True)
+    return [min(own, mosaic.white_dn, plateau or np.inf) for own, plateau in tops]
+
+
+def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
+    """Return electrons per count at an ISO."""
+    return profile.sensor.gain_e_per_dn * profile.sensor.iso / iso
+
+
+def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, float]:
+    """Return the time that a setting of the dial exposes, and its relative standard uncertainty.
+
+    The profile's measured time where it has one, else the time under its shutter law; before any
+    fit of ratios.
+    """
+    for measured in profile.shutter:
+        if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
+            return measured.true_s, measured.u_rel
+    seconds = time_under(profile.shutter_law, shutter_s)
+    return seconds, float(prior_u_log(np.asarray(seconds)))
+
+
+def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
+    """Return linear z in 0 to 1 per cd/m2 without a filter, by the true shutter time."""
+    shutter_s, _ = true_shutter_s(exposure.shutter_s, profile)
+    return z_per_cdm2(shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
+
+
+def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
+    """Return luminance without over with a filter for R, G, B; ones for no filter.
+
+    Raises InputError for a filter that the profile does not have.
+    """
+    if not name:
+        return (1.0, 1.0, 1.0)
+    for nd in profile.nd:
+        if nd.name == name:
+            return nd.factor_rgb
+    names = ", ".join(nd.name for nd in profile.nd) or "no filter"
+    raise InputError(profile.camera.name, f"filter '{name}'", f"one of the profile's: {names}")
+
+
+def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
+    """Return the coefficients of V and the relative uncertainty at the edge, for an aperture.
+
+    An aperture without a curve takes the nearest one, at most a third of a stop away; a lens
+    without any has V = 1. Raises InputError for other apertures and for a curve that cannot be one.
+    """
+    if not lens.vignetting:
+        return (1.0,), 0.0
+    nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
+    if abs(2 * np.log2(nearest.f_number / f_number)) > _SAME_APERTURE_STOPS:
+        measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
+        found = f"no vignetting for f/{f_number:g}"
+        raise InputError(lens.name, found, f"one of {measured}", "calibrate this aperture")
+    wrong = check_vignetting(nearest.coefficients)
+    if wrong:
+        raise InputError(
+            lens.name, f"vignetting at f/{nearest.f_number:g}: {wrong}", "a loss towards the edge"
+        )
+    return nearest.coefficients, nearest.u_rel
+
+
+def response_tables(profile: CameraProfile) -> NDArray[np.float64]:
+    """Return z of the 256 codes of R, G, B, [256, 3]. Raises InputError for a broken response."""
+    r = profile.response
+    try:
+        tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
+    except ValueError as error:
+        raise InputError(profile.camera.name, f"[response]: {error}") from None
+    return np.stack(tables, axis=1)
+
+
+def lens_geometry(
+    lens: Lens, turn_deg: float = 0.0, corner_px: tuple[float, float] = (0.0, 0.0)
+) -> LensGeometry:
+    """Return the lens over a part of its sensor, the camera turned.
+
+    turn_deg: the camera's heading less the panorama's; corner_px: x, y of the part's top left.
+    """
+    x, y = lens.centre_px
+    return replace(
+        lens.geometry,
+        centre_px=(x - corner_px[0], y - corner_px[1]),
+        azimuth_deg=float(signed_angle_deg(lens.azimuth_deg + turn_deg)),
+    )
