@@ -28,7 +28,7 @@ RANKS = (
     {"devices", "notify"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench", "scene_fit"},
-    {"report", "demo", "cli", "api"},
+    {"report", "demo", "cli", "api", "view"},
 )
 RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}
 STAGES = 4

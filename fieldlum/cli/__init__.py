@@ -32,6 +32,7 @@ COMMANDS = (
     "train",
     "predict",
     "glare",
+    "view",
     "bench",
     "report",
     "simulate",

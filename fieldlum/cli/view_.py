@@ -1,0 +1,115 @@
+"""`fieldlum view`: look at luminance pictures."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.terminal import say
+
+BAD_FILE = 3
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png|FILE.html",
+    help="False-colour picture, or a page that works offline. [default: FILE-view.html of the "
+    "first picture]",
+)
+@click.option(
+    "--region",
+    "region_texts",
+    multiple=True,
+    metavar="REGION",
+    help="Statistics of rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,... (pixels from the top "
+    "left) or cone:AZ,ALT,DEG (a radius); may be given several times.",
+)
+@click.option(
+    "--csv",
+    "csv_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Write the statistics of the regions.",
+)
+@click.option("--isolines", is_flag=True, help="Draw decades of luminance into the PNG.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    files: tuple[Path, ...],
+    out: Path | None,
+    region_texts: tuple[str, ...],
+    csv_path: Path | None,
+    isolines: bool,
+) -> None:
+    """Show luminance pictures (.exr, .hdr) in false colour, with statistics of regions.
+
+    Several pictures have one scale. A file that cannot be read is named, and the others are shown;
+    the exit code is then 3.
+
+    \b
+    Example:
+      fieldlum view office.hdr --out office.html --region cone:180,-30,15 --csv regions.csv
+    """
+    from fieldlum.errors import InputError
+    from fieldlum.view.measured_picture import MeasuredPicture, read_measured_picture
+    from fieldlum.view.regions import parse_region, region_statistics
+
+    out = out or files[0].with_name(f"{files[0].stem}-view.html")
+    if out.suffix.lower() not in (".png", ".html"):
+        raise click.BadParameter("name a .png or an .html", param_hint="--out")
+    try:
+        regions = [parse_region(text) for text in region_texts]
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--region") from None
+    pictures: list[MeasuredPicture] = []
+    for path in files:
+        try:
+            pictures.append(read_measured_picture(path))
+        except InputError as error:
+            say(f"fieldlum view: {error}")
+    rows = [region_statistics(region, picture) for picture in pictures for region in regions]
+    if pictures and out.suffix.lower() == ".png":
+        from fieldlum.view.false_colour import write_png
+
+        write_png(out, pictures, regions, isolines)
+    elif pictures:
+        from fieldlum.view.page import write_page
+
+        write_page(out, pictures, rows)
+    for picture in pictures:
+        for note in picture.notes:
+            say(f"fieldlum view: {picture.name}: {note}")
+    _print_rows(rows)
+    if csv_path is not None:
+        _write_csv(csv_path, rows)
+    if pictures:
+        click.echo(str(out))
+    if len(pictures) < len(files):
+        ctx.exit(BAD_FILE)
+
+
+def _print_rows(rows: Sequence[dict[str, float | str | None]]) -> None:
+    for row in rows:
+        if row["mean_cdm2"] is None:
+            click.echo(f"{row['file']}  {row['region']}: no pixel in it")
+            continue
+        click.echo(
+            f"{row['file']}  {row['region']}: mean {row['mean_cdm2']:.4g}, median "
+            f"{row['median_cdm2']:.4g}, {row['min_cdm2']:.4g} to {row['max_cdm2']:.4g}, sd "
+            f"{row['sd_cdm2']:.3g} cd/m², {row['solid_angle_sr']:.4g} sr"
+        )
+
+
+def _write_csv(path: Path, rows: Sequence[dict[str, float | str | None]]) -> None:
+    from fieldlum.view.regions import COLUMNS
+
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows(["" if row[key] is None else row[key] for key in COLUMNS] for row in rows)

@@ -1,0 +1,127 @@
+"""`fieldlum view`: regions, picture and page, the page in a real browser."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fieldlum.cli import main
+from fieldlum.images import write_panorama, write_radiance_hdr
+from fieldlum.records import Panorama
+from fieldlum.view.measured_picture import read_measured_picture
+from fieldlum.view.page import write_page
+from fieldlum.view.regions import parse_region, region_statistics
+
+VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
+BROWSER = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+
+
+@pytest.fixture
+def fisheye(tmp_path: Path) -> Path:
+    pixels = np.full((60, 60), 100.0)
+    pixels[20:30, 30:45] = 5000.0
+    write_radiance_hdr(tmp_path / "a.hdr", pixels, view=VIEW)
+    return tmp_path / "a.hdr"
+
+
+@pytest.mark.analytic
+def test_statistics_of_regions(fisheye: Path) -> None:
+    """Analytic: a cone of 10 degrees has 2 pi (1 - cos 10) sr; a rectangle half in the window."""
+    picture = read_measured_picture(fisheye)
+    cone = region_statistics(parse_region("cone:180,-40,10"), picture)
+    expected = 2 * np.pi * (1 - np.cos(np.radians(10)))
+    assert cone["solid_angle_sr"] == pytest.approx(expected, rel=0.1)
+    assert cone["mean_cdm2"] == cone["max_cdm2"] == pytest.approx(100.0, rel=0.01)
+    half = region_statistics(parse_region("rect:35,28,4,4"), picture)
+    assert half["pixels"] == 16
+    assert half["mean_cdm2"] == pytest.approx(2550.0, rel=0.02)
+    assert half["median_cdm2"] == pytest.approx(2550.0, rel=0.02)
+    circle = region_statistics(parse_region("circle:37.5,25,3"), picture)
+    polygon = region_statistics(parse_region("polygon:35,22,41,22,41,28,35,28"), picture)
+    for row in (circle, polygon):
+        assert row["min_cdm2"] == row["max_cdm2"] == pytest.approx(5000.0, rel=0.01)
+
+
+@pytest.mark.contract
+def test_the_command_writes_png_page_and_csv(fisheye: Path, tmp_path: Path) -> None:
+    panorama = tmp_path / "p.exr"
+    pixels = np.full((20, 40), 300.0, np.float32)
+    write_panorama(panorama, Panorama(pixels, 180.0, 0.05 * pixels))
+    table = tmp_path / "r.csv"
+    for name in ("v.png", "v.html"):
+        options = ["--out", str(tmp_path / name), "--region", "cone:180,0,20", "--csv", str(table)]
+        files = [str(fisheye), str(panorama)]
+        done = CliRunner().invoke(main, ["view", *files, *options])
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / name).stat().st_size > 5000
+    with table.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["file"] for row in rows] == ["a.hdr", "p.exr"]
+    assert float(rows[1]["mean_cdm2"]) == pytest.approx(300.0)
+
+
+@pytest.mark.contract
+def test_bad_regions_and_files_are_named(fisheye: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(main, ["view", str(fisheye), "--region", "rect:1,2"])
+    assert done.exit_code == 2 and "polygon:x1,y1" in done.output
+    (tmp_path / "bad.hdr").write_text("no", encoding="ascii")
+    out = tmp_path / "o.png"
+    done = CliRunner().invoke(
+        main, ["view", str(tmp_path / "bad.hdr"), str(fisheye), "--out", str(out)]
+    )
+    assert done.exit_code == 3 and out.is_file() and "bad.hdr" in done.stderr
+
+
+DRIVE = """<script>
+ready.then(() => {
+  const p = DATA.pictures[0], box = p.over.getBoundingClientRect();
+  const at = (x, y) => ({clientX: box.left + (x + .5) / p.width * box.width,
+    clientY: box.top + (y + .5) / p.height * box.height, pointerId: 1, pointerType: "mouse",
+    bubbles: true});
+  const fire = (name, x, y) => p.over.dispatchEvent(new PointerEvent(name, at(x, y)));
+  fire("pointermove", 35, 25); document.body.dataset.hover = p.reading.textContent;
+  fire("pointerdown", 35, 28); fire("pointermove", 38, 31); fire("pointerup", 38, 31);
+  const key = name =>
+    p.over.dispatchEvent(new KeyboardEvent("keydown", {key: name, bubbles: true}));
+  p.cross = [2, 30];
+  key("ArrowRight"); document.body.dataset.keyed = p.cross.join(",");
+  key("Enter"); for (let i = 0; i < 3; i++) { key("ArrowRight"); key("ArrowDown"); } key("Enter");
+  document.body.dataset.rows = byId("rows").rows.length;
+  document.body.dataset.wide = document.documentElement.scrollWidth > innerWidth;
+});
+</script></body>"""
+
+
+@pytest.mark.contract
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
+def test_the_page_answers_to_pointer_and_keyboard_at_phone_width(
+    fisheye: Path, tmp_path: Path
+) -> None:
+    picture = read_measured_picture(fisheye)
+    page = tmp_path / "v.html"
+    write_page(page, [picture], [])
+    text = page.read_text(encoding="utf-8")
+    assert "http" not in text.replace("http-equiv", "")
+    page.write_text(text.replace("</body>", DRIVE), encoding="utf-8")
+    command = [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--window-size=500,800"]
+    command += ["--virtual-time-budget=5000", "--dump-dom", page.as_uri()]
+    dom = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    marks = dict(re.findall(r'data-(\w+)="([^"]*)"', dom))
+    hover = r"x 35, y 25; azimuth 19\d\.\d°, altitude 1\d\.\d°: (49|50)\d\d cd"
+    assert re.search(hover, marks["hover"]), marks
+    assert (marks["keyed"], marks["rows"], marks["wide"]) == ("3,30", "2", "false")
+    cells = re.findall(r"<td>([^<]*)</td>", dom)
+    expected = region_statistics(parse_region("rect:35,28,4,4"), picture)
+    assert cells[1] == "1: rect:35,28,4,4"
+    for cell, key in zip(cells[2:7], ("mean", "median", "min", "max", "sd"), strict=True):
+        assert float(cell) == pytest.approx(float(expected[f"{key}_cdm2"] or 0), rel=2e-3)
+    assert float(cells[7]) == pytest.approx(float(expected["solid_angle_sr"] or 0), rel=2e-3)
