@@ -47,7 +47,7 @@ def command(
     csv_path: Path | None,
     isolines: bool,
 ) -> None:
-    """Show luminance pictures (.exr, .hdr) in false colour, with statistics of regions.
+    """Show pictures (.exr, .hdr) in false colour, with their regions.
 
     Several pictures have one scale. A file that cannot be read is named, and the others are shown;
     the exit code is then 3.
