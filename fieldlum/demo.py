@@ -21,6 +21,8 @@ import numpy as np
 from fieldlum.profiles import load_site, shipped
 from fieldlum.records import Progress
 from fieldlum.session import Session, open_session, replacing, sha256
+from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.version import __version__
 
 MODEL = "auto"
@@ -121,8 +123,8 @@ def trained(session: Session, how: Preset, seed: int, progress: Progress) -> dic
 def _lessons(session: Session) -> list[Path]:
     return [
         session.pairs,
-        *sorted(session.panoramas.glob("*.exr")),
-        *sorted(session.sunpatches.glob("*.exr")),
+        *session.panorama_files(),
+        *session.sunpatch_files(),
     ]
 
 
@@ -133,8 +135,8 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
     from fieldlum.images import read_panorama
 
     medians, within = [], []
-    for path in sorted(session.panoramas.glob("*.exr")):
-        truth_path = session.truth / path.name
+    for path in session.panorama_files():
+        truth_path = session.truth_panorama(path.stem)
         if not truth_path.is_file():
             continue
         merged, truth = read_panorama(path), read_panorama(truth_path)
@@ -154,18 +156,13 @@ def irradiance_against_truth(session: Session) -> tuple[float, float]:
     """Root-mean-square error of paired DNI and DHI against the simulator's own, sun above 10
     degrees. [W/m2]
     """
-    from fieldlum.report.captured import read_csv
-
-    truth = {row["t_utc"][:13]: row for row in read_csv(session.truth / "irradiance.csv")}
+    truth = TruthIrradiance.read(session.truth_irradiance)
+    rows_of_hours = {int(t // 3600): k for k, t in enumerate(truth.t_unix_s)}
     errors = [
-        (
-            float(row["dni_wm2"]) - float(known["dni_wm2"]),
-            float(row["dhi_wm2"]) - float(known["dhi_wm2"]),
-        )
-        for row in read_csv(session.pairs)
-        if row["ok"] == "1"
-        and float(row["sun_altitude_deg"]) > 10
-        and (known := truth.get(row["t_utc"][:13]))
+        (row.dni_wm2 - truth.dni_wm2[k], row.dhi_wm2 - truth.dhi_wm2[k])
+        for row in PairsFile.read(session.pairs).usable
+        if row.sun_altitude_deg > 10
+        and (k := rows_of_hours.get(int(row.t_utc.timestamp() // 3600))) is not None
     ]
     dni, dhi = np.sqrt(np.mean(np.square(errors), axis=0))
     return float(dni), float(dhi)

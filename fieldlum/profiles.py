@@ -58,7 +58,11 @@ def build(cls: type[T], table: dict[str, Any], where: str) -> T:
 def _value(hint: Any, value: Any, where: str) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (types.UnionType, typing.Union):
+        if value is None and type(None) in arguments:
+            return None
         return _value(next(a for a in arguments if a is not type(None)), value, where)
+    if hint is typing.Any:
+        return value
     if origin is Literal:
         if value not in arguments:
             raise InputError(where, repr(value), "one of " + ", ".join(map(str, arguments)))

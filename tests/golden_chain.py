@@ -103,7 +103,7 @@ def summarise(session: Session) -> dict[str, Any]:
             row["name"]: {key: _digits(row[key]) for key in SCORE_KEYS} for row in scores["models"]
         },
         "chosen": scores["chosen"],
-        "model": models.read_config(model)["model"],
+        "model": models.read_config(model).model,
         "year": {key: about[key] for key in YEAR_KEYS},
         "classes": [[row["azimuth_deg"], row["class"]] for row in about["protection"]],
         "hourly": [

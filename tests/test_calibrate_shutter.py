@@ -3,6 +3,7 @@ them.
 """
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from fieldlum.profiles import (
 from fieldlum.raw import write_dng
 from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
 from fieldlum.session import Session, create_session, exposure_text, sha256
+from fieldlum.session.files.sidecar import Sidecar
 
 START = datetime(2027, 3, 20, 6, 30, tzinfo=UTC)
 # Dial and truth: off the snapped times (1/4, 1/16, 1/64, 1/256, 1/1024 s) by +0.6, -1.4, +1.8, -2.2
@@ -169,7 +171,7 @@ def test_refusals_are_one_line(session: Session, tmp_path: Path) -> None:
 # analytic
 
 
-def quality(off: np.ndarray, rate: float = 0.0, headings: int = 1, nd: str = "") -> dict:
+def quality(off: np.ndarray, rate: float = 0.0, headings: int = 1, nd: str = "") -> Sidecar:
     """A sidecar's figures where the merge left everything to the neighbours' residual
     (corrections 1).
     """
@@ -197,7 +199,8 @@ def quality(off: np.ndarray, rate: float = 0.0, headings: int = 1, nd: str = "")
         for _ in range(headings)
         for i in range(len(off) - 1)
     ]
-    return {"frames": frames, "neighbours": pairs}
+    table = {"quality": {"frames": frames, "neighbours": pairs}}
+    return Sidecar.from_table(table, Path("20270320T120000Z.json"))
 
 
 @pytest.mark.analytic
@@ -228,9 +231,8 @@ def test_two_headings_are_told_apart_and_filters_left_out() -> None:
     found = shutter.readings_of(quality(OFF, nd="ND4"))
     assert len(found) == 3 and all(1 / 1000 not in r.pair for r in found)
     lame = quality(OFF, headings=2)
-    lame["neighbours"] = lame["neighbours"][
-        :4
-    ]  # the second heading's frames do not overlap: or was it the first?
+    # the second heading's frames do not overlap: or was it the first?
+    lame = replace(lame, neighbours=lame.neighbours[:4])
     assert shutter.readings_of(lame) == []
 
 

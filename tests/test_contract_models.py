@@ -11,6 +11,7 @@ from fieldlum import model_registry, models
 from fieldlum.cli import main
 from fieldlum.model_registry import MODELS
 from fieldlum.predict.blocks import wants_patch
+from fieldlum.session.files.model_config import ModelConfig
 
 pytestmark = pytest.mark.contract
 
@@ -28,7 +29,7 @@ def test_a_model_comes_back_from_its_folder(name: str, tmp_path: Path) -> None:
     maps = [model.predict(data.light, data.patch_cdm2).luminance_cdm2 for model in (fitted, again)]
     assert maps[0].shape == (len(data), 6, 12)
     np.testing.assert_array_equal(maps[0], maps[1])
-    assert isinstance(models.read_config(tmp_path)["with_patch"], bool)
+    assert isinstance(models.read_config(tmp_path).state["with_patch"], bool)
 
 
 def test_sizes_order_the_registry() -> None:
@@ -54,4 +55,4 @@ def test_every_model_is_offered(command: str) -> None:
     ],
 )
 def test_configs_of_0_1_0_state_whether_patches_are_required(config: dict, wanted: bool) -> None:
-    assert wants_patch(config) is wanted
+    assert wants_patch(ModelConfig(config["model"], state=config)) is wanted

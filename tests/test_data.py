@@ -111,7 +111,7 @@ def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
     with pytest.raises(InputError, match="is it in kW/m2"):
         load_pairs(pairs)
     pairs.write_text(text.replace(",", ";").replace(".", ","))
-    with pytest.raises(InputError, match="parted by ';'"):
+    with pytest.raises(InputError, match="separated by ';'"):
         load_pairs(pairs)
 
 

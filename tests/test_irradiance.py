@@ -19,6 +19,7 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance import Mark, check, derive, health, minute_means, series_of, sky_geometry
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
 from fieldlum.session import DayFiles, Session, create_session
+from fieldlum.session.files import clean_csv
 
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
 
@@ -178,9 +179,9 @@ def test_clean_csv_is_written_in_blocks_alike(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     series = checked([at(5.0 * i, 800.0 + i % 5, 150.0) for i in range(300)])
-    irradiance.write_clean(tmp_path / "whole.csv", series)
-    monkeypatch.setattr(irradiance, "_BLOCK_ROWS", 130)
-    irradiance.write_clean(tmp_path / "blocks.csv", series)
+    irradiance.clean_of(series).write(tmp_path / "whole.csv")
+    monkeypatch.setattr(clean_csv, "_BLOCK_ROWS", 130)
+    irradiance.clean_of(series).write(tmp_path / "blocks.csv")
     assert (tmp_path / "blocks.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
@@ -378,7 +379,7 @@ def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     clean = session.irradiance / "clean.csv"
     rows = list(csv.DictReader(clean.read_text().splitlines()))
     assert told.rows == told.usable == len(rows) == 100 and told.every_s == 5.0
-    assert tuple(rows[0]) == irradiance.CLEAN_COLUMNS
+    assert tuple(rows[0]) == clean_csv.CLEAN_COLUMNS
     assert (
         rows[0]["t_utc"] == "2027-06-21T20:10:00.000Z"
         and rows[0]["source"] == "measured"

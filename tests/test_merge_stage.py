@@ -40,6 +40,7 @@ from fieldlum.records import (
     utc_text,
 )
 from fieldlum.session import DayFiles, Session, create_session, exposure_text
+from fieldlum.session.files.sidecar import Sidecar
 
 TIMES_S = (0.5, 1 / 15, 1 / 125)
 START = datetime(2027, 3, 20, 6, 30, tzinfo=UTC)  # night in Greenwich: no sun to take out
@@ -234,7 +235,7 @@ def test_shutter_and_drift_part_over_many_brackets() -> None:
     exposures = [Exposure(t, 4.0) for t in (0.5, 0.1, 0.02, 0.004)]
     rng = np.random.default_rng(0)
 
-    def quality(rise: float) -> dict:
+    def quality(rise: float) -> Sidecar:
         frames = [
             {
                 "exposure": exposure_text(e),
@@ -246,7 +247,8 @@ def test_shutter_and_drift_part_over_many_brackets() -> None:
             }
             for i, e in enumerate(exposures)
         ]
-        return {"frames": frames, "residual_percent": 0.1}
+        table = {"quality": {"frames": frames, "residual_percent": 0.1}}
+        return Sidecar.from_table(table, Path("20270320T120000Z.json"))
 
     table = shutter_table([quality(0.0) for _ in range(20)] + [quality(0.03)])
     assert [e.correction for e in table] == pytest.approx([1.0, 1.0, 1.02, 1.0], abs=3e-4)

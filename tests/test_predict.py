@@ -85,7 +85,7 @@ def test_a_year_has_every_daylight_hour_and_reads_back(year: Annual, weather: Pa
 def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Path) -> None:
     """Predicting hours one by one gives what blocks gave."""
     config = models.read_config(model)
-    room = ModelRoom(DATA.setup, config["height"], config["width"], config["heading_deg"], False)
+    room = ModelRoom(DATA.setup, config.height, config.width, config.heading_deg or 0.0, False)
     light = light_of(read_weather(weather, DATA.setup.site).daylight())
     found = list(blocks(models.load(model), room, light[[3]]))
     import xarray as xr

@@ -55,11 +55,11 @@ def _parse_spec(text: str) -> Spec:
     folder = Path(text)
     if (folder / "config.json").is_file():
         config = models.read_config(folder)
-        patch = config.get("patch", "absolute")
+        patch = config.patch
         return Spec(
-            f"{config['model']}{'' if patch == 'absolute' else ':' + patch} ({folder.name})",
-            config["model"],
-            patch,
+            f"{config.model}{'' if patch == 'absolute' else ':' + patch} ({folder.name})",
+            config.model,
+            cast(Patch, patch),
             folder,
         )
     wanted = f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder"
@@ -72,7 +72,7 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
     Raises NotEnoughDataError when none is left.
     """
     known = set(train.slots).union(
-        *(models.read_config(folder)["training"]["slots"] for folder in folders)
+        *(models.read_config(folder).training.slots for folder in folders)
     )
     fresh = np.array([slot not in known for slot in test.slots])
     if not fresh.any():
@@ -126,9 +126,9 @@ def _fitted(
         )
         return fitted, spent, len(data)
     config = models.read_config(spec.folder)
-    about = config.get("dense_training", {})
+    about = config.state.get("dense_training", {})
     spent = Spent(*(float(about.get(name, float("nan"))) for name in ("seconds", "cpu_seconds")))
-    return models.load(spec.folder), spent, len(config["training"]["slots"])
+    return models.load(spec.folder), spent, len(config.training.slots)
 
 
 def score_table(

@@ -9,13 +9,11 @@ Pictures tell ratios only: the profile's times, or the snapped ones, keep the le
 
 from __future__ import annotations
 
-import json
 import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +23,9 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import SAME_TIME, true_shutter_s
 from fieldlum.photometry import AUTO
 from fieldlum.profiles import CameraProfile, ShutterTime
-from fieldlum.records import parse_utc, shutter_text
-from fieldlum.session import Session, parse_exposure
+from fieldlum.records import shutter_text
+from fieldlum.session import Session
+from fieldlum.session.files.sidecar import FrameQuality, NeighbourQuality, Sidecar
 from fieldlum.statistics import median_standard_error, robust_sigma
 
 LEAST = 5  # brackets that must show a pair of times
@@ -89,16 +88,15 @@ def from_session(
     Raises NotEnoughDataError when there is none; InputError when another profile merged them.
     """
     brackets, files, others = [], [], 0
-    for path in sorted(session.panoramas.glob("[0-9]*Z.json")):
+    for path in session.sidecar_files():
         try:
-            note = json.loads(path.read_text(encoding="utf-8"))
-            mine = note["profile"]["sha256"] == profile_sha256
-            found = readings_of(note["quality"]) if mine else []
-        except (OSError, ValueError, LookupError, TypeError, ArithmeticError, AttributeError):
-            continue  # no sidecar of a merge
-        others += not mine
-        if found:
-            brackets.append(found)
+            sidecar = Sidecar.read(path)
+        except InputError:
+            continue  # damaged, or not of a merge
+        others += sidecar.profile_sha256 not in ("", profile_sha256)
+        readings = readings_of(sidecar) if sidecar.profile_sha256 == profile_sha256 else []
+        if readings:
+            brackets.append(readings)
             files.append(path)
     if not brackets and others:
         found = f"{others} panoramas merged with another profile"
@@ -120,8 +118,8 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
 
     Raises InputError where they were merged under several.
     """
-    notes = [json.loads(path.read_text(encoding="utf-8")) for path in sidecars]
-    laws = {note["quality"].get("shutter_law", {}).get("law") for note in notes} - {None}
+    tables = [Sidecar.read(path).quality.get("shutter_law", {}) for path in sidecars]
+    laws = {table.get("law") for table in tables} - {None}
     if profile.shutter_law != AUTO or not laws:
         return profile
     if len(laws) > 1:
@@ -134,48 +132,49 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
     return replace(profile, shutter_law=laws.pop())
 
 
-def readings_of(quality: dict[str, Any]) -> list[ShutterReading]:
+def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     """Of one bracket, without frames through a filter and pairs of two ISOs: these have errors
     of their own.
     """
-    headings: list[list[dict[str, Any]]] = []
-    for frame in quality["frames"]:
-        if not headings or headings[-1][0]["heading_deg"] != frame["heading_deg"]:
+    headings: list[list[FrameQuality]] = []
+    for frame in sidecar.frames:
+        if not headings or headings[-1][0].heading_deg != frame.heading_deg:
             headings.append([])
         headings[-1].append(frame)
-    runs: list[list[dict[str, Any]]] = []
-    for neighbour in quality["neighbours"]:  # numbered from 0 at each heading
-        if not runs or neighbour["long"] <= runs[-1][-1]["long"]:
+    runs: list[list[NeighbourQuality]] = []
+    for neighbour in sidecar.neighbours:  # numbered from 0 at each heading
+        if not runs or neighbour.long <= runs[-1][-1].long:
             runs.append([])
         runs[-1].append(neighbour)
     if len(runs) != len(headings):
-        return []  # a heading without overlap: whose pairs these are cannot be told
-    found = [
-        _reading(frames[n["long"]], frames[n["short"]], n)
+        return []  # one heading has no overlap: its pairs cannot be told from the others'
+    for frames, run in zip(headings, runs, strict=True):
+        if max(max(n.long, n.short) for n in run) >= len(frames):
+            return []  # damaged: it names frames that are not there
+    readings = [
+        _reading(frames[n.long], frames[n.short], n)
         for frames, run in zip(headings, runs, strict=True)
         for n in run
     ]
-    return [r for r in found if r is not None and r.u_log < _NOISY]
+    return [r for r in readings if r is not None and r.u_log < _NOISY]
 
 
 def _reading(
-    long: dict[str, Any], short: dict[str, Any], neighbour: dict[str, Any]
+    long: FrameQuality, short: FrameQuality, neighbour: NeighbourQuality
 ) -> ShutterReading | None:
-    exposures = parse_exposure(long["exposure"]), parse_exposure(short["exposure"])
-    a, b = (e.shutter_s for e in exposures)
-    if (
-        any(e.nd for e in exposures)
-        or abs(b / a - 1) < SAME_TIME
-        or exposures[0].iso != exposures[1].iso
-    ):
+    a, b = long.exposure, short.exposure
+    if a.nd or b.nd or abs(b.shutter_s / a.shutter_s - 1) < SAME_TIME or a.iso != b.iso:
         return None
-    corrected = math.log(short["correction"]) - math.log(long["correction"])
-    log_ratio, u_log = neighbour["residual_percent"] / 100 + corrected, neighbour["u_percent"] / 100
+    corrected = math.log(short.correction) - math.log(long.correction)
+    log_ratio = neighbour.residual_percent / 100 + corrected
+    u_log = neighbour.u_percent / 100
     if not (math.isfinite(log_ratio) and u_log > 0):
         return None
-    times = [parse_utc(f["t_utc"]).timestamp() if f.get("t_utc") else None for f in (long, short)]
-    apart = None if times[0] is None or times[1] is None else times[1] - times[0]
-    return ShutterReading((a, b), log_ratio, u_log, apart)
+    times = long.t_utc, short.t_utc
+    seconds = None
+    if times[0] is not None and times[1] is not None:
+        seconds = (times[1] - times[0]).total_seconds()
+    return ShutterReading((a.shutter_s, b.shutter_s), log_ratio, u_log, seconds)
 
 
 # ---------------------------------------------------------------------------------------------- fit

@@ -4,7 +4,6 @@ one.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -20,8 +19,9 @@ from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
 from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter
 from fieldlum.errors import DeviceError
-from fieldlum.records import CameraSetup, Exposure, Slot, utc_text
-from fieldlum.session import Session, disk_is_full, replacing, sha256, sync_folder
+from fieldlum.records import CameraSetup, Exposure, Slot
+from fieldlum.session import Session, disk_is_full, sha256, sync_folder
+from fieldlum.session.files.capture_json import CaptureFile, interval_of
 
 STALE_S = 60.0  # between two frames of one bracket; the light has changed after a longer one
 _FOLDER_BYTES = 1 << 14
@@ -72,7 +72,7 @@ class BracketCapture:
         """Go on from `state` until done; after a failure try again while a new start is still in
         the slot's window.
         """
-        folder = self.session.raw / slot.id
+        folder = self.session.capture_file(slot.id).parent
         wanted = shots(slot.exposures, self.setup)
         _sweep(folder)
         disk_pause_s = 0.0
@@ -350,7 +350,7 @@ class BracketCapture:
         """Close a slot that will not be finished; the frames there are stay, marked as
         incomplete.
         """
-        folder = self.session.raw / slot.id
+        folder = self.session.capture_file(slot.id).parent
         _sweep(folder)
         if state.frames:
             with suppress(OSError):  # the journal has it all
@@ -395,23 +395,15 @@ def write_capture(
     complete: bool,
 ) -> None:
     """raw/<slot>/capture.json: what `merge` needs, whole or not at all (docs/file-formats.md)."""
-    frames = sorted(state.frames, key=lambda frame: frame.index)
-    opened = min(frame.t_utc for frame in frames)
-    closed = max(frame.t_utc + timedelta(seconds=frame.seconds) for frame in frames)
-    table = {
-        "slot": slot.id,
-        "t_open_utc": utc_text(opened),
-        "t_close_utc": utc_text(closed),
-        "complete": complete,
-        "profile": setup.profile,
-        "heading_deg": setup.heading_deg,
-        "camera": camera,
-        **(
-            {"illuminance_lx": sum(state.illuminance_lx) / len(state.illuminance_lx)}
-            if state.illuminance_lx
-            else {}
-        ),
-        "frames": [frame_fields(frame) for frame in frames],
-    }
-    with replacing(folder / "capture.json", "w", encoding="utf-8") as file:
-        json.dump(table, file, indent=1)
+    frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
+    readings = state.illuminance_lx
+    CaptureFile(
+        slot.id,
+        frames,
+        *interval_of(frames),
+        complete,
+        setup.profile,
+        setup.heading_deg,
+        camera,
+        sum(readings) / len(readings) if readings else None,
+    ).write(folder / "capture.json")

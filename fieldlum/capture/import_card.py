@@ -267,7 +267,7 @@ def _adopt(
     session: Session, setup: CameraSetup, journal: Journal, match: Match, offset: Offset
 ) -> None:
     """One bracket: frames copied whole, then journalled like captured ones."""
-    slot, folder = match.slot, session.raw / match.slot.id
+    slot, folder = match.slot, session.capture_file(match.slot.id).parent
     now = datetime.now(UTC)
     journal.append("imported", now, slot=slot.id, source=_text(match.group.frames[0].path.parent))
     journal.append("started", now, slot=slot.id, attempt=1)

@@ -128,7 +128,7 @@ def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
             file.write((",".join(DAY_COLUMNS) + "\n").encode())
             file.writelines(encode_sample(row) for row in kept)
     if count:
-        (session.irradiance / "clean.csv").unlink(missing_ok=True)
+        session.clean_irradiance.unlink(missing_ok=True)
     return count
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fieldlum.capture.recorder import RESERVE_BYTES
+from fieldlum.session import DEFAULT_GRACE_S
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    grace_s: float = (
-        300.0  # a bracket may start this late; later it is missed, never caught up in a burst
-    )
+    # a bracket may start this late; later it is missed, never caught up in a burst
+    grace_s: float = DEFAULT_GRACE_S
     log_every_s: float = 5.0
     log_around_s: float | None = (
         None  # log only this long before a slot (simulated time); None: all the time

@@ -60,10 +60,9 @@ def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> boo
 
 
 def _set_aside(session: Session, slot: str) -> None:
-    folder, aside = session.raw / slot, session.raw / "withdrawn"
+    folder, aside = session.capture_file(slot).parent, session.raw / "withdrawn"
     aside.mkdir(parents=True, exist_ok=True)
     if folder.is_dir():
         folder.replace(aside / f"{slot}.{len(list(aside.glob(f'{slot}.*')))}")
-    for suffix in (".exr", ".json"):
-        (session.panoramas / f"{slot}{suffix}").unlink(missing_ok=True)
-    (session.sunpatches / f"{slot}.exr").unlink(missing_ok=True)
+    for path in (session.panorama(slot), session.sidecar(slot), session.sunpatch(slot)):
+        path.unlink(missing_ok=True)

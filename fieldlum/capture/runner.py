@@ -34,7 +34,14 @@ from fieldlum.devices import (
 from fieldlum.devices.clock import Clock, FastClock, RealClock
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.records import Exposure, Slot, parse_utc
-from fieldlum.session import Session, disk_is_full, read_journal, sole_user, update_session
+from fieldlum.session import (
+    Session,
+    disk_is_full,
+    read_journal,
+    sole_user,
+    store_grace,
+    update_session,
+)
 from fieldlum.version import __version__
 
 FAST_LEAD_S = 20.0
@@ -47,13 +54,15 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
 
     The simulated one starts a minute before the first slot, or where the journal ends.
     """
+    grace_s = session.grace.total_seconds()
     if not fast:
-        return RealClock(), Options(boot=boot_id())
+        return RealClock(), Options(grace_s=grace_s, boot=boot_id())
     ledger = fold(read_journal(session))
     slots = owed(session.slots(), ledger)
     lead = timedelta(seconds=60)
     start = ledger.last_utc or (slots[0].t_utc - lead if slots else datetime.now(UTC))
-    return FastClock(start), Options(log_around_s=FAST_LEAD_S, threaded=False, flush=False)
+    options = Options(grace_s=grace_s, log_around_s=FAST_LEAD_S, threaded=False, flush=False)
+    return FastClock(start), options
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +245,7 @@ class _Runner:
             update_session(
                 self.session, {"devices": {**self.session.table().get("devices", {}), **about}}
             )
+            store_grace(self.session, options.grace_s)
         except OSError as error:
             if not disk_is_full(error):
                 raise
@@ -352,7 +362,8 @@ class _Runner:
     def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
         sizes: list[int] = []
         with suppress(OSError):
-            paths = [self.session.raw / slot.id / frame.file for frame in state.frames]
+            folder = self.session.capture_file(slot.id).parent
+            paths = [folder / frame.file for frame in state.frames]
             sizes = [path.stat().st_size for path in paths if path.is_file()]
         if sizes:
             self.frame_bytes = max(sizes)

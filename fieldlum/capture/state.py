@@ -9,28 +9,12 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal
 
-from fieldlum.records import Exposure, Slot, parse_utc, utc_text
+from fieldlum.records import Slot, parse_utc
+from fieldlum.session.files.capture_json import Frame as Frame
+from fieldlum.session.files.capture_json import frame_fields as frame_fields
+from fieldlum.session.files.capture_json import frame_from as frame_from
 
 Outcome = Literal["", "started", "done", "missed", "aborted"]
-
-
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """One acknowledged frame: on disk under `file` (relative to the slot's folder) with this
-    hash.
-    """
-
-    index: int
-    file: str
-    exposure: Exposure  # as asked; EXIF's where that departs from it, and then `doubt` says so
-    heading_deg: float | None
-    t_utc: datetime
-    seconds: float  # from the request to the file on disk
-    sha256: str
-    doubt: str = ""  # what did not look right when it was checked at once
-    instead_of: str = (
-        ""  # file of the doubtful frame of the same exposure that this one was taken again for
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,37 +34,6 @@ class Ledger:
     last_utc: datetime | None = None
     opened: dict[str, Any] = field(default_factory=dict)  # the last `open` event
     counts: dict[str, int] = field(default_factory=dict)
-
-
-def frame_fields(frame: Frame) -> dict[str, Any]:
-    """A frame as the journal and capture.json write it."""
-    e = frame.exposure
-    return {
-        "index": frame.index,
-        "file": frame.file,
-        "exposure": {"shutter_s": e.shutter_s, "f_number": e.f_number, "iso": e.iso, "nd": e.nd},
-        "heading_deg": frame.heading_deg,
-        "t_utc": utc_text(frame.t_utc),
-        "seconds": round(frame.seconds, 3),
-        "sha256": frame.sha256,
-        **({"doubt": frame.doubt} if frame.doubt else {}),
-        **({"instead_of": frame.instead_of} if frame.instead_of else {}),
-    }
-
-
-def frame_from(fields: dict[str, Any]) -> Frame:
-    """Inverse of `frame_fields`. Raises KeyError, TypeError or ValueError for anything else."""
-    return Frame(
-        int(fields["index"]),
-        str(fields["file"]),
-        Exposure(**fields["exposure"]),
-        fields["heading_deg"],
-        parse_utc(fields["t_utc"]),
-        float(fields.get("seconds", 0.0)),
-        str(fields["sha256"]),
-        str(fields.get("doubt", "")),
-        str(fields.get("instead_of", "")),
-    )
 
 
 def fold(events: Iterable[dict[str, Any]]) -> Ledger:

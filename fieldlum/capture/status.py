@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
 from fieldlum.capture.state import Ledger, SlotState, fold
+from fieldlum.errors import InputError
 from fieldlum.records import Slot, utc_text
 from fieldlum.session import Session, day_files, read_journal
+from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.pairs_csv import PairsFile
 
 
 def status(session: Session) -> dict[str, Any]:
     """Each stage with what is done and what it owes."""
     slots, ledger = session.slots(), fold(read_journal(session))
     captured = {slot.id for slot in slots if _of(ledger, slot).frames}
-    merged = {path.stem for path in session.panoramas.glob("[0-9]*.exr")}
-    paired, usable = _pairs(session.pairs)
+    merged = {path.stem for path in session.panorama_files()}
+    pairs = PairsFile.find(session.pairs)
+    paired = {Path(row.panorama).stem for row in pairs.rows}
     return {
         "session": str(session.root),
         "name": session.site_file().site.name,
@@ -25,8 +27,8 @@ def status(session: Session) -> dict[str, Any]:
         "capture": _capture(slots, ledger),
         "irradiance": _irradiance(session),
         "merge": {"done": len(merged), "owed": len(captured - merged)},
-        "pair": {"done": len(paired), "usable": usable, "owed": len(merged - paired)},
-        "train": {"models": _models(session.models)},
+        "pair": {"done": len(paired), "usable": len(pairs.usable), "owed": len(merged - paired)},
+        "train": {"models": _models(session)},
         "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
         "report": {"done": (session.report / "index.html").is_file()},
     }
@@ -76,26 +78,17 @@ def _irradiance(session: Session) -> dict[str, Any]:
         "days": len(files),
         "rows": max(rows, 0),
         "last": files[-1].stem if files else None,
-        "cleaned": (session.irradiance / "clean.csv").is_file(),
+        "cleaned": session.clean_irradiance.is_file(),
     }
 
 
-def _pairs(path: Path) -> tuple[set[str], int]:
-    if not path.is_file():
-        return set(), 0
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    return {Path(row.get("panorama") or "").stem for row in rows}, sum(
-        row.get("ok") == "1" for row in rows
-    )
-
-
-def _models(folder: Path) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = []
-    for config in sorted(folder.glob("*/config.json")):
+def _models(session: Session) -> list[dict[str, Any]]:
+    """Name and class of each trained model; the class is empty where config.json is damaged."""
+    rows: list[dict[str, Any]] = []
+    for folder in session.model_folders():
         try:
-            table = json.loads(config.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            table = {}
-        found.append({"name": config.parent.name, "class": table.get("class", "")})
-    return found
+            model = ModelConfig.read(folder).model
+        except InputError:
+            model = ""
+        rows.append({"name": folder.name, "class": model})
+    return rows

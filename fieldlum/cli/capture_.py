@@ -46,9 +46,7 @@ if TYPE_CHECKING:
     "grace_s",
     metavar="S",
     type=click.FloatRange(min=0),
-    default=300.0,
-    show_default=True,
-    help="How late a bracket may start; later it is missed.",
+    help="How late a bracket may start; later it is missed. The session keeps it.  [default: 300]",
 )
 @click.option(
     "--log-every",
@@ -95,7 +93,7 @@ def command(
     pyranometer: str | None,
     meter: str | None,
     clock: str,
-    grace_s: float,
+    grace_s: float | None,
     log_every_s: float,
     status_json: Path | None,
     on_misses: str,
@@ -131,7 +129,12 @@ def command(
             f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}"
         )
     ticking, options = capture.prepare(session, fast=clock == "fast")
-    options = replace(options, grace_s=grace_s, log_every_s=log_every_s, on_misses=on_misses)
+    options = replace(
+        options,
+        grace_s=options.grace_s if grace_s is None else grace_s,
+        log_every_s=log_every_s,
+        on_misses=on_misses,
+    )
     awake = nullcontext() if clock == "fast" else terminal.awake()
     post, address = _post(notify), _heartbeat(heartbeat)
     if clock == "real":

@@ -204,20 +204,12 @@ def _raw(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path) -> dict[str, Any]:
-    import json
-
     if (path / "session.toml").is_file():
         return _toml(path / "session.toml")
     if (path / "config.json").is_file():
-        try:
-            return {
-                "kind": "model",
-                **json.loads((path / "config.json").read_text(encoding="utf-8")),
-            }
-        except ValueError as error:
-            raise InputError(
-                path / "config.json", str(error), "JSON", "train the model again"
-            ) from None
+        from fieldlum.session.files.model_config import ModelConfig
+
+        return {"kind": "model", **ModelConfig.read(path).state}
     raise InputError(
         path, "neither a session nor a model", "a folder with session.toml or config.json"
     )

@@ -44,7 +44,6 @@ CAMERA_CLOCK_WARN_S, CAMERA_CLOCK_FAIL_S = (
 )  # import matches by time with a measured offset; slots are 1 h apart
 SLOW_FSYNC_S = 0.5
 SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
-GRACE = timedelta(minutes=5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +110,9 @@ def as_table(findings: Sequence[Finding]) -> dict[str, Any]:
 
 def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
     """Slots that can still be taken."""
-    settled = outcomes(session)
+    settled, grace = outcomes(session), session.grace
     return [
-        slot for slot in session.slots() if slot.id not in settled and slot.t_utc + GRACE >= now_utc
+        slot for slot in session.slots() if slot.id not in settled and slot.t_utc + grace >= now_utc
     ]
 
 
@@ -445,8 +444,8 @@ def _largest_bracket_bytes(session: Session) -> int:
     """
     taken = [
         folder
-        for folder in sorted(session.raw.glob("[0-9]*Z"))
-        if (folder / "capture.json").is_file()
+        for folder in session.captured_folders()
+        if session.capture_file(folder.name).is_file()
     ]
     return max(
         (sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]),

@@ -21,9 +21,8 @@ from fieldlum.irradiance.verdict import Health as Health
 from fieldlum.irradiance.verdict import health as health
 from fieldlum.records import Float, Progress, Site, quiet
 from fieldlum.session import Session, day_files, read_day, replacing
+from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
 
-CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
-MEASURED, DERIVED = "measured", "derived:dirint"
 STUCK_S = 600.0  # daylight that does not change by a digit for so long is a dead reading
 _SEGMENT_GAP_S = 1800.0  # DIRINT looks at neighbouring minutes, never across a longer gap
 SPIKE_WM2 = 20.0  # a departure by less is no spike, whatever is around it
@@ -236,29 +235,14 @@ def mark_text(marks: int) -> str:
     return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
 
 
-def write_clean(path: Path, series: Series) -> None:
-    """clean.csv, whole or not at all."""
-    import pandas as pd
-
+def clean_of(series: Series) -> CleanIrradiance:
+    """Return what clean.csv holds: the figures, where they are from, and the marks in words."""
     texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        for first in range(
-            0, max(len(series), 1), _BLOCK_ROWS
-        ):  # texts of a million rows would take 300 MB
-            rows = slice(first, first + _BLOCK_ROWS)
-            when = pd.to_datetime(series.t_unix_s[rows], unit="s", utc=True).round("ms")
-            table = pd.DataFrame(
-                {
-                    "t_utc": when.strftime("%Y-%m-%dT%H:%M:%S.%f").str[:-3] + "Z",
-                    "ghi_wm2": series.ghi_wm2[rows].round(3),
-                    "dhi_wm2": series.dhi_wm2[rows].round(3),
-                    "dni_wm2": series.dni_wm2[rows].round(3),
-                    "source": np.where(series.marks[rows] & Mark.DERIVED, DERIVED, MEASURED),
-                    "flags": [texts[int(m)] for m in series.marks[rows]],
-                },
-                columns=list(CLEAN_COLUMNS),
-            )
-            table.to_csv(file, index=False, header=first == 0, lineterminator="\n")
+    source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
+    flags = np.array([texts[int(m)] for m in series.marks], object)
+    return CleanIrradiance(
+        series.t_unix_s, series.ghi_wm2, series.dhi_wm2, series.dni_wm2, source, flags
+    )
 
 
 def _fingerprint(files: Sequence[Path]) -> dict[str, Any]:
@@ -272,7 +256,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     Raises NotEnoughDataError when nothing was logged.
     """
     files = day_files(session)
-    note, clean = session.irradiance / "health.json", session.irradiance / "clean.csv"
+    note, clean = session.irradiance_health, session.clean_irradiance
     inputs = _fingerprint(files)
     if clean.is_file() and note.is_file() and not force:
         known = json.loads(note.read_text(encoding="utf-8"))
@@ -287,7 +271,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     altitude, top = sky_geometry(raw.t_unix_s, site)
     series = derive(check(raw, altitude, top), altitude, site)
     found = health(raw, series, altitude, top, broken, site)
-    write_clean(clean, series)
+    clean_of(series).write(clean)
     with replacing(note, "w", encoding="utf-8") as file:
         json.dump({**asdict(found), "inputs": inputs}, file, indent=1)
     return found

@@ -13,6 +13,7 @@ from fieldlum.merge.shift import Moved
 from fieldlum.projection.resample import Target
 from fieldlum.records import Flag, utc_text
 from fieldlum.session import exposure_text
+from fieldlum.session.files.sidecar import exposure_keys
 
 if TYPE_CHECKING:
     from fieldlum.merge.bracket import SensorMerge
@@ -63,6 +64,7 @@ def quality_of(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) 
             "heading_deg": shot.heading_deg,
             "t_utc": utc_text(shot.t_utc) if shot.t_utc else "",
             "exposure": exposure_text(shot.exposure),
+            **exposure_keys(shot.exposure),
             "correction": round(float(c), 6),
             "u_percent": round(float(100 * u), 4),
             **({"dropped_percent": round(100 * part.dropped[i], 4)} if part.dropped else {}),

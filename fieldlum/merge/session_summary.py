@@ -10,43 +10,24 @@ The pyranometer saw the same seconds.
 from __future__ import annotations
 
 import csv
-import json
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.errors import InputError
 from fieldlum.images import read_panorama
-from fieldlum.records import parse_utc
-from fieldlum.session import Session, parse_exposure, read_day, replacing
+from fieldlum.records import Exposure, utc_text
+from fieldlum.session import Session, exposure_text, read_day, replacing
+from fieldlum.session.files.quality_csv import QUALITY_COLUMNS, QualityRow, write_quality
+from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.statistics import median_standard_error, robust_sigma
 
-COLUMNS = (
-    "slot",
-    "t_utc",
-    "verdict",
-    "frames",
-    "residual_percent",
-    "exposure_span_percent",
-    "drift_percent",
-    "ghi_change_percent",
-    "shift_px",
-    "shift_u_px",
-    "motion_percent",
-    "clipped_percent",
-    "bloom_percent",
-    "below_noise_percent",
-    "outside_percent",
-    "u_ratio_percent",
-    "sun_lx",
-    "sun_origin",
-    "vertical_illuminance_lx",
-)
 MIN_BRACKETS = 5  # before a shutter table is believed
 _THUMB = (184, 92)
 _PER_ROW, _PER_PAGE = 8, 96
@@ -65,42 +46,47 @@ class ShutterEntry:
     brackets: int
 
 
-def shutter_table(qualities: Sequence[dict[str, Any]]) -> list[ShutterEntry]:
+def shutter_table(sidecars: Sequence[Sidecar]) -> list[ShutterEntry]:
     """True over assumed exposure of each setting, from brackets whose neighbours agree; longest
     first.
     """
-    found: dict[str, list[float]] = defaultdict(list)
-    for quality in qualities:
-        if quality.get("residual_percent") is None or abs(quality["residual_percent"]) > 3.0:
+    corrections: dict[Exposure, list[float]] = defaultdict(list)
+    for sidecar in sidecars:
+        residual = sidecar.quality.get("residual_percent")
+        if residual is None or abs(residual) > 3.0:
             continue
-        for frame in quality["frames"]:
-            found[frame["exposure"]].append(float(frame["correction"]))
+        for frame in sidecar.frames:
+            corrections[frame.exposure].append(frame.correction)
     table = []
-    for text, values in found.items():
+    for exposure, values in corrections.items():
         logs = np.log(values)
         spread = robust_sigma(logs)
         u = max(median_standard_error(spread, len(logs)), 2e-4)
         table.append(
             ShutterEntry(
-                text, parse_exposure(text).shutter_s, float(np.exp(np.median(logs))), u, len(logs)
+                exposure_text(exposure),
+                exposure.shutter_s,
+                float(np.exp(np.median(logs))),
+                u,
+                len(logs),
             )
         )
     return sorted(table, key=lambda e: -e.nominal_s)
 
 
-def drift_percent(quality: dict[str, Any], table: Sequence[ShutterEntry]) -> float | None:
+def drift_percent(sidecar: Sidecar, table: Sequence[ShutterEntry]) -> float | None:
     """Change of the light from the first frame to the last, by what the shutter table leaves.
     None: cannot tell. [%]
     """
     known = {e.exposure: e.correction for e in table if e.brackets >= MIN_BRACKETS}
     rows = [
         (
-            parse_utc(f["t_utc"]).timestamp(),
-            float(np.log(f["correction"] / known[f["exposure"]])),
-            f["u_percent"],
+            f.t_utc.timestamp(),
+            float(np.log(f.correction / known[exposure_text(f.exposure)])),
+            f.u_percent,
         )
-        for f in quality["frames"]
-        if f.get("t_utc") and f["exposure"] in known and f["u_percent"] < 1.0
+        for f in sidecar.frames
+        if f.t_utc and exposure_text(f.exposure) in known and f.u_percent < 1.0
     ]
     if len(rows) < 3 or max(r[0] for r in rows) - min(r[0] for r in rows) <= 0:
         return None
@@ -130,25 +116,23 @@ def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> 
     return float(100 * slope * (closed - opened).total_seconds() / ghi.mean())
 
 
-def read_notes(session: Session) -> list[dict[str, Any]]:
-    """Sidecars of all panoramas, in order of time; what is no sidecar of ours is passed over."""
-    notes = []
-    for path in sorted(session.panoramas.glob("[0-9]*Z.json")):
-        try:
-            table = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(table.get("quality"), dict) and "frames" in table["quality"]:
-                notes.append(table)
-        except (OSError, ValueError, AttributeError):
-            continue
-    return notes
+def read_sidecars(session: Session) -> list[Sidecar]:
+    """Sidecars of all panoramas in order of time; a damaged one is passed over."""
+    sidecars = []
+    for path in session.sidecar_files():
+        with suppress(InputError):
+            sidecar = Sidecar.read(path)
+            if sidecar.frames:
+                sidecars.append(sidecar)
+    return sidecars
 
 
 def write_survey(session: Session) -> None:
     """panoramas/quality.csv, panoramas/shutter.csv and contact sheets, of everything merged so
     far.
     """
-    notes = read_notes(session)
-    table = shutter_table([n["quality"] for n in notes])
+    notes = read_sidecars(session)
+    table = shutter_table(notes)
     with replacing(session.panoramas / "shutter.csv", "w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(("exposure", "nominal_s", "true_over_assumed", "u_rel", "brackets"))
@@ -157,40 +141,42 @@ def write_survey(session: Session) -> None:
             for e in table
         )
     _contact_sheets(session, notes)
-    with replacing(session.panoramas / "quality.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for note in notes:
-            row = _row(session, note, table)
-            writer.writerow([row[name] for name in COLUMNS])
+    write_quality(session.quality, [_row(session, note, table) for note in notes])
 
 
 def survey_owed(session: Session) -> bool:
     """Whether a sidecar is newer than quality.csv, which is written last: also after a kill in
     the middle.
     """
-    known = session.panoramas / "quality.csv"
+    known = session.quality
     written = known.stat().st_mtime_ns if known.is_file() else -1
-    return any(path.stat().st_mtime_ns > written for path in session.panoramas.glob("[0-9]*Z.json"))
+    return any(path.stat().st_mtime_ns > written for path in session.sidecar_files())
 
 
-def _row(session: Session, note: dict[str, Any], table: Sequence[ShutterEntry]) -> dict[str, str]:
-    quality, sun = note["quality"], note.get("sun") or {}
-    times = [parse_utc(f["t_utc"]) for f in quality["frames"] if f.get("t_utc")]
-    ghi = ghi_change_percent(session, min(times), max(times)) if times else None
-    shown = {
-        **{name: quality.get(name) for name in COLUMNS if name.endswith(("percent", "lx", "px"))},
-        "drift_percent": drift_percent(quality, table),
-        "ghi_change_percent": ghi,
-        "sun_lx": sun.get("normal_illuminance_lx"),
-        "frames": len(quality["frames"]),
+def _row(session: Session, note: Sidecar, table: Sequence[ShutterEntry]) -> QualityRow:
+    quality, sun = note.quality, note.sun or {}
+    times = [frame.t_utc for frame in note.frames if frame.t_utc]
+    figures = {
+        name: quality.get(name)
+        for name in QUALITY_COLUMNS
+        if name.endswith(("_percent", "_px", "vertical_illuminance_lx"))
     }
-    text = {k: "" if v is None else f"{v:.4g}" for k, v in shown.items()}
-    words = {k: str(note.get(k, "")) for k in ("slot", "t_utc", "verdict")}
-    return {**text, **words, "sun_origin": str(sun.get("origin", ""))}
+    figures["drift_percent"] = drift_percent(note, table)
+    figures["ghi_change_percent"] = (
+        ghi_change_percent(session, min(times), max(times)) if times else None
+    )
+    return QualityRow(
+        slot=note.slot,
+        t_utc=utc_text(note.t_utc) if note.t_utc else "",
+        verdict=note.verdict,
+        frames=len(note.frames),
+        sun_lx=sun.get("normal_illuminance_lx"),
+        sun_origin=str(sun.get("origin", "")),
+        **figures,
+    )
 
 
-def _contact_sheets(session: Session, notes: Sequence[dict[str, Any]]) -> None:
+def _contact_sheets(session: Session, notes: Sequence[Sidecar]) -> None:
     """contact-1.png ...: every panorama in false colour, log 1 to 10 000 cd/m2, flagged pixels
     in grey.
     """
@@ -203,7 +189,7 @@ def _contact_sheets(session: Session, notes: Sequence[dict[str, Any]]) -> None:
         sheet = np.full((rows * (height + 20), _PER_ROW * (width + 6), 3), 255, np.uint8)
         for number, note in enumerate(part):
             x, y = (number % _PER_ROW) * (width + 6), number // _PER_ROW * (height + 20)
-            label, black = f"{note['slot']} {note['verdict'].partition(':')[0]}", (0, 0, 0)
+            label, black = f"{note.slot} {note.verdict.partition(':')[0]}", (0, 0, 0)
             cv2.putText(
                 sheet,
                 label,
@@ -214,7 +200,7 @@ def _contact_sheets(session: Session, notes: Sequence[dict[str, Any]]) -> None:
                 1,
                 cv2.LINE_AA,
             )
-            path = session.panoramas / f"{note['slot']}.exr"
+            path = session.panorama(note.slot)
             if path.is_file():
                 sheet[y : y + height, x : x + width] = _thumbnail(path)
         with replacing(session.panoramas / f"contact-{page // _PER_PAGE + 1}.png") as file:

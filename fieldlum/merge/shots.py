@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +15,8 @@ from fieldlum.linear_light import true_shutter_s
 from fieldlum.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import JPEG_SUFFIXES, read_exif
-from fieldlum.records import Exposure, parse_utc
+from fieldlum.records import Exposure
+from fieldlum.session.files.capture_json import CaptureFile
 
 U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame
 # relative, of an ISO that is not the one that the profile was made at: amplifiers are not exact
@@ -42,34 +41,13 @@ def shots_of_slot(folder: Path) -> list[Shot]:
     """Frames of raw/<slot>/: by its capture.json where there is one, else by EXIF. Raises
     InputError.
     """
-    note = folder / "capture.json"
-    if not note.is_file():
+    capture = CaptureFile.find(folder / "capture.json")
+    if capture is None or not capture.frames:
         return shots_of_files(frame_files(folder))
-    try:
-        table = json.loads(note.read_text(encoding="utf-8"))
-        return [_shot_of_note(folder, row) for row in table["frames"]]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            note, f"{type(error).__name__}: {error}", "frames with file and exposure"
-        ) from None
-
-
-def _shot_of_note(folder: Path, row: dict[str, Any]) -> Shot:
-    heading, when = row.get("heading_deg"), row.get("t_utc")
-    known = row["exposure"]
-    exposure = Exposure(
-        float(known["shutter_s"]),
-        float(known["f_number"]),
-        float(known["iso"]),
-        str(known.get("nd") or ""),
-    )
-    return Shot(
-        folder / row["file"],
-        exposure,
-        None if heading is None else float(heading),
-        parse_utc(when) if when else None,
-        row.get("sha256") or "",
-    )
+    return [
+        Shot(folder / frame.file, frame.exposure, frame.heading_deg, frame.t_utc, frame.sha256)
+        for frame in capture.frames
+    ]
 
 
 def frame_files(folder: Path) -> list[Path]:

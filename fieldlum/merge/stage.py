@@ -31,8 +31,10 @@ from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
-from fieldlum.records import CameraSetup, Progress, Site, SunSource, parse_utc, quiet, utc_text
-from fieldlum.session import Session, replacing, replacing_path, sha256
+from fieldlum.records import CameraSetup, Progress, Site, SunSource, quiet, utc_text
+from fieldlum.session import Session, replacing_path, sha256
+from fieldlum.session.files.capture_json import CaptureFile
+from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.version import __version__
 
 DEFAULT_HEIGHT = 230
@@ -66,7 +68,7 @@ class _MergeJob:
 
 def captured_slots(session: Session) -> list[str]:
     """Names of the folders in raw/, in order of time."""
-    return sorted(p.name for p in session.raw.glob("[0-9]*Z") if p.is_dir())
+    return [folder.name for folder in session.captured_folders()]
 
 
 def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
@@ -92,36 +94,23 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
     return {**text, "digest": hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()}
 
 
-def _done_before(session: Session, slot: str, digest: str) -> dict[str, Any] | None:
-    """The sidecar of a panorama that was made by this very recipe, else None."""
-    picture, note = session.panoramas / f"{slot}.exr", session.panoramas / f"{slot}.json"
+def _done_before(session: Session, slot: str, digest: str) -> Sidecar | None:
+    """Return the sidecar of a panorama that this very recipe gave, else None."""
     try:
-        table = json.loads(note.read_text(encoding="utf-8"))
-        same = table["inputs"]["digest"] == digest and table["size_bytes"] == picture.stat().st_size
-        return table if same else None
-    except (OSError, ValueError, KeyError, TypeError):
+        sidecar = Sidecar.read(session.sidecar(slot))
+        size_bytes = session.panorama(slot).stat().st_size
+    except (OSError, InputError):
         return None
+    same = sidecar.inputs.get("digest") == digest and sidecar.size_bytes == size_bytes
+    return sidecar if same else None
 
 
-def _capture_note(session: Session, slot: str) -> dict[str, Any]:
-    """capture.json, or nothing."""
-    try:
-        table = json.loads((session.raw / slot / "capture.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return table if isinstance(table, dict) else {}
-
-
-def _slot_time(note: dict[str, Any], slot: str, shots: list[Shot]) -> datetime:
-    """The middle of the bracket: capture.json's interval, else the frames' times, else the
-    slot's own.
-    """
-    try:
-        opened, closed = parse_utc(note["t_open_utc"]), parse_utc(note["t_close_utc"])
-        return opened + (closed - opened) / 2
-    except (ValueError, KeyError, TypeError):
-        times = [s.t_utc for s in shots if s.t_utc is not None]
-        return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
+def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> datetime:
+    """Return capture.json's middle; without one that of the frames, else the slot's own time."""
+    if capture is not None:
+        return capture.t_mid_utc
+    times = [s.t_utc for s in shots if s.t_utc is not None]
+    return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
 
 
 def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
@@ -129,12 +118,12 @@ def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
     nothing.
     """
     try:
-        shots = shots_of_slot(job.session.raw / job.slot)
+        shots = shots_of_slot(job.session.capture_file(job.slot).parent)
         recipe = _recipe(job, shots)
         known = None if job.force else _done_before(job.session, job.slot, recipe["digest"])
         if known is not None:
-            return Verdict(job.slot, "kept", known["verdict"], known["quality"])
-        note = _capture_note(job.session, job.slot)
+            return Verdict(job.slot, "kept", known.verdict, known.quality)
+        note = CaptureFile.find(job.session.capture_file(job.slot))
         t_utc = _slot_time(note, job.slot, shots)
         result, lost = _merged_without_lost(job, shots, expected_sun_deg(t_utc, job.site), progress)
         panorama = replace(result.panorama, t_utc=t_utc)
@@ -142,7 +131,7 @@ def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
             panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
         )
         quality = {**result.quality, "vertical_illuminance_lx": ev}
-        whole = note.get("complete", True)
+        whole = note is None or note.complete
         said = result.verdict if whole else f"incomplete bracket; {result.verdict}"
         if lost:  # the digest never matches then: once the frames are whole again, so is the map
             said = (
@@ -191,17 +180,17 @@ def _merged_without_lost(
 
 def _write(job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
     """The picture first, then its sidecar: a picture without one is made again."""
-    picture = job.session.panoramas / f"{job.slot}.exr"
+    picture = job.session.panorama(job.slot)
     with replacing_path(picture) as path:
         write_panorama(path, result.panorama)
     p = job.profile
-    table = {
-        "slot": job.slot,
-        "t_utc": utc_text(result.panorama.t_utc) if result.panorama.t_utc else "",
-        "verdict": result.verdict,
-        "quality": result.quality,
-        "sun": _sun_table(result.panorama.sun, result.sun, p),
-        "factors": {
+    Sidecar(
+        job.slot,
+        result.panorama.t_utc,
+        result.verdict,
+        result.quality,
+        sun=_sun_table(result.panorama.sun, result.sun, p),
+        factors={
             "k": p.scale.k,
             "y_from_rgb": p.colour.y_from_rgb,
             "u_percent": {
@@ -210,13 +199,12 @@ def _write(job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
                 "glare_floor": 100 * p.glare_floor_rel,
             },
         },
-        "profile": {"name": p.camera.name, "sha256": job.profile_sha256},
-        "inputs": recipe,
-        "size_bytes": picture.stat().st_size,
-        "software": {"fieldlum": __version__},
-    }
-    with replacing(picture.with_suffix(".json"), "w", encoding="utf-8") as file:
-        json.dump(table, file, indent=1)
+        profile_name=p.camera.name,
+        profile_sha256=job.profile_sha256,
+        inputs=recipe,
+        size_bytes=picture.stat().st_size,
+        fieldlum=__version__,
+    ).write(job.session.sidecar(job.slot))
 
 
 def _sun_table(

@@ -9,7 +9,6 @@ code.
 from __future__ import annotations
 
 import importlib
-import json
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.model_registry import MODELS
 from fieldlum.session import replacing
+from fieldlum.session.files.model_config import ModelConfig, write_config
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
@@ -100,33 +100,25 @@ def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
     arrays = {"seen": data.seen, **arrays}
     with replacing(folder / "weights.npz") as file:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
-    everything = {
+    table = {
         "model": fitted.name,
         "software": {"fieldlum": __version__},
         **data.about(),
         **more,
         **config,
     }
-    with replacing(folder / "config.json", "w", encoding="utf-8") as file:
-        json.dump(
-            everything, file, indent=1, ensure_ascii=False, default=lambda value: value.tolist()
-        )
+    write_config(folder, table)
 
 
-def read_config(folder: Path) -> dict[str, Any]:
-    """Raises InputError when `folder` is no model folder."""
-    path = folder / "config.json"
-    try:
-        config = json.loads(path.read_text(encoding="utf-8"))
-    except OSError:
+def read_config(folder: Path) -> ModelConfig:
+    """Raises InputError when `folder` is no model folder, or one of an unknown model."""
+    config = ModelConfig.read(folder)
+    if config.model not in MODELS:
         raise InputError(
-            folder, "no config.json in it", "a model folder", "make one with: fieldlum train"
-        ) from None
-    except ValueError as error:
-        raise InputError(path, str(error), "JSON", "train the model again") from None
-    if not isinstance(config, dict) or config.get("model") not in MODELS:
-        raise InputError(
-            path, "an unknown model", f"one of {', '.join(MODELS)}", "train the model again"
+            folder / "config.json",
+            "an unknown model",
+            f"one of {', '.join(MODELS)}",
+            "train the model again",
         )
     return config
 
@@ -148,7 +140,7 @@ def load(folder: Path) -> Fitted:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        return importlib.import_module(MODELS[config["model"]].module).from_state(config, arrays)
+        return importlib.import_module(MODELS[config.model].module).from_state(config.state, arrays)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         found = f"weights that cannot be used ({error})".replace("\n", " ")
         raise InputError(

@@ -4,11 +4,8 @@ maps.
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,16 +18,14 @@ from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.records import Flag, Panorama, Progress, SiteFile, parse_utc, quiet, slot_id
+from fieldlum.records import Flag, Panorama, Progress, SiteFile, quiet, slot_id
 from fieldlum.session import Session, open_session
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sun_disc import split_disc
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
 
-NEEDED = ("t_utc", "panorama", "dni_wm2", "dhi_wm2")
-MOST_IRRADIANCE_WM2 = 1600.0  # above the solar constant with cloud enhancement
-LEAST_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
 _MERGE_ALIKE = "render or merge all brackets at one size and heading"
 _PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again"
 
@@ -127,111 +122,15 @@ class Dataset:
 # pairs.csv
 
 
-@dataclass(frozen=True, slots=True)
-class _PairRow:
-    line: int
-    t_utc: datetime
-    panorama: Path
-    sunpatch: Path | None
-    dni_wm2: float
-    dhi_wm2: float
-    altitude_deg: float  # NaN: not given
-    azimuth_deg: float
-    steadiness: float
-    sun_in_map: bool
-
-
-def _number(path: Path, line: int, name: str, text: str, *, default: float = math.nan) -> float:
-    if not text.strip():
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        raise InputError(
-            path, f"line {line}: {name} is '{text}'", "a number", "mend that row"
-        ) from None
-    if not math.isfinite(value):
-        raise InputError(
-            path, f"line {line}: {name} is {text}", "a finite number", "mend that row or set ok = 0"
-        )
-    return value
-
-
-def _irradiance(path: Path, line: int, name: str, text: str) -> float:
-    value = _number(path, line, name, text)
-    if not LEAST_IRRADIANCE_WM2 <= value <= MOST_IRRADIANCE_WM2:
-        found = f"line {line}: {name} is '{text}'"
-        raise InputError(
-            path, found, f"{LEAST_IRRADIANCE_WM2:g} to {MOST_IRRADIANCE_WM2:g} W/m2", "set ok = 0"
-        )
-    return max(value, 0.0)
-
-
-def _read_row(path: Path, line: int, cells: dict[str, str]) -> _PairRow:
-    try:
-        t_utc = parse_utc(cells["t_utc"])
-    except ValueError as error:
-        raise InputError(
-            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
-        ) from None
-    pictures = [
-        path.parent / cells[name] if cells.get(name) else None for name in ("panorama", "sunpatch")
-    ]
-    for picture in pictures:
-        if picture is not None and not picture.is_file():
-            raise InputError(
-                path, f"line {line}: no file {picture}", "a picture there", "copy it, or set ok = 0"
-            )
-    if pictures[0] is None:
-        raise InputError(
-            path, f"line {line}: panorama is empty", "a picture's path", "fill it, or set ok = 0"
-        )
-    return _PairRow(
-        line,
-        t_utc,
-        pictures[0],
-        pictures[1],
-        _irradiance(path, line, "dni_wm2", cells["dni_wm2"]),
-        _irradiance(path, line, "dhi_wm2", cells["dhi_wm2"]),
-        _number(path, line, "sun_altitude_deg", cells.get("sun_altitude_deg") or ""),
-        _number(path, line, "sun_azimuth_deg", cells.get("sun_azimuth_deg") or ""),
-        _number(path, line, "steadiness", cells.get("steadiness") or "", default=0.0),
-        _number(path, line, "sun_in_map", cells.get("sun_in_map") or "", default=0.0) != 0.0,
-    )
-
-
-def _read_rows(path: Path) -> tuple[list[_PairRow], int]:
-    """Usable rows and how many are marked not ok. Raises InputError naming the line."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a readable pairs.csv") from None
-    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
-    missing = [name for name in NEEDED if name not in (reader.fieldnames or ())]
-    if missing:
-        parted = next((mark for mark in (";", "\t") if mark in (reader.fieldnames or ("",))[0]), "")
-        remedy = (
-            f"it is parted by {parted!r}: save it with commas, and points in numbers"
-            if parted
-            else ""
-        )
-        raise InputError(
-            path, f"no column {', '.join(missing)}", f"a csv with {', '.join(NEEDED)}", remedy
-        )
-    rows: list[_PairRow] = []
-    refused = 0
-    for cells in reader:
-        if None in cells or any(value is None for value in cells.values()):
-            raise InputError(
-                path,
-                f"line {reader.line_num}: another number of cells than the header",
-                "one a column",
-            )
-        if _number(path, reader.line_num, "ok", cells.get("ok") or "", default=1.0) == 0.0:
-            refused += 1
-            continue
-        rows.append(_read_row(path, reader.line_num, cells))
-    return sorted(rows, key=lambda row: row.t_utc), refused
+def _usable_rows(pairs: PairsFile) -> list[PairRow]:
+    """Rows with ok, in the order of time. Raises InputError for a picture that is not there."""
+    for row in pairs.usable:
+        for name in (row.panorama, row.sunpatch):
+            picture = pairs.path.parent / name
+            if name and not picture.is_file():
+                found = f"line {row.line}: no file {picture}"
+                raise InputError(pairs.path, found, "a picture there", "copy it, or set ok = 0")
+    return sorted(pairs.usable, key=lambda row: row.t_utc)
 
 
 def _find_setup(path: Path, site: Path | None) -> SiteFile:
@@ -266,8 +165,10 @@ def load_pairs(
             path, "no such file", "a pairs.csv", "make one with: fieldlum pair SESSION"
         )
     setup = _find_setup(path, site)
-    rows, refused = _read_rows(path)
-    notes = [f"{refused} rows with ok = 0 left out"] if refused else []
+    pairs = PairsFile.read(path)
+    rows, refused, notes = _usable_rows(pairs), len(pairs.refused), list(pairs.warnings)
+    if refused:
+        notes.append(f"{refused} rows with ok = 0 left out")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
     if dark:
         notes.append(f"{len(dark)} rows without any irradiance left out")
@@ -278,11 +179,11 @@ def load_pairs(
 
 
 def _assemble(
-    path: Path, rows: list[_PairRow], setup: SiteFile, notes: list[str], progress: Progress
+    path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str], progress: Progress
 ) -> Dataset:
     from fieldlum.light import Light
 
-    check_plausible(path, _stated(rows), setup.site)
+    check_plausible(path, _stated(path, rows), setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
     dni = np.array([row.dni_wm2 for row in rows])
     maps, patches, disc, masks, heading = _read_pictures(
@@ -316,24 +217,24 @@ def _assemble(
     )
 
 
-def _stated(rows: list[_PairRow]) -> Stated:
+def _stated(path: Path, rows: list[PairRow]) -> Stated:
     numbers = np.array(
-        [(row.dni_wm2, row.dhi_wm2, row.altitude_deg, row.azimuth_deg) for row in rows]
+        [(row.dni_wm2, row.dhi_wm2, row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]
     ).T
     return Stated(
         [row.line for row in rows],
         [row.t_utc for row in rows],
-        [row.panorama for row in rows],
+        [path.parent / row.panorama for row in rows],
         *numbers,
     )
 
 
 def _sun_columns(
-    rows: list[_PairRow], setup: SiteFile
+    rows: list[PairRow], setup: SiteFile
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Altitude and azimuth as the csv gives them; where it does not, by SPA. [deg]"""
-    altitude = np.array([row.altitude_deg for row in rows])
-    azimuth = np.array([row.azimuth_deg for row in rows])
+    altitude = np.array([row.sun_altitude_deg for row in rows])
+    azimuth = np.array([row.sun_azimuth_deg for row in rows])
     blank = np.isnan(altitude) | np.isnan(azimuth)
     if blank.any():
         found = sun.position(
@@ -345,7 +246,7 @@ def _sun_columns(
 
 def _read_pictures(
     path: Path,
-    rows: list[_PairRow],
+    rows: list[PairRow],
     altitude: NDArray[np.float64],
     azimuth: NDArray[np.float64],
     setup: SiteFile,
@@ -354,11 +255,12 @@ def _read_pictures(
     NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float64], NDArray[np.bool_], float
 ]:
     """Maps, patches, disc [lx], which pixels carry a value, heading [deg]."""
-    first = read_panorama(rows[0].panorama)
-    shape, heading = first.luminance_cdm2.shape, _heading(first, rows[0].panorama, setup)
-    with_patch = sum(row.sunpatch is not None for row in rows)
+    pictures = [path.parent / row.panorama for row in rows]
+    first = read_panorama(pictures[0])
+    shape, heading = first.luminance_cdm2.shape, _heading(first, pictures[0], setup)
+    with_patch = sum(bool(row.sunpatch) for row in rows)
     if 0 < with_patch < len(rows):
-        bare = next(row.line for row in rows if row.sunpatch is None)
+        bare = next(row.line for row in rows if not row.sunpatch)
         raise InputError(
             path,
             f"line {bare}: no sunpatch, but other rows have one",
@@ -369,19 +271,18 @@ def _read_pictures(
     disc = np.zeros(len(rows))
     masks = np.empty(maps.shape, bool)
     for k, row in enumerate(rows):
-        progress(k, len(rows), row.panorama.name)
+        progress(k, len(rows), pictures[k].name)
         panorama = _checked(
-            read_panorama(row.panorama), row.panorama, shape, heading, setup, _MERGE_ALIKE
+            read_panorama(pictures[k]), pictures[k], shape, heading, setup, _MERGE_ALIKE
         )
         sun_at = ((float(altitude[k]), float(azimuth[k])), row.dni_wm2)
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if row.sun_in_map:
             maps[k], disc[k] = split_disc(maps[k], heading, *sun_at)
-        if patches is not None and row.sunpatch is not None:
-            patch = _checked(
-                read_panorama(row.sunpatch), row.sunpatch, shape, heading, setup, _PAIR_AGAIN
-            )
+        if patches is not None:
+            source = path.parent / row.sunpatch
+            patch = _checked(read_panorama(source), source, shape, heading, setup, _PAIR_AGAIN)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
             if (
                 row.sun_in_map

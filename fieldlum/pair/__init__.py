@@ -6,19 +6,17 @@ about the room; this file is the stage.
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 from fieldlum import sun
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.light_clock import lit_at_night
-from fieldlum.pair.interval import Log, Outside, outside, read_clean
+from fieldlum.pair.interval import Outside, outside
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.records import (
@@ -32,26 +30,15 @@ from fieldlum.records import (
     utc_text,
 )
 from fieldlum.session import Session, replacing, replacing_path
+from fieldlum.session.files.capture_json import CaptureFile
+from fieldlum.session.files.clean_csv import CleanIrradiance
+from fieldlum.session.files.json_file import read_object
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.sky import direct_normal_illuminance_lx
 
-COLUMNS = (
-    "t_utc",
-    "panorama",
-    "dni_wm2",
-    "dhi_wm2",
-    "ghi_wm2",
-    "source",
-    "sun_altitude_deg",
-    "sun_azimuth_deg",
-    "steadiness",
-    "sunpatch",
-    "sun_in_map",
-    "ok",
-    "why",
-)
 POOR_SUN_PERCENT = 5.0  # of a sun's illuminance in the picture, from which its pair says so
 NIGHT_MINUTES = 5  # of light with the sun well down, that a lamp may make
-_REJECTED = ("reject", "rejected", "failed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +49,6 @@ class Taken:
     panorama: Path
     t_open_utc: datetime
     t_close_utc: datetime
-    verdict: str = ""
     meter_lx: float | None = None
     complete: bool = True
     frames: frozenset[str] = frozenset()  # sha256 of each
@@ -91,53 +77,39 @@ class Pair:
         return not self.why
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise InputError(path, f"{error}", "JSON as fieldlum writes it", "make it again") from None
-    return table if isinstance(table, dict) else {}
-
-
 def taken_brackets(session: Session) -> list[Taken]:
     """Every panorama, in order of time; over its capture.json's interval, else half a minute."""
-    found = []
-    for path in sorted(session.panoramas.glob("*.exr")):
-        if path.name.startswith("."):
-            continue
-        note, capture = (
-            _json(path.with_suffix(".json")),
-            _json(session.raw / path.stem / "capture.json"),
-        )
-        try:
-            if "t_open_utc" in capture:
-                opened, closed = parse_utc(capture["t_open_utc"]), parse_utc(capture["t_close_utc"])
-            else:
-                middle = parse_utc(note["t_utc"]) if note.get("t_utc") else parse_utc(path.stem)
-                opened, closed = middle - timedelta(seconds=15), middle + timedelta(seconds=15)
-        except (KeyError, ValueError) as error:
-            raise InputError(
-                path.with_suffix(".json"), f"{error}", "times in UTC", "merge it again"
-            ) from None
-        meter = capture.get("illuminance_lx")
-        found.append(
-            Taken(
-                path.stem,
-                path,
-                opened,
-                closed,
-                str(note.get("verdict", "")),
-                None if meter is None else float(meter),
-                bool(capture.get("complete", True)) and not (note.get("quality") or {}).get("lost"),
-                frozenset(
-                    str(frame["sha256"]) for frame in capture.get("frames", ()) if "sha256" in frame
-                ),
-                sun_u_percent=float((note.get("sun") or {}).get("u_mosaic_percent", 0.0)),
-            )
-        )
-    return _doubles_named(found)
+    return _doubles_named([_taken(session, path) for path in session.panorama_files()])
+
+
+def _taken(session: Session, path: Path) -> Taken:
+    slot = path.stem
+    capture = CaptureFile.find(session.capture_file(slot))
+    sidecar = Sidecar.find(session.sidecar(slot))
+    if capture is not None:
+        opened, closed = capture.t_open_utc, capture.t_close_utc
+    else:
+        middle = sidecar.t_utc if sidecar is not None else None
+        middle = middle or _slot_time(path)
+        opened, closed = middle - timedelta(seconds=15), middle + timedelta(seconds=15)
+    return Taken(
+        slot,
+        path,
+        opened,
+        closed,
+        meter_lx=capture.illuminance_lx if capture else None,
+        complete=(capture is None or capture.complete) and not (sidecar and sidecar.lost),
+        frames=frozenset(f.sha256 for f in capture.frames if f.sha256) if capture else frozenset(),
+        sun_u_percent=sidecar.sun_u_percent if sidecar else 0.0,
+    )
+
+
+def _slot_time(path: Path) -> datetime:
+    try:
+        return parse_utc(path.stem)
+    except ValueError as error:
+        remedy = "merge it again, or move it out of panoramas/"
+        raise InputError(path, f"{error}", "a slot's time in UTC as its name", remedy) from None
 
 
 def _doubles_named(brackets: list[Taken]) -> list[Taken]:
@@ -155,9 +127,7 @@ def _doubles_named(brackets: list[Taken]) -> list[Taken]:
 def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
     """A row, with the first reason why it may not be used."""
     why = light.why
-    if taken.verdict.lower().split(":")[0].strip() in _REJECTED:
-        why = f"merge: {taken.verdict}"
-    elif taken.double_of:
+    if taken.double_of:
         why = f"the same frames as {taken.double_of}: imported with two clock offsets"
     elif not why and altitude_deg < 0.0:
         why = "the sun is down"
@@ -182,7 +152,7 @@ def _joined(*texts: str) -> str:
     return "; ".join(text for text in texts if text)
 
 
-def check_night(path: Path, log: Log, site: Site) -> None:
+def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
     """Raises InputError for light with the sun well down, which is a clock's fault or a place's."""
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > NIGHT_MINUTES:
@@ -207,8 +177,8 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
         raise NotEnoughDataError(
             f"{session.panoramas}: no panorama yet, run: fieldlum merge {session.root}"
         )
-    setup, log = session.site_file(), read_clean(session.irradiance / "clean.csv")
-    check_night(session.irradiance / "clean.csv", log, setup.site)
+    setup, log = session.site_file(), CleanIrradiance.read(session.clean_irradiance)
+    check_night(session.clean_irradiance, log, setup.site)
     places = sun.position([b.t_utc for b in brackets], setup.site)
     pairs = [
         judge(b, outside(log, b.t_open_utc, b.t_close_utc), float(altitude), float(azimuth))
@@ -280,9 +250,9 @@ def _rewrite(taken: Taken, panorama: Panorama) -> None:
     with replacing_path(taken.panorama) as path:
         write_panorama(path, panorama)
     note = taken.panorama.with_suffix(".json")
-    table = _json(note)
-    if not table:
+    if not note.is_file():
         return
+    table = read_object(note, "the sidecar of a merged panorama", "merge the bracket again")
     sun_table = dict(table.get("sun") or {})
     if panorama.sun is not None:
         s = panorama.sun
@@ -301,29 +271,22 @@ def _rewrite(taken: Taken, panorama: Panorama) -> None:
 
 def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
     """pairs.csv, whole or not at all; a figure that is not known stays empty."""
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for p in pairs:
-            light = p.light
-            writer.writerow(
-                (
-                    utc_text(p.taken.t_utc),
-                    p.taken.panorama.relative_to(path.parent).as_posix(),
-                    _figure(light.dni_wm2),
-                    _figure(light.dhi_wm2),
-                    _figure(light.ghi_wm2),
-                    light.source,
-                    f"{p.sun_altitude_deg:.4f}",
-                    f"{p.sun_azimuth_deg:.4f}",
-                    f"{light.steadiness:.4f}",
-                    p.sunpatch,
-                    0,
-                    int(p.ok),
-                    p.why or p.caution,
-                )
-            )
+    PairsFile(path, tuple(_row(path, pair) for pair in pairs)).write()
 
 
-def _figure(value: float) -> str:
-    return "" if value != value else f"{value:.2f}"
+def _row(path: Path, pair: Pair) -> PairRow:
+    light = pair.light
+    return PairRow(
+        pair.taken.t_utc,
+        pair.taken.panorama.relative_to(path.parent).as_posix(),
+        light.dni_wm2,
+        light.dhi_wm2,
+        light.ghi_wm2,
+        light.source,
+        pair.sun_altitude_deg,
+        pair.sun_azimuth_deg,
+        light.steadiness,
+        pair.sunpatch,
+        ok=pair.ok,
+        why=pair.why or pair.caution,
+    )

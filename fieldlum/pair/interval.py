@@ -6,38 +6,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.errors import InputError
+from fieldlum.session.files.clean_csv import MEASURED, CleanIrradiance
 
 Array = NDArray[np.float64]
 
-MEASURED = "measured"
 UNSTEADY = 0.10  # relative range of the global from which a bracket gets a caution
 TOO_UNSTEADY = 0.50  # and from which it is refused: the frames saw different light
 COARSEST_S = 900.0  # rows further apart than this say nothing about a bracket
-_AROUND_ROWS = 30
-
-
-@dataclass(frozen=True, slots=True)
-class Log:
-    """irradiance/clean.csv as arrays [n] in order of time. [W/m2]"""
-
-    t_unix_s: Array
-    ghi_wm2: Array
-    dhi_wm2: Array
-    dni_wm2: Array
-    source: NDArray[np.object_]
-    flags: NDArray[np.object_]
-
-    def every_s(self, moment_unix_s: float) -> float:
-        """The usual time between rows around a moment: one session may hold several loggers."""
-        at = int(np.searchsorted(self.t_unix_s, moment_unix_s))
-        steps = np.diff(self.t_unix_s[max(at - _AROUND_ROWS, 0) : at + _AROUND_ROWS])
-        return float(np.median(steps)) if len(steps) else 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,31 +35,7 @@ class Outside:
     caution: str = ""
 
 
-def read_clean(path: Path) -> Log:
-    """Raises InputError for a file that is not as `irradiance` writes it."""
-    import pandas as pd
-
-    if not path.is_file():
-        raise InputError(
-            path,
-            "no such file",
-            "quality-checked irradiance",
-            "log or import irradiance, then pair",
-        )
-    try:
-        table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
-        when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
-        t = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
-        ghi, dhi, dni = (table[f"{name}_wm2"].to_numpy(float) for name in ("ghi", "dhi", "dni"))
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            path, f"{error}", "what fieldlum pair writes", "delete it, it is made again"
-        ) from None
-    source, flags = (table[name].fillna("").to_numpy(object) for name in ("source", "flags"))
-    return Log(t, ghi, dhi, dni, source, flags)
-
-
-def outside(log: Log, opened: datetime, closed: datetime) -> Outside:
+def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside:
     """Statistics over [opened, closed]; a bracket shorter than three rows takes in one row more on
     either side.
 
@@ -115,7 +70,7 @@ def _worst_distance_s(t_unix_s: Array, start: float, end: float) -> float:
     return float(np.minimum(np.abs(moments - left), np.abs(right - moments)).max())
 
 
-def _stale_text(log: Log, near: slice, start: float, end: float, stale: float) -> str:
+def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, stale: float) -> str:
     within = (log.t_unix_s[near] >= start - 60.0) & (log.t_unix_s[near] <= end + 60.0)
     flags = sorted(
         {word for text in log.flags[near][within] for word in str(text).split()}
@@ -126,7 +81,7 @@ def _stale_text(log: Log, near: slice, start: float, end: float, stale: float) -
     return "no irradiance" if not np.isfinite(stale) else f"no irradiance within {stale:.0f} s"
 
 
-def _statistics(log: Log, rows: NDArray[np.bool_]) -> Outside:
+def _statistics(log: CleanIrradiance, rows: NDArray[np.bool_]) -> Outside:
     ghi, dhi, dni = (value[rows] for value in (log.ghi_wm2, log.dhi_wm2, log.dni_wm2))
     mean = float(ghi.mean())
     spread = float(ghi.max() - ghi.min())

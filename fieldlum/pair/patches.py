@@ -68,9 +68,8 @@ def seen_and_patches(
         s or _known(session, item[0], r) or Seen()
         for s, item, r in zip(known, items, recipes, strict=True)
     ]
-    return [
-        (s, f"{session.sunpatches.name}/{item[0]}.exr") for s, item in zip(seen, items, strict=True)
-    ]
+    paths = [session.sunpatch(slot).relative_to(session.root).as_posix() for slot, _, _ in items]
+    return list(zip(seen, paths, strict=True))
 
 
 def _recipe(
@@ -97,7 +96,7 @@ def _recipe(
 
 def _known(session: Session, slot: str, recipe: str) -> Seen | None:
     """From the sidecar of a patch that was made by this very recipe."""
-    picture, note = session.sunpatches / f"{slot}.exr", session.sunpatches / f"{slot}.json"
+    picture, note = session.sunpatch(slot), session.sunpatch_sidecar(slot)
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
         if table["recipe"] != recipe or not picture.is_file():
@@ -151,7 +150,7 @@ def _make(
 def _write(
     session: Session, slot: str, patch: Panorama, recipe: str, sight: dict[str, Any]
 ) -> None:
-    picture = session.sunpatches / f"{slot}.exr"
+    picture = session.sunpatch(slot)
     with replacing_path(picture) as path:
         write_panorama(path, patch)
     when = utc_text(patch.t_utc) if patch.t_utc else ""

@@ -4,8 +4,6 @@ it still pays.
 
 from __future__ import annotations
 
-import csv
-import json
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -20,8 +18,10 @@ from fieldlum.light import Facades, Features, Kernel, greedy_hours, light_at, li
 from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
-from fieldlum.records import Progress, Site, parse_utc, quiet, slot_id, utc_text
+from fieldlum.records import Progress, Site, quiet, slot_id, utc_text
 from fieldlum.session import Session
+from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.weather import Weather
 
 AHEAD_DAYS, SHOWN = 14, 12
@@ -57,25 +57,19 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
 
     Raises InputError for a model folder that does not hold what it should.
     """
-    folders = [
-        path.parent
-        for path in session.models.glob("*/config.json")
-        if (path.parent / "weights.npz").is_file()
-    ]
+    folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     for folder in sorted(
         folders, key=lambda path: (path / "config.json").stat().st_mtime, reverse=True
     ):
+        config = ModelConfig.read(folder)
+        if config.model != "transport" or not _of_this_place(config, session.site_file().site):
+            continue
         try:
-            config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-            if config.get("model") != "transport" or not _of_this_place(
-                config, session.site_file().site
-            ):
-                continue
             with np.load(folder / "weights.npz", allow_pickle=False) as arrays:
                 facades = Facades(
                     np.array(arrays["facade_azimuths"]), np.array(arrays["facade_weights"])
                 )
-            return Kernel(facades, **config["transport"]["kernel"]), folder.name
+            return Kernel(facades, **config.state["transport"]["kernel"]), folder.name
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(
                 folder, f"{type(error).__name__}: {error}", "a transport model", "train again"
@@ -83,8 +77,8 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
     return None
 
 
-def _of_this_place(config: dict[str, Any], site: Site) -> bool:
-    place = config.get("setup", {}).get("site", {})
+def _of_this_place(config: ModelConfig, site: Site) -> bool:
+    place = config.setup.get("site", {})
     pairs = (("latitude_deg", site.latitude_deg), ("longitude_deg", site.longitude_deg))
     return all(abs(float(place.get(name, here)) - here) < SAME_PLACE_DEG for name, here in pairs)
 
@@ -106,24 +100,8 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
 
 
 def _paired(session: Session) -> tuple[list[datetime], list[float], list[float]]:
-    times: list[datetime] = []
-    dni: list[float] = []
-    dhi: list[float] = []
-    if not session.pairs.is_file():
-        return times, dni, dhi
-    with session.pairs.open(newline="", encoding="utf-8") as file:
-        for number, row in enumerate(csv.DictReader(file), start=2):
-            try:
-                if row["ok"].strip().lower() in ("1", "true", "yes"):
-                    found = parse_utc(row["t_utc"]), float(row["dni_wm2"]), float(row["dhi_wm2"])
-                    times.append(found[0])
-                    dni.append(found[1])
-                    dhi.append(found[2])
-            except (KeyError, ValueError) as error:
-                raise InputError(
-                    f"{session.pairs}:{number}", str(error), "t_utc, dni_wm2, dhi_wm2, ok"
-                ) from None
-    return times, dni, dhi
+    rows = PairsFile.find(session.pairs).usable
+    return [r.t_utc for r in rows], [r.dni_wm2 for r in rows], [r.dhi_wm2 for r in rows]
 
 
 def _reductions(

@@ -16,7 +16,6 @@ from fieldlum.plan.days import hours_of, span
 from fieldlum.records import Site, SiteFile, Slot, slot_id
 from fieldlum.session import Session, outcomes, replacing, sha256, update_session, write_plan
 
-GRACE = timedelta(minutes=5)
 SAME_DECLINATION_DEG = (
     0.2  # half of a day's change at the equinoxes, so that every passage holds one such day
 )
@@ -47,9 +46,11 @@ def captured_ids(session: Session) -> set[str]:
     return {slot for slot, outcome in outcomes(session).items() if outcome == "done"}
 
 
-def missed_slots(slots: Sequence[Slot], done: set[str], now_utc: datetime) -> list[Slot]:
-    """Slots whose time is over, without a capture."""
-    return [slot for slot in slots if slot.id not in done and slot.t_utc + GRACE < now_utc]
+def missed_slots(
+    slots: Sequence[Slot], done: set[str], now_utc: datetime, grace: timedelta
+) -> list[Slot]:
+    """Return the slots without a capture that may no longer start: `grace` is over."""
+    return [slot for slot in slots if slot.id not in done and slot.t_utc + grace < now_utc]
 
 
 def make_up(
@@ -136,9 +137,10 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
     setup, slots, done = session.site_file(), session.slots(), captured_ids(session)
+    grace = session.grace
     stands_in = _made_up_for(slots)
     instead = {made.id for several in stands_in.values() for made in several}
-    missed = [slot for slot in missed_slots(slots, done, now_utc) if slot.id not in instead]
+    missed = [slot for slot in missed_slots(slots, done, now_utc, grace) if slot.id not in instead]
     recovered = [
         slot for slot in missed if any(made.id in done for made in stands_in.get(slot.id, ()))
     ]
@@ -146,12 +148,12 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     owed = [
         slot
         for slot in missed
-        if all(made.t_utc + GRACE < now_utc for made in stands_in.get(slot.id, ()))
+        if all(made.t_utc + grace < now_utc for made in stands_in.get(slot.id, ()))
     ]
     added, pairs, lost = make_up(owed, slots, setup, now_utc)
     if added:
         about = _keep_and_write(session, [*slots, *added], about, setup)
-    left = [slot for slot in slots if slot.id in done or slot.t_utc + GRACE >= now_utc]
+    left = [slot for slot in slots if slot.id in done or slot.t_utc + grace >= now_utc]
     band = {
         name: round(coverage(hours_of(some), setup.site).sun_band_percent, 1)
         for name, some in (("planned", slots), ("without", left), ("with", [*left, *added]))

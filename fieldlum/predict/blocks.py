@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from fieldlum.errors import InputError
 from fieldlum.models import seen_of
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, SiteFile, quiet
+from fieldlum.session.files.model_config import ModelConfig
 
 if TYPE_CHECKING:
     from fieldlum.light import Light
@@ -55,35 +56,30 @@ class ModelRoom:
         )
 
 
-def wants_patch(config: dict[str, Any]) -> bool:
+def wants_patch(config: ModelConfig) -> bool:
     """Return whether the model of a config.json requires sun patches.
 
     Models state it as `with_patch`; the transport models of 0.1.0 as a patchwork.
     """
-    if "with_patch" in config:
-        return bool(config["with_patch"])
-    if "transport" in config:
-        return config["transport"].get("patchwork") is not None
-    return config.get("patch", "none") != "none"
+    state = config.state
+    if "with_patch" in state:
+        return bool(state["with_patch"])
+    if "transport" in state:
+        return state["transport"].get("patchwork") is not None
+    return state.get("patch", "none") != "none"
 
 
-def room_of(config: dict[str, Any], folder: Path) -> ModelRoom:
+def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     """Raises InputError when the config lacks place or size, or when patches are needed and no
     room is known.
     """
     from fieldlum.profiles import site_from_table
 
-    try:
-        height, width, heading = (
-            int(config["height"]),
-            int(config["width"]),
-            float(config["heading_deg"]),
-        )
-        setup = site_from_table(config["setup"], str(folder / "config.json"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            folder / "config.json", f"no {error}", "place and size", "train the model again"
-        ) from None
+    height, width, heading = config.height, config.width, config.heading_deg
+    if height <= 0 or width <= 0 or heading is None or not config.setup:
+        found = f"no {'setup' if heading is not None and height > 0 else 'size and heading'}"
+        raise InputError(folder / "config.json", found, "place and size", "train the model again")
+    setup = site_from_table(config.setup, str(folder / "config.json"))
     if wants_patch(config) and setup.room is None:
         raise InputError(
             folder,

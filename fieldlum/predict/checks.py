@@ -63,7 +63,7 @@ def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | N
             f"{changed[1]} as in {session.toml}",
             "merge, pair and train again, or take the model that was trained here",
         )
-    pictures = sorted(session.panoramas.glob("*.exr"))[:1]
+    pictures = session.panorama_files()[:1]
     if pictures:
         from fieldlum.images import read_panorama
 

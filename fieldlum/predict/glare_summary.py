@@ -25,6 +25,7 @@ from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
 from fieldlum.projection import NOT_SEEN, PARTLY_SEEN, SEEN, compass_name, seen_shares
 from fieldlum.records import utc_text
+from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[dict[s
 
 def about_year(
     room: ModelRoom,
-    config: dict[str, Any],
+    config: ModelConfig,
     weather: Weather,
     inputs: dict[str, Any],
     occupancy: Occupancy,
@@ -110,7 +111,7 @@ def about_year(
     return {
         "software": {"fieldlum": __version__},
         "inputs": inputs,
-        "model": config["model"],
+        "model": config.model,
         "setup": site_table(room.setup),
         "height": room.height,
         "width": room.width,
@@ -133,7 +134,7 @@ def about_year(
         },
         "disc_from": room.disc_from,
         "seen_share": [] if room.seen is None else _shares(room, annual),
-        "model_warnings": list(config.get("warnings", ())),
+        "model_warnings": list(config.state.get("warnings", ())),
         "notes": [
             *_notes(weather, room, untrusted, days),
             *_unseen_notes(found),
@@ -144,9 +145,9 @@ def about_year(
     }
 
 
-def poor(config: dict[str, Any]) -> bool:
+def poor(config: ModelConfig) -> bool:
     """Whether training found that no single map of the model can be trusted."""
-    return any(POOR_WORDS in text for text in config.get("warnings", ()))
+    return any(POOR_WORDS in text for text in config.state.get("warnings", ()))
 
 
 def _shares(room: ModelRoom, annual: Annual) -> list[float]:

@@ -86,7 +86,7 @@ def run(
 
     config = read_config(model_folder)
     room = room_of(config, model_folder)
-    check_session(model_folder, room, config.get("scene"))
+    check_session(model_folder, room, config.state.get("scene"))
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)

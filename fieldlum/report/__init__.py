@@ -15,13 +15,14 @@ import numpy as np
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, quiet
 from fieldlum.session import Session, replacing
+from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.predict import Annual
     from fieldlum.report.page import Page, Section
-
-MODEL_FILES = ("config.json", "weights.npz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +30,8 @@ class SessionArtefacts:
     """What a session holds that can be reported."""
 
     model: Path | None
-    config: dict[str, Any]
-    scores: dict[str, Any]
+    config: ModelConfig | None
+    scores: ScoresFile | None
     annual: Annual | None
 
 
@@ -39,25 +40,22 @@ def find(session: Session) -> SessionArtefacts:
     from fieldlum.models import read_config
     from fieldlum.predict import read_annual
 
-    years = sorted(session.annual.glob("*/predict.json"), key=lambda path: path.stat().st_mtime)
-    annual = read_annual(years[-1].parent) if years else None
-    models = [
-        folder
-        for folder in session.models.glob("*")
-        if all((folder / name).is_file() for name in MODEL_FILES)
-    ]
+    years = sorted(
+        session.annual_folders(), key=lambda folder: (folder / "predict.json").stat().st_mtime
+    )
+    annual = read_annual(years[-1]) if years else None
+    models = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     named = annual.about["inputs"]["model"] if annual else ""
     newest = max(
         models, key=lambda f: (f.name == named, (f / "config.json").stat().st_mtime), default=None
     )
-    scores: dict[str, Any] = {}
-    if newest is not None and (newest / "scores.json").is_file():
-        scores = json.loads((newest / "scores.json").read_text(encoding="utf-8"))
-    return SessionArtefacts(newest, read_config(newest) if newest else {}, scores, annual)
+    if newest is None:
+        return SessionArtefacts(None, None, None, annual)
+    return SessionArtefacts(newest, read_config(newest), ScoresFile.find(newest), annual)
 
 
 def _evidence(session: Session, found: SessionArtefacts, progress: Progress) -> Section | None:
-    if found.model is None or not session.pairs.is_file():
+    if found.model is None or found.config is None or not session.pairs.is_file():
         return None
     from fieldlum.models.data import load_pairs
     from fieldlum.report import evidence
@@ -86,9 +84,8 @@ def _settings(session: Session, found: SessionArtefacts) -> Section:
             (f"weather: {key}", str(value)) for key, value in _flat(found.annual.about["weather"])
         ]
     keep = ("model", "patch", "seed", "software", "training")
-    rows += [
-        (f"model: {key}", str(value)[:400]) for key, value in found.config.items() if key in keep
-    ]
+    config = found.config.state if found.config else {}
+    rows += [(f"model: {key}", str(value)[:400]) for key, value in config.items() if key in keep]
     return Section(
         "settings",
         "Settings and versions",
@@ -116,7 +113,7 @@ def _page(session: Session, found: SessionArtefacts, progress: Progress) -> Page
 
     setup = session.site_file()
     zone = setup.site.timezone
-    pairs = captured.read_pair_table(session.pairs)
+    pairs = PairsFile.read(session.pairs)
     year = found.annual
     sections: list[Section] = []
     if year is not None:
@@ -140,7 +137,7 @@ def _page(session: Session, found: SessionArtefacts, progress: Progress) -> Page
         title=setup.site.name,
         answer=answer,
         why=why,
-        facts=_facts(session, found, len(pairs.t_utc)),
+        facts=_facts(session, found, len(pairs.usable)),
         sections=tuple(sections),
         footer=f"Made by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
         f"against evalglare; "
@@ -156,8 +153,8 @@ def _facts(session: Session, found: SessionArtefacts, captures: int) -> tuple[tu
         ("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"),
         ("captures used", f"{captures}"),
     ]
-    if found.model is not None:
-        facts.append(("model", str(found.config.get("model", "?"))))
+    if found.config is not None:
+        facts.append(("model", found.config.model))
     if found.annual is not None:
         about = found.annual.about
         facts += [
@@ -210,7 +207,7 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
         "site": session.site_file().site.name,
         "fieldlum": __version__,
         "model": found.model.name if found.model else None,
-        "scores": found.scores,
+        "scores": found.scores.table() if found.scores else {},
         "annual": found.annual.about if found.annual else None,
     }
     with replacing(folder / "report.json", "w", encoding="utf-8") as file:

@@ -23,6 +23,8 @@ from fieldlum.report.figures import (
     error_by_sun_svg,
 )
 from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
+from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.sun_disc import add_disc
 
 # Two planned days of one season are under 1 degree apart, seasons over 20 degrees.
@@ -44,23 +46,23 @@ class HeldOutMaps:
 
 
 def held_out(
-    data: Dataset, model: Path, config: dict[str, Any], progress: Progress = quiet
+    data: Dataset, model: Path, config: ModelConfig, progress: Progress = quiet
 ) -> HeldOutMaps | None:
     """Every fifth captured day left out and predicted by a refit; a slow model shows its own
     validation images.
     """
-    name = config["model"]
+    name = config.model
     days = np.unique(data.days)
     progress(0, 2, "held-out days")
     if not MODELS[name].slow and len(days) >= 3:
         out = np.isin(data.days, days[2::5] if len(days) >= 5 else days[-1:])
-        patch = config.get("patch", "absolute" if data.patch_cdm2 is not None else "none")
-        fitted = fit(name, data.take(~out), patch=patch, seed=int(config.get("seed", 0)))
+        patch = config.patch if data.patch_cdm2 is not None else "none"
+        fitted = fit(name, data.take(~out), patch=patch, seed=config.seed)
         maps = _counted(int(out.sum()), "map")
         of_days = _counted(len(np.unique(data.days[out])), "day")
         about = f"{maps} of {of_days} that the fit behind them did not see"
     else:
-        slots = set(config.get("validation_slots", ()))
+        slots = set(config.state.get("validation_slots", ()))
         out = np.array([slot in slots for slot in data.slots])
         fitted, about = (
             load(model),
@@ -170,9 +172,9 @@ def _agreement_rows(held: HeldOutMaps) -> tuple[Row, ...]:
     return glare, contrast
 
 
-def _score_table(scores: dict[str, Any]) -> Table | None:
-    rows = scores.get("models") or []
-    if not rows:
+def _score_table(scores: ScoresFile | None) -> Table | None:
+    rows = scores.models if scores else ()
+    if scores is None or not rows:
         return None
     head = (
         "model",
@@ -196,7 +198,7 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
         "n_train",
         "n_test",
     )
-    chosen = scores.get("chosen")
+    chosen = scores.chosen
 
     def cell(row: dict[str, Any], key: str) -> Any:
         value = row.get(key)
@@ -215,7 +217,7 @@ def _score_table(scores: dict[str, Any]) -> Table | None:
     )
 
 
-def section(held: HeldOutMaps | None, scores: dict[str, Any]) -> Section:
+def section(held: HeldOutMaps | None, scores: ScoresFile | None) -> Section:
     table = _score_table(scores)
     rows = (_maps_row(held), *_agreement_rows(held)) if held else ()
     if held:

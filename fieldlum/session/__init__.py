@@ -1,7 +1,8 @@
 """The session folder on disk: the only package that knows its file names.
 
 `writing` makes whole files or none; `lines` appends and recovers; `folder` knows the places;
-`plan_file`, `journal` and `day_files` are the formats.
+`plan_file`, `journal` and `day_files` are the formats; `files` holds the files that cross from
+stage to stage.
 """
 
 from fieldlum.session.day_files import (
@@ -12,7 +13,15 @@ from fieldlum.session.day_files import (
     encode_sample,
     read_day,
 )
-from fieldlum.session.folder import Session, create_session, open_session, sole_user, update_session
+from fieldlum.session.folder import (
+    DEFAULT_GRACE_S,
+    Session,
+    create_session,
+    open_session,
+    sole_user,
+    store_grace,
+    update_session,
+)
 from fieldlum.session.journal import Journal, outcomes, read_journal
 from fieldlum.session.lines import (
     append_durably,
@@ -32,6 +41,7 @@ from fieldlum.session.writing import disk_is_full, replacing, replacing_path, sh
 
 __all__ = [
     "DAY_COLUMNS",
+    "DEFAULT_GRACE_S",
     "PLAN_COLUMNS",
     "DayFiles",
     "Journal",
@@ -57,6 +67,7 @@ __all__ = [
     "replacing_path",
     "sha256",
     "sole_user",
+    "store_grace",
     "sync_folder",
     "update_session",
     "write_plan",

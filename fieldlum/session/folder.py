@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from fieldlum.records import SiteFile, Slot
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.writing import replacing, sha256
 from fieldlum.version import __version__
+
+DEFAULT_GRACE_S = 300.0  # the sun moves by 1.3 degrees; `capture --grace` sets another
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,82 @@ class Session:
         """Only in simulated sessions: what the simulator knows."""
         return self.root / "truth"
 
+    # ------------------------------------------------------------------------------------------
+    # files of one slot
+
+    def capture_file(self, slot: str) -> Path:
+        return self.raw / slot / "capture.json"
+
+    def panorama(self, slot: str) -> Path:
+        return self.panoramas / f"{slot}.exr"
+
+    def sidecar(self, slot: str) -> Path:
+        """The provenance of a panorama."""
+        return self.panoramas / f"{slot}.json"
+
+    def sunpatch(self, slot: str) -> Path:
+        return self.sunpatches / f"{slot}.exr"
+
+    def sunpatch_sidecar(self, slot: str) -> Path:
+        return self.sunpatches / f"{slot}.json"
+
+    def truth_panorama(self, slot: str) -> Path:
+        return self.truth / f"{slot}.exr"
+
+    # ------------------------------------------------------------------------------------------
+    # files of the whole session
+
+    @property
+    def clean_irradiance(self) -> Path:
+        return self.irradiance / "clean.csv"
+
+    @property
+    def irradiance_health(self) -> Path:
+        return self.irradiance / "health.json"
+
+    @property
+    def quality(self) -> Path:
+        return self.panoramas / "quality.csv"
+
+    @property
+    def suns(self) -> Path:
+        """The sun of each panorama, completed by `pair`."""
+        return self.root / "suns.csv"
+
+    @property
+    def truth_irradiance(self) -> Path:
+        return self.truth / "irradiance.csv"
+
+    @property
+    def truth_pairs(self) -> Path:
+        """pairs.csv of the simulator's own panoramas."""
+        return self.truth / "pairs.csv"
+
+    def captured_folders(self) -> list[Path]:
+        """Folders of raw/ that hold a bracket, in order of time."""
+        return sorted(path for path in self.raw.glob("[0-9]*Z") if path.is_dir())
+
+    def panorama_files(self) -> list[Path]:
+        """Merged panoramas in order of time."""
+        return sorted(self.panoramas.glob("[!.]*.exr"))
+
+    def sidecar_files(self) -> list[Path]:
+        return sorted(self.panoramas.glob("[0-9]*Z.json"))
+
+    def sunpatch_files(self) -> list[Path]:
+        return sorted(self.sunpatches.glob("[!.]*.exr"))
+
+    def model_folders(self) -> list[Path]:
+        """Folders of models/ that hold a config.json, by name."""
+        return sorted(path.parent for path in self.models.glob("*/config.json"))
+
+    def annual_folders(self) -> list[Path]:
+        """Folders of annual/ that hold a complete year, by name."""
+        return sorted(path.parent for path in self.annual.glob("*/predict.json"))
+
+    # ------------------------------------------------------------------------------------------
+    # session.toml and plan.csv
+
     def table(self) -> dict[str, Any]:
         """The whole of session.toml."""
         return tomllib.loads(self.toml.read_text(encoding="utf-8"))
@@ -83,6 +162,12 @@ class Session:
 
     def slots(self) -> list[Slot]:
         return read_plan(self.plan)
+
+    @property
+    def grace(self) -> timedelta:
+        """How late a bracket may start: of the last capture, else DEFAULT_GRACE_S."""
+        seconds = self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S)
+        return timedelta(seconds=float(seconds))
 
 
 def open_session(root: Path) -> Session:
@@ -141,6 +226,13 @@ def update_session(session: Session, tables: dict[str, Any]) -> None:
     known = session.table() if session.toml.exists() else {}
     with replacing(session.toml) as file:
         file.write(tomli_w.dumps({**known, **tables}).encode())
+
+
+def store_grace(session: Session, grace_s: float) -> None:
+    """Store how late a bracket may start, so that doctor and re-planning know it too."""
+    if session.grace.total_seconds() != grace_s:
+        capture = session.table().get("capture", {})
+        update_session(session, {"capture": {**capture, "grace_s": grace_s}})
 
 
 @contextmanager

@@ -7,7 +7,6 @@ work on the truth itself.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Sequence
@@ -22,8 +21,10 @@ from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.light import Light, light_at
-from fieldlum.records import Panorama, Progress, SiteFile, Slot, quiet, utc_text
+from fieldlum.records import Panorama, Progress, SiteFile, Slot, quiet
 from fieldlum.session import Session, create_session, replacing, replacing_path, update_session
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.simulate.troubles import Troubles as Troubles
 from fieldlum.simulate.troubles import load_troubles as load_troubles
 from fieldlum.simulate.troubles import measured_irradiance, troubled_pictures, true_light
@@ -34,21 +35,6 @@ from fieldlum.simulate.truth import ground_truth as ground_truth
 from fieldlum.weather import Weather, read_weather, shipped_seattle, synthetic_weather
 from fieldlum.weather.files import NEAR_KM, distance_km
 
-PAIR_COLUMNS = (
-    "t_utc",
-    "panorama",
-    "dni_wm2",
-    "dhi_wm2",
-    "ghi_wm2",
-    "source",
-    "sun_altitude_deg",
-    "sun_azimuth_deg",
-    "steadiness",
-    "sunpatch",
-    "sun_in_map",
-    "ok",
-    "why",
-)
 _CHUNK = 16
 
 
@@ -187,28 +173,20 @@ def _forget_other(
     if path.is_file() and json.loads(path.read_text(encoding="utf-8")) == now:
         return
     for slot in slots:
-        for picture in (_truth_path(session, slot), _patch_path(session, slot)):
+        for picture in (session.truth_panorama(slot.id), session.sunpatch(slot.id)):
             picture.unlink(missing_ok=True)
     with replacing(path) as file:
         file.write(json.dumps(now).encode())
 
 
-def _truth_path(session: Session, slot: Slot) -> Path:
-    return session.truth / f"{slot.id}.exr"
-
-
-def _patch_path(session: Session, slot: Slot) -> Path:
-    return session.sunpatches / f"{slot.id}.exr"
-
-
 def _done(session: Session, slot: Slot) -> bool:
-    return _truth_path(session, slot).is_file() and _patch_path(session, slot).is_file()
+    return session.truth_panorama(slot.id).is_file() and session.sunpatch(slot.id).is_file()
 
 
 def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequence[Slot]) -> None:
     for k, slot in enumerate(slots):
         panorama = truth.as_panorama(made, k)
-        with replacing_path(_truth_path(session, slot)) as path:
+        with replacing_path(session.truth_panorama(slot.id)) as path:
             write_panorama(path, panorama)
         patch = Panorama(
             made.patch_cdm2[k],
@@ -216,7 +194,7 @@ def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequenc
             t_utc=panorama.t_utc,
             attributes={"direct": "only"},
         )
-        with replacing_path(_patch_path(session, slot)) as path:
+        with replacing_path(session.sunpatch(slot.id)) as path:
             write_panorama(path, replace(patch, sun=panorama.sun))
 
 
@@ -245,47 +223,37 @@ def _write_irradiance(
         altitude = sun.position(times, weather.site).altitude_deg
         dni_wm2, dhi_wm2 = measured_irradiance(times, dni_wm2, dhi_wm2, altitude, troubles)
         ghi_wm2 = dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0) + dhi_wm2
-    with replacing(session.truth / "irradiance.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2"))
-        for t, ghi, dhi, dni in zip(times, ghi_wm2, dhi_wm2, dni_wm2, strict=True):
-            writer.writerow((utc_text(t), *(f"{v:.3f}" for v in (ghi, dhi, dni))))
+    seconds = np.array([t.timestamp() for t in times])
+    truth = TruthIrradiance(seconds, ghi_wm2, dhi_wm2, dni_wm2)
+    truth.write(session.truth_irradiance)
 
 
 def write_pairs(
     session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
 ) -> None:
     """pairs.csv of the truth itself; its irradiance counts as measured."""
-    found = weather.at([slot.t_utc for slot in slots])
-    with replacing(session.pairs, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(PAIR_COLUMNS)
-        for k, slot in enumerate(slots):
-            writer.writerow(
-                _pair(session, slot, light, k, bool(lit[k]), float(np.nan_to_num(found.ghi_wm2[k])))
-            )
-
-
-def _pair(
-    session: Session, slot: Slot, light: Light, k: int, ok: bool, ghi: float
-) -> tuple[str, ...]:
-    files = [
-        p.relative_to(session.root).as_posix()
-        for p in (_truth_path(session, slot), _patch_path(session, slot))
+    ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
+    rows = [
+        _pair(session, slot, light, k, bool(lit[k]), float(ghi[k])) for k, slot in enumerate(slots)
     ]
-    panorama, patch = files if ok else ("", "")
-    figures = light.dni_wm2[k], light.dhi_wm2[k], ghi
-    angles = light.sun_altitude_deg[k], light.sun_azimuth_deg[k]
-    why = "" if ok else "no light in the weather"
-    return (
-        utc_text(slot.t_utc),
+    PairsFile(session.pairs, tuple(rows)).write()
+
+
+def _pair(session: Session, slot: Slot, light: Light, k: int, ok: bool, ghi: float) -> PairRow:
+    panorama, patch = (
+        path.relative_to(session.root).as_posix() if ok else ""
+        for path in (session.truth_panorama(slot.id), session.sunpatch(slot.id))
+    )
+    return PairRow(
+        slot.t_utc,
         panorama,
-        *(f"{v:.3f}" for v in figures),
+        float(light.dni_wm2[k]),
+        float(light.dhi_wm2[k]),
+        ghi,
         "measured",
-        *(f"{v:.5f}" for v in angles),
-        "0",
-        patch,
-        "0",
-        str(int(ok)),
-        why,
+        float(light.sun_altitude_deg[k]),
+        float(light.sun_azimuth_deg[k]),
+        sunpatch=patch,
+        ok=ok,
+        why="" if ok else "no light in the weather",
     )

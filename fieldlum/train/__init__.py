@@ -18,7 +18,7 @@ from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.scores import summary
 from fieldlum.records import Progress, quiet
-from fieldlum.session import replacing
+from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.selection import ModelSelection, Trial, choose
@@ -230,7 +230,6 @@ def run(
             chosen_because=result.choice.reason,
             warnings=[note for note in result.notes if note.startswith("WARNING")],
         )
-        with replacing(out / "scores.json", "w", encoding="utf-8") as file:
-            json.dump(answer, file, indent=1, ensure_ascii=False)
+        ScoresFile.from_table(answer, out / "scores.json").write(out)
         checkpoint.unlink(missing_ok=True)
     return answer

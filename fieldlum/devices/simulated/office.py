@@ -234,6 +234,6 @@ def open_world(session: Session | None, seed: int) -> World:
     """The session's truth where it has one, else the built-in office at the session's place
     (Seattle without one).
     """
-    if session is not None and (session.truth / "irradiance.csv").is_file():
+    if session is not None and session.truth_irradiance.is_file():
         return TruthWorld(session.truth)
     return Office(session.site_file() if session is not None else None, seed)

@@ -7,7 +7,6 @@ light is interpolated, beyond them it is dark.
 
 from __future__ import annotations
 
-import csv
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
@@ -15,8 +14,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.records import Panorama, parse_utc
+from fieldlum.errors import DeviceError
+from fieldlum.records import Panorama
+from fieldlum.session.files.truth_csv import TruthIrradiance
 
 NEAREST_TRUTH = timedelta(minutes=45)
 
@@ -43,7 +43,7 @@ class TruthWorld:
             datetime.strptime(path.stem, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC): path
             for path in sorted(folder.glob("[0-9]*Z.exr"))
         }
-        self._times, self._light = _read_irradiance(folder / "irradiance.csv")
+        self._light = TruthIrradiance.read(folder / "irradiance.csv")
         self._read = lru_cache(maxsize=2)(_read_panorama)
 
     def scene(self, t_utc: datetime) -> Panorama:
@@ -57,33 +57,14 @@ class TruthWorld:
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
         now = t_utc.timestamp()
-        if not self._times[0] <= now <= self._times[-1]:
+        times = self._light.t_unix_s
+        if not times[0] <= now <= times[-1]:
             return SimulatedLight(0.0, 0.0, 0.0)
-        return SimulatedLight(
-            *(float(np.interp(now, self._times, column)) for column in self._light)
-        )
+        columns = self._light.ghi_wm2, self._light.dhi_wm2, self._light.dni_wm2
+        return SimulatedLight(*(float(np.interp(now, times, column)) for column in columns))
 
 
 def _read_panorama(path: Path) -> Panorama:
     from fieldlum.images import read_panorama
 
     return read_panorama(path)
-
-
-def _read_irradiance(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Times [n] s and light [3, n]. Raises InputError."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
-        light = np.array(
-            [[float(row[name]) for row in rows] for name in ("ghi_wm2", "dhi_wm2", "dni_wm2")]
-        )
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        expected = "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2"
-        raise InputError(path, str(error), expected, "make it anew: fieldlum simulate") from None
-    if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
-        raise InputError(
-            path, f"{len(times)} rows", "two or more sorted rows of numbers", "fieldlum simulate"
-        )
-    return times, light

@@ -1,0 +1,147 @@
+"""raw/SLOT/capture.json: the frames of one bracket, and when they were taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from fieldlum.errors import InputError
+from fieldlum.records import Exposure, parse_utc, utc_text
+from fieldlum.session.files.json_file import check_format, read_object, write_object
+
+FORMAT = 1
+_EXPECTED = "the frames of a bracket, as capture and import write them"
+_REMEDY = "restore the file from a copy, or import the card again"
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One acknowledged frame: on disk under `file` (relative to the slot's folder) with this
+    hash.
+    """
+
+    index: int
+    file: str
+    exposure: Exposure  # as requested; EXIF's where that differs, and then `doubt` reports it
+    heading_deg: float | None
+    t_utc: datetime
+    seconds: float  # from the request to the file on disk
+    sha256: str
+    doubt: str = ""  # why the frame looked wrong when it was checked at once
+    instead_of: str = ""  # file of the doubtful frame that this one replaces
+
+
+def frame_fields(frame: Frame) -> dict[str, Any]:
+    """Return a frame as the journal and capture.json store it."""
+    e = frame.exposure
+    return {
+        "index": frame.index,
+        "file": frame.file,
+        "exposure": {"shutter_s": e.shutter_s, "f_number": e.f_number, "iso": e.iso, "nd": e.nd},
+        "heading_deg": frame.heading_deg,
+        "t_utc": utc_text(frame.t_utc),
+        "seconds": round(frame.seconds, 3),
+        "sha256": frame.sha256,
+        **({"doubt": frame.doubt} if frame.doubt else {}),
+        **({"instead_of": frame.instead_of} if frame.instead_of else {}),
+    }
+
+
+def frame_from(fields: dict[str, Any]) -> Frame:
+    """Inverse of `frame_fields`. Raises KeyError, TypeError or ValueError for anything else."""
+    heading = fields.get("heading_deg")
+    exposure = {**fields["exposure"], "nd": fields["exposure"].get("nd") or ""}
+    return Frame(
+        int(fields["index"]),
+        str(fields["file"]),
+        Exposure(**exposure),
+        None if heading is None else float(heading),
+        parse_utc(fields["t_utc"]),
+        float(fields.get("seconds", 0.0)),
+        str(fields.get("sha256") or ""),
+        str(fields.get("doubt", "")),
+        str(fields.get("instead_of", "")),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureFile:
+    """One capture.json. The interval is from the first request to the last file on disk."""
+
+    slot: str
+    frames: tuple[Frame, ...]
+    t_open_utc: datetime
+    t_close_utc: datetime
+    complete: bool = True
+    profile: str = ""
+    heading_deg: float | None = None
+    camera: dict[str, Any] = field(default_factory=dict)
+    illuminance_lx: float | None = None  # mean reading of a meter at the lens
+
+    @property
+    def t_mid_utc(self) -> datetime:
+        """The bracket's one time: panorama, pair and table of suns carry it."""
+        return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
+
+    @classmethod
+    def read(cls, path: Path) -> CaptureFile:
+        """Raises InputError for a missing file or other content."""
+        table = read_object(path, _EXPECTED, _REMEDY)
+        check_format(table, FORMAT, path)
+        try:
+            frames = tuple(
+                frame_from({"index": number, **row})
+                for number, row in enumerate(table.get("frames", ()))
+            )
+            lux, heading = table.get("illuminance_lx"), table.get("heading_deg")
+            return cls(
+                str(table.get("slot", path.parent.name)),
+                frames,
+                *_interval(table, frames),
+                bool(table.get("complete", True)),
+                str(table.get("profile") or ""),
+                None if heading is None else float(heading),
+                dict(table.get("camera") or {}),
+                None if lux is None else float(lux),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            found = f"{type(error).__name__}: {error}"
+            raise InputError(path, found, _EXPECTED, _REMEDY) from None
+
+    @classmethod
+    def find(cls, path: Path) -> CaptureFile | None:
+        """Return None where there is no file: frames that somebody copied into raw/SLOT."""
+        return cls.read(path) if path.is_file() else None
+
+    def write(self, path: Path) -> None:
+        lux = {} if self.illuminance_lx is None else {"illuminance_lx": self.illuminance_lx}
+        table = {
+            "format": FORMAT,
+            "slot": self.slot,
+            "t_open_utc": utc_text(self.t_open_utc),
+            "t_close_utc": utc_text(self.t_close_utc),
+            "t_mid_utc": utc_text(self.t_mid_utc),
+            "complete": self.complete,
+            "profile": self.profile,
+            "heading_deg": self.heading_deg,
+            "camera": self.camera,
+            **lux,
+            "frames": [frame_fields(frame) for frame in self.frames],
+        }
+        write_object(path, table)
+
+
+def interval_of(frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
+    """From the first request to the last file on disk. Raises ValueError without frames."""
+    if not frames:
+        raise ValueError("no frames and no t_open_utc")
+    opened = min(frame.t_utc for frame in frames)
+    return opened, max(frame.t_utc + timedelta(seconds=frame.seconds) for frame in frames)
+
+
+def _interval(table: dict[str, Any], frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
+    if "t_open_utc" in table:
+        return parse_utc(table["t_open_utc"]), parse_utc(table["t_close_utc"])
+    return interval_of(frames)

@@ -1,0 +1,80 @@
+"""irradiance/clean.csv: quality-checked irradiance, all three components in every usable row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.session.writing import replacing
+
+CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
+MEASURED, DERIVED = "measured", "derived:dirint"
+_BLOCK_ROWS = 20_000  # texts of a million rows at once would take 300 MB
+_AROUND_ROWS = 30  # rows on either side over which the usual time between rows is taken
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CleanIrradiance:
+    """Arrays [n] in order of time; NaN: unusable. flags: words with spaces between. [W/m2]"""
+
+    t_unix_s: Array
+    ghi_wm2: Array
+    dhi_wm2: Array
+    dni_wm2: Array
+    source: NDArray[np.object_]
+    flags: NDArray[np.object_]
+
+    def every_s(self, moment_unix_s: float) -> float:
+        """Return the usual time between rows around a moment: a session may hold two loggers."""
+        at = int(np.searchsorted(self.t_unix_s, moment_unix_s))
+        steps = np.diff(self.t_unix_s[max(at - _AROUND_ROWS, 0) : at + _AROUND_ROWS])
+        return float(np.median(steps)) if len(steps) else 60.0
+
+    @classmethod
+    def read(cls, path: Path) -> CleanIrradiance:
+        """Raises InputError for a missing file or other content."""
+        import pandas as pd
+
+        if not path.is_file():
+            expected = "quality-checked irradiance"
+            remedy = "log or import irradiance, then pair"
+            raise InputError(path, "no such file", expected, remedy)
+        try:
+            table = pd.read_csv(path, dtype={"source": str, "flags": str}, keep_default_na=True)
+            when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
+            t = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+            ghi, dhi, dni = (table[f"{name}_wm2"].to_numpy(float) for name in ("ghi", "dhi", "dni"))
+            source, flags = (
+                table[name].fillna("").to_numpy(object) for name in ("source", "flags")
+            )
+        except (ValueError, KeyError, TypeError) as error:
+            remedy = "delete it, pair writes it again"
+            raise InputError(path, f"{error}", "what fieldlum pair writes", remedy) from None
+        return cls(t, ghi, dhi, dni, source, flags)
+
+    def write(self, path: Path) -> None:
+        import pandas as pd
+
+        count = len(self.t_unix_s)
+        with replacing(path, "w", newline="", encoding="utf-8") as file:
+            for first in range(0, max(count, 1), _BLOCK_ROWS):
+                rows = slice(first, first + _BLOCK_ROWS)
+                when = pd.to_datetime(self.t_unix_s[rows], unit="s", utc=True).round("ms")
+                table = pd.DataFrame(
+                    {
+                        "t_utc": when.strftime("%Y-%m-%dT%H:%M:%S.%f").str[:-3] + "Z",
+                        "ghi_wm2": self.ghi_wm2[rows].round(3),
+                        "dhi_wm2": self.dhi_wm2[rows].round(3),
+                        "dni_wm2": self.dni_wm2[rows].round(3),
+                        "source": self.source[rows],
+                        "flags": self.flags[rows],
+                    },
+                    columns=list(CLEAN_COLUMNS),
+                )
+                table.to_csv(file, index=False, header=first == 0, lineterminator="\n")

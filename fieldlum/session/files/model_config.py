@@ -1,0 +1,82 @@
+"""models/NAME/config.json: what a model is, what it was trained on, and the model's own state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fieldlum.errors import InputError
+from fieldlum.session.files.json_file import build_known, check_format, read_object, write_object
+
+FORMAT = 1
+_EXPECTED, _REMEDY = "a model folder", "make one with: fieldlum train"
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingNote:
+    """What a model was trained on: the csv, its slots, its local standard dates."""
+
+    source: str = ""
+    slots: tuple[str, ...] = ()
+    days: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ModelConfig:
+    """One config.json. setup: SITE.toml as a table; state: all keys, which `from_state` reads."""
+
+    model: str
+    height: int = 0  # of its maps; 0: not stated
+    width: int = 0
+    heading_deg: float | None = None
+    patch: str = "absolute"
+    seed: int = 0
+    setup: dict[str, Any] = field(default_factory=dict)
+    training: TrainingNote = TrainingNote()
+    state: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, folder: Path) -> ModelConfig:
+        """Raises InputError when `folder` is no model folder."""
+        path = folder / "config.json"
+        if not path.is_file():
+            raise InputError(folder, "no config.json in it", _EXPECTED, _REMEDY)
+        table = read_object(path, "JSON", "train the model again")
+        check_format(table, FORMAT, path)
+        setup = table.get("setup")
+        if setup is not None and not isinstance(setup, dict):
+            raise InputError(path, f"setup of type {type(setup).__name__}", "a table", _REMEDY)
+        common = {
+            name: table[name]
+            for name in ("model", "height", "width", "heading_deg", "patch", "seed", "training")
+            if name in table
+        }
+        typed = build_known(_Common, common, str(path))
+        return cls(
+            typed.model,
+            typed.height,
+            typed.width,
+            typed.heading_deg,
+            typed.patch,
+            typed.seed,
+            setup or {},
+            build_known(TrainingNote, typed.training or {}, str(path)),
+            table,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Common:
+    model: str
+    height: int = 0
+    width: int = 0
+    heading_deg: float | None = None
+    patch: str = "absolute"
+    seed: int = 0
+    training: Any = None
+
+
+def write_config(folder: Path, table: dict[str, Any]) -> None:
+    """Write config.json from a model's state and what is common to all models."""
+    write_object(folder / "config.json", {"format": FORMAT, **table})

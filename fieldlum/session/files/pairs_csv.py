@@ -1,0 +1,243 @@
+"""pairs.csv: one row a panorama with its light. Any csv with the first four columns is one."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fieldlum.errors import InputError
+from fieldlum.records import parse_utc, utc_text
+from fieldlum.session.writing import replacing
+
+FORMAT = 1
+PAIR_COLUMNS = (
+    "t_utc",
+    "panorama",
+    "dni_wm2",
+    "dhi_wm2",
+    "ghi_wm2",
+    "source",
+    "sun_altitude_deg",
+    "sun_azimuth_deg",
+    "steadiness",
+    "sunpatch",
+    "sun_in_map",
+    "ok",
+    "why",
+    "format",
+)
+NEEDED = PAIR_COLUMNS[:4]
+OPTIONAL = (*PAIR_COLUMNS, "state")
+MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant, with cloud enhancement
+MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
+NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # of a row with ok = 0 whose time cannot be read
+_YES, _NO = ("", "1", "1.0", "true", "yes"), ("0", "0.0", "false", "no")
+
+
+@dataclass(frozen=True, slots=True)
+class PairRow:
+    """One row. Paths are relative to the csv, empty: none; NaN: unknown. line: its line number."""
+
+    t_utc: datetime
+    panorama: str
+    dni_wm2: float
+    dhi_wm2: float
+    ghi_wm2: float = math.nan
+    source: str = ""
+    sun_altitude_deg: float = math.nan  # true
+    sun_azimuth_deg: float = math.nan
+    steadiness: float = 0.0
+    sunpatch: str = ""
+    sun_in_map: bool = False
+    ok: bool = True
+    why: str = ""
+    state: str = ""
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PairsFile:
+    """A pairs.csv: rows in the file's order, and warnings for the person who reads it."""
+
+    path: Path
+    rows: tuple[PairRow, ...]
+    format: int = FORMAT
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> tuple[PairRow, ...]:
+        return tuple(row for row in self.rows if row.ok)
+
+    @property
+    def refused(self) -> tuple[PairRow, ...]:
+        return tuple(row for row in self.rows if not row.ok)
+
+    @classmethod
+    def read(cls, path: Path) -> PairsFile:
+        """Raises InputError naming the line. Numbers of rows with ok = 0 are not read."""
+        reader = _reader(path)
+        names = reader.fieldnames or ()
+        rows = [_row(path, reader.line_num, cells) for cells in reader]
+        unknown = [name for name in names if name and name not in OPTIONAL]
+        warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
+        return cls(path, tuple(rows), _format(path, names), tuple(warnings))
+
+    @classmethod
+    def find(cls, path: Path) -> PairsFile:
+        """As `read`; a missing file has no rows."""
+        return cls.read(path) if path.is_file() else cls(path, ())
+
+    def write(self) -> None:
+        """Write all rows; an unknown number stays empty."""
+        with replacing(self.path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(PAIR_COLUMNS)
+            writer.writerows(_cells(row) for row in self.rows)
+
+
+def _reader(path: Path) -> csv.DictReader[str]:
+    """Raises InputError for an unreadable file, or one without the needed columns."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(
+            path, "no such file", "a pairs.csv", "make one with: fieldlum pair SESSION"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, str(error), "a readable pairs.csv") from None
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    names = reader.fieldnames or ()
+    missing = [name for name in NEEDED if name not in names]
+    if missing:
+        raise InputError(
+            path,
+            f"no column {', '.join(missing)}",
+            f"a csv with {', '.join(NEEDED)}",
+            _separator_remedy(names),
+        )
+    return reader
+
+
+def _separator_remedy(names: Sequence[str]) -> str:
+    mark = next((mark for mark in (";", "\t") if mark in (names or ("",))[0]), "")
+    if not mark:
+        return ""
+    return f"its cells are separated by {mark!r}: save it with commas, and points in numbers"
+
+
+def _format(path: Path, names: Sequence[str]) -> int:
+    """Return the largest version in the column `format`; a file without it has version 1."""
+    if "format" not in names:
+        return 1
+    texts = {(cells["format"] or "1").strip() for cells in _reader(path)}
+    newest = max((int(text) if text.isdigit() else 1 for text in texts), default=FORMAT)
+    if newest > FORMAT:
+        raise InputError(
+            path, f"format {newest}", f"format 1 to {FORMAT}", "read it with a newer fieldlum"
+        )
+    return newest
+
+
+def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
+    if None in cells or any(value is None for value in cells.values()):
+        found = f"line {line}: another number of cells than the header"
+        raise InputError(path, found, "one cell for each column")
+
+    def number(name: str, default: float = math.nan) -> float:
+        return _number(path, line, name, cells.get(name) or "", default)
+
+    ok = _is_ok(path, line, cells.get("ok") or "")
+    text = {name: (cells.get(name) or "").strip() for name in OPTIONAL}
+    if not ok:
+        moment = _time_or_none(cells["t_utc"]) or NO_TIME
+        nan, panorama, why = math.nan, text["panorama"], text["why"]
+        return PairRow(moment, panorama, nan, nan, ok=False, why=why, line=line)
+    if not text["panorama"]:
+        found = f"line {line}: panorama is empty"
+        raise InputError(path, found, "a picture's path", "fill it, or set ok = 0")
+    return PairRow(
+        _time(path, line, cells["t_utc"]),
+        text["panorama"],
+        _irradiance(path, line, "dni_wm2", cells["dni_wm2"]),
+        _irradiance(path, line, "dhi_wm2", cells["dhi_wm2"]),
+        number("ghi_wm2"),
+        text["source"],
+        number("sun_altitude_deg"),
+        number("sun_azimuth_deg"),
+        number("steadiness", 0.0),
+        text["sunpatch"],
+        number("sun_in_map", 0.0) != 0.0,
+        why=text["why"],
+        state=text["state"],
+        line=line,
+    )
+
+
+def _time_or_none(text: str) -> datetime | None:
+    try:
+        return parse_utc(text)
+    except ValueError:
+        return None
+
+
+def _time(path: Path, line: int, text: str) -> datetime:
+    try:
+        return parse_utc(text)
+    except ValueError as error:
+        raise InputError(
+            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
+        ) from None
+
+
+def _is_ok(path: Path, line: int, text: str) -> bool:
+    """An empty cell is yes: a csv of renderings needs no verdicts. Raises InputError."""
+    word = text.strip().lower()
+    if word in _YES or word in _NO:
+        return word in _YES
+    return _number(path, line, "ok", text, 1.0) != 0.0
+
+
+def _number(path: Path, line: int, name: str, text: str, default: float) -> float:
+    if not text.strip():
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        found = f"line {line}: {name} is '{text}'"
+        raise InputError(path, found, "a number", "correct that row") from None
+    if not math.isfinite(value):
+        found = f"line {line}: {name} is {text}"
+        raise InputError(path, found, "a finite number", "correct that row or set ok = 0")
+    return value
+
+
+def _irradiance(path: Path, line: int, name: str, text: str) -> float:
+    value = _number(path, line, name, text, math.nan)
+    if not MIN_IRRADIANCE_WM2 <= value <= MAX_IRRADIANCE_WM2:
+        expected = f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2"
+        raise InputError(path, f"line {line}: {name} is '{text}'", expected, "set ok = 0")
+    return max(value, 0.0)
+
+
+def _cells(row: PairRow) -> Iterable[str]:
+    return (
+        utc_text(row.t_utc),
+        row.panorama,
+        *(_text(v, 3) for v in (row.dni_wm2, row.dhi_wm2, row.ghi_wm2)),
+        row.source,
+        *(_text(v, 5) for v in (row.sun_altitude_deg, row.sun_azimuth_deg)),
+        _text(row.steadiness, 4),
+        row.sunpatch,
+        str(int(row.sun_in_map)),
+        str(int(row.ok)),
+        row.why,
+        str(FORMAT),
+    )
+
+
+def _text(value: float, digits: int) -> str:
+    return "" if math.isnan(value) else f"{value:.{digits}f}"

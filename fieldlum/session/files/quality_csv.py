@@ -1,0 +1,58 @@
+"""panoramas/quality.csv: one row a merged bracket, for people and spreadsheets."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from fieldlum.session.writing import replacing
+
+
+@dataclass(frozen=True, slots=True)
+class QualityRow:
+    """One row; the fields are the columns. None: could not be determined, an empty cell."""
+
+    slot: str
+    t_utc: str
+    verdict: str
+    frames: int
+    residual_percent: float | None = None
+    exposure_span_percent: float | None = None
+    drift_percent: float | None = None
+    ghi_change_percent: float | None = None
+    shift_px: float | None = None
+    shift_u_px: float | None = None
+    motion_percent: float | None = None
+    clipped_percent: float | None = None
+    bloom_percent: float | None = None
+    below_noise_percent: float | None = None
+    outside_percent: float | None = None
+    u_ratio_percent: float | None = None
+    sun_lx: float | None = None
+    sun_origin: str = ""
+    vertical_illuminance_lx: float | None = None
+
+
+QUALITY_COLUMNS = tuple(field.name for field in fields(QualityRow))
+
+
+def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(QUALITY_COLUMNS)
+        writer.writerows([_text(getattr(row, name)) for name in QUALITY_COLUMNS] for row in rows)
+
+
+def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """Return the columns and the rows as text; a missing file has none."""
+    if not path.is_file():
+        return (), ()
+    with path.open(newline="", encoding="utf-8") as file:
+        head, *rows = [tuple(row) for row in csv.reader(file)] or [()]
+    return head, tuple(rows)
+
+
+def _text(value: str | float | None) -> str:
+    return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"

@@ -1,0 +1,83 @@
+"""models/NAME/scores.json: what `train --json` printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from fieldlum.errors import InputError
+from fieldlum.session.files.json_file import check_format, read_object, write_object
+
+FORMAT = 1
+_REMEDY = "train the model again"
+
+
+@dataclass(frozen=True, slots=True)
+class ScoresFile:
+    """One scores.json. models: one row a model tried, columns as `train --json` (docs/cli.md)."""
+
+    models: tuple[dict[str, Any], ...]
+    chosen: str
+    reason: str = ""
+    parameters: int = 0
+    final_fit_s: float = 0.0
+    captures: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    more: dict[str, Any] = field(default_factory=dict)  # keys that other versions add
+
+    @property
+    def chosen_row(self) -> dict[str, Any]:
+        """Raises KeyError when the chosen model has no row."""
+        for row in self.models:
+            if row.get("name") == self.chosen:
+                return row
+        raise KeyError(self.chosen)
+
+    @classmethod
+    def read(cls, folder: Path) -> ScoresFile:
+        """Raises InputError for a missing file or other content."""
+        path = folder / "scores.json"
+        table = read_object(path, "the scores of a trained model", _REMEDY)
+        check_format(table, FORMAT, path)
+        return cls.from_table(table, path)
+
+    @classmethod
+    def from_table(cls, table: dict[str, Any], path: Path) -> ScoresFile:
+        """Build from the JSON object of `path`. Raises InputError for other content."""
+        known = {field.name for field in fields(cls)} | {"format"}
+        try:
+            return cls(
+                tuple(dict(row) for row in table["models"]),
+                str(table["chosen"]),
+                str(table.get("reason", "")),
+                int(table.get("parameters") or 0),
+                float(table.get("final_fit_s") or 0.0),
+                dict(table.get("captures") or {}),
+                tuple(table.get("notes", ())),
+                {key: value for key, value in table.items() if key not in known},
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            found = f"{type(error).__name__}: {error}"
+            raise InputError(path, found, "what fieldlum train wrote", _REMEDY) from None
+
+    @classmethod
+    def find(cls, folder: Path) -> ScoresFile | None:
+        """Return None where there is no scores.json."""
+        return cls.read(folder) if (folder / "scores.json").is_file() else None
+
+    def table(self) -> dict[str, Any]:
+        """Return the object that `train --json` prints."""
+        return {
+            "models": [dict(row) for row in self.models],
+            "chosen": self.chosen,
+            "reason": self.reason,
+            "parameters": self.parameters,
+            "final_fit_s": self.final_fit_s,
+            "captures": self.captures,
+            "notes": list(self.notes),
+            **self.more,
+        }
+
+    def write(self, folder: Path) -> None:
+        write_object(folder / "scores.json", {"format": FORMAT, **self.table()})

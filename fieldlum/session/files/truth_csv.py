@@ -1,0 +1,52 @@
+"""truth/irradiance.csv: the light in which the simulated instruments are."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.records import parse_utc, utc_text
+from fieldlum.session.writing import replacing
+
+TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
+
+
+@dataclass(frozen=True, slots=True)
+class TruthIrradiance:
+    """Rows [n] in order of time; between them readers interpolate. [W/m2]"""
+
+    t_unix_s: NDArray[np.float64]
+    ghi_wm2: NDArray[np.float64]
+    dhi_wm2: NDArray[np.float64]
+    dni_wm2: NDArray[np.float64]
+
+    @classmethod
+    def read(cls, path: Path) -> TruthIrradiance:
+        """Raises InputError for other content, or rows that are not in order."""
+        expected, remedy = f"the columns {', '.join(TRUTH_COLUMNS)}", "fieldlum simulate"
+        try:
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = list(csv.DictReader(file))
+            times = np.array([parse_utc(row["t_utc"]).timestamp() for row in rows])
+            light = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS[1:]]
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise InputError(path, str(error), expected, f"write it again: {remedy}") from None
+        if len(times) < 2 or np.any(np.diff(times) <= 0) or not np.isfinite(light).all():
+            found = f"{len(times)} rows"
+            raise InputError(path, found, "two or more sorted rows of numbers", remedy)
+        return cls(times, *light)
+
+    def write(self, path: Path) -> None:
+        with replacing(path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(TRUTH_COLUMNS)
+            columns = self.t_unix_s, self.ghi_wm2, self.dhi_wm2, self.dni_wm2
+            for second, *figures in zip(*columns, strict=True):
+                moment = utc_text(datetime.fromtimestamp(float(second), UTC))
+                writer.writerow((moment, *(f"{np.nan_to_num(value):.3f}" for value in figures)))

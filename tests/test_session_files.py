@@ -1,0 +1,144 @@
+"""Files that cross from stage to stage: round trips, strict reading, grace and model class."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from places import SEATTLE
+
+from fieldlum import doctor
+from fieldlum.capture import prepare
+from fieldlum.capture.status import status
+from fieldlum.errors import InputError
+from fieldlum.plan import makeup
+from fieldlum.records import Exposure, SiteFile, Slot
+from fieldlum.session import Session, create_session, store_grace
+from fieldlum.session.files.capture_json import CaptureFile, Frame
+from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.scores_json import ScoresFile
+from fieldlum.session.files.sidecar import Sidecar
+
+NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
+SLOT = Slot(NOON, 18.0, 180.0, (Exposure(0.01, 5.6),))
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    return create_session(tmp_path / "s", SiteFile(SEATTLE), [SLOT], {"set": "test"})
+
+
+@pytest.mark.contract
+def test_status_names_the_class_of_each_model(session: Session) -> None:
+    for name, text in (("a", '{"model": "transport"}'), ("b", "{}"), ("c", "nothing")):
+        (session.models / name).mkdir(parents=True)
+        (session.models / name / "config.json").write_text(text)
+    rows = status(session)["train"]["models"]
+    assert rows == [
+        {"name": "a", "class": "transport"},
+        {"name": "b", "class": ""},
+        {"name": "c", "class": ""},
+    ]
+
+
+@pytest.mark.contract
+def test_the_grace_of_a_capture_is_known_to_doctor_and_replanning(session: Session) -> None:
+    late = NOON + timedelta(minutes=8)
+    assert doctor.owed_slots(session, late) == []
+    assert makeup.run(session, late).missed == 1
+    session.plan.write_bytes((session.root / "plan.0.csv").read_bytes())
+    store_grace(session, 900.0)
+    assert [slot.id for slot in doctor.owed_slots(session, late)] == [SLOT.id]
+    assert prepare(session, fast=False)[1].grace_s == 900.0
+    assert session.table()["plan"], "the other tables stay"
+
+
+@pytest.mark.contract
+def test_capture_json_comes_back_equal(tmp_path: Path) -> None:
+    frames = tuple(
+        Frame(k, f"{k}.dng", Exposure(0.1 / 2**k, 5.6, 100.0, "nd3"), None, NOON, 0.5, "ab")
+        for k in range(2)
+    )
+    closed = NOON + timedelta(seconds=21)
+    capture = CaptureFile(SLOT.id, frames, NOON, closed, False, "sim", 180.0, {"kind": "sim"}, 9.0)
+    capture.write(tmp_path / "capture.json")
+    assert CaptureFile.read(tmp_path / "capture.json") == capture
+    assert capture.t_mid_utc == NOON + timedelta(seconds=10.5)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("[]", "JSON of type list"),
+        ('{"format": 9}', "format 9; expected format 1 to 1"),
+        ('{"frames": []}', "no frames and no t_open_utc"),
+        ('{"frames": [{"file": "a"}]}', "KeyError: 'exposure'"),
+    ],
+)
+def test_another_capture_json_is_refused(tmp_path: Path, text: str, found: str) -> None:
+    path = tmp_path / "capture.json"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        CaptureFile.read(path)
+    assert found.split(";")[0] in str(refused.value)
+
+
+@pytest.mark.contract
+def test_pairs_come_back_equal(tmp_path: Path) -> None:
+    rows = (
+        PairRow(
+            NOON, "panoramas/a.exr", 500.0, 60.0, 281.0, "measured", 18.0, 180.0, 0.01, "p.exr"
+        ),
+        PairRow(NOON, "panoramas/b.exr", math.nan, math.nan, ok=False, why="no irradiance"),
+    )
+    PairsFile(tmp_path / "pairs.csv", rows).write()
+    read = PairsFile.read(tmp_path / "pairs.csv")
+    assert replace(read.usable[0], line=0) == rows[0]
+    assert (read.refused[0].why, read.refused[0].line) == ("no irradiance", 3)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(("cell", "ok"), [("", True), ("yes", True), ("1.0", True), ("no", False)])
+def test_ok_has_one_meaning(tmp_path: Path, cell: str, ok: bool) -> None:
+    path = tmp_path / "pairs.csv"
+    head = "t_utc,panorama,dni_wm2,dhi_wm2,ok,operator\n"
+    path.write_text(f"{head}2027-12-21T20:00:00Z,a.exr,1,2,{cell},me\n")
+    pairs = PairsFile.read(path)
+    assert (pairs.format, [row.ok for row in pairs.rows]) == (1, [ok])
+    assert pairs.warnings == ("pairs.csv: unknown column operator is ignored",)
+
+
+@pytest.mark.contract
+def test_sidecar_reads_exposures_as_text_and_as_numbers(tmp_path: Path) -> None:
+    frame = {"file": "a", "exposure": "1/250 f/5.6 ISO100", "correction": 1.0, "u_percent": 0.1}
+    numbers = {"shutter_s": 0.00400001, "f_number": 5.6, "iso": 100.0, "nd": ""}
+    for row, shutter_s in ((frame, 0.004), ({**frame, **numbers}, 0.00400001)):
+        sidecar = Sidecar("x", NOON, "good", {"frames": [row]}, size_bytes=3)
+        sidecar.write(tmp_path / "x.json")
+        read = Sidecar.read(tmp_path / "x.json")
+        assert read.frames[0].exposure == Exposure(shutter_s, 5.6, 100.0)
+        assert (read.t_utc, read.verdict, read.size_bytes) == (NOON, "good", 3)
+
+
+@pytest.mark.contract
+def test_model_config_is_strict_about_what_it_knows(tmp_path: Path) -> None:
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({"model": "transport", "height": "many"}))
+    with pytest.raises(InputError, match=r"config\.json \[height\]"):
+        ModelConfig.read(tmp_path)
+    path.write_text(json.dumps({"model": "transport", "training": {"slots": ["a"]}, "more": 1}))
+    config = ModelConfig.read(tmp_path)
+    assert (config.training.slots, config.state["more"]) == (("a",), 1)
+
+
+@pytest.mark.contract
+def test_scores_come_back_equal(tmp_path: Path) -> None:
+    scores = ScoresFile(({"name": "mean"},), "mean", "only one", 5, 0.1, {}, ("note",))
+    scores.write(tmp_path)
+    assert ScoresFile.read(tmp_path) == scores and scores.chosen_row == {"name": "mean"}
