@@ -26,7 +26,7 @@ def command() -> None:
 @click.option("--seed", default=0, show_default=True, help="Of the pixels drawn.")
 @json_option
 def fit(pairs: Path, site: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
-    """Fit north, clock, camera, windows, bars and furniture to the sun patches of captures.
+    """Find north, clock, windows and furniture from captured sun patches.
 
     Starts at the `[room]` that was measured by tape and edits nothing of yours: it writes
     scene.toml, with values before and after and their uncertainties, and pictures to check them.
