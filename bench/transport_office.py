@@ -197,7 +197,7 @@ def main() -> None:
                 f"{figures} {fitted - start:5.1f} {done - fitted:8.1f}    noise "
                 f"{model.recipe.noise:g} "
                 f"rounds {model.recipe.rounds} second {model.recipe.second:g} scale "
-                f"{model.patch_scale:.2f}",
+                f"{model.response.patch_scale:.2f}",
                 flush=True,
             )
             if options.coverage:

@@ -95,7 +95,7 @@ def run(folder: Path, sets: list[str], rooms: list[str], modes: list[str]) -> No
                     )
                     / tenth
                 )
-                physics = "used" if model.physics is not None else "dropped"
+                physics = "used" if model.response.basis.physics is not None else "dropped"
                 print(
                     f"| {folder.name} | {name} | {mode} | {what} | {each.mean():.2e} | "
                     f"{np.median(each):.1e} | "

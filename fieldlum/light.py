@@ -182,15 +182,14 @@ class Features:
     """What the kernel looks at, per unit of total light.
 
     sky [n, P] root-solid-angle weighted luminances; beam [n] the sun's share; direction [n, 3] of
-    the sun; flux [n] and cells [n, c] the direct sun that falls into view, whole and by cells,
-    where patches are known; bounced [n, k] what a coarse model of the room makes of the sun, where
-    there is one.
+    the sun; cells [n, c] the direct sun that falls into view, by cells of the picture, where
+    patches are known; bounced [n, k] what a coarse model of the room makes of the sun, where there
+    is one.
     """
 
     sky: NDArray[np.float32]
     beam: Array
     direction: Array
-    flux: Array | None = None
     cells: NDArray[np.float32] | None = None
     bounced: NDArray[np.float32] | None = None
 
@@ -202,7 +201,6 @@ class Features:
             self.sky[rows],
             self.beam[rows],
             self.direction[rows],
-            None if self.flux is None else self.flux[rows],
             None if self.cells is None else self.cells[rows],
             None if self.bounced is None else self.bounced[rows],
         )
@@ -225,15 +223,11 @@ class Kernel:
     """
 
     facades: Facades
-    constant: float = (
-        1.0  # a room that follows the total light; the sun as a whole; the sun on the ground
-    )
+    constant: float = 1.0  # a room that follows the total light; the sun; the sun on the ground
     sky: float = 2.0
     beam_width: float = 0.5
     facade: float = 1.0  # sun on the facades, smooth in its direction
-    flux_width: float = 0.8
     cells: float = 0.5
-    around: float = 0.0  # sun reflected by upright surfaces that may face any way
     bounced: float = 5.0  # what a coarse model of the room makes of the sun
 
     def __call__(self, a: Features, b: Features) -> Array:
@@ -244,11 +238,6 @@ class Kernel:
         k += self.sky * (a.sky @ b.sky.T)
         on = _facade(a, self.facades) @ _facade(b, self.facades).T
         k += self.facade * on * np.exp((cosine - 1.0) / self.beam_width**2)
-        if self.around:
-            k += self.around * beam * _upright(a.direction, b.direction)
-        if a.flux is not None and b.flux is not None:
-            smooth = np.exp((cosine - 1.0) / self.flux_width**2) + self.constant
-            k += np.outer(a.flux, b.flux) * smooth
         if a.cells is not None and b.cells is not None:
             k += self.cells * (a.cells @ b.cells.T)
         if a.bounced is not None and b.bounced is not None:
@@ -260,10 +249,6 @@ class Kernel:
         k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
         k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
         k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
-        if self.around:
-            k += self.around * a.beam**2 * (a.direction[:, :2] ** 2).sum(axis=1)
-        if a.flux is not None:
-            k += a.flux**2 * (1.0 + self.constant)
         if a.cells is not None:
             k += self.cells * np.einsum("ij,ij->i", a.cells, a.cells)
         if a.bounced is not None:
@@ -279,19 +264,6 @@ def _facade(a: Features, facades: Facades) -> Array:
     """The beam's share on each facade, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
-
-
-def _upright(a: Array, b: Array) -> Array:
-    """Covariance of the light on matt upright surfaces of all azimuths alike, 1 for the same sun on
-    the horizon.
-
-    The integral of max(0, a.n) max(0, b.n) over horizontal n: the arc-cosine kernel of order one
-    (Cho and Saul 2009) in the plane.
-    """
-    length = np.outer(np.hypot(a[:, 0], a[:, 1]), np.hypot(b[:, 0], b[:, 1]))
-    cosine = np.clip(a[:, :2] @ b[:, :2].T / np.maximum(length, 1e-12), -1.0, 1.0)
-    angle = np.arccos(cosine)
-    return length * (np.sin(angle) + (np.pi - angle) * cosine) / np.pi
 
 
 # ----------------------------------------------------------------------------------------------

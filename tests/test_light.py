@@ -33,7 +33,7 @@ def some_light(count: int = 40, seed: int = 1) -> Light:
 
 
 LIGHT = some_light()
-KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown(), around=0.5)]
+KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown(), cells=1.0)]
 
 
 @pytest.mark.analytic
@@ -73,7 +73,6 @@ def test_kernel_with_patch_is_a_covariance() -> None:
     rng = np.random.default_rng(3)
     f = replace(
         light_features(LIGHT),
-        flux=rng.uniform(0, 1, 40),
         cells=rng.uniform(0, 1, (40, 9)).astype(np.float32),
     )
     kernel = KERNELS[0]

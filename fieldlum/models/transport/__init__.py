@@ -2,6 +2,7 @@
 docs/models/transport.md.
 """
 
-from fieldlum.models.transport.model import Transport, fit, from_state
+from fieldlum.models.transport.model import Transport, fit
+from fieldlum.models.transport.stored import from_state
 
 __all__ = ["Transport", "fit", "from_state"]

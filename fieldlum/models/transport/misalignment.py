@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.light import Kernel, facades_of
+from fieldlum.models.transport.features import LEAST_CDM2, direct_flux_lx, training_arrays_of
 from fieldlum.models.transport.pixel_fit import Recipe, basis_of, fit_pixels
-from fieldlum.models.transport.training_arrays import LEAST_CDM2, material_of, patch_flux
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def evidence_of(data: Dataset) -> Evidence | None:
     """None without patches or with fewer than three hours of direct sun in view."""
     if data.patch_cdm2 is None:
         return None
-    flux = patch_flux(data.patch_cdm2, ~data.seen)[0]
+    flux = direct_flux_lx(data.patch_cdm2, ~data.seen)
     order = np.argsort(flux)[::-1][:HOURS]
     rows = np.sort(order[flux[order] > FAINT * flux.max()])
     if len(rows) < LEAST_HOURS:
@@ -191,17 +191,17 @@ def _without_patches(data: Dataset, pixels: NDArray[np.intp]) -> tuple[Array, Ar
     """
     only = np.zeros(data.seen.size, bool)
     only[pixels] = True
-    material = material_of(replace(data, seen=only.reshape(data.shape)), with_patch=False)
+    arrays = training_arrays_of(replace(data, seen=only.reshape(data.shape)), with_patch=False)
     kernel = Kernel(facades_of(data.setup.room))
-    basis = basis_of(kernel(material.features, material.features), WITHOUT_PATCH.rank)
-    found = fit_pixels(material, basis, WITHOUT_PATCH)
+    basis = basis_of(kernel(arrays.features, arrays.features), WITHOUT_PATCH.rank)
+    found = fit_pixels(arrays, basis, WITHOUT_PATCH)
     surface = (
         np.maximum(basis.values @ found.b.T, found.least)
-        * material.light.total_lx[:, None]
+        * arrays.light.total_lx[:, None]
         * found.scale
     )
-    background = surface + found.sky_gain * material.sky
-    return np.maximum(material.luminance, LEAST_CDM2), np.maximum(background, LEAST_CDM2)
+    background = surface + found.sky_gain * arrays.sky
+    return np.maximum(arrays.luminance, LEAST_CDM2), np.maximum(background, LEAST_CDM2)
 
 
 def _brightness(excess: Array, patch: Array) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -84,16 +84,29 @@ class Physics:
 
 
 def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Physics | None:
-    """The room's physics with its norm set on the captured hours; None without a box room or
-    without any sun.
+    """Return the room's physics with its norm set on the captured hours; None without a box room
+    or without any sun.
     """
     room = setup.room
     if room is None or room.kind != "box" or not room.window:
         return None
+    rough = _modes_of(setup)
+    size = np.linalg.norm(rough.features(light), axis=1)  # [n]
+    sunny = (light.direct_lx > FAINT_SUN_LX) & (size > 0.0)
+    if not sunny.any():
+        return None
+    share = size[sunny] * light.total_lx[sunny] / light.direct_lx[sunny]
+    return replace(rough, norm=float(np.percentile(share, 75)))
+
+
+@lru_cache(maxsize=4)
+def _modes_of(setup: SiteFile) -> Physics:
+    """Gather the room's light between surfaces once: training fits the same room some 20 times."""
     from fieldlum.simulate.gather import FIRST_PIECE
     from fieldlum.simulate.truth import ground_truth
 
-    truth = ground_truth(setup, height=HEIGHT, quality=QUALITY, progress=progress)
+    assert setup.room is not None
+    truth = ground_truth(setup, height=HEIGHT, quality=QUALITY)
     reflect = (truth.pieces.reflectance / np.pi).astype(np.float32)
     seen = (truth.to_pixels @ truth.from_points[:, FIRST_PIECE:]).toarray()
     bounce = truth.from_pieces[:, FIRST_PIECE:].multiply(reflect[:, None]).T.tocsr()
@@ -103,8 +116,8 @@ def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Phy
     whole = whole * reflect * np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).ravel()[:, None]
     _, values, modes = np.linalg.svd(whole, full_matrices=False)
     pieces = truth.pieces
-    rough = Physics(
-        room,
+    return Physics(
+        setup.room,
         np.asarray(values[:MODES, None] * modes[:MODES], np.float32),
         pieces.position.astype(np.float32),
         pieces.axis[pieces.piece],
@@ -112,9 +125,3 @@ def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Phy
         pieces.share.astype(np.float32),
         pieces.piece.astype(np.int32),
     )
-    size = np.linalg.norm(rough.features(light), axis=1)
-    sunny = (light.direct_lx > FAINT_SUN_LX) & (size > 0.0)
-    if not sunny.any():
-        return None
-    share = size[sunny] * light.total_lx[sunny] / light.direct_lx[sunny]
-    return replace(rough, norm=float(np.percentile(share, 75)))

@@ -1,41 +1,34 @@
-"""The fit: features from the kernel, per-pixel ridge, robust rounds, and what held-out days say
-about it.
-"""
+"""The fit of all pixels: features from the kernel, ridge for each pixel, robust rounds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import UTC
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum import sun
 from fieldlum.light import Kernel, Light
-from fieldlum.models.transport.solve import (
+from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays, pixel_scale
+from fieldlum.models.transport.ridge import (
     Columns,
     each_chunk,
-    held_out_days,
-    held_out_days_shared,
     pair_products,
     solve,
 )
-from fieldlum.models.transport.training_arrays import LEAST_CDM2, Material, pixel_scale
 
 Array = NDArray[Any]
 
 RANK = 100
-FLOOR_CDM2 = 1.0  # scores look no deeper (the paper's floor)
 SKY_GAIN_VARIANCE = 0.04
+LOG_STEPS = 2  # unbiased solves after the first fit
+LOG_STEP_FROM = 0.03  # rms log error under which the bias (1.5 of its square) is below 0.2 %
 ROBUST_WIDTH = 0.15  # log residual at which a capture counts half
 SECOND_NOISE = 0.06
 SECOND_SEASON = 0.02  # variance of what changes with the season whether the sun shines or not
 # of its usual light: a pixel darker than that (a hand before the lens) gets no more weight
 DARK_SHARE = 0.03
-ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
-SEASONS_APART_DEG = 10.0  # gap in the declinations of the captures' days that parts two seasons
 LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no lower
 
 
@@ -66,7 +59,7 @@ class Basis:
 
 
 def basis_of(covariance: Array, rank: int) -> Basis:
-    """The `rank` largest eigenfeatures, those of a millionth of the largest left out."""
+    """Return the `rank` largest eigenfeatures, without those under a millionth of the largest."""
     value, vector = np.linalg.eigh(covariance)
     keep = np.argsort(value)[::-1][:rank]
     keep = keep[value[keep] > 1e-6 * value[keep[0]]]
@@ -94,44 +87,47 @@ class PixelFit:
     second: NDArray[np.floating]
 
 
-def _teaching(material: Material, recipe: Recipe) -> Material:
+def light_arrays(arrays: TrainingArrays, recipe: Recipe) -> TrainingArrays:
     """What the light is learnt from."""
-    return replace(material, patch=None) if recipe.below else material
+    return replace(arrays, patch=None) if recipe.below else arrays
 
 
-def _with_patches(surface: Array, material: Material, unit: Array, recipe: Recipe) -> Array:
+def with_patches(surface: Array, arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Array:
     """A fit and the patches that it was not taught, [n, P]."""
-    return (
-        surface + material.patch / unit if recipe.below and material.patch is not None else surface
-    )
+    return surface + arrays.patch / unit if recipe.below and arrays.patch is not None else surface
 
 
-def _columns(material: Material, unit: Array, recipe: Recipe) -> Columns:
+def _columns(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
     """Patch (where there is one) and window sky in units of total light and pixel scale."""
-    sky = material.sky / unit
-    if material.patch is None:
+    sky = arrays.sky / unit
+    if arrays.patch is None:
         return Columns(sky[None], np.ones(1), np.array([SKY_GAIN_VARIANCE]))
-    values = np.stack((material.patch / unit, sky))
+    values = np.stack((arrays.patch / unit, sky))
     return Columns(values, np.ones(2), np.array([recipe.patch_variance, SKY_GAIN_VARIANCE]))
 
 
 @dataclass(frozen=True, slots=True)
-class _Fitted:
+class ChunkFit:
+    """The fit of some pixels. target [n, P]: captured light in units of the scale; response,
+    weights [n, P]: what the last solve fitted, and how much each value counted.
+    """
+
     columns: Columns
     target: Array
+    response: Array
     weights: Array
-    b: Array
-    gains: Array
+    b: Array  # [P, r]
+    gains: Array  # [P, k]
 
 
-def _fit_chunk(
-    material: Material, scale: Array, basis: Basis, recipe: Recipe, products: tuple
-) -> _Fitted:
-    unit = material.light.total_lx[:, None] * scale
-    seen = np.maximum(material.luminance, LEAST_CDM2)
-    target = seen / unit
-    columns = _columns(material, unit, recipe)
-    trust = np.where(material.filled, 0.0, material.sureness[:, None])
+def fit_chunk(
+    arrays: TrainingArrays, scale: Array, basis: Basis, recipe: Recipe, products: tuple
+) -> ChunkFit:
+    """Fit some pixels: relative errors, then robust rounds, then the unbiased solves."""
+    unit = arrays.light.total_lx[:, None] * scale  # [n, P]
+    target = np.maximum(arrays.luminance, LEAST_CDM2) / unit
+    columns = _columns(arrays, unit, recipe)
+    trust = np.where(arrays.filled, 0.0, arrays.sureness[:, None])
     usual = np.exp(np.mean(np.log(target), axis=0))
     weights = trust / np.maximum(target, DARK_SHARE * usual) ** 2
     b, gains = solve(basis.values, columns, target, weights, recipe.noise, products)
@@ -140,15 +136,50 @@ def _fit_chunk(
         near = np.clip(found, 0.2 * target, 5.0 * target)
         weights = trust / (target * near) / (1.0 + (np.log(near / target) / ROBUST_WIDTH) ** 2)
         b, gains = solve(basis.values, columns, target, weights, recipe.noise, products)
-    return _Fitted(columns, target, weights, b, gains)
+    fit = ChunkFit(columns, target, target.copy(), weights, b, gains)
+    for _ in range(LOG_STEPS):
+        _log_step(fit, trust, basis, recipe, products)
+    return fit
 
 
-def _least(material: Material, fit: _Fitted, basis: Basis, scale: Array) -> Array:
+def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, products: tuple) -> None:
+    """Take one Gauss-Newton step (in place) towards the least squared error of the logarithm.
+
+    Weights 1 / y^2 favour hours whose y came out too small by noise: at 20 % noise of the level the
+    fit is 6 % too dark. Squared log errors, linearised about the fit f, are ridge again, with
+    response f (1 + ln(y / f)) and weights 1 / f^2. The prior shrinks the level too, so that a last
+    factor makes the mean signed log error zero. Pixels that fit within LOG_STEP_FROM already are
+    left as they are.
+    """
+    found = basis.values @ fit.b.T + np.einsum("knp,pk->np", fit.columns.values, fit.gains)
+    near = np.clip(found, 0.2 * fit.target, 5.0 * fit.target)  # [n, P]
+    error = np.log(fit.target / near)
+    count = np.maximum(trust.sum(axis=0), 1e-9)
+    rows = np.flatnonzero(np.sqrt((trust * error**2).sum(axis=0) / count) > LOG_STEP_FROM)
+    if not len(rows):
+        return
+    near, error, trust = near[:, rows], error[:, rows], trust[:, rows]
+    usual = np.exp(np.mean(np.log(fit.target[:, rows]), axis=0))
+    weights = trust / np.maximum(near, DARK_SHARE * usual) ** 2
+    if recipe.rounds:
+        weights /= 1.0 + (error / ROBUST_WIDTH) ** 2
+    response = near * (1.0 + error)
+    columns = fit.columns[rows]
+    b, gains = solve(basis.values, columns, response, weights, recipe.noise, products)
+    found = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
+    left = np.log(fit.target[:, rows] / np.clip(found, 0.2 * near, 5.0 * near))
+    counts = weights * near**2  # trust, and robust weights
+    factor = np.exp((counts * left).sum(axis=0) / np.maximum(counts.sum(axis=0), 1e-9))  # [rows]
+    fit.response[:, rows], fit.weights[:, rows] = response, weights
+    fit.b[rows], fit.gains[rows] = b * factor[:, None], gains * factor[:, None]
+
+
+def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Array) -> Array:
     """The surface part may not fall under a share of the least that was seen or fitted."""
-    unit = material.light.total_lx[:, None] * scale
-    direct = material.sky if material.patch is None else material.sky + material.patch
-    seen = np.maximum(material.luminance - direct, 0.02 * material.luminance) / unit
-    darkest = np.where(material.filled, np.inf, seen).min(axis=0)
+    unit = arrays.light.total_lx[:, None] * scale
+    direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
+    seen = np.maximum(arrays.luminance - direct, 0.02 * arrays.luminance) / unit
+    darkest = np.where(arrays.filled, np.inf, seen).min(axis=0)
     fitted = basis.values @ fit.b.T
     return LEAST_SHARE * np.maximum(np.minimum(fitted.min(axis=0), darkest), 0.03)
 
@@ -172,36 +203,36 @@ def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width:
 
 
 def fit_pixels(
-    material: Material,
+    arrays: TrainingArrays,
     basis: Basis,
     recipe: Recipe,
     tick: Callable[[int, int], None] = lambda done, total: None,
 ) -> PixelFit:
     """Fit all pixels in chunks of bounded memory."""
-    count, r = material.luminance.shape[1], basis.values.shape[1]
+    count, r = arrays.luminance.shape[1], basis.values.shape[1]
     products = pair_products(basis.values)
-    taught = _teaching(material, recipe)
+    taught = light_arrays(arrays, recipe)
     out = PixelFit(
         pixel_scale(taught),
         np.empty((count, r), np.float32),
         np.ones(count),
         np.ones(count),
         np.empty(count),
-        np.empty((len(material.light) if recipe.second else 0, count), np.float32),
+        np.empty((len(arrays.light) if recipe.second else 0, count), np.float32),
     )
-    inverse = second_inverse(material, recipe)
+    inverse = second_inverse(arrays, recipe)
 
     def one(part: slice) -> None:
         some, scale = taught[part], out.scale[part]
-        fit = _fit_chunk(some, scale, basis, recipe, products)
+        fit = fit_chunk(some, scale, basis, recipe, products)
         out.b[part], out.sky_gain[part] = fit.b, np.maximum(fit.gains[:, -1], 0.0)
         if taught.patch is not None:
             out.patch_gain[part] = np.maximum(fit.gains[:, 0], 0.0)
-        out.least[part] = _least(some, fit, basis, scale)
+        out.least[part] = least_surface(some, fit, basis, scale)
         if recipe.second:
             found = compose(basis.values @ fit.b.T, out.least[part], fit.gains, fit.columns.values)
-            found = _with_patches(
-                found, material[part], material.light.total_lx[:, None] * scale, recipe
+            found = with_patches(
+                found, arrays[part], arrays.light.total_lx[:, None] * scale, recipe
             )
             out.second[:, part] = inverse @ np.log(fit.target / found)
 
@@ -210,176 +241,43 @@ def fit_pixels(
     return out
 
 
-def second_inverse(material: Material, recipe: Recipe) -> Array:
+def second_inverse(arrays: TrainingArrays, recipe: Recipe) -> Array:
     if not recipe.second:
         return np.empty((0, 0))
-    own = second_own(material, recipe)
+    own = second_own(arrays, recipe)
     return np.linalg.inv(own + SECOND_NOISE * np.eye(len(own)))
 
 
-def second_own(material: Material, recipe: Recipe) -> Array:
-    share = material.features.beam
-    return second_covariance(material.light, material.light, share, share, recipe.second)
+def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
+    share = arrays.features.beam
+    return second_covariance(arrays.light, arrays.light, share, share, recipe.second)
 
 
-# ----------------------------------------------------------------------------------------------
-# held-out days
-
-
-def _declination_deg(days: NDArray) -> Array:
-    """The sun's declination at the beginning of each day, [n]."""
-    names, inverse = np.unique(days.astype("datetime64[D]"), return_inverse=True)
-    return sun.declination_deg(
-        [day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()]
-    )[inverse]
-
-
-def one_season(days: NDArray) -> bool:
-    """Whether the sun's declination hardly moved between the captures' days: what they say of
-    others is little.
-    """
-    return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
-
-
-def seasons(days: NDArray) -> NDArray[np.intp]:
-    """Number of the season that each day belongs to: declinations with a gap between them are of
-    two, [n].
-    """
-    declination = _declination_deg(days)
-    known = np.unique(declination)
-    starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
-    return np.searchsorted(starts, declination, side="right")
-
-
-@dataclass(frozen=True, slots=True)
-class HeldOutFit:
-    """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of
-    1 cd/m2; sureness [n] of the hours.
-    """
-
-    luminance: Array
-    error: Array
-    scale: Array
-    sureness: Array
-
-    @property
-    def per_hour(self) -> Array:
-        """Mean squared error [n]."""
-        return (self.error**2).mean(axis=1)
-
-    @property
-    def judged(self) -> Array:
-        """What choices are made by, [n]: as `per_hour`, but an hour of unsteady light counts
-        less.
-        """
-        return self.per_hour * self.sureness / self.sureness.mean()
-
-
-def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
-    """log10 error with both sides floored."""
-    return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
-
-
-@dataclass(frozen=True, slots=True)
-class _First:
-    """The first stage's prediction of each hour without its day, and what was seen, [n, P] in
-    units of the scale.
-    """
-
-    found: Array
-    target: Array
-    scale: Array
-
-
-def _hold_out_first(material: Material, basis: Basis, recipe: Recipe) -> _First:
-    """Leave one day out in closed form: features, robust weights and pixel scales are those of
-    the full fit.
-    """
-    taught = _teaching(material, recipe)
-    scale = pixel_scale(taught)
-    fit = _fit_chunk(taught, scale, basis, recipe, pair_products(basis.values))
-    least = _least(taught, fit, basis, scale)
-    whole = held_out_days(
-        basis.values, fit.columns, fit.target, fit.weights, recipe.noise, material.days
-    )
-    direct = np.einsum("knp,pk->np", fit.columns.values, fit.gains)
-    found = compose(whole - direct, least, fit.gains, fit.columns.values)
-    found = _with_patches(found, material, material.light.total_lx[:, None] * scale, recipe)
-    return _First(found, fit.target, scale)
-
-
-def hold_out(
-    material: Material, basis: Basis, recipe: Recipe, first: _First | None = None
-) -> HeldOutFit:
-    """What each hour would be predicted as by the others without its day; `first` where it is
-    known already.
-    """
-    first = first or _hold_out_first(material, basis, recipe)
-    found = first.found
-    if recipe.second:
-        residual = np.log(first.target / found)
-        own = second_own(material, recipe)
-        found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, material.days))
-    luminance = found * material.light.total_lx[:, None] * first.scale
-    return HeldOutFit(
-        luminance, score(luminance, material.luminance), first.scale, material.sureness
-    )
-
-
-def hold_out_seasons(material: Material, basis: Basis, recipe: Recipe) -> HeldOutFit | None:
-    """As `hold_out` with whole seasons left out; None where there are no gaps between seasons."""
-    groups = seasons(material.days)
-    return hold_out(replace(material, days=groups), basis, recipe) if groups.max() > 0 else None
-
-
-def find_patch_gain(material: Material, kernel: Kernel, noise: float = 1e-2) -> float:
+def find_patch_gain(arrays: TrainingArrays, kernel: Kernel, noise: float = 1e-2) -> float:
     """One factor for all patches of unknown scale.
 
     Starts at the median of (L - median(L / E) E) / s over lit entries, then three times a robust
     fit of pixels that are lit at least three times. 1.0 when no pixel ever is.
     """
-    patch = material.patch
+    patch = arrays.patch
     assert patch is not None
-    total = material.light.total_lx[:, None]
+    total = arrays.light.total_lx[:, None]
     lit = patch > 0.02 * np.percentile(patch[patch > 0], 95) if (patch > 0).any() else patch > 0
     often = np.flatnonzero(lit.sum(axis=0) >= 3)
     if not len(often):
         return 1.0
     often = often[:: max(1, len(often) // 600)]
-    some = material[often]
+    some = arrays[often]
     shown = np.maximum(patch[:, often], 1e-9)
     plain = np.median(some.luminance / total, axis=0) * total
     gain = float(np.median(((some.luminance - plain) / shown)[lit[:, often]]))
     gain = gain if gain > 0 else 1.0
     recipe = Recipe(noise, patch_variance=1.0, rounds=3, rank=30)
-    basis = basis_of(kernel(material.features, material.features), recipe.rank)
+    basis = basis_of(kernel(arrays.features, arrays.features), recipe.rank)
     products = pair_products(basis.values)
     for _ in range(3):
         scaled = some.with_patch_scaled(gain)
-        fit = _fit_chunk(scaled, pixel_scale(scaled), basis, recipe, products)
+        fit = fit_chunk(scaled, pixel_scale(scaled), basis, recipe, products)
         positive = fit.gains[fit.gains[:, 0] > 0, 0]
         gain *= float(np.median(positive)) if len(positive) else 1.0
     return gain
-
-
-def choose(
-    material: Material, basis: Basis, recipes: list[Recipe]
-) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
-    """The recipe of least error on held-out days, and the table (recipe, error, its standard
-    error over days).
-    """
-    table, firsts = [], dict[Recipe, _First]()
-    for recipe in recipes:
-        alone = replace(recipe, second=0.0)
-        if alone not in firsts:
-            firsts[alone] = _hold_out_first(material, basis, recipe)
-        judged = hold_out(material, basis, recipe, firsts[alone]).judged
-        table.append((recipe, float(judged.mean()), day_standard_error(judged, material.days)))
-    return min(table, key=lambda row: row[1])[0], table
-
-
-def day_standard_error(per_hour: Array, days: NDArray) -> float:
-    """Standard error of the mean over hours, days being what is independent."""
-    sums = np.array([(per_hour[days == day] - per_hour.mean()).sum() for day in np.unique(days)])
-    count = len(sums)
-    return float(np.sqrt((sums**2).sum() * count / max(count - 1, 1)) / len(per_hour))

@@ -5,29 +5,36 @@ many features.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import UTC
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum import sun
 from fieldlum.light import Features, Kernel
-from fieldlum.models import Patch
+from fieldlum.models.transport.features import TrainingArrays, pixel_scale
 from fieldlum.models.transport.pixel_fit import (
     RANK,
+    SECOND_NOISE,
     Basis,
-    HeldOutFit,
     Recipe,
     basis_of,
-    choose,
-    day_standard_error,
-    hold_out,
+    compose,
+    fit_chunk,
     leading,
-    one_season,
+    least_surface,
+    light_arrays,
+    second_own,
+    with_patches,
 )
-from fieldlum.models.transport.training_arrays import Material
+from fieldlum.models.transport.ridge import held_out_days, held_out_days_shared, pair_products
 
 Array = NDArray[Any]
 
+FLOOR_CDM2 = 1.0  # scores look no deeper (the paper's floor)
+ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
+SEASONS_APART_DEG = 10.0  # gap in the declinations of the captures' days between two seasons
 NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 ONE_SEASON_NOISE = (
     3e-3  # held-out days of one season know nothing of the others: take no less noise than this
@@ -41,8 +48,144 @@ SECOND_WIDTHS = (
     0.15,
     0.2,
 )  # chord of the sun's direction within which a sun patch was still the same
+PATCH_GAIN_VARIANCE = 0.0025  # prior variance of a pixel's patch gain
 FEWER = (40, 60)  # numbers of features tried before RANK of them; under forty captures all are kept
 FEWER_COST = 1.05  # of the held-out error of RANK features: what fewer may cost
+
+
+# ----------------------------------------------------------------------------------------------
+# held-out days
+
+
+def _declination_deg(days: NDArray) -> Array:
+    """The sun's declination at the beginning of each day, [n]."""
+    names, inverse = np.unique(days.astype("datetime64[D]"), return_inverse=True)
+    return sun.declination_deg(
+        [day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()]
+    )[inverse]
+
+
+def one_season(days: NDArray) -> bool:
+    """Whether the sun's declination hardly moved between the captures' days: what they say of
+    others is little.
+    """
+    return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
+
+
+def seasons(days: NDArray) -> NDArray[np.intp]:
+    """Number of the season that each day belongs to: declinations with a gap between them are of
+    two, [n].
+    """
+    declination = _declination_deg(days)
+    known = np.unique(declination)
+    starts = known[1:][np.diff(known) > SEASONS_APART_DEG]
+    return np.searchsorted(starts, declination, side="right")
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutFit:
+    """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of
+    1 cd/m2; sureness [n] of the hours.
+    """
+
+    luminance: Array
+    error: Array
+    scale: Array
+    sureness: Array
+
+    @property
+    def per_hour(self) -> Array:
+        """Mean squared error [n]."""
+        return (self.error**2).mean(axis=1)
+
+    @property
+    def judged(self) -> Array:
+        """What choices are made by, [n]: as `per_hour`, but an hour of unsteady light counts
+        less.
+        """
+        return self.per_hour * self.sureness / self.sureness.mean()
+
+
+def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
+    """log10 error with both sides floored."""
+    return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
+
+
+@dataclass(frozen=True, slots=True)
+class _First:
+    """The first stage's prediction of each hour without its day, and what was seen, [n, P] in
+    units of the scale.
+    """
+
+    found: Array
+    target: Array
+    scale: Array
+
+
+def _hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> _First:
+    """Leave one day out in closed form: features, robust weights and pixel scales are those of
+    the full fit.
+    """
+    taught = light_arrays(arrays, recipe)
+    scale = pixel_scale(taught)
+    fit = fit_chunk(taught, scale, basis, recipe, pair_products(basis.values))
+    least = least_surface(taught, fit, basis, scale)
+    whole = held_out_days(
+        basis.values, fit.columns, fit.response, fit.weights, recipe.noise, arrays.days
+    )
+    direct = np.einsum("knp,pk->np", fit.columns.values, fit.gains)
+    found = compose(whole - direct, least, fit.gains, fit.columns.values)
+    found = with_patches(found, arrays, arrays.light.total_lx[:, None] * scale, recipe)
+    return _First(found, fit.target, scale)
+
+
+def hold_out(
+    arrays: TrainingArrays, basis: Basis, recipe: Recipe, first: _First | None = None
+) -> HeldOutFit:
+    """What each hour would be predicted as by the others without its day; `first` where it is
+    known already.
+    """
+    first = first or _hold_out_first(arrays, basis, recipe)
+    found = first.found
+    if recipe.second:
+        residual = np.log(first.target / found)
+        own = second_own(arrays, recipe)
+        found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, arrays.days))
+    luminance = found * arrays.light.total_lx[:, None] * first.scale
+    return HeldOutFit(luminance, score(luminance, arrays.luminance), first.scale, arrays.sureness)
+
+
+def hold_out_seasons(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> HeldOutFit | None:
+    """As `hold_out` with whole seasons left out; None where there are no gaps between seasons."""
+    groups = seasons(arrays.days)
+    return hold_out(replace(arrays, days=groups), basis, recipe) if groups.max() > 0 else None
+
+
+def choose(
+    arrays: TrainingArrays, basis: Basis, recipes: list[Recipe]
+) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
+    """The recipe of least error on held-out days, and the table (recipe, error, its standard
+    error over days).
+    """
+    table, firsts = [], dict[Recipe, _First]()
+    for recipe in recipes:
+        alone = replace(recipe, second=0.0)
+        if alone not in firsts:
+            firsts[alone] = _hold_out_first(arrays, basis, recipe)
+        judged = hold_out(arrays, basis, recipe, firsts[alone]).judged
+        table.append((recipe, float(judged.mean()), day_standard_error(judged, arrays.days)))
+    return min(table, key=lambda row: row[1])[0], table
+
+
+def day_standard_error(per_hour: Array, days: NDArray) -> float:
+    """Standard error of the mean over hours, days being what is independent."""
+    sums = np.array([(per_hour[days == day] - per_hour.mean()).sum() for day in np.unique(days)])
+    count = len(sums)
+    return float(np.sqrt((sums**2).sum() * count / max(count - 1, 1)) / len(per_hour))
+
+
+# ----------------------------------------------------------------------------------------------
+# choices
 
 
 def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
@@ -55,13 +198,12 @@ def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
     ]
 
 
-def recipes_for(patch: Patch, one_season: bool) -> list[Recipe]:
-    """What held-out days choose among, plainest first."""
+def recipes_for(with_patch: bool, one_season: bool) -> list[Recipe]:
+    """Return what held-out days choose among, plainest first."""
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
-    if patch == "none":
+    if not with_patch:
         return _below(one_season)
-    variance = 0.0625 if patch == "gain" else 0.0025
-    plain = [Recipe(s, variance, rounds=1 if patch == "gain" else 0) for s in noises]
+    plain = [Recipe(s, PATCH_GAIN_VARIANCE) for s in noises]
     robust = [Recipe(s, 0.0625, rounds=3, second=0.15) for s in (1e-2, 3e-2)]
     return plain + robust
 
@@ -82,14 +224,15 @@ class SelectedRecipe:
 
 
 def choose_model(
-    drawn: Material, kernel: Kernel, patch: Patch, bounced: NDArray[np.float32] | None
+    drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
 ) -> SelectedRecipe:
-    """What serves held-out days best, asked of the pixels `drawn`; bounced: what a room model
-    makes of the sun.
+    """Return what serves held-out days best, at the pixels `drawn`.
+
+    bounced [n, k]: what a coarse model of the room makes of the sun.
     """
-    alike = one_season(drawn.days)
-    chosen = _choose_kernel(drawn, kernel, recipes_for(patch, alike), bounced)
-    if patch != "none" and chosen.recipe.second:
+    alike, with_patch = one_season(drawn.days), drawn.patch is not None
+    chosen = _choose_kernel(drawn, kernel, recipes_for(with_patch, alike), bounced)
+    if with_patch and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
     # Days of one season do not know what others need; errors of unknown patches hide what fewer
     # features cost.
@@ -97,7 +240,10 @@ def choose_model(
 
 
 def _choose_kernel(
-    drawn: Material, kernel: Kernel, recipes: list[Recipe], bounced: NDArray[np.float32] | None
+    drawn: TrainingArrays,
+    kernel: Kernel,
+    recipes: list[Recipe],
+    bounced: NDArray[np.float32] | None,
 ) -> SelectedRecipe:
     """The kernel and recipe that serve held-out days best, asked of some pixels.
 
@@ -124,7 +270,7 @@ def _choose_kernel(
 
 
 def _doubted(
-    drawn: Material,
+    drawn: TrainingArrays,
     kernel: Kernel,
     one_season: bool,
     bounced: NDArray[np.float32] | None,
@@ -133,13 +279,13 @@ def _doubted(
     """Where held-out days had to mend patches, they are asked too whether the light is better
     learnt without them.
     """
-    bare = replace(drawn, features=replace(drawn.features, flux=None, cells=None))
+    bare = replace(drawn, features=replace(drawn.features, cells=None))
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
     best = doubting if doubting.held.judged.mean() < trusting.held.judged.mean() else trusting
     return replace(best, table=[*trusting.table, *doubting.table])
 
 
-def fewest_features(drawn: Material, chosen: SelectedRecipe) -> SelectedRecipe:
+def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
     """No more features than held-out days ask for: the first of FEWER that costs at most 5 % of the
     error of them all.
 

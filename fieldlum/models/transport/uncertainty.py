@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Light
-from fieldlum.models.transport.pixel_fit import (
+from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
+from fieldlum.models.transport.pixel_fit import SECOND_NOISE, SECOND_SEASON, Recipe, second_own
+from fieldlum.models.transport.selection import (
     FLOOR_CDM2,
-    SECOND_SEASON,
     HeldOutFit,
+    SelectedRecipe,
     one_season,
     seasons,
 )
-from fieldlum.models.transport.training_arrays import LEAST_CDM2, Material
 
 Array = NDArray[Any]
 
@@ -58,14 +59,16 @@ def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Trust:
-    """inverse [n, n] of (K + noise over sureness); novelty that a held-out day had at most;
+class Uncertainty:
+    """How far each pixel and hour may be off.
+
+    inverse [n, n]: of kernel + noise over sureness; novelty: the most that a held-out day had;
     factors on the standard deviation in overcast, intermediate and clear hours, by held-out days
-    and, where there are several, by held-out seasons [1 or 2, 3], and the predictive variances
-    that these had [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out
-    error to its guess; second [n, n]: as inverse, of the second stage (n may be 0); slip_deg:
-    how far the computed sun patches lie beside the captured ones, where the captures say so
-    (`setting`).
+    and, where there are several, by held-out seasons [1 or 2, 3], and the predictive variances of
+    both [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out error to its
+    guess; second [n, n]: as inverse, of the second stage (n may be 0); noise_dull, noise_sun [P]:
+    residual sd of ln L in overcast hours, and its growth with the sun; slip_deg: distance of the
+    computed sun patches from the captured ones, where `setting_scan` finds one.
     """
 
     inverse: Array
@@ -75,27 +78,60 @@ class Trust:
     patch: float
     mse: float
     second: Array
+    noise_dull: NDArray[np.floating]
+    noise_sun: NDArray[np.floating]
     slip_deg: float = 0.0
 
     def variance(self, cross: Array, own: Array) -> Array:
-        """Predictive variance of hours with covariance `cross` [m, n] to the captures and `own`
-        [m] prior variance.
+        """Return the predictive variance of hours, [m].
+
+        cross [m, n]: covariance to the captures; own [m]: prior variance.
         """
         return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
 
-    def sun_doubt(self, beam: Array, cross: Array) -> Array:
-        """What a pixel's sun noise is multiplied by, [m]: the sun's share; with a second stage,
-        how far the sun stands from where it was captured. cross [m, n]: covariance of the second
-        stage.
+    def log10_sd(
+        self,
+        surface_share: NDArray[np.floating],
+        patch_share: NDArray[np.floating] | float,
+        variance: Array,
+        beam: Array,
+        cross_second: Array,
+    ) -> NDArray[np.floating]:
+        """Return the standard deviation of log10 L, [m, P]; at most a factor of ten.
+
+        surface_share [m, P]: unit of the pixel over L; patch_share: patch over L; beam [m]: the
+        sun's share of the light; cross_second [m, n or 0]: covariance of the second stage.
+        """
+        kind = surface_share.dtype
+        noise = self.noise_dull.astype(kind), self.noise_sun.astype(kind)
+        doubt = self._sun_doubt(beam, cross_second)
+        sd = log_sd(surface_share, patch_share, variance, doubt, noise, self.patch)
+        sd = np.minimum(sd * self.factor(beam, variance).astype(kind)[:, None], MOST_SD)
+        return (sd * LOG10_E).astype(kind)
+
+    def _sun_doubt(self, beam: Array, cross: Array) -> Array:
+        """Return the factor on a pixel's sun noise, [m]: the sun's share; with a second stage, the
+        distance of the sun from where it was captured.
         """
         if not len(self.second):
             return beam
-        return np.sqrt(
-            np.maximum(
-                beam**2 + SECOND_SEASON - np.einsum("ij,ij->i", cross @ self.second, cross),
-                LEAST_SD,
-            )
-        )
+        known = np.einsum("ij,ij->i", cross @ self.second, cross)
+        return np.sqrt(np.maximum(beam**2 + SECOND_SEASON - known, LEAST_SD))
+
+    def slip_log10_variance(
+        self,
+        patch: NDArray[np.float32],
+        seen: NDArray[np.bool_],
+        gain: NDArray[np.float32],
+        dark: NDArray[np.floating],
+    ) -> NDArray[np.floating]:
+        """Return the variance of log10 L from misplaced sun patches [m, H, W], [m, P]."""
+        slip_px = self.slip_deg * patch.shape[1] / 180.0
+        return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
+
+    def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
+        """Return whether the expected log10 MSE [m] from misplaced patches is small."""
+        return off < SLIP_MSE
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
         return variance <= NOVEL * self.novelty
@@ -187,14 +223,14 @@ def log_sd(
 
 
 def residual_noise(
-    material: Material, fitted: NDArray[np.floating], doubt: Array
+    arrays: TrainingArrays, fitted: NDArray[np.floating], doubt: Array
 ) -> tuple[Array, Array]:
     """Residual sd of ln L of each pixel in dull hours, and what the sun adds per unit of doubt
     about it, [P] each.
     """
-    error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(material.luminance, FLOOR_CDM2))
-    error = np.where(material.filled, 0.0, error) ** 2
-    beam = material.features.beam
+    error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(arrays.luminance, FLOOR_CDM2))
+    error = np.where(arrays.filled, 0.0, error) ** 2
+    beam = arrays.features.beam
     dull = beam < 0.3
     base = error[dull].mean(axis=0) if dull.any() else error.min(axis=0)
     if dull.all():
@@ -205,56 +241,67 @@ def residual_noise(
     return np.sqrt(base), np.sqrt(extra)
 
 
+def sun_doubt(arrays: TrainingArrays, recipe: Recipe) -> Array:
+    """Return the factor on each captured hour's sun noise when its day is left out, [n]."""
+    if not recipe.second:
+        return arrays.features.beam
+    noise = np.full(len(arrays.light), SECOND_NOISE)
+    return np.sqrt(held_out_variance(second_own(arrays, recipe), noise, arrays.days))
+
+
 def calibrate(
-    material: Material,
-    held: HeldOutFit,
-    covariance: Array,
-    noise: float,
-    residual: tuple[Array, Array],
+    arrays: TrainingArrays,
+    chosen: SelectedRecipe,
+    noise_of_all: tuple[Array, Array],
+    noise: tuple[Array, Array],
     doubt: Array,
     second: Array,
-    apart: HeldOutFit | None = None,
-) -> Trust:
-    """Fit the factors so that 90 % of the held-out errors lie within 1.645 standard deviations in
+    seasons_out: HeldOutFit | None = None,
+) -> Uncertainty:
+    """Fit the factors so that 90 % of the held-out errors are within 1.645 standard deviations in
     each class.
 
-    Days of one season flatter each other: there the class that fares worst speaks for all three. Of
-    several seasons with gaps between them, `apart` holds out each as a whole: its factors, where
-    they are larger, are for hours as new as those were.
+    arrays, noise: of the pixels that calibrate; noise_of_all: of all pixels. Days of one season
+    flatter each other: there the worst class sets all three factors. Of several seasons with gaps
+    between them, `seasons_out` holds out each as a block: its factors, where they are larger, are
+    for hours as new as those were.
     """
-    groups = [(held, material.days)] + ([] if apart is None else [(apart, seasons(material.days))])
-    patch_sd = max(_patch_sd(material, h) for h, _ in groups)
-    unsure = noise / material.sureness  # an hour of unsteady light says little of others
-    variance = [held_out_variance(covariance, unsure, days) for _, days in groups]
+    groups = [(chosen.held, arrays.days)]
+    groups += [] if seasons_out is None else [(seasons_out, seasons(arrays.days))]
+    patch_sd = max(_patch_sd(arrays, held) for held, _ in groups)
+    unsure = chosen.recipe.noise / arrays.sureness  # hours of unsteady light say little of others
+    variance = [held_out_variance(chosen.covariance, unsure, days) for _, days in groups]
     sds = [
-        _held_out_sd(material, h, v, doubt, residual, patch_sd)
-        for (h, _), v in zip(groups, variance, strict=True)
+        _held_out_sd(arrays, held, v, doubt, noise, patch_sd)
+        for (held, _), v in zip(groups, variance, strict=True)
     ]
-    factors = np.array([_factors(material, h, sd) for (h, _), sd in zip(groups, sds, strict=True)])
+    factors = np.array([_factors(arrays, h, sd) for (h, _), sd in zip(groups, sds, strict=True)])
     factors = np.maximum.accumulate(np.maximum(factors, 1e-3))
-    if one_season(material.days):
+    if one_season(arrays.days):
         factors[:] = factors.max(axis=1, keepdims=True)
-    inverse = np.linalg.inv(covariance + np.diag(unsure))
-    beam = material.features.beam
+    inverse = np.linalg.inv(chosen.covariance + np.diag(unsure))
+    beam = arrays.features.beam
     known = np.array([_of_classes(beam, lambda rows, v=v: np.median(v[rows])) for v in variance])
     known = np.maximum(known, LEAST_VARIANCE)
-    trust = Trust(inverse, float(variance[0].max()), factors, known, patch_sd, 1.0, second)
-    guess = (sds[0] * LOG10_E * trust.factor(beam, variance[0])[:, None]) ** 2
-    counts = np.where(material.filled, 0.0, material.sureness[:, None])
-    return replace(trust, mse=float((counts * held.error**2).sum() / (counts * guess).sum()))
+    novelty = float(variance[0].max())
+    out = Uncertainty(inverse, novelty, factors, known, patch_sd, 1.0, second, *noise_of_all)
+    guess = (sds[0] * LOG10_E * out.factor(beam, variance[0])[:, None]) ** 2  # [n, P]
+    counts = np.where(arrays.filled, 0.0, arrays.sureness[:, None])
+    mse = float((counts * chosen.held.error**2).sum() / (counts * guess).sum())
+    return replace(out, mse=mse)
 
 
-def _patch_sd(material: Material, held: HeldOutFit) -> float:
+def _patch_sd(arrays: TrainingArrays, held: HeldOutFit) -> float:
     """Relative sd of a sun patch, by held-out pixels that it rules."""
-    if material.patch is None:
+    if arrays.patch is None:
         return 0.0
-    lit = (material.patch > 0.3 * np.maximum(held.luminance, LEAST_CDM2)) & ~material.filled
+    lit = (arrays.patch > 0.3 * np.maximum(held.luminance, LEAST_CDM2)) & ~arrays.filled
     error = np.abs(held.error[lit]) / LOG10_E
     return float(np.quantile(error, 0.9) / NORMAL_90) if lit.sum() > 20 else 0.05
 
 
 def _held_out_sd(
-    material: Material,
+    arrays: TrainingArrays,
     held: HeldOutFit,
     variance: Array,
     doubt: Array,
@@ -263,18 +310,18 @@ def _held_out_sd(
 ) -> Array:
     """Uncalibrated standard deviation of ln L of held-out predictions, [n, P]."""
     seen = np.maximum(held.luminance, LEAST_CDM2)
-    unit = material.light.total_lx[:, None] * held.scale
-    share = 0.0 if material.patch is None else material.patch / seen
+    unit = arrays.light.total_lx[:, None] * held.scale
+    share = 0.0 if arrays.patch is None else arrays.patch / seen
     sd = log_sd(unit / seen, share, variance, doubt, residual, patch_sd)
-    return np.maximum(np.sqrt(sd**2 + material.unsure[:, None]), LEAST_SD)
+    return np.maximum(np.sqrt(sd**2 + arrays.unsure[:, None]), LEAST_SD)
 
 
-def _factors(material: Material, held: HeldOutFit, sd: Array) -> Array:
+def _factors(arrays: TrainingArrays, held: HeldOutFit, sd: Array) -> Array:
     """What sd [n, P] must be multiplied by in overcast, intermediate and clear hours, [3]."""
     ratio = np.abs(held.error) / LOG10_E / sd
-    valid = ~material.filled
+    valid = ~arrays.filled
     return _of_classes(
-        material.features.beam, lambda rows: np.quantile(ratio[rows][valid[rows]], 0.9) / NORMAL_90
+        arrays.features.beam, lambda rows: np.quantile(ratio[rows][valid[rows]], 0.9) / NORMAL_90
     )
 
 

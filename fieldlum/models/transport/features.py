@@ -42,64 +42,68 @@ WINDOW_SCATTER = (
 
 
 @dataclass(frozen=True, slots=True)
-class Patchwork:
-    """How patch maps become descriptors: cell edges come from the shape, these norms from the
-    training hours.
+class PatchDescriptor:
+    """Turn sun patch maps into features: the direct flux in view by cells of the picture.
+
+    The shape gives the cell edges; cells_norm comes from the captured hours and makes the features
+    about one when the sun is in the room.
     """
 
-    flux_norm: float
     cells_norm: float
 
     def add(
         self, features: Features, patch: NDArray[np.floating], light: Light, open_sky: NDArray
     ) -> Features:
-        """`features` with the direct flux in view; patch [n, H, W] cd/m2; open_sky [H, W] marks
-        window pixels.
-        """
-        flux, cells = patch_flux(patch, open_sky)
-        total = light.total_lx
-        return replace(
-            features,
-            flux=flux / total / self.flux_norm,
-            cells=(cells / total[:, None] / self.cells_norm).astype(np.float32),
-        )
+        """Return `features` with cells; patch [n, H, W] cd/m2; open_sky [H, W] marks windows."""
+        cells = patch_cells(patch, open_sky)  # [n, c]
+        unit = light.total_lx[:, None] * self.cells_norm  # [n, 1]
+        return replace(features, cells=(cells / unit).astype(np.float32))
 
 
 def _edges(size: int, count: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, size, min(count, size) + 1).astype(int))[:-1]
 
 
-def patch_flux(
-    patch: NDArray[np.floating], open_sky: NDArray[np.bool_]
-) -> tuple[Array, NDArray[np.float32]]:
-    """Direct flux in view, [n] lx, and by cells over the root of their solid angle, [n, c]."""
+def _summed(picture: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Sum a picture [H, W] over its cells, [rows, columns]."""
+    rows, columns = _edges(picture.shape[0], CELL_ROWS), _edges(picture.shape[1], CELL_COLUMNS)
+    return np.add.reduceat(np.add.reduceat(picture, rows, axis=0), columns, axis=1)
+
+
+def cell_areas_sr(height: int, width: int) -> NDArray[np.floating]:
+    """Return the solid angle of each cell, [c]."""
+    return _summed(equirect_solid_angles(height, width).astype(np.float32)).ravel()
+
+
+def patch_cells(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the direct flux in view [lx] by cells, over the root of their solid angle, [n, c]."""
     height, width = patch.shape[1:]
-    rows, columns = _edges(height, CELL_ROWS), _edges(width, CELL_COLUMNS)
     omega = equirect_solid_angles(height, width).astype(np.float32)
-    areas = np.add.reduceat(np.add.reduceat(omega, rows, axis=0), columns, axis=1)
-    weights = np.where(open_sky, np.float32(0.0), omega)
-    out = np.empty((len(patch), areas.size), np.float32)
-    for t, one in enumerate(patch):
-        lit = np.minimum(one, np.float32(MOST_PATCH_CDM2)) * weights
-        out[t] = np.add.reduceat(np.add.reduceat(lit, rows, axis=0), columns, axis=1).ravel()
-    return np.asarray(out.sum(axis=1), float), np.asarray(out / np.sqrt(areas).ravel(), np.float32)
+    weights = np.where(open_sky, np.float32(0.0), omega)  # [H, W]
+    root = np.sqrt(cell_areas_sr(height, width))  # [c]
+    out = np.empty((len(patch), root.size), np.float32)
+    for t, picture in enumerate(patch):
+        lit = np.minimum(picture, np.float32(MOST_PATCH_CDM2)) * weights
+        out[t] = _summed(lit).ravel() / root
+    return out
 
 
-def patchwork_of(
+def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> Array:
+    """Return the direct flux in view, [n] lx."""
+    root = np.sqrt(cell_areas_sr(*patch.shape[1:]))
+    return np.asarray(patch_cells(patch, open_sky) @ root, float)
+
+
+def describe_patches(
     patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]
-) -> Patchwork:
-    """Norms that make the descriptors about one when the sun is in the room (75th percentile
-    over sunny hours).
-    """
-    flux, cells = patch_flux(patch, open_sky)
+) -> PatchDescriptor:
+    """Choose the norm: the 75th percentile over sunny hours, a tenth of the largest at least."""
+    cells = patch_cells(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
-    if not sunny.any() or not flux[sunny].any():
-        return Patchwork(1.0, 1.0)
-    direct = light.direct_lx[sunny]
-    size = np.linalg.norm(cells[sunny], axis=1)
-    norms = [float(np.percentile(part / direct, 75)) for part in (flux[sunny], size)]
-    most = [float((part / direct).max()) for part in (flux[sunny], size)]
-    return Patchwork(*(max(norm, 0.1 * top) for norm, top in zip(norms, most, strict=True)))
+    if not sunny.any() or not cells[sunny].any():
+        return PatchDescriptor(1.0)
+    size = np.linalg.norm(cells[sunny], axis=1) / light.direct_lx[sunny]  # [n sunny]
+    return PatchDescriptor(max(float(np.percentile(size, 75)), 0.1 * float(size.max())))
 
 
 def facades_seen(data: Dataset) -> Facades:
@@ -117,7 +121,7 @@ def facades_seen(data: Dataset) -> Facades:
 
     direct = data.light.direct_lx
     sunny = direct > 1000.0
-    flux = patch_flux(data.patch_cdm2, np.zeros(data.shape, bool))[0]
+    flux = direct_flux_lx(data.patch_cdm2, np.zeros(data.shape, bool))
     if not (sunny & (flux > 0.0)).any():
         return facades_unknown()
     azimuths = np.linspace(0.0, 337.5, 16)
@@ -184,11 +188,11 @@ def open_sky_from_captures(
 
 
 # ----------------------------------------------------------------------------------------------
-# material
+# training arrays
 
 
 @dataclass(frozen=True, slots=True)
-class Material:
+class TrainingArrays:
     """Captures as the solver wants them: n hours, P seen pixels.
 
     weights [P] mean 1; patch is in cd/m2 of this room (a gain found before is in it); sky the known
@@ -206,7 +210,7 @@ class Material:
     days: NDArray
     unsure: Array
     open_sky: OpenSky
-    patchwork: Patchwork | None
+    patches: PatchDescriptor | None
     facades: Facades
 
     @property
@@ -214,7 +218,7 @@ class Material:
         """What each hour counts, [n]: one where its light was steady."""
         return 1.0 / (1.0 + self.unsure / UNSURE)
 
-    def __getitem__(self, pixels: NDArray[np.intp] | slice) -> Material:
+    def __getitem__(self, pixels: NDArray[np.intp] | slice) -> TrainingArrays:
         """Some of the pixels."""
         return replace(
             self,
@@ -225,12 +229,12 @@ class Material:
             weights=self.weights[pixels],
         )
 
-    def with_patch_scaled(self, factor: float) -> Material:
+    def with_patch_scaled(self, factor: float) -> TrainingArrays:
         assert self.patch is not None
         return replace(self, patch=self.patch * np.float32(factor))
 
 
-def material_of(data: Dataset, *, with_patch: bool) -> Material:
+def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
     """Flatten the seen pixels, find the windows, describe the light."""
     height, width = data.shape
     rays = equirect_rays(height, width, data.heading_deg)[data.seen]
@@ -239,12 +243,12 @@ def material_of(data: Dataset, *, with_patch: bool) -> Material:
     open_sky = open_sky_from_captures(luminance, patch, data.light, rays)
     sky = np.zeros(luminance.shape, np.float32)
     sky[:, open_sky.index] = open_sky.luminance(data.light)
-    features, patchwork = light_features(data.light), None
+    features, patches = light_features(data.light), None
     if patch is not None and data.patch_cdm2 is not None:
         mask = open_sky.mask(data.seen)
-        patchwork = patchwork_of(data.patch_cdm2, data.light, mask)
-        features = patchwork.add(features, data.patch_cdm2, data.light, mask)
-    return Material(
+        patches = describe_patches(data.patch_cdm2, data.light, mask)
+        features = patches.add(features, data.patch_cdm2, data.light, mask)
+    return TrainingArrays(
         data.light,
         features,
         luminance,
@@ -255,7 +259,7 @@ def material_of(data: Dataset, *, with_patch: bool) -> Material:
         data.days,
         light_variance(data),
         open_sky,
-        patchwork,
+        patches,
         facades_seen(data) if with_patch else facades_of(data.setup.room),
     )
 
@@ -288,21 +292,19 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
     return out
 
 
-def pixel_scale(material: Material, gain: float = 1.0) -> Array:
+def pixel_scale(arrays: TrainingArrays, gain: float = 1.0) -> Array:
     """Mean light of each pixel per unit of total light, over the hours without direct sun on it,
     [P].
 
     Fewer than three such hours: what there is within the range of the others, else the median of
     all pixels.
     """
-    total = material.light.total_lx[:, None]
-    luminance = np.maximum(material.luminance, LEAST_CDM2)
-    direct = (
-        material.sky if material.patch is None else material.sky + np.float32(gain) * material.patch
-    )
-    unlit = (material.sky <= 0.5 * luminance) & ~material.filled
-    if material.patch is not None:
-        unlit &= gain * material.patch <= 0.3 * luminance
+    total = arrays.light.total_lx[:, None]
+    luminance = np.maximum(arrays.luminance, LEAST_CDM2)
+    direct = arrays.sky if arrays.patch is None else arrays.sky + np.float32(gain) * arrays.patch
+    unlit = (arrays.sky <= 0.5 * luminance) & ~arrays.filled
+    if arrays.patch is not None:
+        unlit &= gain * arrays.patch <= 0.3 * luminance
     logs = np.log(np.maximum(luminance - direct, 0.02 * luminance) / total)
     count = unlit.sum(axis=0)
     mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)

@@ -1,0 +1,155 @@
+"""A transport model as plain arrays and settings, and back; models of 0.1.0 too."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.light import Facades, Features, Kernel, Light
+from fieldlum.models.transport.features import OpenSky, PatchDescriptor, cell_areas_sr
+from fieldlum.models.transport.model import LightBasis, RoomResponse, Transport
+from fieldlum.models.transport.physics import Physics
+from fieldlum.models.transport.pixel_fit import PixelFit, Recipe
+from fieldlum.models.transport.uncertainty import Uncertainty
+from fieldlum.profiles import build, plain
+from fieldlum.records import Room
+
+Array = NDArray[Any]
+
+PHYSICS_ARRAYS = ("modes", "position", "axis", "sign", "share", "piece")
+TRUST_FIGURES = ("novelty", "patch", "mse", "slip_deg")
+TRUST_ARRAYS = ("inverse", "factors", "variances", "second")
+
+
+def state_of(model: Transport) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return settings for config.json and plain arrays for weights.npz."""
+    response, basis, unsure = model.response, model.response.basis, model.uncertainty
+    kernel = {f.name: getattr(basis.kernel, f.name) for f in fields(Kernel) if f.name != "facades"}
+    config = {
+        "heading_deg": model.heading_deg,
+        "with_patch": basis.patches is not None,
+        "transport": {
+            "kernel": kernel,
+            "recipe": asdict(response.recipe),
+            "patch_scale": response.patch_scale,
+            "room": None if basis.physics is None else plain(basis.physics.room),
+            "patchwork": None if basis.patches is None else asdict(basis.patches),
+            "trust": {name: getattr(unsure, name) for name in TRUST_FIGURES},
+            "tried": list(model.table),
+        },
+    }
+    light = basis.captured_light
+    arrays: dict[str, NDArray[Any]] = {
+        "seen": response.seen,
+        "projector": basis.projector,
+        "noise_dull": unsure.noise_dull.astype(np.float32),
+        "noise_sun": unsure.noise_sun.astype(np.float32),
+        "facade_azimuths": basis.kernel.facades.azimuths_deg,
+        "facade_weights": basis.kernel.facades.weights,
+        "train_sun": np.stack((light.sun_altitude_deg, light.sun_azimuth_deg)),  # [2, n]
+    }
+    arrays |= {f"trust_{name}": getattr(unsure, name) for name in TRUST_ARRAYS}
+    pixels = {f.name: getattr(response.pixels, f.name) for f in fields(PixelFit)}
+    arrays |= {f"pixel_{name}": value.astype(np.float32) for name, value in pixels.items()}
+    arrays |= {f"sky_{f.name}": getattr(response.open_sky, f.name) for f in fields(OpenSky)}
+    captured = {f.name: getattr(basis.captured, f.name) for f in fields(Features)}
+    arrays |= {f"train_{name}": value for name, value in captured.items() if value is not None}
+    if basis.physics is not None:
+        arrays |= {f"physics_{name}": getattr(basis.physics, name) for name in PHYSICS_ARRAYS}
+        arrays["physics_norm"] = np.array(basis.physics.norm)
+    if model.held_out_mse is not None:
+        arrays["held_out_mse"] = model.held_out_mse
+    return config, arrays
+
+
+def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Transport:
+    """Return the model that `state_of` described.
+
+    Raises KeyError, TypeError or ValueError for what is missing or wrong.
+    """
+    own = config["transport"]
+    trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
+    noise = arrays["noise_dull"], arrays["noise_sun"]
+    pixels = PixelFit(*(arrays[f"pixel_{f.name}"] for f in fields(PixelFit)))
+    response = RoomResponse(
+        seen=arrays["seen"],
+        basis=_basis(own, arrays),
+        pixels=pixels,
+        open_sky=OpenSky(*(arrays[f"sky_{f.name}"] for f in fields(OpenSky))),
+        patch_scale=float(own["patch_scale"]),
+        recipe=Recipe(**own["recipe"]),
+    )
+    return Transport(
+        response,
+        float(config["heading_deg"]),
+        Uncertainty(**{**own["trust"], **trust}, noise_dull=noise[0], noise_sun=noise[1]),
+        arrays.get("held_out_mse"),
+        tuple(own["tried"]),
+    )
+
+
+def _basis(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LightBasis:
+    altitude, azimuth = arrays["train_sun"]
+    nothing = np.zeros(len(altitude))
+    unknown = (datetime(2000, 1, 1, tzinfo=UTC),) * len(altitude)  # only the directions are used
+    captured = Features(*(arrays.get(f"train_{f.name}") for f in fields(Features)))  # pyright: ignore[reportArgumentType]
+    physics = None
+    if own["room"] is not None:
+        parts = {name: arrays[f"physics_{name}"] for name in PHYSICS_ARRAYS}
+        room = build(Room, own["room"], "the model's room")
+        physics = Physics(room, **parts, norm=float(arrays["physics_norm"]))
+    patches = own["patchwork"]
+    return LightBasis(
+        _kernel(own, arrays),
+        captured,
+        Light(unknown, nothing, nothing, altitude, azimuth),
+        arrays["projector"],
+        physics,
+        None if patches is None else PatchDescriptor(patches["cells_norm"]),
+    )
+
+
+def _kernel(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kernel:
+    facades = Facades(arrays["facade_azimuths"], arrays["facade_weights"])
+    settings = dict(own["kernel"])
+    if "flux_width" not in settings:
+        return Kernel(facades, **settings)
+    width = settings.pop("flux_width")
+    settings.pop("around")  # 0 in every model of 0.1.0: nothing set it
+    if "train_flux" not in arrays:
+        return Kernel(facades, **settings)
+    height, columns = arrays["seen"].shape
+    norms = own["patchwork"]
+    share = np.sqrt(cell_areas_sr(height, columns)) * norms["cells_norm"] / norms["flux_norm"]
+    return FluxKernel(facades, **settings, flux_width=width, flux_of_cells=share)
+
+
+@dataclass(frozen=True, slots=True)
+class FluxKernel(Kernel):
+    """The kernel of 0.1.0: it also compared the whole direct flux in view, the sum of its cells.
+
+    flux_of_cells [c]: what each cell adds to the flux.
+    """
+
+    flux_width: float = 0.8
+    flux_of_cells: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __call__(self, a: Features, b: Features) -> Array:
+        """Return the covariance matrix [len(a), len(b)]."""
+        k = Kernel.__call__(self, a, b)
+        if a.cells is None or b.cells is None:
+            return k
+        cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
+        smooth = np.exp((cosine - 1.0) / self.flux_width**2) + self.constant
+        return k + np.outer(a.cells @ self.flux_of_cells, b.cells @ self.flux_of_cells) * smooth
+
+    def diagonal(self, a: Features) -> Array:
+        """Return the prior variance of each hour, [len(a)]."""
+        k = Kernel.diagonal(self, a)
+        if a.cells is None:
+            return k
+        return k + (a.cells @ self.flux_of_cells) ** 2 * (1.0 + self.constant)
