@@ -31,6 +31,7 @@ LEAST_LX = 1e-3  # normaliser of an hour without any light
 BEHIND = 0.1
 # typical cosine between facade and sun, so that the facade factor is about the beam's share
 FACING = 0.8
+LAMP_LX = 1000.0  # light outside at which a lamp's share is about one
 WALLS_DEG = {
     "south": 0.0,
     "west": 90.0,
@@ -45,7 +46,8 @@ class Light:
     from north).
 
     `perez` holds a sky known otherwise (a rendering's own coefficients); None: made from the
-    irradiance.
+    irradiance. `states`: the room's state in each moment, as in `fieldlum.room_states`; None: as
+    usual in all of them.
     """
 
     t_utc: tuple[datetime, ...]
@@ -54,6 +56,7 @@ class Light:
     sun_altitude_deg: Array
     sun_azimuth_deg: Array
     perez: PerezSky | None = None
+    states: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.t_utc)
@@ -68,6 +71,7 @@ class Light:
             self.sun_altitude_deg[index],
             self.sun_azimuth_deg[index],
             None if self.perez is None else self.perez[index],
+            None if self.states is None else tuple(self.states[i] for i in index),
         )
 
     def scaled(self, factor: float) -> Light:
@@ -184,7 +188,8 @@ class Features:
     sky [n, P] root-solid-angle weighted luminances; beam [n] the sun's share; direction [n, 3] of
     the sun; cells [n, c] the direct sun that falls into view, by cells of the picture, where
     patches are known; bounced [n, k] what a coarse model of the room makes of the sun, where there
-    is one.
+    is one; lamps [n, l] electric light that does not follow the daylight, LAMP_LX / E while it is
+    on; changed [n, m] one while the room is in a state (a blind down) that changes its answer.
     """
 
     sky: NDArray[np.float32]
@@ -192,6 +197,8 @@ class Features:
     direction: Array
     cells: NDArray[np.float32] | None = None
     bounced: NDArray[np.float32] | None = None
+    lamps: Array | None = None
+    changed: Array | None = None
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -203,6 +210,8 @@ class Features:
             self.direction[rows],
             None if self.cells is None else self.cells[rows],
             None if self.bounced is None else self.bounced[rows],
+            None if self.lamps is None else self.lamps[rows],
+            None if self.changed is None else self.changed[rows],
         )
 
 
@@ -229,6 +238,8 @@ class Kernel:
     facade: float = 1.0  # sun on the facades, smooth in its direction
     cells: float = 0.5
     bounced: float = 5.0  # what a coarse model of the room makes of the sun
+    lamps: float = 100.0  # electric light: ten times the room's daylight at LAMP_LX outside
+    changed: float = 1.0  # how far a state of the room changes its answer to light
 
     def __call__(self, a: Features, b: Features) -> Array:
         """Covariance matrix [len(a), len(b)]."""
@@ -242,6 +253,10 @@ class Kernel:
             k += self.cells * (a.cells @ b.cells.T)
         if a.bounced is not None and b.bounced is not None:
             k += self.bounced * (a.bounced @ b.bounced.T)
+        if a.changed is not None and b.changed is not None:
+            k *= 1.0 + self.changed * (a.changed @ b.changed.T)
+        if a.lamps is not None and b.lamps is not None:
+            k += self.lamps * (a.lamps @ b.lamps.T)
         return k
 
     def diagonal(self, a: Features) -> Array:
@@ -253,6 +268,10 @@ class Kernel:
             k += self.cells * np.einsum("ij,ij->i", a.cells, a.cells)
         if a.bounced is not None:
             k += self.bounced * np.einsum("ij,ij->i", a.bounced, a.bounced)
+        if a.changed is not None:
+            k *= 1.0 + self.changed * np.einsum("ij,ij->i", a.changed, a.changed)
+        if a.lamps is not None:
+            k += self.lamps * np.einsum("ij,ij->i", a.lamps, a.lamps)
         return k
 
 

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.contract
 
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
-    {"errors", "records", "model_registry", "version"},
+    {"errors", "records", "model_registry", "room_states", "version"},
     {
         "photometry",
         "projection",

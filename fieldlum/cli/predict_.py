@@ -48,6 +48,13 @@ from fieldlum.cli.terminal import emit_json, progress, say
     help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to "
     "18:00]",
 )
+@click.option(
+    "--lamps",
+    default="",
+    metavar="FILE|off",
+    help="When lamps that were marked in the captures are on: a csv as for --occupancy, or off. "
+    "[default: as in the captures without a mark]",
+)
 @force_option
 @json_option
 def command(
@@ -58,6 +65,7 @@ def command(
     maps: bool,
     views: int,
     occupancy_path: Path | None,
+    lamps: str,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -80,6 +88,7 @@ def command(
             maps=maps,
             views=views,
             occupancy_path=occupancy_path,
+            lamps=lamps,
             force=force,
             label_shift_min=label_shift_min,
             progress=show,

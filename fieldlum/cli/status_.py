@@ -13,18 +13,29 @@ from fieldlum.cli.options import json_option, session_argument
 
 @click.command("status")
 @session_argument
+@click.option(
+    "--mark",
+    nargs=2,
+    metavar="SLOT STATE",
+    help="Record the room's state at a slot: lamp=on|off, blind=up|half|down, snow=yes|no.",
+)
 @json_option
-def command(session_folder: Path, as_json: bool) -> None:
+def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -> None:
     """Show what a session has done and what it owes.
 
     \b
-    Example:
+    Examples:
       fieldlum status office-2027
+      fieldlum status office-2027 --mark 20270320T153000Z lamp=on
     """
     from fieldlum.capture.status import status
-    from fieldlum.session import open_session
+    from fieldlum.session import mark_slot, open_session
 
-    found = status(open_session(session_folder))
+    session = open_session(session_folder)
+    if mark is not None:
+        state = mark_slot(session, *mark)
+        terminal.say(f"{mark[0]}: {state or 'as usual'}")
+    found = status(session)
     if as_json:
         terminal.emit_json(found)
         return

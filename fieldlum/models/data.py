@@ -19,7 +19,8 @@ from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import Flag, Panorama, Progress, SiteFile, quiet, slot_id
-from fieldlum.session import Session, open_session
+from fieldlum.room_states import USAGE, merged_state
+from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sun_disc import split_disc
 
@@ -202,6 +203,7 @@ def _assemble(
             dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
             sun_altitude_deg=altitude,
             sun_azimuth_deg=azimuth,
+            states=_states(path, rows),
         ),
         luminance_cdm2=maps,
         patch_cdm2=patches,
@@ -227,6 +229,24 @@ def _stated(path: Path, rows: list[PairRow]) -> Stated:
         [path.parent / row.panorama for row in rows],
         *numbers,
     )
+
+
+def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
+    """Return the room's state of each row: the csv's column, and what the session's journal marks.
+
+    None where the room is as usual in all rows. Raises InputError for an unknown word.
+    """
+    marked = marks(Session(path.parent))
+    states = []
+    for row in rows:
+        try:
+            state = merged_state(row.state, marked.get(Path(row.panorama).stem, ""))
+        except ValueError as error:
+            raise InputError(
+                path, f"line {row.line}: {error}", USAGE, "correct that cell"
+            ) from None
+        states.append(state)
+    return tuple(states) if any(states) else None
 
 
 def _sun_columns(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -43,6 +44,7 @@ from fieldlum.predict.maps import MapStore
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
+from fieldlum.room_states import OFF
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval
 U_DISC = (
@@ -70,6 +72,7 @@ def run(
     maps: bool = False,
     views: int = 10,
     occupancy_path: Path | None = None,
+    lamps: str = "",
     force: bool = False,
     seed: int = 0,
     label_shift_min: float = 0.0,
@@ -78,8 +81,10 @@ def run(
     """Predict all daylight hours of a weather file with a trained model; returns the year and
     whether it is new.
 
-    Raises InputError for a broken model or weather, and for weather or a session of another place
-    or camera than the model's; NotEnoughDataError for weather without daylight.
+    lamps: "" as in the captures, "off", or a csv as for occupancy that says when lamps marked in
+    the captures are on. Raises InputError for a broken model or weather, and for weather or a
+    session of another place or camera than the model's; NotEnoughDataError for weather without
+    daylight.
     """
     from fieldlum.models import load, read_config
     from fieldlum.weather import read_weather
@@ -90,13 +95,14 @@ def run(
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
+    inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
     if not force and (done := already(folder, inputs)) is not None:
         return PredictedYear(done, new=False)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
     hours = weather.daylight()
     if len(hours) == 0:
         raise NotEnoughDataError(f"{weather_path}: no hour with the sun up and any irradiance")
-    light = light_of(hours)
+    light = with_lamps(light_of(hours), lamps, room.setup.site.timezone)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     fitted = load(model_folder)
     begin_anew(folder)
@@ -121,6 +127,21 @@ def light_of(weather: Weather) -> Light:
     from fieldlum.light import light_at
 
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
+
+
+def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
+    """Return `light` with the state of the lamps in each hour; see `run`."""
+    if not lamps:
+        return light
+    if lamps == "off":
+        return replace(light, states=(OFF,) * len(light))
+    on = read_occupancy(Path(lamps)).at(light.t_utc, timezone)  # [n]
+    return replace(light, states=tuple("lamp=on" if lit else OFF for lit in on))
+
+
+def lamps_text(lamps: str) -> str:
+    """Return what predict.json records of the lamps: "off", or the schedule in words."""
+    return lamps if lamps in ("", "off") else read_occupancy(Path(lamps)).text
 
 
 # ----------------------------------------------------------------------------------------------

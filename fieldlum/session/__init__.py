@@ -30,6 +30,7 @@ from fieldlum.session.lines import (
     decode_line,
     encode_line,
 )
+from fieldlum.session.marks import mark_slot, marks
 from fieldlum.session.plan_file import (
     PLAN_COLUMNS,
     exposure_text,
@@ -57,6 +58,8 @@ __all__ = [
     "encode_line",
     "encode_sample",
     "exposure_text",
+    "mark_slot",
+    "marks",
     "open_session",
     "outcomes",
     "parse_exposure",

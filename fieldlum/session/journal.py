@@ -1,4 +1,7 @@
-"""journal.jsonl: everything that happened, one event a line, never rewritten."""
+"""journal.jsonl: everything that happened, one event a line, never rewritten.
+
+Several processes may append: a capture runs while `fieldlum status --mark` marks a slot.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 
 from fieldlum.records import utc_text
 from fieldlum.session.folder import Session
-from fieldlum.session.lines import append_whole, cut_torn_tail, decode_line, encode_line
+from fieldlum.session.lines import append_whole, cut_torn_tail, decode_line, encode_line, exclusive
 
 
 class Journal:
@@ -21,15 +24,16 @@ class Journal:
         """flush False: survives a kill, but not a power cut; for simulated time."""
         self._path, self._flush = session.journal, flush
         self._lock = threading.Lock()
-        self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
         self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        with exclusive(self._handle):  # another process may be in the middle of a line
+            self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
         """Durable when this returns. Raises OSError on a full disk; half a line is then taken
         back.
         """
         data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
-        with self._lock:
+        with self._lock, exclusive(self._handle):
             append_whole(self._handle, data, flush=self._flush)
 
     def close(self) -> None:

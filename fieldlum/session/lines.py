@@ -4,11 +4,13 @@ on opening.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import sys
 import zlib
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,39 @@ def decode_line(line: bytes) -> dict[str, Any] | None:
         return json.loads(text) if sound else None
     except ValueError:
         return None
+
+
+@contextmanager
+def exclusive(handle: int) -> Iterator[None]:
+    """Hold an open file alone among processes; wait for another one to finish its line.
+
+    A file system without locks is used as it is.
+    """
+    if sys.platform == "win32":
+        import msvcrt
+
+        place = os.lseek(handle, 0, os.SEEK_CUR)
+        os.lseek(handle, 0, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_LOCK, 1)
+        try:
+            yield
+        finally:
+            os.lseek(handle, 0, os.SEEK_SET)
+            msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
+            os.lseek(handle, place, os.SEEK_SET)
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+            raise
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_UN)
 
 
 def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import (
+    LAMP_LX,
     Facades,
     Features,
     Light,
@@ -20,6 +21,7 @@ from fieldlum.light import (
     one_facade,
 )
 from fieldlum.projection import equirect_pixel, equirect_rays, equirect_solid_angles
+from fieldlum.room_states import ADDED, OFF, indicators, parse_state
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -39,6 +41,38 @@ WINDOW_SHARE = 0.05  # a pixel with less than this share of open sky is treated 
 WINDOW_SCATTER = (
     0.5  # window pixels follow the sky behind them at least twice as closely as the total light
 )
+
+
+@dataclass(frozen=True, slots=True)
+class StateColumns:
+    """The room's states that the captures hold. always: a lamp that is on in all of them."""
+
+    always: bool = False
+    lamps: tuple[str, ...] = ()  # states that add light
+    changed: tuple[str, ...] = ()  # states that change the answer to daylight
+
+    def add(self, features: Features, light: Light) -> Features:
+        """Return `features` with the columns of these states."""
+        if not (self.always or self.lamps or self.changed):
+            return features
+        states = light.states or ("",) * len(light)
+        on = indicators(states, self.lamps)  # [n, l]
+        if self.always:
+            lit = [float(OFF not in text) for text in states]
+            on = np.concatenate((np.array(lit)[:, None], on), axis=1)
+        lamps = on * (LAMP_LX / light.total_lx)[:, None] if on.shape[1] else None
+        changed = indicators(states, self.changed) if self.changed else None
+        return replace(features, lamps=lamps, changed=changed)
+
+
+USUAL = StateColumns()  # lamps off, blinds up
+
+
+def state_columns(light: Light) -> StateColumns:
+    """Return the states that captures are marked with."""
+    parts = sorted({part for text in light.states or () for part in parse_state(text)})
+    lamps = tuple(part for part in parts if part.startswith(ADDED))
+    return StateColumns(False, lamps, tuple(part for part in parts if part not in lamps))
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,6 +246,7 @@ class TrainingArrays:
     open_sky: OpenSky
     patches: PatchDescriptor | None
     facades: Facades
+    states: StateColumns = USUAL
 
     @property
     def sureness(self) -> Array:
@@ -243,7 +278,8 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
     open_sky = open_sky_from_captures(luminance, patch, data.light, rays)
     sky = np.zeros(luminance.shape, np.float32)
     sky[:, open_sky.index] = open_sky.luminance(data.light)
-    features, patches = light_features(data.light), None
+    states = state_columns(data.light)
+    features, patches = states.add(light_features(data.light), data.light), None
     if patch is not None and data.patch_cdm2 is not None:
         mask = open_sky.mask(data.seen)
         patches = describe_patches(data.patch_cdm2, data.light, mask)
@@ -254,13 +290,14 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         luminance,
         patch,
         sky,
-        around_disc(data)[:, data.seen],
+        (around_disc(data) | _patches_unknown(data))[:, data.seen],
         data.weights[data.seen],
         data.days,
         light_variance(data),
         open_sky,
         patches,
         facades_seen(data) if with_patch else facades_of(data.setup.room),
+        states,
     )
 
 
@@ -274,6 +311,17 @@ def light_variance(data: Dataset) -> Array:
     """
     altitude = np.radians(np.maximum(data.light.sun_altitude_deg, LOWEST_SUN_DEG))
     return (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
+
+
+def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:
+    """Mark pixels that a computed sun patch reaches while a blind was not up, [n, H, W]."""
+    out = np.zeros(data.luminance_cdm2.shape, bool)
+    if data.patch_cdm2 is None or data.light.states is None:
+        return out
+    blind = [any(p.startswith("blind") for p in parse_state(s)) for s in data.light.states]
+    rows = np.flatnonzero(blind)
+    out[rows] = data.patch_cdm2[rows] > 0.02 * data.luminance_cdm2[rows]
+    return out
 
 
 def around_disc(data: Dataset) -> NDArray[np.bool_]:

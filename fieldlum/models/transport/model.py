@@ -18,8 +18,10 @@ from fieldlum.light import Features, Kernel, Light, light_features
 from fieldlum.models import Patch, Prediction
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
+    USUAL,
     OpenSky,
     PatchDescriptor,
+    StateColumns,
     TrainingArrays,
     training_arrays_of,
 )
@@ -66,6 +68,7 @@ class LightBasis:
     projector: Array
     physics: Physics | None
     patches: PatchDescriptor | None
+    states: StateColumns = USUAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +100,8 @@ class RoomResponse:
 
     def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
         """Return what the kernel compares, of these hours."""
-        features, basis = light_features(light), self.basis
+        basis = self.basis
+        features = basis.states.add(light_features(light), light)
         if basis.physics is not None:
             features = replace(features, bounced=basis.physics.features(light))
         if basis.patches is None or patch is None or self.recipe.below:
@@ -278,7 +282,7 @@ def fit(
     drawn = _draw(arrays, seed)
     bounced = None if physics is None else physics.features(data.light)
     chosen = choose_model(arrays[drawn], kernel, bounced)
-    arrays = replace(arrays, features=chosen.features)
+    arrays = replace(arrays, features=chosen.features, states=chosen.states)
     pixels = fit_pixels(
         arrays,
         chosen.basis,
@@ -288,7 +292,13 @@ def fit(
     progress(90, 100, "calibrating uncertainty")
     kept = None if chosen.features.bounced is None else physics
     basis = LightBasis(
-        chosen.kernel, arrays.features, data.light, chosen.basis.projector, kept, arrays.patches
+        chosen.kernel,
+        arrays.features,
+        data.light,
+        chosen.basis.projector,
+        kept,
+        arrays.patches,
+        arrays.states,
     )
     response = RoomResponse(data.seen, basis, pixels, arrays.open_sky, scale, chosen.recipe)
     return Transport(

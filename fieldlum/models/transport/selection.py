@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.light import Features, Kernel
-from fieldlum.models.transport.features import TrainingArrays, pixel_scale
+from fieldlum.models.transport.features import USUAL, StateColumns, TrainingArrays, pixel_scale
 from fieldlum.models.transport.pixel_fit import (
     RANK,
     SECOND_NOISE,
@@ -48,6 +48,8 @@ SECOND_WIDTHS = (
     0.15,
     0.2,
 )  # chord of the sun's direction within which a sun patch was still the same
+LAMP_NOISES = (1e-3, 1e-2)  # tried with a lamp that is always on
+LAMP_GAIN = 0.3  # share of the held-out error that a lamp always on must take away
 PATCH_GAIN_VARIANCE = 0.0025  # prior variance of a pixel's patch gain
 FEWER = (40, 60)  # numbers of features tried before RANK of them; under forty captures all are kept
 FEWER_COST = 1.05  # of the held-out error of RANK features: what fewer may cost
@@ -221,6 +223,7 @@ class SelectedRecipe:
     recipe: Recipe
     held: HeldOutFit
     table: list[tuple[Recipe, float, float]]
+    states: StateColumns = USUAL
 
 
 def choose_model(
@@ -228,12 +231,33 @@ def choose_model(
 ) -> SelectedRecipe:
     """Return what serves held-out days best, at the pixels `drawn`.
 
-    bounced [n, k]: what a coarse model of the room makes of the sun.
+    bounced [n, k]: what a coarse model of the room makes of the sun. A lamp that is on in all
+    captures is one of the choices.
     """
+    chosen = _choose_recipe(drawn, kernel, bounced)
+    always = replace(drawn.states, always=True)
+    lit = replace(drawn, features=always.add(drawn.features, drawn.light), states=always)
+    trial = _choose_kernel(lit, kernel, [Recipe(s, PATCH_GAIN_VARIANCE) for s in LAMP_NOISES], None)
+    if not _lamp_is_on(chosen, trial, drawn.days):
+        return chosen
+    return replace(_choose_recipe(lit, kernel, bounced), states=always)
+
+
+def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe, days: NDArray) -> bool:
+    """Whether a constant light takes away much of the held-out error, on most days."""
+    gain = without.held.judged - lit.held.judged
+    large = gain.mean() > LAMP_GAIN * without.held.judged.mean()
+    return bool(large and gain.mean() > 2.0 * day_standard_error(gain, days))
+
+
+def _choose_recipe(
+    drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
+) -> SelectedRecipe:
     alike, with_patch = one_season(drawn.days), drawn.patch is not None
     chosen = _choose_kernel(drawn, kernel, recipes_for(with_patch, alike), bounced)
     if with_patch and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
+    chosen = replace(chosen, states=drawn.states)
     # Days of one season do not know what others need; errors of unknown patches hide what fewer
     # features cost.
     return chosen if alike or chosen.recipe.second else fewest_features(drawn, chosen)

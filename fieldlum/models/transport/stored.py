@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.light import Facades, Features, Kernel, Light
-from fieldlum.models.transport.features import OpenSky, PatchDescriptor, cell_areas_sr
+from fieldlum.models.transport.features import (
+    OpenSky,
+    PatchDescriptor,
+    StateColumns,
+    cell_areas_sr,
+)
 from fieldlum.models.transport.model import LightBasis, RoomResponse, Transport
 from fieldlum.models.transport.physics import Physics
 from fieldlum.models.transport.pixel_fit import PixelFit, Recipe
@@ -38,6 +43,7 @@ def state_of(model: Transport) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
             "patch_scale": response.patch_scale,
             "room": None if basis.physics is None else plain(basis.physics.room),
             "patchwork": None if basis.patches is None else asdict(basis.patches),
+            "states": asdict(basis.states),
             "trust": {name: getattr(unsure, name) for name in TRUST_FIGURES},
             "tried": list(model.table),
         },
@@ -110,7 +116,14 @@ def _basis(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LightBasis:
         arrays["projector"],
         physics,
         None if patches is None else PatchDescriptor(patches["cells_norm"]),
+        _states(own.get("states", {})),
     )
+
+
+def _states(table: dict[str, Any]) -> StateColumns:
+    """Models without states (0.1.0) have an empty table."""
+    lamps, changed = tuple(table.get("lamps", ())), tuple(table.get("changed", ()))
+    return StateColumns(bool(table.get("always", False)), lamps, changed)
 
 
 def _kernel(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kernel:

@@ -1,0 +1,44 @@
+"""Slots that the user marked with the state of the room: lamps on, a blind down, snow outside."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from fieldlum.errors import InputError
+from fieldlum.room_states import USAGE, merged_state
+from fieldlum.session.folder import Session
+from fieldlum.session.journal import Journal, read_journal
+
+EVENT = "marked"
+
+
+def mark_slot(session: Session, slot: str, state: str) -> str:
+    """Append a mark such as ``lamp=on;blind=half`` to the journal; return the slot's whole state.
+
+    Safe beside a running capture. Raises InputError for an unknown slot or an unknown word.
+    """
+    known = {planned.id for planned in session.slots()}
+    known |= {path.stem for path in session.panoramas.glob("*.exr")}
+    if slot not in known:
+        example = min(known, default="20270320T153000Z")
+        raise InputError(session.root, f"no slot {slot}", f"a slot's id such as {example}")
+    try:
+        result = merged_state(marks(session).get(slot, ""), state)
+    except ValueError as error:
+        raise InputError(session.root, str(error), USAGE, "write for example lamp=on") from None
+    journal = Journal(session)
+    try:
+        journal.append(EVENT, datetime.now(UTC), slot=slot, state=state)
+    finally:
+        journal.close()
+    return result
+
+
+def marks(session: Session) -> dict[str, str]:
+    """Return the state of each marked slot; of two marks with one word the later counts."""
+    states: dict[str, str] = {}
+    for event in read_journal(session):
+        if event["event"] == EVENT and "slot" in event:
+            slot = str(event["slot"])
+            states[slot] = merged_state(states.get(slot, ""), str(event.get("state", "")))
+    return states
