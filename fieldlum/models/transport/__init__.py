@@ -2,7 +2,6 @@
 docs/models/transport.md.
 """
 
-from fieldlum.models.transport.model import Transport, fit
-from fieldlum.models.transport.stored import from_state
+from fieldlum.models.transport.model import Transport, fit, from_state
 
 __all__ = ["Transport", "fit", "from_state"]

@@ -14,27 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.light import Features, Kernel, Light, light_features
+from fieldlum.light import Kernel, Light
 from fieldlum.models import Patch, Prediction
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
-    USUAL,
-    OpenSky,
-    PatchDescriptor,
-    StateColumns,
     TrainingArrays,
     training_arrays_of,
 )
-from fieldlum.models.transport.physics import Physics, physics_of
+from fieldlum.models.transport.physics import physics_of
 from fieldlum.models.transport.pixel_fit import (
-    PixelFit,
     Recipe,
     find_patch_gain,
     fit_pixels,
-    second_covariance,
     second_inverse,
 )
+from fieldlum.models.transport.response import LightBasis, RoomResponse, SurfaceMaps
 from fieldlum.models.transport.selection import SelectedRecipe, choose_model, hold_out_seasons
+from fieldlum.models.transport.stored import response_of, state_of, uncertainty_of
 from fieldlum.models.transport.uncertainty import (
     Uncertainty,
     calibrate,
@@ -52,95 +48,6 @@ Array = NDArray[Any]
 SAMPLE = 600  # pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty
 HOURS_AT_ONCE = 64  # bounds the work memory of a prediction to some 100 MB at 460 x 230
 LEAST_HOURS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class LightBasis:
-    """What the kernel compares a new hour with.
-
-    captured: features of the n captured hours; captured_light: their sun; projector [n, r];
-    physics: the coarse room model, if kept; patches: descriptor of sun patches, if known.
-    """
-
-    kernel: Kernel
-    captured: Features
-    captured_light: Light
-    projector: Array
-    physics: Physics | None
-    patches: PatchDescriptor | None
-    states: StateColumns = USUAL
-
-
-@dataclass(frozen=True, slots=True)
-class SurfaceMaps:
-    """Predicted hours at the P seen pixels, and what their uncertainty depends on.
-
-    luminance, patch [n, P] cd/m2 (patch: the part of direct sun); unit [n, P] cd/m2 for F b = 1;
-    cross [n, captures] kernel; second [n, captures or 0] kernel of the second stage.
-    """
-
-    luminance: NDArray[np.floating]
-    patch: NDArray[np.floating] | None
-    unit: NDArray[np.floating]
-    features: Features
-    cross: Array
-    second: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True)
-class RoomResponse:
-    """The linear answer of the seen pixels to light. seen [H, W]; pixel arrays run over seen."""
-
-    seen: NDArray[np.bool_]
-    basis: LightBasis
-    pixels: PixelFit
-    open_sky: OpenSky
-    patch_scale: float  # factor found for all sun patches
-    recipe: Recipe
-
-    def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
-        """Return what the kernel compares, of these hours."""
-        basis = self.basis
-        features = basis.states.add(light_features(light), light)
-        if basis.physics is not None:
-            features = replace(features, bounced=basis.physics.features(light))
-        if basis.patches is None or patch is None or self.recipe.below:
-            return features
-        return basis.patches.add(features, patch, light, self.open_sky.mask(self.seen))
-
-    def maps(self, light: Light, patch: NDArray[np.float32] | None) -> SurfaceMaps:
-        """Predict hours without the sun's disc; patch [n, H, W] cd/m2 of direct sun."""
-        pixels, basis = self.pixels, self.basis
-        features = self.features(light, patch)
-        cross = basis.kernel(features, basis.captured)  # [n, captures]
-        coefficients = (cross @ basis.projector).astype(np.float32)  # [n, r]
-        unit = light.total_lx.astype(np.float32)[:, None] * pixels.scale.astype(np.float32)
-        surface = np.maximum(coefficients @ pixels.b.T, pixels.least.astype(np.float32))  # [n, P]
-        luminance = surface * unit  # [n, P] cd/m2
-        direct = None
-        if patch is not None:
-            direct = patch[:, self.seen] * self.patch_gain  # [n, P] cd/m2
-            luminance += direct
-        window = self.open_sky.index  # [k]
-        sky_gain = pixels.sky_gain[window].astype(np.float32)
-        luminance[:, window] += sky_gain * self.open_sky.luminance(light)
-        second = self._second(light, features)  # [n, captures or 0]
-        if second.size:
-            luminance *= np.exp(second @ pixels.second)
-        return SurfaceMaps(luminance, direct, unit, features, cross, second)
-
-    @property
-    def patch_gain(self) -> NDArray[np.float32]:
-        """Gain of the sun patch at each pixel, [P]."""
-        return np.float32(self.patch_scale) * self.pixels.patch_gain.astype(np.float32)
-
-    def _second(self, light: Light, features: Features) -> NDArray[np.float32]:
-        if not len(self.pixels.second):
-            return np.empty((len(light), 0), np.float32)
-        known, captured = self.basis.captured_light, self.basis.captured.beam
-        width = self.recipe.second
-        covariance = second_covariance(light, known, features.beam, captured, width)
-        return covariance.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -242,9 +149,26 @@ class Transport:
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return settings for config.json and plain arrays for weights.npz."""
-        from fieldlum.models.transport.stored import state_of
+        config, arrays = state_of(self.response, self.uncertainty)
+        config["transport"]["tried"] = list(self.table)
+        if self.held_out_mse is not None:
+            arrays["held_out_mse"] = self.held_out_mse
+        return {"heading_deg": self.heading_deg, **config}, arrays
 
-        return state_of(self)
+
+def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Transport:
+    """Return the model that `Transport.state` described.
+
+    Raises KeyError, TypeError or ValueError for what is missing or wrong.
+    """
+    own = config["transport"]
+    return Transport(
+        response_of(own, arrays),
+        float(config["heading_deg"]),
+        uncertainty_of(own, arrays),
+        arrays.get("held_out_mse"),
+        tuple(own["tried"]),
+    )
 
 
 # ----------------------------------------------------------------------------------------------

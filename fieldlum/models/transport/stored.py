@@ -16,9 +16,9 @@ from fieldlum.models.transport.features import (
     StateColumns,
     cell_areas_sr,
 )
-from fieldlum.models.transport.model import LightBasis, RoomResponse, Transport
 from fieldlum.models.transport.physics import Physics
 from fieldlum.models.transport.pixel_fit import PixelFit, Recipe
+from fieldlum.models.transport.response import LightBasis, RoomResponse
 from fieldlum.models.transport.uncertainty import Uncertainty
 from fieldlum.profiles import build, plain
 from fieldlum.records import Room
@@ -30,12 +30,13 @@ TRUST_FIGURES = ("novelty", "patch", "mse", "slip_deg")
 TRUST_ARRAYS = ("inverse", "factors", "variances", "second")
 
 
-def state_of(model: Transport) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def state_of(
+    response: RoomResponse, unsure: Uncertainty
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return settings for config.json and plain arrays for weights.npz."""
-    response, basis, unsure = model.response, model.response.basis, model.uncertainty
+    basis = response.basis
     kernel = {f.name: getattr(basis.kernel, f.name) for f in fields(Kernel) if f.name != "facades"}
     config = {
-        "heading_deg": model.heading_deg,
         "with_patch": basis.patches is not None,
         "transport": {
             "kernel": kernel,
@@ -45,7 +46,6 @@ def state_of(model: Transport) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
             "patchwork": None if basis.patches is None else asdict(basis.patches),
             "states": asdict(basis.states),
             "trust": {name: getattr(unsure, name) for name in TRUST_FIGURES},
-            "tried": list(model.table),
         },
     }
     light = basis.captured_light
@@ -67,35 +67,26 @@ def state_of(model: Transport) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
     if basis.physics is not None:
         arrays |= {f"physics_{name}": getattr(basis.physics, name) for name in PHYSICS_ARRAYS}
         arrays["physics_norm"] = np.array(basis.physics.norm)
-    if model.held_out_mse is not None:
-        arrays["held_out_mse"] = model.held_out_mse
     return config, arrays
 
 
-def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Transport:
-    """Return the model that `state_of` described.
-
-    Raises KeyError, TypeError or ValueError for what is missing or wrong.
-    """
-    own = config["transport"]
-    trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
-    noise = arrays["noise_dull"], arrays["noise_sun"]
-    pixels = PixelFit(*(arrays[f"pixel_{f.name}"] for f in fields(PixelFit)))
-    response = RoomResponse(
+def response_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> RoomResponse:
+    """Return what `state_of` described; own: the table "transport" of config.json."""
+    return RoomResponse(
         seen=arrays["seen"],
         basis=_basis(own, arrays),
-        pixels=pixels,
+        pixels=PixelFit(*(arrays[f"pixel_{f.name}"] for f in fields(PixelFit))),
         open_sky=OpenSky(*(arrays[f"sky_{f.name}"] for f in fields(OpenSky))),
         patch_scale=float(own["patch_scale"]),
         recipe=Recipe(**own["recipe"]),
     )
-    return Transport(
-        response,
-        float(config["heading_deg"]),
-        Uncertainty(**{**own["trust"], **trust}, noise_dull=noise[0], noise_sun=noise[1]),
-        arrays.get("held_out_mse"),
-        tuple(own["tried"]),
-    )
+
+
+def uncertainty_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Uncertainty:
+    """Return what `state_of` described."""
+    trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
+    noise = {name: arrays[name] for name in ("noise_dull", "noise_sun")}
+    return Uncertainty(**{**own["trust"], **trust, **noise})
 
 
 def _basis(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LightBasis:

@@ -1,0 +1,105 @@
+"""The linear answer of a room's pixels to light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.light import Features, Kernel, Light, light_features
+from fieldlum.models.transport.features import USUAL, OpenSky, PatchDescriptor, StateColumns
+from fieldlum.models.transport.physics import Physics
+from fieldlum.models.transport.pixel_fit import PixelFit, Recipe, second_covariance
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class LightBasis:
+    """What the kernel compares a new hour with.
+
+    captured: features of the n captured hours; captured_light: their sun; projector [n, r];
+    physics: the coarse room model, if kept; patches: descriptor of sun patches, if known.
+    """
+
+    kernel: Kernel
+    captured: Features
+    captured_light: Light
+    projector: Array
+    physics: Physics | None
+    patches: PatchDescriptor | None
+    states: StateColumns = USUAL
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceMaps:
+    """Predicted hours at the P seen pixels, and what their uncertainty depends on.
+
+    luminance, patch [n, P] cd/m2 (patch: the part of direct sun); unit [n, P] cd/m2 for F b = 1;
+    cross [n, captures] kernel; second [n, captures or 0] kernel of the second stage.
+    """
+
+    luminance: NDArray[np.floating]
+    patch: NDArray[np.floating] | None
+    unit: NDArray[np.floating]
+    features: Features
+    cross: Array
+    second: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class RoomResponse:
+    """The linear answer of the seen pixels to light. seen [H, W]; pixel arrays run over seen."""
+
+    seen: NDArray[np.bool_]
+    basis: LightBasis
+    pixels: PixelFit
+    open_sky: OpenSky
+    patch_scale: float  # factor found for all sun patches
+    recipe: Recipe
+
+    def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
+        """Return what the kernel compares, of these hours."""
+        basis = self.basis
+        features = basis.states.add(light_features(light), light)
+        if basis.physics is not None:
+            features = replace(features, bounced=basis.physics.features(light))
+        if basis.patches is None or patch is None or self.recipe.below:
+            return features
+        return basis.patches.add(features, patch, light, self.open_sky.mask(self.seen))
+
+    def maps(self, light: Light, patch: NDArray[np.float32] | None) -> SurfaceMaps:
+        """Predict hours without the sun's disc; patch [n, H, W] cd/m2 of direct sun."""
+        pixels, basis = self.pixels, self.basis
+        features = self.features(light, patch)
+        cross = basis.kernel(features, basis.captured)  # [n, captures]
+        coefficients = (cross @ basis.projector).astype(np.float32)  # [n, r]
+        unit = light.total_lx.astype(np.float32)[:, None] * pixels.scale.astype(np.float32)
+        surface = np.maximum(coefficients @ pixels.b.T, pixels.least.astype(np.float32))  # [n, P]
+        luminance = surface * unit  # [n, P] cd/m2
+        direct = None
+        if patch is not None:
+            direct = patch[:, self.seen] * self.patch_gain  # [n, P] cd/m2
+            luminance += direct
+        window = self.open_sky.index  # [k]
+        sky_gain = pixels.sky_gain[window].astype(np.float32)
+        luminance[:, window] += sky_gain * self.open_sky.luminance(light)
+        second = self._second(light, features)  # [n, captures or 0]
+        if second.size:
+            luminance *= np.exp(second @ pixels.second)
+        return SurfaceMaps(luminance, direct, unit, features, cross, second)
+
+    @property
+    def patch_gain(self) -> NDArray[np.float32]:
+        """Gain of the sun patch at each pixel, [P]."""
+        return np.float32(self.patch_scale) * self.pixels.patch_gain.astype(np.float32)
+
+    def _second(self, light: Light, features: Features) -> NDArray[np.float32]:
+        if not len(self.pixels.second):
+            return np.empty((len(light), 0), np.float32)
+        known, captured = self.basis.captured_light, self.basis.captured.beam
+        width = self.recipe.second
+        covariance = second_covariance(light, known, features.beam, captured, width)
+        return covariance.astype(np.float32)
