@@ -106,7 +106,9 @@ def earlier(light: Light, minutes: float, data: Dataset) -> Light:
     altitude = light.sun_altitude_deg + true.altitude_deg - stated.altitude_deg
     turn = signed_angle_deg(np.asarray(true.azimuth_deg - stated.azimuth_deg))
     azimuth = (light.sun_azimuth_deg + turn) % 360.0
-    return Light(times, light.dni_wm2, light.dhi_wm2, altitude, azimuth, light.perez)
+    return replace(
+        light, t_utc=times, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth, perez=light.perez
+    )
 
 
 def in_scene(
