@@ -11,12 +11,12 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import Shot, merge_frames
-from fieldlum.merge.session_summary import COLUMNS
 from fieldlum.merge.shift import reduced, shifts
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import CameraProfile, bracket_exposures, load_camera_profile
 from fieldlum.projection import LensGeometry, lens_pixels, lens_rays
 from fieldlum.records import Panorama
+from fieldlum.session.files.quality_csv import QUALITY_COLUMNS
 
 HEIGHT = 180
 
@@ -94,7 +94,7 @@ def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) 
     assert result.quality["shift_px"] == pytest.approx(2.0, abs=0.2)
     assert f"px) between {shots[4].path.name} and {shots[5].path.name}" in result.verdict
     assert result.verdict.count("turned") == 1
-    assert {"shift_px", "shift_u_px"} <= set(COLUMNS)
+    assert {"shift_px", "shift_u_px"} <= set(QUALITY_COLUMNS)
 
 
 @pytest.mark.slow
