@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fieldlum.model_registry import MODELS
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, by_day, standard_error
+from fieldlum.statistics import is_no_worse
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,23 +74,22 @@ def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
 
 
 def _smallest_good(trials: list[Trial], data: Dataset) -> tuple[Trial, ModelSelection]:
-    """The smallest trial within one standard error of the best; the error is that of the best's
-    mean over days.
-    """
+    """Return the smallest trial within one standard error of the best, by paired held-out days."""
     shared = set.intersection(*(set(trial.scores.slots) for trial in trials))
     daily = {trial.name: _daily(trial, data, shared) for trial in trials}
     means = {name: float(values.mean()) for name, values in daily.items()}
     best = min(means, key=lambda name: means[name])
-    slack = float(np.nan_to_num(standard_error(daily[best])))
     chosen = next(
         trial
         for trial in sorted(trials, key=lambda t: _size(t.name))
-        if means[trial.name] <= means[best] + slack
+        if is_no_worse(daily[trial.name], daily[best])
     )
-    spread = f"{means[best]:.2e} +- {slack:.1e} over {len(daily[best])} held-out days"
+    spread = f"{means[best]:.2e} over {len(daily[best])} held-out days"
     if chosen.name == best:
         return chosen, ModelSelection(
-            best, f"{best} is best ({spread}) and nothing smaller is within one standard error"
+            best,
+            f"{best} is best ({spread}) and nothing smaller is within one standard error "
+            f"of the paired differences",
         )
     said = (
         f"{chosen.name} ({means[chosen.name]:.2e}) is the smallest within one standard error "
