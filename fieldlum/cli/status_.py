@@ -24,7 +24,7 @@ def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -
     """Show what a session has done and what it owes.
 
     \b
-    Examples:
+    Example:
       fieldlum status office-2027
       fieldlum status office-2027 --mark 20270320T153000Z lamp=on
     """

@@ -37,6 +37,9 @@ _FLOOR_CDM2 = 1.0
 # A richer geometry must promise this much less than a simpler one. Of three rooms by plain Radiance
 # (bench/scene_rooms.py) 0.9 refused one box that was truly 10 % better; 0.95 erred by at most 4 %.
 _WORTH = 0.95
+# Patch misfits within 10 % say the same: of ten hours kept out, the mean is no better known (4.7 and
+# 4.6 % for the exact and the fitted room of the demo).
+_SAME_MISFIT = 1.1
 
 
 class Predictor(Protocol):
@@ -189,10 +192,9 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
     reason = f"{chosen.name}: least error where sun directions are left out ({text})"
     measured = [s for s in scores if np.isfinite(s.misfit)]
     other = min(measured, key=lambda s: s.misfit) if measured else chosen
-    if other.name != chosen.name:
+    agrees = other.name == chosen.name or chosen.misfit <= _SAME_MISFIT * other.misfit
+    if not agrees:
         reason += (
             f"; sun patches of hours kept out speak for {other.name}: capture more clear hours"
         )
-    return SceneVerdict(
-        chosen.name, chosen.expected_log10_mse, other.name == chosen.name, reason, tuple(scores)
-    )
+    return SceneVerdict(chosen.name, chosen.expected_log10_mse, agrees, reason, tuple(scores))
