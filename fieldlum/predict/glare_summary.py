@@ -184,9 +184,9 @@ def _disc_note(annual: Annual) -> list[str]:
     if open_share < NOISY_TRUST:
         return []
     return [
-        f"in {100 * open_share:.0f} % of the sunny occupied hours the 95 % interval of DGP is "
+        f"In {100 * open_share:.0f} % of the sunny occupied hours the 95 % interval of DGP is "
         f"wider than {_WIDE_DGP:g} in some direction, mostly because the stated room does not "
-        f"settle whether the sun's disc is seen: measure the window, its bars and the camera"
+        f"settle whether the sun's disc is seen: measure the window, its bars and the camera."
     ]
 
 

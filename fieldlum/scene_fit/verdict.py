@@ -37,8 +37,8 @@ _FLOOR_CDM2 = 1.0
 # A richer geometry must promise this much less than a simpler one. Of three rooms by plain Radiance
 # (bench/scene_rooms.py) 0.9 refused one box that was truly 10 % better; 0.95 erred by at most 4 %.
 _WORTH = 0.95
-# Patch misfits within 10 % agree: the mean over ten hours kept out is no better known (4.7 and 4.6 %
-# for the exact and the fitted room of the demo).
+# Patch misfits within 10 % agree: over ten hours kept out, the mean is no better known (4.7 and
+# 4.6 % for the exact and the fitted room of the demo).
 _SAME_MISFIT = 1.1
 
 
