@@ -117,6 +117,7 @@ def test_run_length_pictures_are_read(tmp_path: Path) -> None:
 @given(st.integers(0, 2000), st.integers(0, 255), st.booleans())
 @example(124, 249, False)  # an exponent that overflows single precision
 @example(392, 1, False)  # the type of the attribute sun is no "string" any more
+@example(210, 128, False)  # the value of an attribute is no text any more
 def test_a_damaged_picture_gives_a_picture_or_one_line(
     tmp_path: Path, at: int, value: int, cut: bool
 ) -> None:

@@ -98,12 +98,12 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
     _check_size(header, path)
     channels, header = _channels(path)
     luminance, note = _luminance(channels, header, path)
-    own = {
-        str(key).removeprefix("fieldlum:"): str(value)
-        for key, value in header.items()
-        if str(key).startswith("fieldlum:")
-    }
     try:
+        own = {
+            str(key).removeprefix("fieldlum:"): str(value)
+            for key, value in header.items()
+            if str(key).startswith("fieldlum:")
+        }
         heading = float(header.get("heading_deg", 180.0))
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
@@ -151,7 +151,11 @@ def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int] |
 
 def _check_size(header: Mapping[str, Any], path: Path) -> None:
     """Raise InputError for more pixels than `MAX_PIXELS`, before anything is decoded."""
-    if "deep" in str(header.get("type", "")).lower():
+    try:
+        kind = str(header.get("type", "")).lower()
+    except UnicodeDecodeError as error:  # a damaged attribute comes as bytes of no known type
+        raise _broken(path, error) from None
+    if "deep" in kind:
         raise InputError(path, "deep data", "a flat picture", "flatten it with the program's own")
     channels = max(1, len(header.get("channels") or ()))
     for name in ("dataWindow", "displayWindow"):
