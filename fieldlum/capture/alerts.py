@@ -1,11 +1,12 @@
-"""Which events of a running capture a person far away should hear of: pure bookkeeping.
+"""Decide which events of a running capture are reported to a person far away.
 
 The capture hands over its journal events and, about once a second, its state. Each fault gives one
-message, and the same kind of fault none again within `QUIET` or before it is over.
+message. The same kind of fault gives another one only after it was over, or after `QUIET`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from pathlib import Path
@@ -33,13 +34,20 @@ class DayCount:
     highest_ghi_wm2: float | None = None
 
 
+def _no_sheet() -> Path | None:
+    return None
+
+
 @dataclass(slots=True)
 class Alerts:
-    """State of the alerts of one capture. `contact_sheet` is attached to the daily summary."""
+    """State of the alerts of one capture.
+
+    contact_sheet: returns the picture to attach to a daily summary, at the time of that summary.
+    """
 
     name: str
     timezone: str
-    contact_sheet: Path | None = None
+    contact_sheet: Callable[[], Path | None] = _no_sheet
     _away_since: dict[str, datetime] = field(default_factory=dict)
     _reported_away: set[str] = field(default_factory=set)
     _misses: int = 0
@@ -143,9 +151,7 @@ class Alerts:
         )
         if ghi is not None:
             body += f" Highest global irradiance {ghi:.0f} W/m2."
-        sheet = self.contact_sheet
-        picture = sheet if sheet is not None and sheet.is_file() else None
-        return [self._message(f"summary of {ended.isoformat()}", body, picture)]
+        return [self._message(f"summary of {ended.isoformat()}", body, self.contact_sheet())]
 
     def _once(self, kind: str, t_utc: datetime, title: str, body: str) -> list[Message]:
         last = self._last.get(kind)

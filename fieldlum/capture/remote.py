@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from fieldlum.capture.alerts import Alerts
@@ -20,19 +21,28 @@ _SETTLED = ("done", "missed", "aborted")
 
 @dataclass(frozen=True, slots=True)
 class Remote:
-    """`listen` takes journal events, `look` the state of the capture; both return at once."""
+    """`listen` takes journal events, `look` the state of the capture; both return at once.
+
+    Events come from the capture and from the thread that logs irradiance: a lock keeps the state of
+    the alerts whole.
+    """
 
     alerts: Alerts
     outbox: Outbox | None
     heartbeat: Heartbeat | None
+    _lock: Lock = field(default_factory=Lock)
 
     def listen(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
         if self.heartbeat is not None and event in _SETTLED:
             self.heartbeat.beat()
-        self._send(self.alerts.event(event, t_utc, fields))
+        with self._lock:
+            messages = self.alerts.event(event, t_utc, fields)
+        self._send(messages)
 
     def look(self, live: Live) -> None:
-        self._send(self.alerts.look(live.t_utc, live.disk_days, live.ghi_wm2))
+        with self._lock:
+            messages = self.alerts.look(live.t_utc, live.disk_days, live.ghi_wm2)
+        self._send(messages)
 
     def _send(self, messages: Sequence[Message]) -> None:
         if self.outbox is not None:
@@ -55,7 +65,9 @@ def informed(
     with_picture: attach the latest contact sheet to the daily summary; people may be in it.
     """
     site = session.site_file().site
-    sheet = _latest_contact_sheet(session) if with_picture else None
+
+    def sheet() -> Path | None:
+        return _latest_contact_sheet(session) if with_picture else None
 
     def report(event: str, why: str) -> None:
         with suppress(OSError):
@@ -74,5 +86,8 @@ def informed(
 
 
 def _latest_contact_sheet(session: Session) -> Path | None:
-    sheets = sorted(session.panoramas.glob("contact-*.png"))
-    return sheets[-1] if sheets else None
+    """Return the contact sheet that merge wrote last; None without one."""
+    with suppress(OSError):  # a sheet that is being replaced, a disk that is away
+        sheets = session.panoramas.glob("contact-*.png")
+        return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
+    return None
