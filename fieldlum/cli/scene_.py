@@ -30,7 +30,7 @@ def fit(pairs: Path, site: Path | None, out: Path | None, seed: int, as_json: bo
 
     Starts at the `[room]` that was measured by tape and edits nothing of yours: it writes
     scene.toml, with values before and after and their uncertainties, and pictures to check them.
-    `train`, `bench` and `report` then use a session's own scene/ unless `--scene none` is given.
+    `train` then uses a session's own scene/ unless `--scene none` is given.
 
     \b
     Example:

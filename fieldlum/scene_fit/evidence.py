@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-# Found by the study of two rendered rooms (docs/scene.md, "How it was chosen").
+# From a study of two rooms rendered by Radiance, made before this code. docs/scene.md has what was
+# measured since.
 MAX_HOURS = 60
 PIXELS = 4000
 SUB = 2  # rays a pixel is divided into, each way

@@ -19,7 +19,7 @@ Chosen = Literal["none", "stated", "fitted"]
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A fitted scene as `train`, `bench` and `report` use it.
+    """A fitted scene as `train` uses it.
 
     room: the fitted box against true north. north_deg: room and camera stand so much further
     clockwise than stated; clock_min: the stated times are so much late. before, after, u: values
