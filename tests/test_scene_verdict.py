@@ -153,7 +153,9 @@ def _fit_of(captures: Dataset) -> SceneFit:
     """A fit whose kept-out misfits speak for the fitted scene, which is the true room."""
     hours = np.arange(6)
     misfits = Misfits(0.2 + 0.01 * hours, 0.1 + 0.01 * hours, 0.01 * hours, captures.days[:6])
-    return SceneFit(SHIFTED, guess_of(ROOM), ROOM, stated_albedo(ROOM), {}, {}, {}, misfits, 6, ())
+    heading_deg = captures.heading_deg
+    albedo = stated_albedo(ROOM)
+    return SceneFit(SHIFTED, heading_deg, guess_of(ROOM), ROOM, albedo, {}, {}, {}, misfits, 6, ())
 
 
 @pytest.mark.property
@@ -170,7 +172,8 @@ def test_the_verdict_reaches_the_scene(chosen: str, monkeypatch: pytest.MonkeyPa
 @pytest.mark.property
 def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
     one = CAPTURES.take([3, 11, 19])  # the same hour of three days
-    scene_ = stage.judged_scene(replace(one, patch_cdm2=None), _fit_of(CAPTURES))
+    stated = replace(one, patch_cdm2=None, setup=replace(one.setup, room=SHIFTED))
+    scene_ = stage.judged_scene(stated, _fit_of(CAPTURES))
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert scene_.expected_log10_mse is None
     assert any("directions" in note for note in scene_.notes)

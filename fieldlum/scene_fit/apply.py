@@ -21,6 +21,8 @@ from fieldlum.scene_fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
+_SAME_HEADING_DEG = 0.05  # of the digits that a panorama's header keeps; north is found to 0.1
+
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
     """Return a fit as a scene, its room turned to true north."""
@@ -33,6 +35,8 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
         room=room,
         chosen=chosen,
         verdict=verdict,
+        stated_heading_deg=fit.heading_deg,
+        stated_room=fit.stated,
         hours=fit.hours,
         misfit=fit.misfits.mean(),
         before=fit.before,
@@ -47,8 +51,10 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
 
     chosen "fitted": heading and room turned to true north, the sun where it stood at the true
     times, sun patches computed from the fitted room. "stated": patches of the stated room. "none":
-    no patches. Raises InputError for a stated room that is missing.
+    no patches. Raises InputError for captures that state another heading or room than those that
+    the scene was fitted to.
     """
+    _check_stated(data, scene)
     about = {
         "north_deg": scene.north_deg,
         "clock_min": scene.clock_min,
@@ -59,8 +65,6 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
     if scene.chosen == "none":
         return replace(data, patch_cdm2=None, scene=about)
     if scene.chosen == "stated":
-        if data.setup.room is None:
-            raise InputError("the site", "no [room]", "a room", "state it, or use --scene none")
         return with_patches(replace(data, scene=about), progress=progress)
     camera = replace(
         data.setup.camera, heading_deg=(data.setup.camera.heading_deg + scene.north_deg) % 360.0
@@ -73,6 +77,18 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
         scene=about,
     )
     return with_patches(turned, progress=progress)
+
+
+def _check_stated(data: Dataset, scene: Scene) -> None:
+    """Raise InputError unless the captures state what the scene was fitted to."""
+    remedy = "fit the scene again (fieldlum scene fit), or train with --scene none"
+    turned_deg = abs(float(signed_angle_deg(data.heading_deg - scene.stated_heading_deg)))
+    if turned_deg > _SAME_HEADING_DEG:
+        found = f"captures that face {data.heading_deg:g} degrees"
+        raise InputError("the scene", found, f"{scene.stated_heading_deg:g} as in its fit", remedy)
+    if data.setup.room != scene.stated_room:
+        found = "a [room] that differs from the one that the fit started at"
+        raise InputError("the scene", found, "the same [room]", remedy)
 
 
 def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
@@ -125,7 +141,8 @@ def in_scene(
     if option != "none" and (option or (beside / SCENE_TOML).is_file()):
         scene = read_scene(folder)
         data = with_scene(data, scene, progress=progress)
-        note = f"scene {folder}: {scene.verdict}"
+        doubt = "" if scene.trusted else "WARNING: the scene is not trusted. "
+        note = f"{doubt}scene {folder}: {scene.verdict}"
         data = replace(data, notes=(*data.notes, note))
         return data, "none" if scene.chosen == "none" else patch
     room = data.setup.room

@@ -61,12 +61,14 @@ class Misfits:
 class SceneFit:
     """A fitted scene.
 
+    stated, heading_deg: the room and the captures' heading that the fit started at.
     room: the fitted box in the stated world axes; `north_deg` and `clock_min` say how north and
     clock differ from those stated. u: standard uncertainties by parameter name. before and after:
     values by parameter name. albedo [6 + solids].
     """
 
     stated: Room
+    heading_deg: float
     guess: Guess
     room: Room
     albedo: Array
@@ -116,7 +118,17 @@ def fit_scene(
     notes = tuple(_notes(u, evidence))
     progress(100, 100, "")
     return SceneFit(
-        room, guess, room_found, search.albedo, before, after, u, misfits, len(evidence), notes
+        room,
+        data.heading_deg,
+        guess,
+        room_found,
+        search.albedo,
+        before,
+        after,
+        u,
+        misfits,
+        len(evidence),
+        notes,
     )
 
 

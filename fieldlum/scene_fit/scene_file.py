@@ -25,6 +25,8 @@ class Scene:
     clockwise than stated; clock_min: the stated times are so much late. before, after, u: values
     and standard uncertainties by parameter. misfit: share of the pixels near sun patches that are
     wrong, on hours kept out of the search. chosen: which geometry the captures support.
+    stated_heading_deg, stated_room: what the fit started at. A scene is used only with captures
+    that state the same; else a correction would be applied twice.
     """
 
     north_deg: float
@@ -32,6 +34,8 @@ class Scene:
     room: Room
     chosen: Chosen
     verdict: str
+    stated_heading_deg: float
+    stated_room: Room
     trusted: bool = True
     hours: int = 0
     expected_log10_mse: float | None = None
