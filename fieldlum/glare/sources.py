@@ -5,7 +5,7 @@ degrees) belong to the same one, so the panes of a window are one source; its po
 luminance-weighted centre. Pixels from 50 000 cd/m2 up are taken out of their source and make
 sources of their own. These are evalglare's defaults (-b 2000,
 -r 0.2 with its own definition of the search angle, -Y 50000): the additive sum over pixels that
-needs no grouping comes out higher for windows with bright and dark panes (docs/accuracy.md,
+needs no grouping comes out higher for windows with bright and dark panes (docs/results/glare.md,
 "Glare").
 """
 
