@@ -1,0 +1,80 @@
+"""Contract: every command line that the documentation shows is one that the program accepts."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+from fieldlum.cli import main
+
+pytestmark = pytest.mark.contract
+
+ROOT = Path(__file__).parents[1]
+PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
+_ENDS_A_COMMAND = {"|", "||", "&&", ";", ">", ">>", "<", "2>&1", "&"}
+
+
+def _shown_lines(text: str) -> Iterator[str]:
+    """Yield command lines: of code blocks, and of code within a sentence."""
+    for block in re.findall(r"(?ms)^```(?:bash|sh|shell|console)?\n(.*?)^```", text):
+        for line in block.replace("\\\n", " ").splitlines():
+            yield line.strip().removeprefix("$ ")
+    for block in re.findall(r"(?m)(?:^ {4}\S.*\n)+", text):
+        for line in block.replace("\\\n", " ").splitlines():
+            yield line.strip().removeprefix("$ ")
+    without_blocks = re.sub(r"(?ms)^```.*?^```", "", text)
+    for code in re.findall(r"(?s)(?<!`)`([^`]+)`(?!`)", without_blocks):
+        yield " ".join(code.split())
+
+
+def _words_of_commands(page: Path) -> Iterator[list[str]]:
+    for line in _shown_lines(page.read_text(encoding="utf-8")):
+        if not line.startswith("fieldlum "):
+            continue
+        words = shlex.split(line, comments=True)[1:]
+        end = next((i for i, word in enumerate(words) if word in _ENDS_A_COMMAND), len(words))
+        if any("..." in word or "…" in word or "[" in word for word in words):
+            continue  # a form with placeholders, no command
+        yield words[:end]
+
+
+def _unknown(words: list[str]) -> str | None:
+    """Return what the program would not accept, or None."""
+    command: click.Command = main
+    context = click.Context(main)
+    while isinstance(command, click.Group):
+        if not words or words[0].startswith("-"):
+            return None
+        name, *words = words
+        below = command.get_command(context, name)
+        if below is None:
+            return f"no command {name}"
+        command = below
+        context = click.Context(command, parent=context, info_name=name)
+    try:
+        options, _, _ = command.make_parser(context).parse_args(words)
+    except click.UsageError as error:
+        return error.format_message()
+    for parameter in command.params:
+        value = options.get(parameter.name or "")
+        if isinstance(parameter.type, click.Choice) and isinstance(value, str):
+            if value not in parameter.type.choices and value.lower() == value:
+                return f"{parameter.name}: {value} is none of {', '.join(parameter.type.choices)}"
+    return None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_shown_command_is_accepted(page: Path) -> None:
+    refused = {" ".join(words): _unknown(words) for words in _words_of_commands(page)}
+    assert not {line: why for line, why in refused.items() if why}
+
+
+def test_a_wrong_option_is_found() -> None:
+    assert _unknown(["merge", "--no-such-option"])
+    assert _unknown(["mergee", "SESSION"]) == "no command mergee"
+    assert _unknown(["merge", "SESSION"]) is None
