@@ -62,9 +62,11 @@ def _unknown(words: list[str]) -> str | None:
         return error.format_message()
     for parameter in command.params:
         value = options.get(parameter.name or "")
-        if isinstance(parameter.type, click.Choice) and isinstance(value, str):
-            if value not in parameter.type.choices and value.lower() == value:
-                return f"{parameter.name}: {value} is none of {', '.join(parameter.type.choices)}"
+        if not isinstance(parameter.type, click.Choice) or not isinstance(value, str):
+            continue
+        placeholder = value != value.lower()
+        if value not in parameter.type.choices and not placeholder:
+            return f"{parameter.name}: {value} is not one of {', '.join(parameter.type.choices)}"
     return None
 
 
