@@ -152,7 +152,8 @@ def read_panorama(file: str | Path) -> Panorama:
     Panorama
         `luminance_cdm2` [H, 2H] with the zenith in row 0 and `heading_deg` in the centre column,
         without the sun's disc; `u_cdm2` (standard uncertainty), `flags` and `sun` where the file
-        has them.
+        has them. In a session the sun is that of suns.csv, as `pair` completed it; where it is only
+        a lower bound, `attributes["note"]` says so.
 
     Raises
     ------
@@ -165,9 +166,9 @@ def read_panorama(file: str | Path) -> Panorama:
     >>> panorama.luminance_cdm2.shape, panorama.heading_deg
     ((230, 460), 180.0)
     """
-    from fieldlum import images
+    from fieldlum.session.panorama_sun import read_panorama_with_sun
 
-    return images.read_panorama(Path(file))
+    return read_panorama_with_sun(Path(file))
 
 
 def write_panorama(file: str | Path, panorama: Panorama) -> None:

@@ -224,6 +224,9 @@ class IrradianceSample:
 # luminance
 
 
+CLIPPED_SUN = "clipped"  # origin of a sun that saturated in every frame: a lower bound
+
+
 @dataclass(frozen=True, slots=True)
 class SunSource:
     """The sun as the lens sees it, kept beside the map. Illuminance is on a plane normal to it,
@@ -234,7 +237,7 @@ class SunSource:
     azimuth_deg: float  # clockwise from north
     normal_illuminance_lx: float  # of the visible part
     visible_fraction: float = 1.0
-    origin: str = ""  # nd-frames, meter, dni, rendering
+    origin: str = ""  # nd-frames, merge, clipped, meter, dni, rendering, picture
 
 
 @dataclass(frozen=True, slots=True)

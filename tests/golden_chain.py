@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from fieldlum import demo, irradiance, merge, models, pair, plan, predict, simulate, train
-from fieldlum.images import read_panorama
 from fieldlum.models.data import load_pairs
 from fieldlum.profiles import load_site, shipped
 from fieldlum.records import quiet
 from fieldlum.session import Session, create_session
+from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 STORED = Path(__file__).parent / "golden" / "chain.json"
 HEIGHT = 23  # rows of the panoramas
@@ -119,7 +119,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 def _panorama(path: Path) -> dict[str, Any]:
     """Geometric mean over blocks and the brightest pixel [cd/m2], the sun's illuminance [lx]."""
-    panorama = read_panorama(path)
+    panorama = read_panorama_with_sun(path)
     logs = np.log10(np.maximum(np.nan_to_num(panorama.luminance_cdm2), 0.1))  # [H, W]
     blocks = [
         np.array_split(rows, BLOCK_COLUMNS, axis=1) for rows in np.array_split(logs, BLOCK_ROWS)

@@ -16,7 +16,9 @@ from places import SEATTLE
 
 from fieldlum import irradiance, pair, sun
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.glare.single import picture_glare
 from fieldlum.images import read_panorama, write_panorama
+from fieldlum.models.data import load_pairs
 from fieldlum.pair.interval import outside
 from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.records import (
@@ -35,7 +37,9 @@ from fieldlum.records import (
 from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.clean_csv import CleanIrradiance
-from fieldlum.session.files.pairs_csv import PAIR_COLUMNS
+from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile
+from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.session.simulated_pairs import write_simulated_pairs
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SOUTH = SunSource(18.9, 178.0, 5000.0, 1.0, "clipped")
@@ -270,11 +274,10 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
     beam = float(rows[0]["dni_wm2"]) * np.sin(np.radians(float(rows[0]["sun_altitude_deg"])))
     assert beam + float(rows[0]["dhi_wm2"]) == pytest.approx(float(rows[0]["ghi_wm2"]), rel=2e-3)
     found = read_panorama(session.root / rows[0]["panorama"])
-    assert found.sun is not None and found.sun.origin in ("dni", "clipped")
-    side = json.loads((session.panoramas / f"{slot_id(NOON)}.json").read_text())
-    assert side["size_bytes"] == (session.root / rows[0]["panorama"]).stat().st_size, (
-        "merge must still know it"
-    )
+    assert found.sun == SOUTH, "pair rewrites no panorama"
+    joined = read_panorama_with_sun(session.root / rows[0]["panorama"])
+    assert joined.sun is not None and "note" not in joined.attributes
+    assert (joined.sun.origin, joined.sun.normal_illuminance_lx > 5000.0) == ("dni", True)
     assert bool(rows[0]["sunpatch"]) is (room is not None)
     if room is not None:
         patch = read_panorama(session.root / rows[0]["sunpatch"])
@@ -284,6 +287,52 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
         assert (session.root / rows[0]["sunpatch"]).stat().st_mtime_ns == stamp, (
             "made once from the same inputs"
         )
+
+
+@pytest.mark.contract
+def test_a_clipped_sun_without_its_row_is_a_lower_bound(tmp_path: Path) -> None:
+    """Before `pair`, and after a merge whose sun differs from the one that `pair` completed."""
+    session = make_session(tmp_path / "s", None)
+    path = session.panorama_files()[0]
+    assert "lower bound" in picture_glare(path)["warnings"][0]
+    pair.run(session)
+    assert not picture_glare(path)["warnings"]
+    again = replace(SOUTH, normal_illuminance_lx=6000.0)
+    write_panorama(path, picture(again, 50.0))
+    stale = read_panorama_with_sun(path)
+    assert stale.sun == again and "lower bounds" in stale.attributes["note"]
+    notes = load_pairs(session).notes
+    assert any("the sun of 1 maps clipped" in note for note in notes)
+
+
+@pytest.mark.contract
+def test_a_sun_that_an_earlier_pair_wrote_into_its_panorama_counts_once(tmp_path: Path) -> None:
+    """Version 0.1.0 rewrote panoramas; its sessions open with and without suns.csv."""
+    session = make_session(tmp_path / "s", None)
+    path = session.panorama_files()[0]
+    write_panorama(path, picture(replace(SOUTH, origin="dni", normal_illuminance_lx=8e4), 50.0))
+    before = read_panorama_with_sun(path)
+    assert before.sun is not None and before.sun.normal_illuminance_lx == 8e4
+    assert "note" not in before.attributes
+    pair.run(session)
+    after, other = (read_panorama_with_sun(p).sun for p in session.panorama_files())
+    assert after is not None and other is not None and after.origin == "dni"
+    assert after.normal_illuminance_lx == pytest.approx(other.normal_illuminance_lx, rel=0.3)
+
+
+@pytest.mark.contract
+def test_pair_keeps_the_pairs_of_a_simulated_session(tmp_path: Path) -> None:
+    """Of 0.1.0, which wrote pairs.csv alone, and of now; simulating again keeps pair's."""
+    session = make_session(tmp_path / "s", None)
+    session.truth.mkdir()
+    rows = (PairRow(NOON, "truth/a.exr", 500.0, 50.0, sunpatch="sunpatches/a.exr"),)
+    PairsFile(session.pairs, rows).write()
+    pair.run(session)
+    truth = PairsFile.read(session.truth_pairs).rows
+    assert [(row.panorama, row.sunpatch) for row in truth] == [("a.exr", "../sunpatches/a.exr")]
+    merged = session.pairs.read_bytes()
+    write_simulated_pairs(session, rows)
+    assert session.pairs.read_bytes() == merged and b"panoramas/" in merged
 
 
 @pytest.mark.contract

@@ -18,6 +18,7 @@ from fieldlum.cli import main
 from fieldlum.errors import InputError
 from fieldlum.images import read_panorama
 from fieldlum.light import Light, light_at
+from fieldlum.models.data import load_pairs
 from fieldlum.profiles import load_site, shipped, site_table
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
 from fieldlum.scene import geometry, radiance, view
@@ -220,6 +221,7 @@ def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     answer = json.loads(result.stdout)
     assert answer["rendered"] == 12 and answer["dark"] == 0
+    assert len(load_pairs(out / "truth" / "pairs.csv").slots) == 12
     with (out / "pairs.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 12 and all(row["sun_in_map"] == "0" and row["ok"] == "1" for row in rows)

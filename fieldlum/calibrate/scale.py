@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
 from fieldlum.calibrate.readings_csv import needed, read_table
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.images import calibration_mark, read_panorama
+from fieldlum.images import calibration_mark
 from fieldlum.photometry import illuminance_lx
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import direction, equirect_rays
 from fieldlum.records import Flag, Panorama
+from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 SPOT_DEG = 0.5  # half of a spot meter's field of 1 degree
 METER_U = 0.02  # relative, common to all readings of one meter: its calibration
@@ -76,7 +77,7 @@ def from_table(
         ("luminance_cdm2", "illuminance_lx", "u_rel"),
     )
     files = dict.fromkeys(needed(row, "panorama", path) for row in rows)
-    pictures = {file: read_panorama(file) for file in files}
+    pictures = {file: read_panorama_with_sun(file) for file in files}
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
     found = []
     for row in rows:

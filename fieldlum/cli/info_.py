@@ -55,10 +55,10 @@ def describe(path: Path) -> dict[str, Any]:
 def _panorama(path: Path) -> dict[str, Any]:
     import numpy as np
 
-    from fieldlum.images import read_panorama
     from fieldlum.records import utc_text
+    from fieldlum.session.panorama_sun import read_panorama_with_sun
 
-    panorama = read_panorama(path)
+    panorama = read_panorama_with_sun(path)
     values = panorama.luminance_cdm2[np.isfinite(panorama.luminance_cdm2)]
     flagged = 0.0 if panorama.flags is None else 100.0 * float((panorama.flags > 0).mean())
     return {

@@ -99,9 +99,10 @@ def command(
 ) -> None:
     """Render a box room by Radiance at the hours of a plan.
 
-    Writes a session with truth/ (what simulated devices look at), sun patches and a pairs.csv of
-    the truth itself. Without --weather: the paper's year near Seattle, elsewhere a synthetic one,
-    which is said. Given a SESSION, it renders the plan that stands there.
+    Writes a session with truth/ (what simulated devices look at) and sun patches. truth/pairs.csv
+    names the truth's own panoramas to train on; pairs.csv is its copy until `pair` writes that of
+    the captures. Without --weather: the paper's year near Seattle, elsewhere a synthetic one, which
+    a note reports. Given a SESSION, it renders the plan of that session.
 
     \b
     Example:

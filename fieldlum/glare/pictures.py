@@ -27,6 +27,7 @@ from fieldlum.images import (
     read_radiance_luminance,
 )
 from fieldlum.records import Panorama
+from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 HOW_PANORAMA = "a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -95,9 +96,10 @@ def _check_views(header: RadianceHeader, path: Path) -> None:
 
 def _read_exr(path: Path, view_options: str) -> Picture:
     picture, stated = read_exr(path)
-    notes = (picture.attributes["note"],) if "note" in picture.attributes else ()
     if stated == "equirect" and not view_options:
-        return Picture(read_panorama(path), None)
+        panorama = read_panorama_with_sun(path)
+        return Picture(panorama, None, notes=_notes(panorama))
+    notes = _notes(picture)
     text = view_options or ("" if stated == "equirect" else stated.removeprefix("VIEW=").strip())
     view = parse_view(_stated(text, path), path, picture.heading_deg)
     height, width = picture.luminance_cdm2.shape
@@ -106,6 +108,10 @@ def _read_exr(path: Path, view_options: str) -> Picture:
     pixels = np.asarray(picture.luminance_cdm2, np.float32)
     own = replace(picture, luminance_cdm2=pixels, heading_deg=view.azimuth_deg, rgb=None)
     return Picture(own, view, directed, notes)
+
+
+def _notes(panorama: Panorama) -> tuple[str, ...]:
+    return (panorama.attributes["note"],) if "note" in panorama.attributes else ()
 
 
 def _stated(text: str, path: Path) -> str:

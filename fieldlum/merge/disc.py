@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays
-from fieldlum.records import Flag, Panorama, Site, SunSource
+from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
 from fieldlum.sun import position
 from fieldlum.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
@@ -28,7 +28,6 @@ _CENTRE_PX, _LEAST_CENTRE_PX = 0.1, 0.02
 _CLIPPED_CENTRE = 0.05  # of a clipped spot's width: its halo is not quite round
 _BLUR_RAD = np.radians(0.5)  # of a lens
 _DISC_PART = 0.05  # of the brightest pixel's excess: dimmer ones are sky
-CLIPPED = "clipped"
 MEASURED = "nd-frames"
 OPEN = "merge"
 
@@ -77,7 +76,7 @@ def take_out_disc(
     if disc is None:
         return panorama, None
     filtered = bool(((flags & Flag.ND) > 0)[disc.pixels].any())
-    origin = CLIPPED if disc.clipped else MEASURED if filtered else OPEN
+    origin = CLIPPED_SUN if disc.clipped else MEASURED if filtered else OPEN
     flags[disc.pixels] |= np.uint16(Flag.FILLED)
     light, u_cdm2, rgb = panorama.luminance_cdm2, panorama.u_cdm2, panorama.rgb
     if u_cdm2 is not None:

@@ -20,7 +20,6 @@ from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_frames
 from fieldlum.merge.disc import (
-    CLIPPED,
     MeasuredSun,
     disc_px,
     expected_sun_deg,
@@ -31,7 +30,7 @@ from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
-from fieldlum.records import CameraSetup, Progress, Site, SunSource, quiet, utc_text
+from fieldlum.records import CLIPPED_SUN, CameraSetup, Progress, Site, SunSource, quiet, utc_text
 from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import Sidecar
@@ -226,7 +225,7 @@ def _sun_table(
         "normal_illuminance_lx": sun.normal_illuminance_lx,
         "u_mosaic_percent": round(100 * _sun_u_rel(profile), 2),
         "origin": sun.origin,
-        "lower_bound": sun.origin == CLIPPED,
+        "lower_bound": sun.origin == CLIPPED_SUN,
         "measured": centre,
     }
 
@@ -238,7 +237,7 @@ def _sun_u_rel(profile: CameraProfile) -> float:
 def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
     """What the verdict adds where a measured sun is too small on the sensor to be measured well."""
     u_rel = _sun_u_rel(profile)
-    if sun is None or sun.origin == CLIPPED or u_rel < _SUN_WARN:
+    if sun is None or sun.origin == CLIPPED_SUN or u_rel < _SUN_WARN:
         return ""
     wide_px = disc_px(profile.lens)
     return (

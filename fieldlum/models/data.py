@@ -18,10 +18,11 @@ from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.records import Flag, Panorama, Progress, SiteFile, quiet, slot_id
+from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Progress, SiteFile, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.sun_disc import split_disc
 
 if TYPE_CHECKING:
@@ -140,6 +141,8 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
         return load_site(site)
     if (path.parent / "session.toml").is_file():
         return open_session(path.parent).site_file()
+    if path.parent.name == "truth" and (path.parent.parent / "session.toml").is_file():
+        return open_session(path.parent.parent).site_file()
     if (path.parent / "site.toml").is_file():
         return load_site(path.parent / "site.toml")
     raise InputError(
@@ -187,10 +190,13 @@ def _assemble(
     check_plausible(path, _stated(path, rows), setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
     dni = np.array([row.dni_wm2 for row in rows])
-    maps, patches, disc, masks, heading = _read_pictures(
-        path, rows, altitude, azimuth, setup, progress
-    )
-    seen, filled = _fill_gaps(maps, masks)
+    pictures = _read_pictures(path, rows, altitude, azimuth, setup, progress)
+    if pictures.bounds:
+        notes.append(
+            f"the sun of {pictures.bounds} maps clipped and is only a lower bound: "
+            "run fieldlum pair, and see its cautions"
+        )
+    seen, filled = _fill_gaps(pictures.maps, pictures.has_value)
     if filled:
         notes.append(f"{filled} single pixels without a value given their own median")
     if not seen.all():
@@ -205,10 +211,10 @@ def _assemble(
             sun_azimuth_deg=azimuth,
             states=_states(path, rows),
         ),
-        luminance_cdm2=maps,
-        patch_cdm2=patches,
-        disc_lx=disc,
-        heading_deg=heading,
+        luminance_cdm2=pictures.maps,
+        patch_cdm2=pictures.patches,
+        disc_lx=pictures.disc_lx,
+        heading_deg=pictures.heading_deg,
         days=np.array([sun.standard_date(t, setup.site.timezone) for t in times], "datetime64[D]"),
         slots=tuple(slot_id(t) for t in times),
         setup=setup,
@@ -264,6 +270,18 @@ def _sun_columns(
     return altitude, azimuth
 
 
+@dataclass(frozen=True, slots=True)
+class _Pictures:
+    """Maps, patches and which pixels have a value [n, H, W]; disc_lx [n]; bounds: clipped suns."""
+
+    maps: NDArray[np.float32]
+    patches: NDArray[np.float32] | None
+    disc_lx: NDArray[np.float64]
+    has_value: NDArray[np.bool_]
+    heading_deg: float
+    bounds: int
+
+
 def _read_pictures(
     path: Path,
     rows: list[PairRow],
@@ -271,11 +289,9 @@ def _read_pictures(
     azimuth: NDArray[np.float64],
     setup: SiteFile,
     progress: Progress,
-) -> tuple[
-    NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float64], NDArray[np.bool_], float
-]:
-    """Maps, patches, disc [lx], which pixels carry a value, heading [deg]."""
+) -> _Pictures:
     pictures = [path.parent / row.panorama for row in rows]
+    suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
     shape, heading = first.luminance_cdm2.shape, _heading(first, pictures[0], setup)
     with_patch = sum(bool(row.sunpatch) for row in rows)
@@ -288,13 +304,13 @@ def _read_pictures(
         )
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
-    disc = np.zeros(len(rows))
+    disc, bounds = np.zeros(len(rows)), 0
     masks = np.empty(maps.shape, bool)
     for k, row in enumerate(rows):
         progress(k, len(rows), pictures[k].name)
-        panorama = _checked(
-            read_panorama(pictures[k]), pictures[k], shape, heading, setup, _MERGE_ALIKE
-        )
+        panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
+        panorama = _checked(panorama, pictures[k], shape, heading, setup, _MERGE_ALIKE)
+        bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
         sun_at = ((float(altitude[k]), float(azimuth[k])), row.dni_wm2)
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
@@ -311,7 +327,7 @@ def _read_pictures(
             elif patch.sun and not panorama.sun:
                 disc[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")
-    return maps, patches, disc, masks, heading
+    return _Pictures(maps, patches, disc, masks, heading, bounds)
 
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:

@@ -1,4 +1,4 @@
-"""Pair every panorama with the irradiance of its own seconds, its sun and its sun patch: pairs.csv.
+"""Pair every panorama with the irradiance of its own seconds, its sun and its sun patch.
 
 `interval` is about the light outside, `source` about the sun's strength at the lens, `patches`
 about the room; this file is the stage.
@@ -6,7 +6,6 @@ about the room; this file is the stage.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -14,27 +13,26 @@ from pathlib import Path
 
 from fieldlum import sun
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
-from fieldlum.images import read_panorama, write_panorama
+from fieldlum.images import read_panorama
 from fieldlum.light_clock import lit_at_night
 from fieldlum.pair.interval import Outside, outside
 from fieldlum.pair.patches import seen_and_patches
 from fieldlum.pair.sun_strength import Seen, complete_sun
 from fieldlum.records import (
-    Panorama,
     Progress,
     Site,
     SiteFile,
-    SunSource,
     parse_utc,
     quiet,
     utc_text,
 )
-from fieldlum.session import Session, replacing, replacing_path
+from fieldlum.session import Session
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
-from fieldlum.session.files.json_file import read_object
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.suns_csv import SunRow, write_suns
+from fieldlum.session.simulated_pairs import keep_simulated_pairs
 from fieldlum.sky import direct_normal_illuminance_lx
 
 POOR_SUN_PERCENT = 5.0  # of a sun's illuminance in the picture, from which its pair says so
@@ -166,11 +164,10 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
 
 
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> list[Pair]:
-    """Write pairs.csv (and sunpatches/, and complete the sun of each panorama). Needs
-    irradiance/clean.csv.
+    """Write pairs.csv, suns.csv and sunpatches/; panoramas stay as merge wrote them.
 
-    Raises NotEnoughDataError when nothing is merged, InputError for irradiance that is light at
-    night.
+    Needs irradiance/clean.csv. A simulated session's own pairs are kept in truth/pairs.csv. Raises
+    NotEnoughDataError when nothing is merged, InputError for irradiance that is light at night.
     """
     brackets = taken_brackets(session)
     if not brackets:
@@ -187,6 +184,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
         )
     ]
     pairs = _with_suns(session, setup, pairs, force, progress)
+    keep_simulated_pairs(session)
     write_pairs(session.pairs, pairs)
     return pairs
 
@@ -194,7 +192,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
 def _with_suns(
     session: Session, setup: SiteFile, pairs: Sequence[Pair], force: bool, progress: Progress
 ) -> list[Pair]:
-    """Complete the sources, and write the patches of the usable rows where a room is given."""
+    """Write suns.csv, and the patches of the usable rows where a room is given."""
     usable = [p for p in pairs if p.ok]
     full_lx = direct_normal_illuminance_lx(
         [p.light.dni_wm2 for p in usable],
@@ -210,63 +208,39 @@ def _with_suns(
         force=force,
         progress=progress,
     )
-    done: dict[str, Pair] = {}
+    completed: dict[str, Pair] = {}
+    suns: list[SunRow] = []
     for pair, normal_lx, (glimpse, patch) in zip(usable, full_lx, seen, strict=True):
-        done[pair.taken.slot] = replace(
-            pair,
-            sunpatch=patch,
-            caution=_joined(pair.caution, _complete(pair.taken, float(normal_lx), glimpse)),
-        )
-    return [done.get(p.taken.slot, p) for p in pairs]
+        row, caution = _complete(session, pair.taken, float(normal_lx), glimpse)
+        suns += [row] if row is not None else []
+        caution = _joined(pair.caution, caution)
+        completed[pair.taken.slot] = replace(pair, sunpatch=patch, caution=caution)
+    write_suns(session.suns, suns)
+    return [completed.get(p.taken.slot, p) for p in pairs]
 
 
-def _complete(taken: Taken, full_normal_lx: float, glimpse: Seen) -> str:
-    """Put the completed sun into the panorama and its sidecar; returns a caution."""
+def _complete(
+    session: Session, taken: Taken, full_normal_lx: float, glimpse: Seen
+) -> tuple[SunRow | None, str]:
+    """Return the completed sun as a row of suns.csv, None without one, and a caution."""
     try:
         panorama = read_panorama(taken.panorama)
-        source, caution = complete_sun(panorama, full_normal_lx, glimpse, taken.meter_lx)
-        if source is not None and not _same(source, panorama.sun):
-            _rewrite(taken, replace(panorama, sun=source))
     except FieldlumError as error:
-        return str(error)
-    return caution
-
-
-def _same(a: SunSource, b: SunSource | None) -> bool:
-    """Equal to the digits that the EXR's attribute keeps."""
-    if b is None or a.origin != b.origin:
-        return False
-    off = abs(a.normal_illuminance_lx - b.normal_illuminance_lx)
-    return (
-        off <= 1e-4 * a.normal_illuminance_lx
-        and abs(a.visible_fraction - b.visible_fraction) < 1e-3
-    )
-
-
-def _rewrite(taken: Taken, panorama: Panorama) -> None:
-    """The picture first, then its sidecar: a kill in between only makes `merge` and `pair` do it
-    again.
-    """
-    with replacing_path(taken.panorama) as path:
-        write_panorama(path, panorama)
-    note = taken.panorama.with_suffix(".json")
-    if not note.is_file():
-        return
-    table = read_object(note, "the sidecar of a merged panorama", "merge the bracket again")
-    sun_table = dict(table.get("sun") or {})
-    if panorama.sun is not None:
-        s = panorama.sun
-        sun_table |= {
-            "altitude_deg": s.altitude_deg,
-            "azimuth_deg": s.azimuth_deg,
-            "origin": s.origin,
-            "lower_bound": False,
-            "normal_illuminance_lx": s.normal_illuminance_lx,
-            "visible_fraction": s.visible_fraction,
-        }
-    table |= {"sun": sun_table, "size_bytes": taken.panorama.stat().st_size}
-    with replacing(note, "w", encoding="utf-8") as file:
-        json.dump(table, file, indent=1)
+        return None, str(error)
+    source, caution = complete_sun(panorama, full_normal_lx, glimpse, taken.meter_lx)
+    if source is None or panorama.sun is None:
+        return None, caution
+    name = taken.panorama.relative_to(session.root).as_posix()
+    bound_lx = panorama.sun.normal_illuminance_lx
+    return SunRow(
+        name,
+        source.altitude_deg,
+        source.azimuth_deg,
+        source.normal_illuminance_lx,
+        source.visible_fraction,
+        source.origin,
+        bound_lx,
+    ), caution
 
 
 def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:

@@ -8,10 +8,10 @@ import numpy as np
 
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.projection import direction
-from fieldlum.records import Panorama, SunSource
+from fieldlum.records import CLIPPED_SUN, Panorama, SunSource
+from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 
-OWN = ("nd-frames", "merge", "rendering")  # the picture itself measured the disc
-CLIPPED, METER, DNI = "clipped", "meter", "dni"
+METER, DNI = "meter", "dni"
 MOST_OVER_DNI, FAINT_SUN_LX = (
     1.5,
     10_000.0,
@@ -41,10 +41,10 @@ def complete_sun(
     if found is None:
         hidden = seen.known and seen.visible_fraction > 0.5 and full_normal_lx > 20_000.0
         return None, "the room shows the sun, the picture does not" if hidden else ""
-    if found.origin in OWN:
+    if found.origin in MEASURED_ORIGINS:
         brighter = found.normal_illuminance_lx > MOST_OVER_DNI * full_normal_lx + FAINT_SUN_LX
         return found, "the picture's sun is brighter than DNI allows" if brighter else ""
-    bound_lx = found.normal_illuminance_lx if found.origin == CLIPPED else 0.0
+    bound_lx = found.normal_illuminance_lx if found.origin == CLIPPED_SUN else 0.0
     if seen.known and seen.visible_fraction == 0.0:
         return found, "the picture shows the sun, the room does not"
     expected_lx = full_normal_lx * seen.visible_fraction * seen.transmittance

@@ -118,6 +118,9 @@ class Session:
         """The sun of each panorama, completed by `pair`."""
         return self.root / "suns.csv"
 
+    def truth_sunpatch(self, slot: str) -> Path:
+        return self.truth / "sunpatches" / f"{slot}.exr"
+
     @property
     def truth_irradiance(self) -> Path:
         return self.truth / "irradiance.csv"

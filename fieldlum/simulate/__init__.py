@@ -1,8 +1,8 @@
 """A session whose truth is known: a box room rendered by Radiance at every planned slot.
 
 truth/<slot>.exr (panorama with its sun beside it) and truth/irradiance.csv are what the simulated
-camera and pyranometer look at; pairs.csv names the same panoramas, so that `train` and `bench` can
-work on the truth itself.
+camera and pyranometer look at; truth/pairs.csv names the same panoramas, so that `train` and
+`bench` can work on the truth itself, and so does pairs.csv until `pair` writes that of captures.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from fieldlum.images import write_panorama
 from fieldlum.light import Light, light_at
 from fieldlum.records import Panorama, Progress, SiteFile, Slot, quiet
 from fieldlum.session import Session, create_session, replacing, replacing_path, update_session
-from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.files.truth_csv import TruthIrradiance
+from fieldlum.session.simulated_pairs import write_simulated_pairs
 from fieldlum.simulate.troubles import Troubles as Troubles
 from fieldlum.simulate.troubles import load_troubles as load_troubles
 from fieldlum.simulate.troubles import measured_irradiance, troubled_pictures, true_light
@@ -93,7 +94,7 @@ def run(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> Simulated:
-    """Render the truth of every slot of a session's plan and write pairs.csv.
+    """Render the truth of every slot of a session's plan and write its pairs.
 
     Slots that are rendered already, in the same way, are kept. drift: irradiance changes within the
     hour instead of holding its mean. troubles: what differs from what is stated. cache: where the
@@ -173,14 +174,14 @@ def _forget_other(
     if path.is_file() and json.loads(path.read_text(encoding="utf-8")) == now:
         return
     for slot in slots:
-        for picture in (session.truth_panorama(slot.id), session.sunpatch(slot.id)):
+        for picture in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)):
             picture.unlink(missing_ok=True)
     with replacing(path) as file:
         file.write(json.dumps(now).encode())
 
 
 def _done(session: Session, slot: Slot) -> bool:
-    return session.truth_panorama(slot.id).is_file() and session.sunpatch(slot.id).is_file()
+    return session.truth_panorama(slot.id).is_file() and session.truth_sunpatch(slot.id).is_file()
 
 
 def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequence[Slot]) -> None:
@@ -194,7 +195,7 @@ def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequenc
             t_utc=panorama.t_utc,
             attributes={"direct": "only"},
         )
-        with replacing_path(session.sunpatch(slot.id)) as path:
+        with replacing_path(session.truth_sunpatch(slot.id)) as path:
             write_panorama(path, replace(patch, sun=panorama.sun))
 
 
@@ -231,18 +232,18 @@ def _write_irradiance(
 def write_pairs(
     session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
 ) -> None:
-    """pairs.csv of the truth itself; its irradiance counts as measured."""
+    """Write the pairs of the truth itself; their irradiance counts as measured."""
     ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
     rows = [
         _pair(session, slot, light, k, bool(lit[k]), float(ghi[k])) for k, slot in enumerate(slots)
     ]
-    PairsFile(session.pairs, tuple(rows)).write()
+    write_simulated_pairs(session, tuple(rows))
 
 
 def _pair(session: Session, slot: Slot, light: Light, k: int, ok: bool, ghi: float) -> PairRow:
     panorama, patch = (
         path.relative_to(session.root).as_posix() if ok else ""
-        for path in (session.truth_panorama(slot.id), session.sunpatch(slot.id))
+        for path in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
     )
     return PairRow(
         slot.t_utc,

@@ -1,0 +1,89 @@
+"""suns.csv: the sun of each merged panorama, completed by `pair`; panoramas are never rewritten."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+from fieldlum.errors import InputError
+from fieldlum.records import SunSource
+from fieldlum.session.writing import replacing
+
+FORMAT = 1
+_EXPECTED, _REMEDY = "the suns that pair writes", "run fieldlum pair again"
+
+
+@dataclass(frozen=True, slots=True)
+class SunRow:
+    """One row. panorama: path relative to the csv. bound_lx: what the picture itself records.
+
+    A row belongs to its picture only as long as the picture records `bound_lx`.
+    """
+
+    panorama: str
+    altitude_deg: float  # apparent
+    azimuth_deg: float
+    normal_illuminance_lx: float
+    visible_fraction: float
+    origin: str
+    bound_lx: float
+    format: int = FORMAT
+
+    @property
+    def source(self) -> SunSource:
+        return SunSource(
+            self.altitude_deg,
+            self.azimuth_deg,
+            self.normal_illuminance_lx,
+            self.visible_fraction,
+            self.origin,
+        )
+
+
+COLUMNS = tuple(field.name for field in fields(SunRow))
+
+
+def write_suns(path: Path, rows: list[SunRow]) -> None:
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(astuple(row) for row in rows)
+
+
+def read_suns(path: Path) -> dict[str, SunRow]:
+    """Return the rows by panorama; a missing file has none. Raises InputError naming the line."""
+    if not path.is_file():
+        return {}
+    rows: dict[str, SunRow] = {}
+    line = 1
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            for cells in reader:
+                line = reader.line_num
+                row = _row(cells)
+                rows[row.panorama] = row
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        found = f"line {line}: {type(error).__name__}: {error}"
+        raise InputError(path, found, _EXPECTED, _REMEDY) from None
+    return rows
+
+
+def _row(cells: dict[str, str]) -> SunRow:
+    version = int(cells.get("format") or 1)
+    if version > FORMAT:
+        raise ValueError(f"format {version}, this fieldlum reads 1 to {FORMAT}")
+    altitude, azimuth, normal, fraction, bound = (
+        float(cells[name])
+        for name in (
+            "altitude_deg",
+            "azimuth_deg",
+            "normal_illuminance_lx",
+            "visible_fraction",
+            "bound_lx",
+        )
+    )
+    return SunRow(
+        cells["panorama"], altitude, azimuth, normal, fraction, cells["origin"], bound, version
+    )

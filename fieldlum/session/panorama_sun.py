@@ -1,0 +1,53 @@
+"""A panorama with the sun that belongs to it: merge's map joined with pair's table of suns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from fieldlum.images import read_panorama
+from fieldlum.records import CLIPPED_SUN, Panorama
+from fieldlum.session.files.suns_csv import SunRow, read_suns
+
+MEASURED_ORIGINS = ("nd-frames", "merge", "rendering")  # the picture itself measured the disc
+_SAME_BOUND_REL = 1e-4  # the EXR's attribute keeps six digits
+
+
+def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) -> Panorama:
+    """Read a panorama and join the sun that `pair` completed for it.
+
+    The table is suns.csv in the folder above the picture's; `suns` is that table where a caller
+    reads many pictures. A sun that the picture measured is kept. `attributes["note"]` states that
+    the sun is only a lower bound, where it clipped and no row of the table belongs to the picture.
+    Raises InputError for an unusable picture or table.
+    """
+    panorama = read_panorama(path)
+    sun = panorama.sun
+    if sun is None or sun.origin in MEASURED_ORIGINS:
+        return panorama
+    row = (suns_of(path) if suns is None else suns).get(_key(path))
+    off_lx = abs(row.bound_lx - sun.normal_illuminance_lx) if row else 0.0
+    if row is not None and off_lx <= _SAME_BOUND_REL * max(sun.normal_illuminance_lx, 1.0):
+        panorama = replace(panorama, sun=row.source)
+    return _labelled(panorama)
+
+
+def suns_of(panorama: Path) -> dict[str, SunRow]:
+    """Return the table of suns of the session that a panorama is in; empty without one."""
+    return read_suns(panorama.absolute().parent.parent / "suns.csv")
+
+
+def _key(panorama: Path) -> str:
+    path = panorama.absolute()  # not resolved: panoramas/ may be a link to another disk
+    return f"{path.parent.name}/{path.name}"
+
+
+def _labelled(panorama: Panorama) -> Panorama:
+    sun = panorama.sun
+    if sun is None or sun.origin != CLIPPED_SUN:
+        return panorama
+    note = (
+        f"the sun clipped in every frame: its {sun.normal_illuminance_lx:.0f} lx, Ev and DGP are "
+        "lower bounds until fieldlum pair completes it"
+    )
+    return replace(panorama, attributes={**panorama.attributes, "note": note})
