@@ -20,6 +20,7 @@ import numpy as np
 
 from fieldlum.profiles import load_site, shipped
 from fieldlum.records import Progress
+from fieldlum.scheduler import in_processes
 from fieldlum.session import Session, open_session, replacing, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.truth_csv import TruthIrradiance
@@ -248,7 +249,12 @@ def run(
     }
     stage("render the room", lambda p: simulate.run(session, year, progress=p, **render))
     stage("capture", lambda p: capture(session, seed, p))
-    stage("merge", lambda p: merge.run(session, workers=workers, height=how.height, progress=p))
+    stage(
+        "merge",
+        lambda p: merge.run(
+            session, scheduler=in_processes(workers), height=how.height, progress=p
+        ),
+    )
     stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
     scores = stage("train", lambda p: trained(session, how, seed, p))
     model = session.models / MODEL

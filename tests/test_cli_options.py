@@ -10,7 +10,7 @@ from fieldlum.cli import main
 from fieldlum.cli.options import dimensions, panorama_height
 
 CONTEXT = click.Context(main)
-SHARED = ("as_json", "force", "workers", "site", "session_folder")
+SHARED = ("as_json", "force", "scheduler_text", "site", "session_folder")
 
 
 def _commands() -> dict[str, click.Command]:

@@ -25,7 +25,7 @@ RANKS = (
         "light_clock",
     },
     {"images", "linear_light", "raw", "profiles", "session", "scene", "weather"},
-    {"devices", "notify"},
+    {"devices", "notify", "scheduler"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench", "scene_fit"},
     {"report", "demo", "cli", "api", "view"},

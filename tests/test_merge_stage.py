@@ -39,6 +39,7 @@ from fieldlum.records import (
     slot_id,
     utc_text,
 )
+from fieldlum.scheduler import in_processes
 from fieldlum.session import DayFiles, Session, create_session, exposure_text
 from fieldlum.session.files.sidecar import Sidecar
 
@@ -131,7 +132,7 @@ def test_two_workers_write_the_files_of_one(session: Session) -> None:
         take(session, number)
 
     def written(workers: int) -> dict[str, bytes]:
-        merge.run(session, height=16, workers=workers, force=True)
+        merge.run(session, height=16, scheduler=in_processes(workers), force=True)
         return {path.name: path.read_bytes() for path in session.panoramas.glob("*.*")}
 
     alone = written(1)

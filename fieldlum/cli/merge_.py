@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,8 +14,13 @@ from fieldlum.cli.options import (
     force_option,
     json_option,
     panorama_height,
+    scheduler_of,
+    scheduler_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say
+
+if TYPE_CHECKING:
+    from fieldlum.scheduler import Scheduler
 
 
 @click.command()
@@ -53,10 +59,10 @@ from fieldlum.cli.terminal import emit_json, progress, say
 @click.option(
     "--workers",
     type=click.IntRange(1),
-    default=1,
-    show_default=True,
-    help="Processes for a session.",
+    metavar="N",
+    help="The same as --scheduler processes:N.",
 )
+@scheduler_option
 @force_option
 @json_option
 def command(
@@ -70,7 +76,8 @@ def command(
     heading: float,
     fit: bool | None,
     drop_moved: bool,
-    workers: int,
+    workers: int | None,
+    scheduler_text: str,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -78,7 +85,7 @@ def command(
 
     \b
     Example:
-      fieldlum merge my-session --workers 2
+      fieldlum merge my-session --scheduler processes:2
       fieldlum merge --frames *.JPG --camera mine.toml --out office.hdr --projection fisheye
     """
     if session is None:
@@ -96,8 +103,9 @@ def command(
         raise click.UsageError(
             "--camera, --out and --projection go with --frames; a session knows its own"
         )
+    scheduler = scheduler_of(scheduler_text, workers)
     _merge_session(
-        session, panorama_height(size or DEFAULT_SIZE), fit, drop_moved, workers, force, as_json
+        session, panorama_height(size or DEFAULT_SIZE), fit, drop_moved, scheduler, force, as_json
     )
 
 
@@ -106,7 +114,7 @@ def _merge_session(
     height: int,
     fit: bool | None,
     drop_moved: bool,
-    workers: int,
+    scheduler: Scheduler,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -118,7 +126,7 @@ def _merge_session(
     with progress("Merge") as bar:
         verdicts = merge.run(
             open_session(root),
-            workers=workers,
+            scheduler=scheduler,
             height=height,
             fit=fit,
             drop_moved=drop_moved,

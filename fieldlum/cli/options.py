@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from fieldlum.scheduler import Scheduler
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Decorator = Callable[[Command], Command]
@@ -49,15 +52,30 @@ def out_option(content: str, *, default: str = "", required: bool = False) -> De
     return click.option("--out", type=PATH, required=required, help=text)
 
 
-def workers_option(default: int | None) -> Decorator:
-    """Return the option --workers; a default of None leaves the number to the stage."""
-    return click.option(
-        "--workers",
-        default=default,
-        show_default=default is not None,
-        type=click.IntRange(min=1),
-        help="Processes that share the work.",
-    )
+scheduler_option = click.option(
+    "--scheduler",
+    "scheduler_text",
+    default="local",
+    show_default=True,
+    metavar="local|processes:N|tcp://HOST:PORT|FILE.json",
+    help="Where the work runs: here, in N processes, or on a Dask cluster (fieldlum[cluster]).",
+)
+"""Where units of work run, as the parameter `scheduler_text`."""
+
+
+def scheduler_of(text: str, workers: int | None = None) -> Scheduler:
+    """Return the scheduler of --scheduler, or of --workers N as processes:N.
+
+    Raises click.UsageError when both are given, InputError for a text that names none.
+    """
+    from fieldlum.cli.terminal import say
+    from fieldlum.scheduler import parse_scheduler
+
+    if workers is not None:
+        if text != "local":
+            raise click.UsageError("give --scheduler or --workers, not both")
+        text = f"processes:{workers}"
+    return parse_scheduler(text, say)
 
 
 # ----------------------------------------------------------------------------------------------

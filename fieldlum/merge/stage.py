@@ -1,16 +1,12 @@
-"""`fieldlum merge SESSION`: every captured slot to panoramas/<slot>.exr, resumably and by
-several processes.
+"""`fieldlum merge SESSION`: every captured slot to panoramas/<slot>.exr, resumably, as units of
+work of a scheduler.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
-import threading
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -30,8 +26,9 @@ from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
-from fieldlum.records import CLIPPED_SUN, CameraSetup, Progress, Site, SunSource, quiet, utc_text
-from fieldlum.session import Session, replacing_path, sha256
+from fieldlum.records import CLIPPED_SUN, Progress, Site, SunSource, quiet, utc_text
+from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_units
+from fieldlum.session import Session, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.version import __version__
@@ -53,11 +50,12 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class _MergeJob:
-    session: Session
+    """What one bracket needs besides its files; it goes to workers, so it holds no path."""
+
     slot: str
     profile: CameraProfile
     profile_sha256: str
-    setup: CameraSetup
+    heading_deg: float
     site: Site
     height: int
     fit: bool | None
@@ -86,7 +84,7 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
         "frames": frames,
         "profile_sha256": job.profile_sha256,
         "height": job.height,
-        "heading_deg": job.setup.heading_deg,
+        "heading_deg": job.heading_deg,
         "fit": job.fit,
         "drop_moved": job.drop_moved,
     }
@@ -112,19 +110,22 @@ def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> dat
     return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
 
 
-def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
-    """One bracket, from frames to files. A failure is a verdict too: one bad bracket stops
-    nothing.
+def merge_slot(root: Path, job: _MergeJob) -> Verdict:
+    """Merge one bracket of the session `root`, from frames to files.
+
+    A bad bracket gives the verdict "failed". Raises OSError for trouble of this computer, such as
+    a full disk, which is no fault of the bracket.
     """
+    session = Session(root)
     try:
-        shots = shots_of_slot(job.session.capture_file(job.slot).parent)
+        shots = shots_of_slot(session.capture_file(job.slot).parent)
         recipe = _recipe(job, shots)
-        known = None if job.force else _done_before(job.session, job.slot, recipe["digest"])
+        known = None if job.force else _done_before(session, job.slot, recipe["digest"])
         if known is not None:
             return Verdict(job.slot, "kept", known.verdict, known.quality)
-        note = CaptureFile.find(job.session.capture_file(job.slot))
+        note = CaptureFile.find(session.capture_file(job.slot))
         t_utc = _slot_time(note, job.slot, shots)
-        result, lost = _merged_without_lost(job, shots, expected_sun_deg(t_utc, job.site), progress)
+        result, lost = _merged_without_lost(job, shots, expected_sun_deg(t_utc, job.site))
         panorama = replace(result.panorama, t_utc=t_utc)
         ev = vertical_illuminance_lx(
             panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
@@ -139,17 +140,24 @@ def merge_slot(job: _MergeJob, progress: Progress = quiet) -> Verdict:
             )
             quality, recipe = {**quality, "lost": lost}, {**recipe, "digest": ""}
         said += _sun_note(panorama.sun, job.profile)
-        _write(job, replace(result, panorama=panorama, quality=quality, verdict=said), recipe)
+        _write(
+            session, job, replace(result, panorama=panorama, quality=quality, verdict=said), recipe
+        )
         return Verdict(job.slot, "merged", said, quality)
     except (FieldlumError, OSError) as error:
-        return Verdict(job.slot, "failed", str(error), {})
+        if is_worker_trouble(error):
+            raise
+        return _failed(job.slot, str(error))
+
+
+def _failed(slot: str, text: str) -> Verdict:
+    return Verdict(slot, "failed", text, {})
 
 
 def _merged_without_lost(
     job: _MergeJob,
     shots: list[Shot],
     sun_deg: tuple[float, float] | None,
-    progress: Progress,
 ) -> tuple[MergeResult, list[str]]:
     """The bracket, and which frames it had to do without: a few that cannot be read are no
     reason to lose an hour.
@@ -160,12 +168,11 @@ def _merged_without_lost(
             [s.path for s in some],
             job.profile,
             height=job.height,
-            heading_deg=job.setup.heading_deg,
+            heading_deg=job.heading_deg,
             shots=some,
             fit=job.fit,
             drop_moved=job.drop_moved,
             sun_deg=sun_deg,
-            progress=progress,
         )
 
     try:
@@ -177,9 +184,9 @@ def _merged_without_lost(
         return merged([s for s in shots if s.path.name not in lost]), lost
 
 
-def _write(job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
+def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
     """The picture first, then its sidecar: a picture without one is made again."""
-    picture = job.session.panorama(job.slot)
+    picture = session.panorama(job.slot)
     with replacing_path(picture) as path:
         write_panorama(path, result.panorama)
     p = job.profile
@@ -203,7 +210,7 @@ def _write(job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
         inputs=recipe,
         size_bytes=picture.stat().st_size,
         fieldlum=__version__,
-    ).write(job.session.sidecar(job.slot))
+    ).write(session.sidecar(job.slot))
 
 
 def _sun_table(
@@ -250,53 +257,56 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
 # many brackets
 
 
-def _start_worker() -> None:
-    """One thread a worker (OpenCV would take every core); end when the parent is killed, not
-    wait for work for ever.
-    """
-    import cv2
-
-    cv2.setNumThreads(1)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-
-
-def _merged(jobs: list[_MergeJob], workers: int, progress: Progress) -> Iterator[Verdict]:
-    if workers <= 1 or len(jobs) <= 1:
-        for job in jobs:
-            yield merge_slot(job)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker) as pool:
-        for future in as_completed([pool.submit(merge_slot, job) for job in jobs]):
-            yield future.result()
-
-
-def _jobs(
+def _units(
     session: Session,
     slots: Iterable[str],
     height: int,
     fit: bool | None,
     drop_moved: bool,
     force: bool,
-) -> list[_MergeJob]:
+) -> list[WorkUnit]:
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
     profile = load_camera_profile(path)
     digest = sha256(path)
-    return [
-        _MergeJob(
-            session, s, profile, digest, setup.camera, setup.site, height, fit, drop_moved, force
-        )
+    heading_deg = setup.camera.heading_deg
+    jobs = [
+        _MergeJob(s, profile, digest, heading_deg, setup.site, height, fit, drop_moved, force)
         for s in slots
     ]
+    return [_unit(session, job) for job in jobs]
+
+
+def _unit(session: Session, job: _MergeJob) -> WorkUnit:
+    """Return the unit of one bracket: its frames are checked by the sha256 in capture.json."""
+    note = session.capture_file(job.slot)
+    try:
+        capture = CaptureFile.find(note)
+    except InputError:  # the unit's verdict is about that
+        capture = None
+    folder = note.parent.relative_to(session.root).as_posix()
+    frames = capture.frames if capture else ()
+    return WorkUnit(
+        job.slot,
+        merge_slot,
+        session.root,
+        job,
+        files=(f"{folder}/{note.name}",) if note.is_file() else (),
+        recorded=tuple((f"{folder}/{f.file}", f.sha256) for f in frames if f.sha256),
+    )
+
+
+def _verdict(outcome: UnitOutcome) -> Verdict:
+    """Return a unit's verdict; a bracket whose workers failed or whose disk is full has failed."""
+    if outcome.trouble or isinstance(outcome.error, OSError):
+        return _failed(outcome.unit.name, outcome.trouble or str(outcome.error))
+    return outcome.result()
 
 
 def run(
     session: Session,
     *,
-    workers: int = 1,
+    scheduler: Scheduler = LOCAL,
     height: int = DEFAULT_HEIGHT,
     fit: bool | None = None,
     drop_moved: bool = False,
@@ -311,15 +321,11 @@ def run(
     slots = captured_slots(session)
     if not slots:
         raise NotEnoughDataError(f"{session.raw}: no captured slots, capture or import some first")
-    jobs = _jobs(session, slots, height, fit, drop_moved, force)
+    units = _units(session, slots, height, fit, drop_moved, force)
     session.panoramas.mkdir(parents=True, exist_ok=True)
-    for scrap in session.panoramas.glob(".*.tmp*"):  # of killed runs
-        if not _alive(scrap):
-            scrap.unlink(missing_ok=True)
-    verdicts = []
-    for done, verdict in enumerate(_merged(jobs, workers, progress), start=1):
-        verdicts.append(verdict)
-        progress(done, len(jobs), f"{verdict.slot}: {verdict.text}"[:60])
+    remove_scraps(session.panoramas)  # of killed runs
+    verdicts = [_verdict(outcome) for outcome in run_units(units, scheduler, progress=progress)]
+    remove_scraps(session.panoramas)  # of workers killed in this run
     verdicts.sort(key=lambda v: v.slot)
     if survey_owed(session):
         write_survey(session)
@@ -330,15 +336,3 @@ def run(
             remedy="see each bracket",
         )
     return verdicts
-
-
-def _alive(scrap: Path) -> bool:
-    """Whether the process that writes this temporary file (its number is in the name) still
-    runs.
-    """
-    numbers = [part for part in scrap.name.split(".") if part.isdigit()]
-    try:
-        os.kill(int(numbers[0]), 0)
-    except (OSError, IndexError):
-        return False
-    return True

@@ -38,7 +38,14 @@ from fieldlum.session.plan_file import (
     read_plan,
     write_plan,
 )
-from fieldlum.session.writing import disk_is_full, replacing, replacing_path, sha256, sync_folder
+from fieldlum.session.writing import (
+    disk_is_full,
+    remove_scraps,
+    replacing,
+    replacing_path,
+    sha256,
+    sync_folder,
+)
 
 __all__ = [
     "DAY_COLUMNS",
@@ -66,6 +73,7 @@ __all__ = [
     "read_day",
     "read_journal",
     "read_plan",
+    "remove_scraps",
     "replacing",
     "replacing_path",
     "sha256",

@@ -5,10 +5,14 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import platform
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
+
+OLD_SCRAP_S = 86400.0  # no file takes a day to write
 
 
 @contextmanager
@@ -17,7 +21,7 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     renamed.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{_host()}.{os.getpid()}.{path.name}.tmp")
     try:
         with temporary.open(mode, **kwargs) as file:
             yield file
@@ -33,7 +37,7 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
 def replacing_path(path: Path) -> Iterator[Path]:
     """As `replacing`, for writers that want a path: yields a temporary one with the same suffix."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{os.getpid()}.tmp.{path.name}")
+    temporary = path.with_name(f".{_host()}.{os.getpid()}.tmp.{path.name}")
     try:
         yield temporary
         with temporary.open("rb+") as file:
@@ -42,6 +46,37 @@ def replacing_path(path: Path) -> Iterator[Path]:
     finally:
         temporary.unlink(missing_ok=True)
     sync_folder(path.parent)
+
+
+def _host() -> str:
+    """Return this computer's name: processes of two computers may have one number."""
+    return "".join(c if c.isalnum() else "-" for c in platform.node()) or "host"
+
+
+def remove_scraps(folder: Path) -> None:
+    """Remove temporary files of processes that ended before they could rename them.
+
+    A process of another computer cannot be asked; its files are removed after a day.
+    """
+    for scrap in folder.glob(".*.tmp*"):
+        host, _, rest = scrap.name[1:].partition(".")
+        number = rest.partition(".")[0]
+        if host == _host() and number.isdigit():
+            over = not _process_runs(int(number))
+        else:
+            over = time.time() - scrap.stat().st_mtime > OLD_SCRAP_S
+        if over:
+            scrap.unlink(missing_ok=True)
+
+
+def _process_runs(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def sync_folder(folder: Path) -> None:

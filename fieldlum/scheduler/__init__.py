@@ -1,0 +1,23 @@
+"""Units of work in this process, in several processes, or on a Dask cluster: one code path.
+
+A stage turns its work into `WorkUnit`s and calls `run_units`. `parse_scheduler` reads the text of
+the option `--scheduler`. Dask moves the units; this package checks that a worker has the same
+fieldlum, profiles and input files, and bounds what a lost, hanging or full worker can cost.
+"""
+
+from fieldlum.scheduler.address import LOCAL, Scheduler, TlsFiles, in_processes, parse_scheduler
+from fieldlum.scheduler.drive import run_units
+from fieldlum.scheduler.units import SHARED_VARIABLE, UnitOutcome, WorkUnit, is_worker_trouble
+
+__all__ = [
+    "LOCAL",
+    "SHARED_VARIABLE",
+    "Scheduler",
+    "TlsFiles",
+    "UnitOutcome",
+    "WorkUnit",
+    "in_processes",
+    "is_worker_trouble",
+    "parse_scheduler",
+    "run_units",
+]

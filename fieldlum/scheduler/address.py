@@ -1,0 +1,145 @@
+"""Where units run: the text of `--scheduler`, read strictly."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import urlsplit
+
+from fieldlum.errors import InputError
+
+FORMS = "local, processes:N, tcp://HOST:PORT or FILE.json"
+DEFAULT_RETRIES = 3  # times that a unit is tried again after its worker was lost
+
+
+def _silent(text: str) -> None:
+    """Show nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class TlsFiles:
+    """Certificate files of a cluster that speaks TLS."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Scheduler:
+    """Where units run and what may be lost.
+
+    address: tcp:// or tls:// address of a Dask scheduler. unit_limit_s: seconds after which a unit
+    counts as hanging; None derives it from the units that ended. retries: how often a unit is tried
+    again after its worker was lost. say: shows one sentence to the user.
+    """
+
+    kind: Literal["local", "processes", "cluster"] = "local"
+    processes: int = 1
+    address: str = ""
+    tls: TlsFiles | None = None
+    unit_limit_s: float | None = None
+    retries: int = DEFAULT_RETRIES
+    say: Callable[[str], None] = field(default=_silent, compare=False)
+
+
+LOCAL = Scheduler()
+
+
+def in_processes(count: int) -> Scheduler:
+    """Return the scheduler of `count` processes on this computer; one process is this process."""
+    return Scheduler("processes", count) if count > 1 else LOCAL
+
+
+def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Scheduler:
+    """Return the scheduler that `text` names: local, processes:N, tcp://HOST:PORT or FILE.json.
+
+    Raises InputError for any other text and for a FILE.json that cannot be used. Warns through
+    `say` about an address that other computers can reach without TLS.
+    """
+    if text == "local":
+        return Scheduler(say=say)
+    if text.startswith("processes:"):
+        count = text.removeprefix("processes:")
+        if not count.isdigit() or int(count) < 1:
+            raise InputError("--scheduler", f"'{text}'", "processes:N with N of 1 or more")
+        return Scheduler("processes", int(count), say=say)
+    if text.startswith(("tcp://", "tls://")):
+        if text.startswith("tls://"):
+            remedy = "name the certificates in a FILE.json (docs/scale.md)"
+            raise InputError("--scheduler", f"'{text}'", "tcp://HOST:PORT or FILE.json", remedy)
+        return _cluster(_checked(text, "--scheduler"), None, say)
+    if text.endswith(".json"):
+        return _from_file(Path(text), say)
+    raise InputError("--scheduler", f"'{text}'", FORMS)
+
+
+def _cluster(address: str, tls: TlsFiles | None, say: Callable[[str], None]) -> Scheduler:
+    if tls is None and not is_loopback(address):
+        say(
+            f"WARNING: {address} has no TLS and is not on this computer: anyone who reaches that "
+            "port can run programs on its workers. Use a FILE.json with certificates "
+            "(docs/scale.md)."
+        )
+    return Scheduler("cluster", address=address, tls=tls, say=say)
+
+
+def is_loopback(address: str) -> bool:
+    """Return whether only this computer can reach `address`."""
+    host = urlsplit(address).hostname or ""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _checked(address: str, where: str) -> str:
+    try:
+        parts = urlsplit(address)
+        usable = bool(parts.hostname and parts.port) and not (parts.username or parts.password)
+    except ValueError:
+        usable = False
+    if not usable:
+        raise InputError(where, f"'{address}'", "tcp://HOST:PORT, like tcp://127.0.0.1:8786")
+    return address
+
+
+def _from_file(path: Path, say: Callable[[str], None]) -> Scheduler:
+    """Read the file of `dask scheduler --scheduler-file`, or one with "address" and "tls"."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        remedy = "start one with: dask scheduler --scheduler-file FILE.json"
+        raise InputError(path, error.strerror or str(error), "a scheduler file", remedy) from None
+    except ValueError as error:
+        raise InputError(path, str(error), "JSON") from None
+    address = table.get("address") if isinstance(table, dict) else None
+    if not isinstance(address, str) or not address.startswith(("tcp://", "tls://")):
+        raise InputError(path, f"address {address!r}", 'a key "address" with tcp:// or tls://')
+    tls = _tls(path, table.get("tls"))
+    if address.startswith("tls://") != (tls is not None):
+        found = f"{address} with{'' if tls else 'out'} a table 'tls'"
+        expected = "tls:// with the files ca, certificate and key; tcp:// without"
+        raise InputError(path, found, expected)
+    return _cluster(_checked(address, str(path)), tls, say)
+
+
+def _tls(path: Path, table: Any) -> TlsFiles | None:
+    """Return the certificate files; their names are relative to the folder of FILE.json."""
+    if table is None:
+        return None
+    names = ("ca", "certificate", "key")
+    if not isinstance(table, dict) or set(table) != set(names):
+        raise InputError(path, f"tls {table!r}", 'a table "tls" with ca, certificate and key')
+    files = [path.parent / str(table[name]) for name in names]
+    for file in files:
+        if not file.is_file():
+            raise InputError(file, "no such file", f"the file that {path.name} names in tls")
+    if files[2].stat().st_mode & 0o077:
+        found = "a private key that other users can read"
+        raise InputError(files[2], found, "a key of its owner alone", "run: chmod 600 on it")
+    return TlsFiles(*files)

@@ -1,0 +1,255 @@
+"""Units on a Dask cluster. The only module that imports dask, and only when a cluster is used."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from functools import cache
+from typing import Any
+
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.scheduler.address import Scheduler
+from fieldlum.scheduler.crew import POLL_S, Ended
+from fieldlum.scheduler.identity import difference, sent_by_value, software_identity
+from fieldlum.scheduler.units import Answer, Task, WorkUnit, corrected, perform, task_of
+
+# Units at a worker for each of its threads: the others wait there while the first runs, so that a
+# worker of short units never waits for the client. Everything else waits at the client.
+UNITS_A_THREAD = 4
+CONNECT_S = 15.0  # for a scheduler to answer: ten times a slow handshake over TLS
+PATIENCE_S = 600.0  # without any usable worker: a batch system starts jobs within minutes
+TURN_S = 0.005  # between two looks for answers: short next to any real unit
+VISIBLE_S = 60.0  # for a file of a worker to appear here; NFS shows new names after up to 60 s
+
+
+class ClusterCrew:
+    """Workers of a Dask scheduler; only those with this very software get units."""
+
+    def __init__(self, scheduler: Scheduler) -> None:
+        self._scheduler = scheduler
+        self._mine = software_identity()
+        self._threads: dict[str, int] = {}  # of workers that are connected
+        self._usable: set[str] = set()
+        self._asked: dict[str, Any] = {}  # worker: the future of its identity
+        self._avoided: dict[str, str] = {}  # worker: why it gets no more units
+        self._running: dict[int, tuple[Any, WorkUnit, frozenset[str]]] = {}
+        self._keys: dict[Any, int] = {}  # future: key of `_running`
+        self._looked_s = self._worked_s = 0.0
+
+    def __enter__(self) -> ClusterCrew:
+        self._client = _connect(self._scheduler)
+        self._finished = _collector(self._client)
+        link = self._client.dashboard_link
+        shown = bool(self._client.scheduler_info(n_workers=0).get("services", {}).get("dashboard"))
+        self.dashboard = link if shown else ""
+        if self.dashboard:
+            self._scheduler.say(f"dashboard: {self.dashboard}")
+        self._worked_s = time.monotonic()
+        self._look()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        futures = [entry[0] for entry in self._running.values()] + list(self._asked.values())
+        self._client.cancel(futures, reason="the command ended")
+        self._client.close()
+
+    # ------------------------------------------------------------------------------------------
+    # workers
+
+    def _look(self) -> None:
+        """Learn which workers there are; ask new ones what they have installed."""
+        self._looked_s = time.monotonic()
+        self._threads = dict(self._client.nthreads())
+        for name in self._threads.keys() - self._asked.keys():
+            self._asked[name] = self._client.submit(
+                sent_by_value(), workers=[name], pure=False, key=f"identity-{name}-{id(self)}"
+            )
+        for name, future in self._asked.items():
+            if name in self._threads and name not in self._usable and name not in self._avoided:
+                self._judge(name, future)
+        self._usable &= self._threads.keys()
+        if self._usable:
+            self._worked_s = self._looked_s
+
+    def _judge(self, name: str, future: Any) -> None:
+        if future.status == "error":
+            self._avoid(name, f"it cannot state its software ({future.exception()})")
+        elif future.status == "finished":
+            other = difference(self._mine, future.result())
+            if other:
+                self._avoid(name, f"refused: {other}; install there what is installed here")
+            else:
+                self._usable.add(name)
+
+    def _avoid(self, name: str, why: str) -> None:
+        if name not in self._avoided:
+            self._avoided[name] = why
+            self._usable.discard(name)
+            self._scheduler.say(f"worker {name}: {why}; it gets no further units")
+
+    def _check_patience(self) -> None:
+        """Raise InputError where no worker is left that may do anything."""
+        refused = self._threads.keys() & self._avoided.keys()
+        if not self._usable and refused and refused == self._threads.keys():
+            name = next(iter(refused))
+            found = f"no worker left; {name}: {self._avoided[name]}"
+            raise InputError(self._scheduler.address, found, remedy="finished units are stored")
+        if time.monotonic() - self._worked_s > PATIENCE_S:
+            found = f"no usable worker for {PATIENCE_S:.0f} s"
+            remedy = "start one: dask worker ADDRESS; finished units are stored"
+            raise NotEnoughDataError(f"{self._scheduler.address}: {found}; {remedy}")
+
+    # ------------------------------------------------------------------------------------------
+    # units
+
+    def free(self) -> int:
+        if time.monotonic() - self._looked_s > POLL_S:
+            self._look()
+        self._check_patience()
+        threads = sum(self._threads[name] for name in self._usable)
+        return UNITS_A_THREAD * threads - len(self._running)
+
+    def submit(self, key: int, unit: WorkUnit) -> None:
+        places = frozenset(self._usable)
+        future = self._client.submit(
+            perform_here,
+            task_of(unit),
+            key=f"{unit.name}-{key}-{id(self)}",
+            workers=sorted(places),
+            pure=False,
+        )
+        self._running[key] = (future, unit, places)
+        self._keys[future] = key
+        self._finished.add(future)
+
+    def ended(self) -> list[Ended]:
+        end_s = time.monotonic() + POLL_S
+        while not self._finished.has_ready() and time.monotonic() < end_s:
+            time.sleep(TURN_S)
+        found = [
+            (self._keys.pop(future, 0), future, value)
+            for future, value in self._finished.next_batch(block=False)
+        ]
+        outcomes = [
+            self._outcome(key, future, value)
+            for key, future, value in found
+            if key in self._running
+        ]
+        return [*outcomes, *self._orphans()]
+
+    def _orphans(self) -> Iterable[Ended]:
+        """Units whose every permitted worker has left would wait forever at the scheduler."""
+        there = self._threads.keys()
+        for key in [k for k, (_, _, places) in self._running.items() if not places & there]:
+            future, _, _ = self._running.pop(key)
+            future.cancel(reason="its workers left")
+            yield Ended(key, "lost", text="its workers left the cluster")
+
+    def _outcome(self, key: int, future: Any, value: Any) -> Ended:
+        _, unit, _ = self._running.pop(key)
+        if future.status != "finished":
+            return _failure(key, future, value)
+        worker, answer = value
+        if answer.kind == "value":
+            missing = _await_files(unit)
+            if not missing:
+                return Ended(key, "value", answer.value)
+            why = f"its {missing} does not appear here: another shared folder?"
+        elif answer.kind == "stale":
+            changed = corrected(unit, answer)
+            if changed is not None:
+                return Ended(key, "changed", changed)
+            why = f"it sees another {answer.text} than this computer: its file system is stale"
+        else:
+            why = answer.text
+        self._avoid(worker, why)
+        return Ended(key, "worker", text=f"worker {worker}: {why}")
+
+    def give_up(self, key: int) -> str:
+        future, _, _ = self._running.pop(key)
+        processing = self._client.processing()
+        names = [name for name, keys in processing.items() if future.key in keys]
+        future.cancel(reason="it takes too long")
+        for name in names:
+            self._avoid(name, "it hangs")
+        return f"worker {names[0]} hangs" if names else "no worker took it"
+
+    def status(self) -> str:
+        count = len(self._usable)
+        text = f"{count} worker{'' if count == 1 else 's'}"
+        return f"{text}, {len(self._avoided)} not used" if self._avoided else text
+
+
+def _failure(key: int, future: Any, value: Any) -> Ended:
+    """Return how a task without an answer ended; `value` holds type, exception and traceback."""
+    from distributed import KilledWorker
+
+    error = value[1] if future.status == "error" else None
+    if error is None or isinstance(error, KilledWorker):
+        return Ended(key, "lost", text="its workers were killed or ran out of memory")
+    return Ended(key, "error", error=error)
+
+
+def _collector(client: Any) -> Any:
+    """Return what fetches answers in the background, so that a lost worker blocks nothing here."""
+    from distributed import as_completed
+
+    return as_completed(with_results=True, raise_errors=False, loop=client.loop)
+
+
+def perform_here(task: Task) -> tuple[str, Answer]:
+    """Run `perform` on a worker; return the worker's address too."""
+    from distributed import get_worker
+
+    _one_thread()
+    return str(get_worker().address), perform(task)
+
+
+@cache
+def _one_thread() -> None:
+    """Keep OpenCV to one thread, as in the processes of `processes:N`."""
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+def _connect(scheduler: Scheduler) -> Any:
+    """Return a client. Raises InputError without dask, and where no scheduler answers."""
+    try:
+        from distributed import Client, Security
+    except ImportError:
+        found, remedy = "dask is not installed", 'install it with: pip install "fieldlum[cluster]"'
+        raise InputError("--scheduler", found, remedy=remedy) from None
+    security: Any = None
+    if scheduler.tls is not None:
+        security = Security(
+            require_encryption=True,
+            tls_ca_file=str(scheduler.tls.ca),
+            tls_client_cert=str(scheduler.tls.certificate),
+            tls_client_key=str(scheduler.tls.key),
+        )
+    try:
+        return Client(
+            scheduler.address,
+            security=security,
+            timeout=CONNECT_S,
+            set_as_default=False,
+            name="fieldlum",
+        )
+    except (OSError, TimeoutError) as error:
+        remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
+        found = f"no scheduler answers ({type(error).__name__})"
+        raise InputError(scheduler.address, found, remedy=remedy) from None
+
+
+def _await_files(unit: WorkUnit) -> str:
+    """Wait until each output is visible here; return one that is not."""
+    end_s = time.monotonic() + VISIBLE_S
+    for name in unit.outputs:
+        path = unit.folder / name
+        while not path.is_file():
+            if time.monotonic() > end_s:
+                return name
+            time.sleep(0.2)
+            list(path.parent.iterdir())  # lists the folder anew on a share that caches names
+    return ""

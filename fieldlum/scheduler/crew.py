@@ -1,0 +1,183 @@
+"""What runs units: in this process, or each in a process of its own that may be killed."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from fieldlum.scheduler.units import WorkUnit, is_worker_trouble, trouble_text
+
+POLL_S = 0.5  # how often time limits and new workers are looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A unit that ended somewhere. kind "lost": its worker is gone; "worker": trouble of the
+    worker's machine; "changed": try `value` instead, the unit with other recorded inputs. text:
+    what to report, with the name of the worker.
+    """
+
+    key: int
+    kind: Literal["value", "error", "lost", "worker", "changed"]
+    value: Any = None
+    error: BaseException | None = None
+    text: str = ""
+
+
+class Crew(Protocol):
+    """Runs units for `run_units`; each submitted unit has a key of its own."""
+
+    def __enter__(self) -> Crew: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def free(self) -> int:
+        """Return how many more units may be submitted now."""
+        ...
+
+    def submit(self, key: int, unit: WorkUnit) -> None:
+        """Start a unit, or put it where it starts soon."""
+        ...
+
+    def ended(self) -> list[Ended]:
+        """Return units that ended, after waiting for `POLL_S` at most where none did."""
+        ...
+
+    def give_up(self, key: int) -> str:
+        """Stop waiting for a unit that takes too long; return what was done to its worker."""
+        ...
+
+    def status(self) -> str:
+        """Return who works, in a few words."""
+        ...
+
+
+class LocalCrew:
+    """This process: one unit at a time."""
+
+    def __init__(self) -> None:
+        self._next: tuple[int, WorkUnit] | None = None
+
+    def __enter__(self) -> LocalCrew:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def free(self) -> int:
+        return 0 if self._next else 1
+
+    def submit(self, key: int, unit: WorkUnit) -> None:
+        self._next = (key, unit)
+
+    def ended(self) -> list[Ended]:
+        assert self._next is not None
+        (key, unit), self._next = self._next, None
+        try:
+            return [Ended(key, "value", unit.call(unit.folder, unit.argument))]
+        except Exception as error:
+            return [Ended(key, "error", error=error)]
+
+    def give_up(self, key: int) -> str:
+        raise NotImplementedError("a unit of this process is never given up")
+
+    def status(self) -> str:
+        return ""
+
+
+def _start_worker() -> None:
+    """Use one thread a worker (OpenCV would take every core); end with the parent process."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+class ProcessCrew:
+    """Some processes on this computer. Each has its own pool, so that a killed process names its
+    unit and costs no other.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._context = multiprocessing.get_context("spawn")
+        self._idle: list[ProcessPoolExecutor] = []
+        self._count = count
+        self._running: dict[Future[Any], tuple[int, ProcessPoolExecutor]] = {}
+        self._pids: dict[ProcessPoolExecutor, Future[int]] = {}
+
+    def __enter__(self) -> ProcessCrew:
+        self._idle = [self._pool() for _ in range(self._count)]
+        return self
+
+    def _pool(self) -> ProcessPoolExecutor:
+        pool = ProcessPoolExecutor(1, mp_context=self._context, initializer=_start_worker)
+        self._pids[pool] = pool.submit(os.getpid)
+        return pool
+
+    def __exit__(self, *error: object) -> None:
+        for _, pool in self._running.values():
+            self._kill(pool)
+        for pool in self._pids:
+            pool.shutdown(cancel_futures=True)
+
+    def free(self) -> int:
+        return len(self._idle)
+
+    def submit(self, key: int, unit: WorkUnit) -> None:
+        pool = self._idle.pop()
+        try:
+            future = pool.submit(unit.call, unit.folder, unit.argument)
+        except BrokenProcessPool:  # killed between two units
+            pool = self._replaced(pool)
+            future = pool.submit(unit.call, unit.folder, unit.argument)
+        self._running[future] = (key, pool)
+
+    def _replaced(self, pool: ProcessPoolExecutor) -> ProcessPoolExecutor:
+        self._pids.pop(pool)
+        pool.shutdown(wait=False)
+        return self._pool()
+
+    def ended(self) -> list[Ended]:
+        done, _ = wait(self._running, timeout=POLL_S, return_when=FIRST_COMPLETED)
+        return [self._outcome(future) for future in done]
+
+    def _outcome(self, future: Future[Any]) -> Ended:
+        key, pool = self._running.pop(future)
+        error = future.exception()
+        if isinstance(error, BrokenProcessPool):
+            self._idle.append(self._replaced(pool))
+            return Ended(key, "lost", text="its process was killed")
+        self._idle.append(pool)
+        if error is None:
+            return Ended(key, "value", future.result())
+        if is_worker_trouble(error):
+            return Ended(key, "worker", text=trouble_text(error))
+        return Ended(key, "error", error=error)
+
+    def give_up(self, key: int) -> str:
+        future, (_, pool) = next(
+            (future, entry) for future, entry in self._running.items() if entry[0] == key
+        )
+        del self._running[future]
+        self._kill(pool)
+        self._idle.append(self._replaced(pool))
+        return "its process was stopped"
+
+    def _kill(self, pool: ProcessPoolExecutor) -> None:
+        """Kill a pool's process; a pid that is not known yet belongs to one that never started."""
+        known = self._pids[pool]
+        if known.done() and known.exception() is None:
+            with suppress(ProcessLookupError):
+                os.kill(known.result(), getattr(signal, "SIGKILL", signal.SIGTERM))
+
+    def status(self) -> str:
+        return f"{self._count} processes"

@@ -1,0 +1,131 @@
+"""Run units to their end: retries, time limits, progress."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from fieldlum.records import Progress, quiet
+from fieldlum.scheduler.address import Scheduler
+from fieldlum.scheduler.cluster import ClusterCrew
+from fieldlum.scheduler.crew import Crew, Ended, LocalCrew, ProcessCrew
+from fieldlum.scheduler.units import UnitOutcome, WorkUnit
+
+# A unit counts as hanging after this many times the median of those that ended, and never before
+# SHORTEST_LIMIT_S; until FEW units have ended nothing is known and FIRST_LIMIT_S applies.
+LIMIT_TIMES_MEDIAN = 20.0
+SHORTEST_LIMIT_S = 300.0
+FIRST_LIMIT_S = 3600.0
+FEW = 5
+
+
+@dataclass
+class _Attempt:
+    unit: WorkUnit
+    tries: int = 0
+    started_s: float = 0.0
+
+
+class _Pace:
+    """How long units took, for the time limit and for the progress line."""
+
+    def __init__(self, scheduler: Scheduler, total: int) -> None:
+        self._limit_s, self._total = scheduler.unit_limit_s, total
+        self._start_s = time.monotonic()
+        self._took_s: deque[float] = deque(maxlen=200)
+        self.done = 0
+
+    def count(self, took_s: float) -> None:
+        self._took_s.append(took_s)
+        self.done += 1
+
+    def limit_s(self) -> float:
+        if self._limit_s is not None:
+            return self._limit_s
+        if len(self._took_s) < FEW:
+            return FIRST_LIMIT_S
+        return max(SHORTEST_LIMIT_S, LIMIT_TIMES_MEDIAN * statistics.median(self._took_s))
+
+    def text(self) -> str:
+        rate = self.done / max(time.monotonic() - self._start_s, 1e-3)
+        left_s = (self._total - self.done) / rate if rate else 0.0
+        minutes, seconds = divmod(round(left_s), 60)
+        return f"{rate:.3g} units/s, {minutes}:{seconds:02d} left"
+
+
+def run_units(
+    units: Iterable[WorkUnit], scheduler: Scheduler, *, progress: Progress = quiet
+) -> Iterator[UnitOutcome]:
+    """Run every unit and yield its outcome, in the order in which units end.
+
+    A unit whose worker is killed, hangs, has a full disk or a stale file system is tried again, at
+    most `scheduler.retries` times; then its outcome names the trouble and the others go on.
+
+    Raises InputError where no scheduler answers or no worker is left that has this software.
+    """
+    waiting = deque(_Attempt(unit) for unit in units)
+    total = len(waiting)
+    if not total:
+        return
+    running: dict[int, _Attempt] = {}
+    pace = _Pace(scheduler, total)
+    key = 0
+    with _crew(scheduler, total) as crew:
+        while waiting or running:
+            for _ in range(min(crew.free(), len(waiting))):
+                attempt = waiting.popleft()
+                key += 1
+                attempt.started_s = time.monotonic()
+                running[key] = attempt
+                crew.submit(key, attempt.unit)
+            for ended in [*crew.ended(), *_hanging(crew, running, pace.limit_s())]:
+                attempt = running.pop(ended.key)
+                outcome = _settle(attempt, ended, scheduler)
+                if outcome is None:
+                    waiting.append(attempt)
+                    continue
+                pace.count(time.monotonic() - attempt.started_s)
+                status = crew.status()
+                text = f"{status}, {pace.text()}" if status else attempt.unit.name
+                progress(pace.done, total, text)
+                yield outcome
+
+
+def _crew(scheduler: Scheduler, total: int) -> Crew:
+    if scheduler.kind == "cluster":
+        return ClusterCrew(scheduler)
+    count = min(scheduler.processes, total)
+    return ProcessCrew(count) if scheduler.kind == "processes" and count > 1 else LocalCrew()
+
+
+def _hanging(crew: Crew, running: dict[int, _Attempt], limit_s: float) -> list[Ended]:
+    """Give up units that run too long. Those of this process end before anyone looks."""
+    if isinstance(crew, LocalCrew):
+        return []
+    oldest_s = time.monotonic() - limit_s
+    late = [key for key, attempt in running.items() if attempt.started_s < oldest_s]
+    return [
+        Ended(key, "lost", text=f"no end after {limit_s:.0f} s: {crew.give_up(key)}")
+        for key in late
+    ]
+
+
+def _settle(attempt: _Attempt, ended: Ended, scheduler: Scheduler) -> UnitOutcome | None:
+    """Return the outcome of a unit; None where it is to be tried again."""
+    unit = attempt.unit
+    if ended.kind == "value":
+        return UnitOutcome(unit, ended.value)
+    if ended.kind == "error":
+        return UnitOutcome(unit, error=ended.error)
+    if ended.kind == "changed":
+        attempt.unit = ended.value
+        return None
+    attempt.tries += 1
+    if attempt.tries <= scheduler.retries:
+        return None
+    return UnitOutcome(
+        unit, trouble=f"given up after {attempt.tries} tries, the last: {ended.text}"
+    )

@@ -1,0 +1,172 @@
+"""A unit of work, what goes to a worker, and what a worker does with it."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from fieldlum.errors import InputError
+from fieldlum.session import sha256
+
+SHARED_VARIABLE = "FIELDLUM_SHARED"
+# What a worker's machine does to a unit that another machine may finish: a full disk, a quota, a
+# disk that does not answer, a share that went away, no memory.
+WORKER_ERRNOS = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EIO,
+    errno.EROFS,
+    errno.ENOMEM,
+    errno.EMFILE,
+    getattr(errno, "ESTALE", errno.EIO),
+)
+
+
+def is_worker_trouble(error: BaseException) -> bool:
+    """Return whether `error` is about the computer that runs a unit, not about the unit."""
+    if isinstance(error, OSError):
+        return error.errno in WORKER_ERRNOS
+    return isinstance(error, MemoryError)
+
+
+def trouble_text(error: BaseException) -> str:
+    """Return a worker's trouble in words, without paths."""
+    return getattr(error, "strerror", None) or "out of memory"
+
+
+@dataclass(frozen=True, slots=True)
+class WorkUnit:
+    """One piece of work: `call(folder, argument)`, which may run more than once.
+
+    name: unique in the run. call: a function of a module. argument: plain values without paths.
+    files: input files relative to `folder` whose content a worker must see as this computer does.
+    recorded: further files with the sha256 that was recorded for them. outputs: files relative to
+    `folder` that exist when the unit has ended; the call writes them by rename.
+    """
+
+    name: str
+    call: Callable[[Path, Any], Any]
+    folder: Path
+    argument: Any
+    files: tuple[str, ...] = ()
+    recorded: tuple[tuple[str, str], ...] = ()
+    outputs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class UnitOutcome:
+    """How a unit ended: with a value, with the error of its call, or with its workers' trouble."""
+
+    unit: WorkUnit
+    value: Any = None
+    error: BaseException | None = None
+    trouble: str = ""
+
+    def result(self) -> Any:
+        """Return the value; raise the error of the call, or InputError for lost workers."""
+        if self.error is not None:
+            raise self.error
+        if self.trouble:
+            raise InputError(self.unit.name, self.trouble, remedy="start the command again")
+        return self.value
+
+
+# ----------------------------------------------------------------------------------------------
+# over the wire
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a worker of a cluster receives. No absolute path of this computer is in it."""
+
+    name: str
+    call: Callable[[Path, Any], Any]
+    folder: str
+    argument: Any
+    inputs: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What comes back. kind "stale": input `text` has the content `seen`; "worker": trouble of the
+    worker's machine, in words.
+    """
+
+    value: Any = None
+    kind: Literal["value", "stale", "worker"] = "value"
+    text: str = ""
+    seen: str = ""
+
+
+def shared_folder() -> Path:
+    """Return the folder that task paths are relative to: FIELDLUM_SHARED, else where we run."""
+    return Path(os.environ.get(SHARED_VARIABLE) or Path.cwd())
+
+
+def relative_folder(folder: Path) -> str:
+    """Return `folder` relative to the shared folder. Raises InputError when it is outside."""
+    shared = shared_folder()
+    try:
+        return folder.resolve().relative_to(shared.resolve()).as_posix()
+    except ValueError:
+        remedy = f"start in a folder above it, or set {SHARED_VARIABLE} here and on each worker"
+        expected = "a folder that workers see too"
+        raise InputError(folder, f"outside the shared folder {shared}", expected, remedy) from None
+
+
+def task_of(unit: WorkUnit) -> Task:
+    """Return what a worker needs of `unit`, with the sha256 of its input files."""
+    files = tuple((name, sha256(unit.folder / name)) for name in unit.files)
+    folder = relative_folder(unit.folder)
+    return Task(unit.name, unit.call, folder, unit.argument, files + unit.recorded)
+
+
+def perform(task: Task) -> Answer:
+    """Run a task on a worker: check its inputs, call, and report trouble of this machine."""
+    folder = shared_folder() / _inside(task.folder)
+    try:
+        for name, digest in task.inputs:
+            seen = _digest(folder / _inside(name))
+            if seen != digest:
+                return Answer(kind="stale", text=name, seen=seen)
+        return Answer(task.call(folder, task.argument))
+    except (OSError, MemoryError) as error:
+        if is_worker_trouble(error):
+            return Answer(kind="worker", text=trouble_text(error))
+        raise
+
+
+def _digest(path: Path) -> str:
+    try:
+        return sha256(path)
+    except FileNotFoundError:
+        return "absent"
+
+
+def _inside(name: str) -> PurePosixPath:
+    """Return a path that cannot lead out of its folder. Raises ValueError for any other."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts:
+        raise ValueError(f"path {name!r} of a task leads out of its folder")
+    return path
+
+
+def corrected(unit: WorkUnit, answer: Answer) -> WorkUnit | None:
+    """Return the unit with the recorded sha256 replaced, where this computer sees what the worker
+    saw; None where the worker's file system is stale.
+
+    A frame that was damaged after its capture has another content than capture.json records; the
+    stage decides what to do with it, on a worker as on this computer.
+    """
+    recorded = dict(unit.recorded)
+    if answer.text not in recorded or _digest(unit.folder / answer.text) != answer.seen:
+        return None
+    if answer.seen == "absent":
+        recorded.pop(answer.text)
+    else:
+        recorded[answer.text] = answer.seen
+    return replace(unit, recorded=tuple(recorded.items()))

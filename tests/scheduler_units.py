@@ -1,0 +1,43 @@
+"""Small units of work for the scheduler's tests; workers import this module too."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from fieldlum.session import replacing
+
+
+def doubled(folder: Path, number: int) -> int:
+    return 2 * number
+
+
+def asleep(folder: Path, seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def written(folder: Path, argument: dict[str, Any]) -> int:
+    """Write out/NAME by rename; note in runs/ that this unit ran to its end."""
+    time.sleep(argument.get("seconds", 0.0))
+    with replacing(folder / "out" / argument["name"]) as file:
+        file.write(argument["name"].encode() * 100)
+    return len(argument["name"])
+
+
+def troubled(folder: Path, argument: dict[str, Any]) -> str:
+    """Kill the process, hang, or report a full disk, as often as `times` states; then succeed."""
+    seen = len(list(folder.glob(f"{argument['name']}.try*")))
+    (folder / f"{argument['name']}.try{seen}").touch()
+    if seen < argument["times"]:
+        if argument["how"] == "kill":
+            os._exit(9)
+        if argument["how"] == "hang":
+            time.sleep(600)
+        if argument["how"] == "full":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder / "x"))
+        raise ValueError("a defect of the unit")
+    return argument["name"]

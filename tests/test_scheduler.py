@@ -1,0 +1,222 @@
+"""Units of work: the option's text, lost and hanging processes, and what tasks hold."""
+
+import json
+import pickle
+import sys
+from pathlib import Path
+
+import pytest
+import scheduler_units as units
+from click.testing import CliRunner
+
+from fieldlum.cli import main
+from fieldlum.errors import InputError
+from fieldlum.scheduler import (
+    LOCAL,
+    SHARED_VARIABLE,
+    Scheduler,
+    WorkUnit,
+    in_processes,
+    parse_scheduler,
+    run_units,
+)
+from fieldlum.scheduler.identity import difference, software_identity
+from fieldlum.scheduler.units import corrected, perform, relative_folder, task_of
+from fieldlum.session import remove_scraps, sha256
+
+pytestmark = pytest.mark.contract
+
+
+def troubled(folder: Path, name: str, how: str, times: int) -> WorkUnit:
+    return WorkUnit(name, units.troubled, folder, {"name": name, "how": how, "times": times})
+
+
+# ----------------------------------------------------------------------------------------------
+# the option
+
+
+def test_the_text_of_the_option_names_a_scheduler() -> None:
+    notes: list[str] = []
+    assert parse_scheduler("local", notes.append) == LOCAL == in_processes(1)
+    assert parse_scheduler("processes:3", notes.append) == in_processes(3)
+    assert parse_scheduler("tcp://127.0.0.1:8786", notes.append).address == "tcp://127.0.0.1:8786"
+    assert parse_scheduler("tcp://localhost:8786", notes.append).kind == "cluster"
+    assert not notes
+    parse_scheduler("tcp://10.0.0.7:8786", notes.append)
+    assert len(notes) == 1 and "anyone who reaches that port can run programs" in notes[0]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "threads", "processes:0", "processes:x", "tcp://", "tcp://host", "tls://a:1"]
+)
+def test_any_other_text_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--scheduler"):
+        parse_scheduler(text)
+
+
+def test_certificates_come_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "cluster.json"
+
+    def read(table: object) -> Scheduler:
+        path.write_text(json.dumps(table))
+        return parse_scheduler(str(path), notes.append)
+
+    notes: list[str] = []
+    assert read({"type": "Scheduler", "address": "tcp://127.0.0.1:1"}).tls is None
+    names = {"ca": "ca.pem", "certificate": "mine.pem", "key": "mine.key"}
+    secure = {"address": "tls://10.0.0.7:8786", "tls": names}
+    with pytest.raises(InputError, match=r"ca\.pem: no such file"):
+        read(secure)
+    for name in names.values():
+        (tmp_path / name).touch(mode=0o600)
+    assert read(secure).tls is not None and not notes
+    (tmp_path / "mine.key").chmod(0o644)
+    with pytest.raises(InputError, match="other users can read"):
+        read(secure)
+    for table in ([], {"address": 5}, {"address": "tls://10.0.0.7:1"}, {"tls": names}):
+        with pytest.raises(InputError, match=r"cluster\.json"):
+            read(table)
+
+
+def test_without_dask_one_line_states_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    scheduler = parse_scheduler("tcp://127.0.0.1:8786")
+    with pytest.raises(InputError, match=r'pip install "fieldlum\[cluster\]"'):
+        list(run_units([WorkUnit("a", units.doubled, tmp_path, 1)], scheduler))
+
+
+def test_workers_and_scheduler_are_not_given_together(tmp_path: Path) -> None:
+    result = CliRunner().invoke(
+        main, ["merge", str(tmp_path), "--workers", "2", "--scheduler", "local"]
+    )
+    assert result.exit_code == 3, "local is the default"
+    result = CliRunner().invoke(
+        main, ["merge", str(tmp_path), "--workers", "2", "--scheduler", "processes:2"]
+    )
+    assert result.exit_code == 2 and "not both" in result.output
+
+
+# ----------------------------------------------------------------------------------------------
+# this computer
+
+
+def test_units_run_here_in_order(tmp_path: Path) -> None:
+    some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(3)]
+    shown: list[tuple[int, int, str]] = []
+    outcomes = list(run_units(some, LOCAL, progress=lambda *line: shown.append(line)))
+    assert [o.result() for o in outcomes] == [0, 2, 4]
+    assert shown == [(1, 3, "u0"), (2, 3, "u1"), (3, 3, "u2")]
+    assert list(run_units([], LOCAL)) == []
+
+
+def test_an_error_of_a_unit_is_its_own(tmp_path: Path) -> None:
+    some = [troubled(tmp_path, "bad", "defect", 9), WorkUnit("a", units.doubled, tmp_path, 1)]
+    bad, good = run_units(some, LOCAL)
+    assert good.result() == 2 and len(list(tmp_path.glob("bad.try*"))) == 1
+    with pytest.raises(ValueError, match="a defect"):
+        bad.result()
+
+
+@pytest.mark.slow
+def test_a_lost_process_costs_its_unit_alone(tmp_path: Path) -> None:
+    """Killed, hanging and full: each is tried again, and one that never ends well is named."""
+    some = [
+        troubled(tmp_path, "killed", "kill", 1),
+        troubled(tmp_path, "full", "full", 1),
+        troubled(tmp_path, "poison", "kill", 9),
+        troubled(tmp_path, "hangs", "hang", 1),
+        *(WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(4)),
+    ]
+    scheduler = Scheduler("processes", 2, unit_limit_s=5.0, retries=1)
+    outcomes = {o.unit.name: o for o in run_units(some, scheduler)}
+    assert len(outcomes) == len(some)
+    assert [outcomes[f"u{k}"].result() for k in range(4)] == [0, 2, 4, 6]
+    assert [outcomes[name].result() for name in ("killed", "full", "hangs")] == [
+        "killed",
+        "full",
+        "hangs",
+    ]
+    assert outcomes["poison"].trouble == "given up after 2 tries, the last: its process was killed"
+    with pytest.raises(InputError, match="poison: given up after 2 tries"):
+        outcomes["poison"].result()
+
+
+def test_scraps_of_ended_processes_are_removed(tmp_path: Path) -> None:
+    import os
+    import platform
+
+    host = "".join(c if c.isalnum() else "-" for c in platform.node()) or "host"
+    dead, alive = (
+        tmp_path / f".{host}.999999999.tmp.a.exr",
+        tmp_path / f".{host}.{os.getpid()}.b.tmp",
+    )
+    other = tmp_path / ".another-host.1.tmp.a.exr"
+    for path in (dead, alive, other):
+        path.touch()
+    remove_scraps(tmp_path)
+    assert [path.exists() for path in (dead, alive, other)] == [False, True, True]
+    os.utime(other, (0.0, 0.0))
+    remove_scraps(tmp_path)
+    assert not other.exists()
+
+
+# ----------------------------------------------------------------------------------------------
+# what goes over the wire
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(SHARED_VARIABLE, str(tmp_path))
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "input.txt").write_text("light")
+    return tmp_path / "room"
+
+
+def test_a_task_holds_no_absolute_path(shared: Path) -> None:
+    task = task_of(WorkUnit("a", units.doubled, shared, 3, files=("input.txt",)))
+    assert str(shared.parent).encode() not in pickle.dumps(task)
+    assert perform(task).value == 6
+    with pytest.raises(InputError, match=f"set {SHARED_VARIABLE}"):
+        relative_folder(shared.parents[1])
+
+
+@pytest.mark.parametrize("name", ["../input.txt", "/etc/hostname"])
+def test_a_task_cannot_lead_out_of_its_folder(shared: Path, name: str) -> None:
+    task = task_of(WorkUnit("a", units.doubled, shared, 3, recorded=((name, "0"),)))
+    with pytest.raises(ValueError, match="leads out"):
+        perform(task)
+
+
+def test_a_stale_file_is_noticed(shared: Path) -> None:
+    unit = WorkUnit("a", units.doubled, shared, 3, files=("input.txt",))
+    task = task_of(unit)
+    (shared / "input.txt").write_text("dark")
+    answer = perform(task)
+    assert answer.kind == "stale" and answer.text == "input.txt" and answer.value is None
+    assert corrected(unit, answer) is None, "files of the client have no recorded sha256"
+
+
+def test_a_file_that_changed_since_it_was_recorded_is_no_stale_file(shared: Path) -> None:
+    """A damaged frame is the stage's matter, on a worker as on this computer."""
+    recorded = (("input.txt", "of its capture"), ("gone.txt", "0"))
+    unit = WorkUnit("a", units.doubled, shared, 3, recorded=recorded)
+    changed = corrected(unit, perform(task_of(unit)))
+    assert changed is not None
+    assert changed.recorded == (("input.txt", sha256(shared / "input.txt")), recorded[1])
+    changed = corrected(changed, perform(task_of(changed)))
+    assert changed is not None and perform(task_of(changed)).value == 6
+
+
+def test_a_full_disk_is_the_worker_s_trouble(shared: Path) -> None:
+    answer = perform(task_of(troubled(shared, "full", "full", 1)))
+    assert (answer.kind, answer.text) == ("worker", "No space left on device")
+
+
+def test_another_version_is_named() -> None:
+    mine = software_identity()
+    assert difference(mine, mine) == "" and mine["numpy"] != "none"
+    theirs = mine | {"fieldlum": "9.9"}
+    assert difference(mine, theirs) == f"fieldlum 9.9 (here {mine['fieldlum']})"
+    assert "profiles" in difference(mine, mine | {"profiles": "0"})
