@@ -1,9 +1,9 @@
-"""Every error a user can meet.
+"""Every error that a user can meet.
 
 FieldlumError            exit 1   a defect
-├── InputError           exit 3   a file says something that cannot be used
-├── DeviceError          exit 4   a camera or an instrument did not do what was asked
-└── NotEnoughDataError   exit 5   the data were read, but do not answer the question
+├── InputError           exit 3   a file has content that cannot be used
+├── DeviceError          exit 4   a camera or an instrument did not do what was requested
+└── NotEnoughDataError   exit 5   the data were read, but are too few to answer the question
 
 Usage errors (exit 2) are click's own.
 """
@@ -18,7 +18,11 @@ class FieldlumError(Exception):
 
 
 class InputError(FieldlumError):
-    """A bad input file: names the file, what was found, what was expected, and what to do."""
+    """A bad input file.
+
+    Printed as one line: `FILE: what was found; expected what; what to do`. `expected` and `remedy`
+    may be empty.
+    """
 
     exit_code = 3
 
@@ -26,21 +30,21 @@ class InputError(FieldlumError):
         self, source: Path | str, found: str, expected: str = "", remedy: str = ""
     ) -> None:
         self.source, self.found, self.expected, self.remedy = source, found, expected, remedy
-        said = [found, f"expected {expected}" if expected else "", remedy]
-        super().__init__(f"{source}: " + ", ".join(part for part in said if part))
+        parts = [found, f"expected {expected}" if expected else "", remedy]
+        super().__init__(f"{source}: " + "; ".join(part for part in parts if part))
 
     def __reduce__(self) -> tuple[type, tuple[Path | str, str, str, str]]:
-        # Workers of a process pool send errors home by pickle.
+        # Workers of a process pool return errors to their parent by pickle.
         return type(self), (self.source, self.found, self.expected, self.remedy)
 
 
 class DeviceError(FieldlumError):
-    """A device that is missing, silent, or answers with something else than asked."""
+    """A device that is missing, does not answer, or answers something else than requested."""
 
     exit_code = 4
 
 
 class NotEnoughDataError(FieldlumError):
-    """Too little usable data to answer."""
+    """Too few usable data for an answer."""
 
     exit_code = 5

@@ -123,7 +123,7 @@ def test_vignetting_beyond_the_lens_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(
         InputError,
-        match=r"v.csv: angle_deg up to 160, expected at most 93, angles from the optical axis",
+        match=r"v.csv: angle_deg up to 160; expected at most 93; angles from the optical axis",
     ):
         vignette.from_table(table, PROFILE)
     table.write_text(

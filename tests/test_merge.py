@@ -477,7 +477,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
         black_dn=(0, 0, 0, 0),
         white_dn=4095,
     )
-    with pytest.raises(InputError, match="128 x 64 pixels, expected 968 x 484"):
+    with pytest.raises(InputError, match="128 x 64 pixels; expected 968 x 484"):
         load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile), NO_PLATEAU)
     own = replace(
         profile, camera=replace(profile.camera, width_px=128, height_px=64, model="Alpha 2")
@@ -487,7 +487,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
         ("ALPHA  2", ""),
         ("Maker Alpha 2", ""),
         ("", ""),
-        ("Alpha 3", "taken by Alpha 3, expected Alpha 2"),
+        ("Alpha 3", "taken by Alpha 3; expected Alpha 2"),
     ):
         counts = np.zeros((64, 128), np.uint16)
         write_dng(

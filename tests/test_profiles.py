@@ -41,17 +41,17 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"latitude_deg": 147.0}, "latitude_deg = 147"),
         ({"longitude_deg": 190.0}, "longitude_deg = 190"),
         ({"timezone": "America/Seatle"}, "unknown time zone 'America/Seatle'"),
-        ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg', did you mean 'latitude_deg'"),
-        ({"latitude_deg": "north"}, "'north', expected a number"),
+        ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg'; did you mean 'latitude_deg'"),
+        ({"latitude_deg": "north"}, "'north'; expected a number"),
         ({"latitude_deg": True}, "expected a number"),
-        ({"altitude_m": 52000.0}, "altitude_m = 52000, expected -500 to 9000"),
+        ({"altitude_m": 52000.0}, "altitude_m = 52000; expected -500 to 9000"),
         (
             {"longitude_deg": 122.3},
             r"longitude_deg = 122.3 with timezone America/Los_Angeles, 7.8 h off the sun",
         ),
         (
             {"timezone": "Europe/Berlin"},
-            "9.2 h off the sun, expected at most 4 h, east is positive, west negative",
+            "9.2 h off the sun; expected at most 4 h; east is positive, west negative",
         ),
     ],
 )
@@ -84,7 +84,7 @@ def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
     assert load_site(path).site.name == "Büro"
     for encoding in ("cp1252", "utf-16"):
         path.write_bytes(text.encode(encoding))
-        with pytest.raises(InputError, match="no UTF-8, expected TOML in UTF-8, save it again"):
+        with pytest.raises(InputError, match="no UTF-8; expected TOML in UTF-8; save it again"):
             load_site(path)
 
 
@@ -130,7 +130,7 @@ def test_the_cameras_height_counts_wherever_it_stands(
 def test_two_heights_of_the_camera_are_refused(tmp_path: Path) -> None:
     place = '[site]\nname = "x"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n'
     with pytest.raises(
-        InputError, match=r"height_m = 1.2 and \[room\] camera_z_m = 1.6, expected one height"
+        InputError, match=r"height_m = 1.2 and \[room\] camera_z_m = 1.6; expected one height"
     ):
         load_site(_site(tmp_path, f"{place}[camera]\nheight_m = 1.2\n[room]\ncamera_z_m = 1.6\n"))
 
@@ -190,7 +190,7 @@ def test_an_unknown_profile_lists_what_there_is() -> None:
         (
             'mapping = "equisolid"',
             'mapping = "polynomial"\ncoefficients = [0.8]',
-            "in all 0.8, expected coefficients",
+            "in all 0.8; expected coefficients",
         ),
         ('mapping = "equisolid"', 'mapping = "polynomial"', "no coefficients"),
         ("read_noise_e = ", "read_noise_e = -", "read_noise_e"),

@@ -63,10 +63,10 @@ def test_plan_and_site_round_trip(session: Session) -> None:
     [
         (
             (b"; ", b", "),
-            "8 values, expected columns slot",
+            "8 values; expected columns slot",
         ),  # a bracket of one frame, its second taken for a tag
         ((b",", b";"), "plan.csv: slot;t_utc;"),
-        ((b"exposures", b"shutters"), "shutters, tags, expected columns"),
+        ((b"exposures", b"shutters"), "shutters, tags; expected columns"),
     ],
 )
 def test_a_plan_that_a_spreadsheet_spoilt_is_refused(
@@ -76,7 +76,7 @@ def test_a_plan_that_a_spreadsheet_spoilt_is_refused(
     with pytest.raises(InputError, match=said):
         session.slots()
     session.plan.write_bytes(b"")
-    with pytest.raises(InputError, match="an empty file, expected columns"):
+    with pytest.raises(InputError, match="an empty file; expected columns"):
         session.slots()
 
 
