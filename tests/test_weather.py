@@ -165,7 +165,7 @@ def test_repairs_are_said(tmp_path) -> None:
         (lambda rows: rows.__setitem__(9, "1,1,8.5,-500,20"), "line 10: dni_wm2 is -500"),
         (lambda rows: rows.__setitem__(9, "1,1,8.5,100"), "line 10: 4 cells"),
         (lambda rows: rows.__setitem__(9, "1,41,8.5,100,20"), "line 10: no such time"),
-        (lambda rows: rows.__setitem__(9, rows[8]), "lines 9 and 10: the same hour twice"),
+        (lambda rows: rows.__setitem__(9, rows[8]), "lines 9 and 10 are of the same hour"),
         (lambda rows: rows.__setitem__(0, "month,day,hour,dni,dhi"), "no column dni_wm2, dhi_wm2"),
         (lambda rows: rows.__setitem__(9, "inf,1,8.5,100,20"), "w.csv: "),
         (lambda rows: rows.insert(0, "# place: Nowhere, 47.6, -122.3, UTC+9"), "time zone UTC+9"),
@@ -297,7 +297,7 @@ def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_mi
     """
     _write_dated(tmp_path / "w.csv", weather.shipped_seattle(), shift_min=shift_min)
     with pytest.raises(
-        InputError, match=rf"if labels stood {-shift_min:+d} min".replace("+", r"\+")
+        InputError, match=rf"with labels moved by {-shift_min:+d} min".replace("+", r"\+")
     ):
         weather.read_weather(tmp_path / "w.csv", SEATTLE)
 

@@ -155,7 +155,7 @@ def test_a_label_shift_mends_labels_that_are_known_to_be_wrong(tmp_path: Path) -
         rows.append(f"{t + timedelta(minutes=60):%Y-%m-%dT%H:%M:%SZ},{dni:.2f},{dhi:.2f}")
     path = tmp_path / "late.csv"
     path.write_text("\n".join(rows), encoding="ascii")
-    with pytest.raises(InputError, match="if labels stood -"):
+    with pytest.raises(InputError, match="with labels moved by -"):
         weather.read_weather(path, SEATTLE)
     found = weather.read_weather(path, SEATTLE, label_shift_min=-60)
     assert found.t_utc == year.t_utc

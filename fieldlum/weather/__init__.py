@@ -1,6 +1,4 @@
-"""Weather years: EPW, TMY3 and CSV read strictly, every repair listed; a synthetic year for
-places without a file.
-"""
+"""Weather years: strict readers that list every repair, and a synthetic year without a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading weather files: one strict reader each, then the same checks and repairs for all."""
+"""Readers of weather files: one strict reader for each format, then the same checks and repairs."""
 
 from __future__ import annotations
 
@@ -21,12 +21,30 @@ from fieldlum.weather.plausibility import check_hourly, check_sense
 from fieldlum.weather.providers import ProviderYear, best_shift, epw_time_offset, read_provider
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
 
-SYNTHETIC = "synthetic"  # in place of a file: a synthetic year
+SYNTHETIC = "synthetic"  # used in place of a path: a synthetic year of the site
+# A cell outside of these two limits is an error. Chosen so that every hourly mean of a real sky is
+# inside: the solar constant is 1367 W/m2, cloud edges add to it, and the night offset of a
+# thermopile is a few W/m2 below zero. Not measured.
 HIGHEST_WM2 = 1600.0
-LOWEST_WM2 = -10.0  # night offset of a thermopile; anything lower is no offset
-FILLED_GAP_HOURS = 3  # gaps up to this are interpolated, and said so; longer ones stay out
-NEAR_KM, FAR_KM = 30.0, 300.0
+LOWEST_WM2 = -10.0
+# Gaps up to this length are interpolated and listed; longer ones are left out and listed. Chosen so
+# that an interpolation never bridges a morning or an afternoon; not measured.
+FILLED_GAP_HOURS = 3
+# A station further away than NEAR_KM is listed among the repairs, further than FAR_KM is an error.
+# Chosen so that the nearest airport passes and another climate does not; not measured.
+NEAR_KM = 30.0
+FAR_KM = 300.0
+# A longer gap is a mistyped year. Chosen longer than two missing years; not measured.
 LONGEST_GAP = timedelta(days=800)
+# Degrees of longitude over 15 minus the zone's hours; western China (3.3 h) is the extreme of the
+# time zones in use, so that a larger difference is a wrong sign or zone.
+_LARGEST_ZONE_OFFSET_H = 3.5
+# Light below this altitude counts as light at night. Chosen so that the mean of an hour may include
+# light from half an hour before sunrise; not measured.
+_NIGHT_BELOW_DEG = -8.0
+# Share of the year's light that may be at night; a shift of one hour gives more. Not measured.
+_MOST_LIGHT_AT_NIGHT = 0.01
+_EARTH_RADIUS_KM = 6371.0  # mean radius (IUGG)
 _HOUR = timedelta(hours=1)
 
 
@@ -36,18 +54,18 @@ _HOUR = timedelta(hours=1)
 
 @dataclass(frozen=True, slots=True)
 class _WeatherRow:
+    """One hour of a file; irradiances in W/m2, NaN where missing."""
+
     line: int
-    when: datetime  # middle of the hour, UTC; year as the file has it
-    dni: float  # NaN: missing
+    when: datetime  # middle of the hour, UTC; with the year of the file
+    dni: float
     dhi: float
     ghi: float
 
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """What a reader finds: rows, whether they make a typical year, and where the file says that
-    it was measured.
-    """
+    """The content of a file: rows, whether they are a typical year, and the place of the header."""
 
     rows: list[_WeatherRow]
     typical: bool
@@ -62,11 +80,13 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     label_shift_min : minutes added to the times that the file states, for labels that are known to
     be wrong; listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.
 
-    Raises InputError naming the line for what cannot be read, for irradiance outside -10 to 1600
-    W/m2, for a station over 300 km away, for light at night (a wrong time zone), and for what
-    `sense` finds: wrong units, columns in each other's place, labels beside their hours. Smaller
-    troubles are mended and listed in `.repairs`: night offsets, 29 February of a typical year, gaps
-    up to three hours; longer gaps are left out and listed.
+    Smaller faults are repaired and listed in `.repairs`: night offsets, 29 February of a typical
+    year, gaps up to three hours. Longer gaps are left out and listed.
+
+    Raises InputError, with the line, for a row that cannot be read, irradiance outside -10 to 1600
+    W/m2, a station over 300 km away, light at night (a wrong time zone), and what `check_sense`
+    finds: wrong units, exchanged columns, labels that are not at the middle of their hour. Raises
+    NotEnoughDataError without a single hour that has DNI and DHI.
     """
     path = Path(path)
     if str(path) == SYNTHETIC:
@@ -75,10 +95,10 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
         found = _shifted(_read(path, _lines(path), site), label_shift_min)
     except (csv.Error, OverflowError) as error:
         raise InputError(
-            path, str(error), "an EPW, TMY3 or CSV weather file", "fetch it again"
+            path, str(error), "an EPW, TMY3 or CSV weather file", "download the file again"
         ) from None
     if not found.rows:
-        raise NotEnoughDataError(f"{path}: no hours in it")
+        raise NotEnoughDataError(f"{path}: the file has no hours; download the file again")
     repairs = [*found.notes, *_check_place(path, found.place, site)]
     rows = _in_order(path, found, site, repairs)
     columns = _values(rows, repairs)
@@ -90,7 +110,7 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
 
 
 def _shifted(file: _File, minutes: float) -> _File:
-    """Return the rows with their times moved, and a note of it."""
+    """Return the file with the times of its rows moved, and with a note of the shift."""
     if not minutes:
         return file
     shift = timedelta(minutes=minutes)
@@ -99,7 +119,10 @@ def _shifted(file: _File, minutes: float) -> _File:
 
 
 def _of_provider(path: Path, year: ProviderYear) -> _File:
-    """Rows of a file that pvlib read. Raises InputError for irradiance that is not possible."""
+    """Return the rows of a file that pvlib read.
+
+    Raises InputError for irradiance outside -10 to 1600 W/m2.
+    """
     rows = []
     columns = zip(year.t_utc, year.dni_wm2, year.dhi_wm2, year.ghi_wm2, strict=True)
     for number, (when, dni, dhi, ghi) in enumerate(columns, start=1):
@@ -112,10 +135,13 @@ def _of_provider(path: Path, year: ProviderYear) -> _File:
 
 
 def _pvgis_epw(file: _File, place: Site, offset: timedelta, zone: timedelta) -> _File:
-    """An EPW of PVGIS: values are of one moment, hours 1 to 24 plus the stated offset; the rows are
-    in UTC in some versions, whatever the header's zone.
+    """Return the rows of a PVGIS EPW, dated by the offset that its comments state.
+
+    Values are of one moment: the label (hours 1 to 24) plus the stated offset. Some versions of
+    PVGIS write the rows in UTC although the header states a zone; the choice that agrees better
+    with sunrise and sunset is taken.
     """
-    # `_read_epw` gives the middle of the hour that ends at the label
+    # `_read_epw` gives the middle of the hour that ends at the label: add half an hour.
     times = tuple(row.when + timedelta(minutes=30) + offset for row in file.rows)
     dni, dhi, ghi = np.array([(row.dni, row.dhi, row.ghi) for row in file.rows]).T
     year = ProviderYear(place, times, dni, dhi, ghi, typical=True)
@@ -137,7 +163,10 @@ def _read(path: Path, lines: list[str], site: Site) -> _File:
 
 
 def shipped_seattle(site: Site | None = None) -> Weather:
-    """The paper's own typical year (Liu, Colburn, Inanici 2020), which ships with the tool."""
+    """Return the typical year of Seattle of Liu, Colburn, Inanici 2020, which is shipped.
+
+    site : the place to compute the sun for; Seattle by default.
+    """
     place = site or Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
     return read_weather(shipped("capture_plans") / "seattle_dni_dhi.csv", place)
 
@@ -148,15 +177,25 @@ def _lines(path: Path) -> list[str]:
     except UnicodeDecodeError:
         text = path.read_text(encoding="latin-1")
     except OSError as error:
-        raise InputError(path, error.strerror or str(error), "a readable weather file") from None
+        raise InputError(
+            path, error.strerror or str(error), "a readable weather file", "check the path"
+        ) from None
     lines = text.splitlines()
     if not lines or "\0" in text:
-        raise InputError(path, "empty or binary", "an EPW, TMY3 or CSV weather file")
+        raise InputError(
+            path,
+            "an empty or binary file",
+            "an EPW, TMY3 or CSV weather file",
+            "download the file again",
+        )
     return lines
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
-    """NaN for a missing value: empty, nan, or the codes of EPW (9999) and TMY3 (-9900)."""
+    """Return an irradiance; NaN for an empty cell, nan, and the codes 9999 (EPW), -9900 (TMY3).
+
+    Raises InputError for a cell that is no number or outside -10 to 1600 W/m2.
+    """
     text = text.strip()
     if text.lower() in ("", "nan", "na"):
         return math.nan
@@ -164,21 +203,22 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         value = float(text)
     except ValueError:
         raise InputError(
-            path, f"line {line}: {name} is '{text}'", "a number in W/m2", "mend that row"
+            path, f"line {line}: {name} is '{text}'", "a number in W/m2", "correct that row"
         ) from None
     if value in (9999.0, 99999.0, 999999.0, -9900.0, -9999.0):
         return math.nan
     if not LOWEST_WM2 <= value <= HIGHEST_WM2:
         expected = f"{LOWEST_WM2:g} to {HIGHEST_WM2:g} W/m2"
         raise InputError(
-            path, f"line {line}: {name} is {text}", expected, "mend or empty that cell"
+            path, f"line {line}: {name} is {text} W/m2", expected, "correct or empty that cell"
         )
     return value
 
 
 def _read_epw(path: Path, lines: list[str]) -> _File:
-    """EPW: eight header lines; hour 1 is 00:00 to 01:00, so its label is the hour's start and
-    the sun stands at +30.
+    """Return the rows of an EPW file: eight header lines, then one row for each hour.
+
+    Hour 1 is 00:00 to 01:00 local standard time; the sun of a row is that of the middle, 00:30.
     """
     head = lines[0].split(",")
     try:
@@ -192,7 +232,10 @@ def _read_epw(path: Path, lines: list[str]) -> _File:
         offset = timedelta(hours=float(head[8]))
     except (IndexError, ValueError):
         raise InputError(
-            path, f"LOCATION line '{lines[0][:60]}'", "LOCATION,city,,,,,lat,lon,zone,alt"
+            path,
+            f"line 1 is '{lines[0][:60]}'",
+            "LOCATION,city,,,,,latitude,longitude,zone,altitude",
+            "correct the header, or download the file again",
         ) from None
     _check_zone(path, place, offset)
     rows = []
@@ -203,15 +246,14 @@ def _read_epw(path: Path, lines: list[str]) -> _File:
             raise InputError(
                 path,
                 f"line {number}: {len(cells)} cells",
-                "at least 16",
-                "the file is cut: fetch it again",
+                "at least 16 cells",
+                "the file is cut: download it again",
             )
-        start = _moment(
-            path, number, cells[0], cells[1], cells[2], float(_whole(path, number, cells[3]) - 1)
-        )
-        ghi, dni, dhi = (
-            _number(path, number, n, cells[k]) for k, n in ((13, "GHI"), (14, "DNI"), (15, "DHI"))
-        )
+        hour_start = float(_integer(path, number, cells[3]) - 1)
+        start = _moment(path, number, cells[0], cells[1], cells[2], hour_start)
+        ghi = _number(path, number, "GHI", cells[13])
+        dni = _number(path, number, "DNI", cells[14])
+        dhi = _number(path, number, "DHI", cells[15])
         rows.append(_WeatherRow(number, start + timedelta(minutes=30) - offset, dni, dhi, ghi))
     file = _File(rows, True, f"{path.name} ({place.name})", place)
     stated = epw_time_offset(lines)
@@ -219,7 +261,10 @@ def _read_epw(path: Path, lines: list[str]) -> _File:
 
 
 def _read_tmy3(path: Path, lines: list[str]) -> _File:
-    """TMY3: labels are hour ends, 01:00 to 24:00, so the sun stands at -30 min."""
+    """Return the rows of a TMY3 file: a header line, column names, then one row for each hour.
+
+    Labels are the ends of hours, 01:00 to 24:00; the sun of a row is that of 30 minutes before.
+    """
     head = lines[0].split(",")
     try:
         place = Site(
@@ -232,14 +277,20 @@ def _read_tmy3(path: Path, lines: list[str]) -> _File:
         offset = timedelta(hours=float(head[3]))
     except (IndexError, ValueError):
         raise InputError(
-            path, f"first line '{lines[0][:60]}'", "USAF,name,state,zone,lat,lon,alt"
+            path,
+            f"line 1 is '{lines[0][:60]}'",
+            "USAF,name,state,zone,latitude,longitude,altitude",
+            "correct the header, or download the file again",
         ) from None
     _check_zone(path, place, offset)
     names = next(csv.reader(lines[1:2]))
     wanted = ("GHI (W/m^2)", "DNI (W/m^2)", "DHI (W/m^2)")
     if missing := [name for name in wanted if name not in names]:
         raise InputError(
-            path, f"no column {missing[0]}", "GHI, DNI and DHI in W/m^2", "is this a TMY3 file?"
+            path,
+            f"no column {missing[0]}",
+            "columns of GHI, DNI and DHI in W/m^2",
+            "check that this is a TMY3 file",
         )
     at = [names.index(name) for name in wanted]
     rows = []
@@ -250,13 +301,13 @@ def _read_tmy3(path: Path, lines: list[str]) -> _File:
             raise InputError(
                 path,
                 f"line {number}: {len(cells)} cells",
-                f"{len(names)}",
-                "the file is cut: fetch it",
+                f"{len(names)} cells",
+                "the file is cut: download it again",
             )
         month, _, rest = cells[0].partition("/")
         day, _, year = rest.partition("/")
         hour = cells[1].partition(":")[0]
-        end = _moment(path, number, year, month, day, float(_whole(path, number, hour)))
+        end = _moment(path, number, year, month, day, float(_integer(path, number, hour)))
         ghi, dni, dhi = (
             _number(path, number, name, cells[k]) for name, k in zip(wanted, at, strict=True)
         )
@@ -265,8 +316,10 @@ def _read_tmy3(path: Path, lines: list[str]) -> _File:
 
 
 def _read_csv(path: Path, lines: list[str], site: Site) -> _File:
-    """Columns t_utc, dni_wm2, dhi_wm2 (hour centres), or month, day, hour (centre, standard
-    time), dni_wm2, dhi_wm2.
+    """Return the rows of a csv file of hour centres.
+
+    Columns t_utc, dni_wm2, dhi_wm2, or month, day, hour (local standard time), dni_wm2, dhi_wm2;
+    ghi_wm2 is optional.
     """
     place, offset = _place_comment(path, lines, site)
     table = [
@@ -280,14 +333,17 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> _File:
     if missing := [n for n in (*wanted, "dni_wm2", "dhi_wm2") if n not in names]:
         expected = "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2"
         raise InputError(
-            path, f"no column {', '.join(missing)}", expected, "name the columns in the first line"
+            path, f"no column {', '.join(missing)}", expected, "name the columns in the first row"
         )
     rows = []
     for number, line in table[1:]:
         cells = dict(zip(names, next(csv.reader([line])), strict=False))
         if len(cells) < len(names):
             raise InputError(
-                path, f"line {number}: {len(cells)} cells", f"{len(names)}", "mend that row"
+                path,
+                f"line {number}: {len(cells)} cells",
+                f"{len(names)} cells",
+                "correct that row",
             )
         when = _csv_moment(path, number, cells, dated, offset)
         dni, dhi, ghi = (
@@ -305,20 +361,27 @@ def _csv_moment(
             hour = float(cells["hour"])
         except ValueError:
             raise InputError(
-                path, f"line {line}: hour is '{cells['hour']}'", "a number such as 12.5"
+                path,
+                f"line {line}: hour is '{cells['hour']}'",
+                "a number such as 12.5",
+                "correct that row",
             ) from None
         return _moment(path, line, "2024", cells["month"], cells["day"], hour) - offset
     try:
         return parse_utc(cells["t_utc"].strip())
     except ValueError as error:
         raise InputError(
-            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
+            path,
+            f"line {line}: {error}",
+            "a UTC time such as 2027-03-20T15:30:00Z",
+            "correct that row",
         ) from None
 
 
 def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | None, timedelta]:
-    """An optional line ``# place: NAME, LATITUDE, LONGITUDE, UTC-8``; else the site's own
-    standard time.
+    """Return the place and zone of a line ``# place: NAME, LATITUDE, LONGITUDE, UTC-8``.
+
+    Without such a line: no place, and the offset of the site's own standard time.
     """
     for line in lines[:20]:
         if line.startswith("# place:"):
@@ -327,31 +390,36 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
                 place = Site(name, float(latitude), float(longitude))
                 offset = timedelta(hours=float(zone.removeprefix("UTC") or 0))
             except ValueError:
-                raise InputError(path, line, "# place: NAME, LATITUDE, LONGITUDE, UTC-8") from None
+                raise InputError(
+                    path,
+                    f"'{line}'",
+                    "'# place: NAME, LATITUDE, LONGITUDE, UTC-8'",
+                    "correct that line",
+                ) from None
             _check_zone(path, place, offset)
             return place, offset
     return None, sun.standard_offset(site.timezone, TYPICAL_YEAR)
 
 
-def _whole(path: Path, line: int, text: str) -> int:
+def _integer(path: Path, line: int, text: str) -> int:
     try:
         return int(float(text))
     except ValueError:
         raise InputError(
-            path, f"line {line}: '{text}' in the time", "whole numbers", "mend that row"
+            path, f"line {line}: '{text}' in the time", "an integer", "correct that row"
         ) from None
 
 
 def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float) -> datetime:
     try:
-        y, m, d = (_whole(path, line, text) for text in (year, month, day))
+        y, m, d = (_integer(path, line, text) for text in (year, month, day))
         start = datetime(y, m, d, tzinfo=UTC)
         if not 0 <= hour <= 24:
             raise ValueError(f"hour {hour:g}")
     except ValueError as error:
         found = f"line {line}: no such time {year}-{month}-{day} hour {hour:g} ({error})"
         raise InputError(
-            path, found, "a real date and an hour of 0 to 24", "mend that row"
+            path, found, "a date of the calendar and an hour of 0 to 24", "correct that row"
         ) from None
     return start + timedelta(seconds=round(hour * 3600))
 
@@ -361,24 +429,23 @@ def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float)
 
 
 def distance_km(a: Site, b: Site) -> float:
-    """Along the great circle."""
+    """Return the distance of two sites along the great circle, in km."""
     from fieldlum.projection import direction
 
-    u, v = (direction(s.latitude_deg, s.longitude_deg) for s in (a, b))
-    return 6371.0 * math.acos(float(np.clip(u @ v, -1.0, 1.0)))
+    u = direction(a.latitude_deg, a.longitude_deg)
+    v = direction(b.latitude_deg, b.longitude_deg)
+    return _EARTH_RADIUS_KM * math.acos(float(np.clip(u @ v, -1.0, 1.0)))
 
 
 def _check_zone(path: Path, place: Site, offset: timedelta) -> None:
     hours = offset.total_seconds() / 3600
-    if (
-        abs(hours - place.longitude_deg / 15) > 3.5
-    ):  # western China and the Line Islands are the extremes
-        found = f"time zone UTC{hours:+g} at longitude {place.longitude_deg:g}"
+    if abs(hours - place.longitude_deg / 15) > _LARGEST_ZONE_OFFSET_H:
+        found = f"time zone UTC{hours:+g} at longitude {place.longitude_deg:g} deg"
         raise InputError(
             path,
             found,
             f"about UTC{place.longitude_deg / 15:+.0f}",
-            "mend the header (east is positive)",
+            "correct the header (east is positive)",
         )
 
 
@@ -395,7 +462,7 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
             path,
             found,
             f"at most {FAR_KM:g} km",
-            "take a nearer file, or mend the site's coordinates",
+            "use the file of a nearer station, or correct the site's coordinates",
         )
     return (
         [f"the weather station {place.name} is {away:.0f} km from the site"]
@@ -405,8 +472,10 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
 
 
 def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[_WeatherRow]:
-    """Typical years put into TYPICAL_YEAR of local standard time, 29 February out; sorted; no
-    hour twice.
+    """Return the rows sorted by time; those of a typical year dated in TYPICAL_YEAR.
+
+    Leaves out 29 February of a typical year (local standard time) and lists it in `repairs`. Raises
+    InputError for an hour that occurs twice and for a gap over 800 days.
     """
     rows = found.rows
     if found.typical:
@@ -423,19 +492,20 @@ def _in_order(path: Path, found: _File, site: Site, repairs: list[str]) -> list[
     rows = sorted(rows, key=lambda row: row.when)
     for a, b in pairwise(rows):
         if a.when == b.when:
-            found_text = f"lines {a.line} and {b.line}: the same hour twice"
-            raise InputError(path, found_text, "every hour once", "take one of them out")
+            found_text = f"lines {a.line} and {b.line} are of the same hour"
+            raise InputError(path, found_text, "every hour once", "remove one of the lines")
         if b.when - a.when > LONGEST_GAP:
             found_text = (
                 f"lines {a.line} and {b.line}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
             )
-            raise InputError(path, found_text, "years without holes of years", "mend the dates")
+            expected = f"at most {LONGEST_GAP.days} days between two rows"
+            raise InputError(path, found_text, expected, "correct the dates")
     return rows
 
 
 def _values(rows: list[_WeatherRow], repairs: list[str]) -> NDArray[np.float64]:
-    """dni, dhi, ghi, [3, n]; small negative readings set to zero and said so."""
-    values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T
+    """Return DNI, DHI and GHI of all rows, [3, n], W/m2; set negative readings to zero, listed."""
+    values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T  # (3, n)
     negative = values < 0
     if negative.any():
         repairs.append(
@@ -453,17 +523,25 @@ def _fill_gaps(
     columns: NDArray[np.float64],
     repairs: list[str],
 ) -> Weather:
-    """Hours without values: interpolated where few, left out where many; both are said."""
+    """Return the year with short gaps interpolated and long gaps left out; list both in `repairs`.
+
+    columns : DNI, DHI, GHI of the rows, [3, n], W/m2. GHI is DHI + DNI sin(altitude) where the file
+    has none. Raises NotEnoughDataError without an hour that has both DNI and DHI.
+    """
     times = [row.when for row in rows]
     good = np.atleast_1d(~np.isnan(columns[:2]).any(axis=0))
     if not good.any():
-        raise NotEnoughDataError(f"{found.name}: no hour has both DNI and DHI")
+        raise NotEnoughDataError(
+            f"{found.name}: no hour has both DNI and DHI; use a file that has both"
+        )
     known = [t for t, ok in zip(times, good, strict=True) if ok]
     values = columns[:, good]
     filled, left_out = _missing_hours(known, found.typical)
     everything = sorted([*known, *filled])
-    at, have = (np.array([t.timestamp() for t in ts]) for ts in (everything, known))
-    dni, dhi = (np.interp(at, have, values[k]) for k in (0, 1))
+    at = np.array([t.timestamp() for t in everything])
+    have = np.array([t.timestamp() for t in known])
+    dni = np.interp(at, have, values[0])
+    dhi = np.interp(at, have, values[1])
     height = np.maximum(np.sin(np.radians(sun.position(everything, site).altitude_deg)), 0.0)
     ghi = dhi + dni * height
     given = ~np.isnan(values[2])
@@ -476,18 +554,20 @@ def _fill_gaps(
 
 
 def _missing_hours(known: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
-    """Hours to interpolate and hours to leave out."""
+    """Return the hours to interpolate and the hours to leave out."""
     fill: list[datetime] = []
     out: list[datetime] = []
     for gap in _gaps(known, typical):
-        (
-            fill if 0 < len(gap) <= FILLED_GAP_HOURS and known[0] < gap[0] < known[-1] else out
-        ).extend(gap)
+        is_short = 0 < len(gap) <= FILLED_GAP_HOURS
+        if is_short and known[0] < gap[0] < known[-1]:
+            fill.extend(gap)
+        else:
+            out.extend(gap)
     return fill, out
 
 
 def _gaps(known: list[datetime], typical: bool) -> Iterator[list[datetime]]:
-    if typical:  # a year begins and ends at local midnight: 8760 hours in all
+    if typical:  # a typical year has 8760 hours, from local midnight to local midnight
         lacking = 8760 - (round((known[-1] - known[0]) / _HOUR) + 1)
         yield [known[-1] + _HOUR * (k + 1) for k in range(max(lacking, 0))]
     for a, b in pairwise(known):
@@ -500,14 +580,15 @@ def _some(times: list[datetime]) -> str:
 
 
 def _check_night(path: Path, weather: Weather) -> None:
-    """A wrong time zone or hemisphere shows as light from a sun far below the horizon."""
+    """Raise InputError for light while the sun is far below the horizon.
+
+    Light at night shows a wrong time zone or hemisphere.
+    """
     altitude = sun.position(weather.t_utc, weather.site).altitude_deg
     light = weather.dni_wm2 + weather.dhi_wm2
     total = float(light.sum())
-    at_night = float(
-        light[altitude < -8.0].sum()
-    )  # an hour's mean can hold light half an hour before sunrise
-    if total > 0 and at_night > 0.01 * total:
+    at_night = float(light[altitude < _NIGHT_BELOW_DEG].sum())
+    if total > 0 and at_night > _MOST_LIGHT_AT_NIGHT * total:
         found = (
             f"{100 * at_night / total:.0f} % of the light falls while the sun is down at "
             f"{weather.site.name}"
@@ -515,7 +596,7 @@ def _check_night(path: Path, weather: Weather) -> None:
         remedy = (
             "check the time zone, the sign of the longitude, and whether labels are hour centres"
         )
-        raise InputError(path, found, "none", remedy)
+        raise InputError(path, found, "light only while the sun is up", remedy)
 
 
 def _check_sense(
@@ -525,8 +606,9 @@ def _check_sense(
     columns: NDArray[np.float64],
     weather: Weather,
 ) -> None:
-    """With the global irradiance only where the file itself gave it: elsewhere it was made from
-    the other two.
+    """Check plausibility with the global irradiance that the file itself states.
+
+    Elsewhere the global irradiance was computed from the other two and proves nothing.
     """
     given = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
     ghi = np.array([given.get(t, math.nan) for t in weather.t_utc])

@@ -1,9 +1,9 @@
-"""Whether a weather file can mean what it says: units, columns and labels held against the sun.
+"""Plausibility of a weather file: units, columns and time labels compared with the sun.
 
-Each of these mistakes leaves numbers that look like weather: kW for W, direct and diffuse in each
-other's column, the global in place of one of them, labels at the hour's end where its middle is
-meant. The limits stand far from what real files show (docs/file-formats.md) and far from what the
-mistakes make.
+Each of these mistakes leaves numbers that look like weather: kW instead of W, direct and diffuse
+exchanged, global in the column of one of them, labels at the end of the hour instead of its middle.
+The limits are far from what real files show (docs/file-formats.md) and far from what the mistakes
+cause.
 """
 
 from __future__ import annotations
@@ -22,32 +22,45 @@ from fieldlum.weather.year import Weather
 
 Array = NDArray[np.float64]
 
-LEAST_OF_CLEAR, MOST_OF_CLEAR = (
-    0.03,
-    1.3,
-)  # global energy over that of a cloudless sky; kW give 0.001
-MOST_EXTREME = 0.02  # share of the hours outside BSRN's extremely rare limits
-DULL_CLEARNESS, LEAST_DIFFUSE = (
-    0.25,
-    0.9,
-)  # under such a sky nearly all light is diffuse (Erbs et al. 1982)
-LEAST_DULL_HOURS = 20
-MOST_OPEN = 0.2  # median of |global - diffuse - direct| over the global, where all three are given
-LIGHT_WM2, DARK_WM2 = 3.0, 1.0
-RISEN_DEG, SUNK_DEG = 1.5, -0.5  # of the sun at both ends of an hour
-# of the sunrises and sunsets; half an hour of shift gives 0.10 to 0.14 at 36 to 55 degrees north
+# Energy of the year's global irradiance over that of a cloudless sky. Chosen so that every climate
+# is inside and a file in kW (0.001) or kJ (3.6) is outside; not measured.
+LEAST_OF_CLEAR = 0.03
+MOST_OF_CLEAR = 1.3
+# Share of the hours outside the extremely rare limits of BSRN (Long and Dutton 2010). Chosen so
+# that single bad hours pass and an exchanged column does not; not measured.
+MOST_EXTREME = 0.02
+# Below this clearness index nearly all light is diffuse (Erbs, Klein, Duffie 1982: over 97 %). A
+# smaller median share than LEAST_DIFFUSE means that a column is another component.
+OVERCAST_CLEARNESS = 0.25
+LEAST_DIFFUSE = 0.9
+LEAST_OVERCAST_HOURS = 20  # chosen so that a median is meaningful; not measured
+# Median of |global - diffuse - direct| over the global, where a file has all three. Chosen so that
+# hourly means around a moving sun pass; not measured.
+MOST_OPEN = 0.2
+# DNI + DHI over LIGHT_WM2 is a lit hour, under DARK_WM2 a dark one. Chosen above the rounding of
+# files; not measured.
+LIGHT_WM2 = 3.0
+DARK_WM2 = 1.0
+# The sun is up (down) if its centre is above (below) these altitudes at both ends of an hour.
+# Chosen around the -0.8 deg of sunrise so that twilight decides nothing; not measured.
+RISEN_DEG = 1.5
+SUNK_DEG = -0.5
+# Share of the sunrises and sunsets that may contradict. Half an hour of shift gives 0.10 to 0.14 at
+# 36 to 55 degrees north.
 MOST_AGAINST = 0.04
-MOST_OF_FEW = 12  # a few days cannot tell
-MOST_AGAINST_ALL = 0.25  # where no shift helps: another latitude or hemisphere
+MOST_OF_FEW = 12  # files of a few days decide nothing below this count; not measured
+# Share that is an error although no shift of the labels helps: the weather is of another latitude
+# or hemisphere. Chosen so that a high horizon passes; not measured.
+MOST_AGAINST_ALL = 0.25
 SHIFTS_MIN = tuple(m for m in range(-150, 151, 15) if m)
 _HALF = timedelta(minutes=30)
-_MENDED = "mend the columns, in W/m2"
+_CORRECT_COLUMNS = "correct the columns, in W/m2"
 
 
 def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Array) -> None:
-    """Raises InputError where a file's figures or labels cannot be true at `station`.
+    """Raise InputError if the values or labels of a file cannot be true at `station`.
 
-    ghi_wm2 : [n] global irradiance as the file gives it, NaN where it gives none.
+    ghi_wm2 : [n] global irradiance of the file, NaN where it has none, W/m2.
     """
     altitude = sun.position(weather.t_utc, station).altitude_deg
     up = altitude > sun.CLEAR_SUN_DEG
@@ -58,13 +71,14 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Array) -> 
     _check_level(path, weather, station, total)
     top = sun.extraterrestrial_wm2(weather.t_utc)
     _check_limits(path, weather, altitude, top, up)
-    _check_dull(path, weather, total, up & (total < DULL_CLEARNESS * top * sine) & (total > 10.0))
+    overcast = up & (total < OVERCAST_CLEARNESS * top * sine) & (total > 10.0)
+    _check_overcast(path, weather, total, overcast)
     _check_closure(path, ghi_wm2, total, up & (ghi_wm2 > 50.0))
     _check_labels(path, weather, station)
 
 
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
-    """Everything that counts hours counts rows. Raises InputError for rows that are no hours."""
+    """Raise InputError if rows are not one hour apart: later stages count rows as hours."""
     if len(times) < 3:
         return
     steps = np.diff([t.timestamp() for t in times]) / 60.0
@@ -72,45 +86,43 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
     wrong = usual if abs(usual - 60.0) > 1.0 else least
     if abs(wrong - 60.0) > 1.0:
         raise InputError(
-            path, f"rows {wrong:g} min apart", "one row an hour", "average it to whole hours first"
+            path, f"rows {wrong:g} min apart", "one row an hour", "average the file to hours first"
         )
 
 
 def _check_level(path: Path, weather: Weather, station: Site, total: Array) -> None:
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, station).ghi_wm2.sum(), 1.0))
     if not LEAST_OF_CLEAR <= share <= MOST_OF_CLEAR:
-        found = f"{share:.2g} times the energy of cloudless skies at {station.name}"
-        raise InputError(
-            path, found, f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g}", f"is it in kW or kJ? {_MENDED}"
-        )
+        found = f"the light is {share:.2g} times the energy of cloudless skies at {station.name}"
+        remedy = f"check for kW or kJ; {_CORRECT_COLUMNS}"
+        raise InputError(path, found, f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g} times", remedy)
 
 
 def _check_limits(
     path: Path, weather: Weather, altitude: Array, top: Array, up: NDArray[np.bool_]
 ) -> None:
     limits = sun.bsrn_limits(altitude, top, extreme=True)
-    over = [
-        (name, float((values > limit[1])[up].mean()))
-        for name, values, limit in (
-            ("DNI", weather.dni_wm2, limits.dni_wm2),
-            ("DHI", weather.dhi_wm2, limits.dhi_wm2),
-        )
-    ]
-    name, share = max(over, key=lambda one: one[1])
-    if share > MOST_EXTREME:
-        found = f"{name} above what any sky gives in {100 * share:.0f} % of the hours"
-        asked = f"is another component in the column of {name}? {_MENDED}"
-        raise InputError(path, found, f"at most {100 * MOST_EXTREME:g} %", asked)
+    over = {
+        "DNI": float((weather.dni_wm2 > limits.dni_wm2[1])[up].mean()),
+        "DHI": float((weather.dhi_wm2 > limits.dhi_wm2[1])[up].mean()),
+    }
+    name = max(over, key=lambda name: over[name])
+    if over[name] > MOST_EXTREME:
+        found = f"{name} above the limit of any sky in {100 * over[name]:.0f} % of the hours"
+        remedy = f"check for another component in the column of {name}; {_CORRECT_COLUMNS}"
+        raise InputError(path, found, f"at most {100 * MOST_EXTREME:g} %", remedy)
 
 
-def _check_dull(path: Path, weather: Weather, total: Array, dull: NDArray[np.bool_]) -> None:
-    if dull.sum() < LEAST_DULL_HOURS:
+def _check_overcast(
+    path: Path, weather: Weather, total: Array, overcast: NDArray[np.bool_]
+) -> None:
+    if overcast.sum() < LEAST_OVERCAST_HOURS:
         return
-    share = float(np.median(weather.dhi_wm2[dull] / total[dull]))
+    share = float(np.median(weather.dhi_wm2[overcast] / total[overcast]))
     if share < LEAST_DIFFUSE:
-        found = f"under dull skies {100 * share:.0f} % of the light is diffuse"
-        asked = f"does the column of DNI hold the global or the diffuse? {_MENDED}"
-        raise InputError(path, found, f"over {100 * LEAST_DIFFUSE:g} %", asked)
+        found = f"under overcast skies {100 * share:.0f} % of the light is diffuse"
+        remedy = f"check for global or diffuse in the column of DNI; {_CORRECT_COLUMNS}"
+        raise InputError(path, found, f"over {100 * LEAST_DIFFUSE:g} %", remedy)
 
 
 def _check_closure(path: Path, ghi_wm2: Array, total: Array, tested: NDArray[np.bool_]) -> None:
@@ -118,14 +130,18 @@ def _check_closure(path: Path, ghi_wm2: Array, total: Array, tested: NDArray[np.
         return
     off = float(np.median(np.abs(ghi_wm2 - total)[tested] / ghi_wm2[tested]))
     if off > MOST_OPEN:
-        found = f"GHI is off DHI + DNI sin(altitude) by {100 * off:.0f} % in the median"
-        asked = f"is a column another component, or direct on a horizontal plane? {_MENDED}"
-        raise InputError(path, found, f"at most {100 * MOST_OPEN:g} %", asked)
+        found = f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)"
+        remedy = (
+            "check for another component, or direct on a horizontal plane, in a column; "
+            f"{_CORRECT_COLUMNS}"
+        )
+        raise InputError(path, found, f"at most {100 * MOST_OPEN:g} %", remedy)
 
 
 def _check_labels(path: Path, weather: Weather, station: Site) -> None:
-    """Hours lit before sunrise, or dark after it: labels stand beside their hours, or it is not
-    this place's sun.
+    """Raise InputError if many hours are lit before sunrise, or dark after it.
+
+    Then the labels are not at the middle of their hours, or the weather is of another place.
     """
     against = _against(weather, station, 0)
     edges = 2 * len({sun.standard_date(t, weather.site.timezone) for t in weather.t_utc})
@@ -136,22 +152,20 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> None:
     best = min(other, key=lambda shift: other[shift])
     if other[best] < 0.5 * against:
         found = (
-            f"{against} hours are lit before sunrise or dark after it, {other[best]} if "
-            f"labels stood {best:+d} min"
+            f"{against} hours are lit before sunrise or dark after it, {other[best]} with "
+            f"labels moved by {best:+d} min"
         )
-        asked = "check the time zone and whether labels are an hour's start, middle or end"
-        raise InputError(path, found, f"at most {most} in {edges // 2} days", asked)
+        remedy = "check the time zone and whether labels are an hour's start, middle or end"
+        raise InputError(path, found, f"at most {most} in {edges // 2} days", remedy)
     if against > MOST_AGAINST_ALL * edges:
         found = f"{against} hours of {edges // 2} days are lit before sunrise or dark after it"
         raise InputError(
-            path, found, f"the sun of {station.name}", "is it the weather of another place?"
+            path, found, f"the sun of {station.name}", "check that the file is of this place"
         )
 
 
 def _against(weather: Weather, station: Site, shift_min: int) -> int:
-    """Hours that are lit with the sun down at both ends, or dark with it up at both, if labels
-    stood otherwise.
-    """
+    """Count the hours that contradict the sun after a shift of all labels (`hours_against`)."""
     shift = timedelta(minutes=shift_min)
     light = weather.dni_wm2 + weather.dhi_wm2
     return hours_against([t + shift for t in weather.t_utc], light, station)
@@ -160,14 +174,15 @@ def _against(weather: Weather, station: Site, shift_min: int) -> int:
 def hours_against(
     times_utc: Sequence[datetime], light: Array, station: Site, half: timedelta = _HALF
 ) -> int:
-    """Count the spans from `half` before to `half` after these times that are lit with the sun down
-    at both ends, or dark with it up at both; light [n] is DNI + DHI. [W/m2]
+    """Count the hours that contradict sunrise or sunset.
+
+    A span from `half` before to `half` after a time contradicts if it is lit with the sun down at
+    both ends, or dark with the sun up at both ends. light : [n] DNI + DHI, W/m2.
     """
-    ends = [
-        sun.position([t + edge for t in times_utc], station).altitude_deg for edge in (-half, half)
-    ]
-    lit, dark = light > LIGHT_WM2, light < DARK_WM2
-    return int(
-        (lit & (np.maximum(*ends) < SUNK_DEG)).sum()
-        + (dark & (np.minimum(*ends) > RISEN_DEG)).sum()
-    )
+    before = sun.position([t - half for t in times_utc], station).altitude_deg
+    after = sun.position([t + half for t in times_utc], station).altitude_deg
+    is_down = np.maximum(before, after) < SUNK_DEG
+    is_up = np.minimum(before, after) > RISEN_DEG
+    lit_at_night = (light > LIGHT_WM2) & is_down
+    dark_by_day = (light < DARK_WM2) & is_up
+    return int(lit_at_night.sum() + dark_by_day.sum())

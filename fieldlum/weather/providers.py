@@ -1,8 +1,8 @@
 """Weather files of PVGIS, NSRDB, TMY2 and SolarAnywhere, read by pvlib.
 
-Each format states times in its own way. What a row is the mean of, or the moment of, comes from the
-format's documentation; where that leaves a choice, the one that agrees best with sunrise and sunset
-is taken and named.
+Each format states times in its own way. The documentation of the format defines which span or
+moment a row is of. Where it leaves a choice, the choice that agrees best with sunrise and sunset is
+taken and listed.
 """
 
 from __future__ import annotations
@@ -23,15 +23,18 @@ from fieldlum.records import Site
 from fieldlum.weather.plausibility import hours_against
 
 _HALF = timedelta(minutes=30)
-_NARROW = timedelta(minutes=10)  # tells labels half an hour apart, which full hours cannot
-_EVERY_DAY = 5  # every fifth day decides: 73 sunrises and sunsets
+# A span of +-10 min separates labels that are half an hour apart, which a span of an hour does not.
+_NARROW = timedelta(minutes=10)
+_EVERY_DAY = 5  # every fifth day decides: 73 sunrises and sunsets, at a fifth of the time
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\):\s*(-?\d+(?:\.\d+)?)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class ProviderYear:
-    """Hours of a file: UTC times at which the sun stands as the irradiance says, [n]; W/m2, NaN
-    where missing. notes : what was decided on reading.
+    """Hours of a provider's file.
+
+    t_utc : moments of the sun that the irradiance belongs to, [n]; irradiances [n] in W/m2, NaN
+    where missing. notes : the choices of the reader, one sentence each.
     """
 
     place: Site
@@ -44,9 +47,9 @@ class ProviderYear:
 
 
 def read_provider(path: Path, lines: Sequence[str]) -> ProviderYear | None:
-    """Read a file of one of these providers; None for another kind.
+    """Read a file of one of these providers; return None for a file of another kind.
 
-    Raises InputError where pvlib cannot read it.
+    Raises InputError if pvlib cannot read the file.
     """
     reader = _reader(path, lines)
     if reader is None:
@@ -57,7 +60,7 @@ def read_provider(path: Path, lines: Sequence[str]) -> ProviderYear | None:
     except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
         shown = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         raise InputError(
-            path, f"{shown}", f"a weather file of {name}", "fetch it again as hourly data"
+            path, f"{shown}", f"a weather file of {name}", "download it again as hourly data"
         ) from None
 
 
@@ -103,7 +106,7 @@ def _read_pvgis_json(path: Path) -> ProviderYear:
     from pvlib.iotools import read_pvgis_tmy
 
     if "tmy_hourly" not in json.loads(path.read_text(encoding="utf-8"))["outputs"]:
-        raise ValueError("no tmy_hourly in it")
+        raise ValueError("no key tmy_hourly")
     data: Any
     meta: Any
     data, meta = read_pvgis_tmy(path, pvgis_format="json")
@@ -114,7 +117,9 @@ def _read_pvgis_json(path: Path) -> ProviderYear:
 
 
 def _pvgis_year(data: Any, place: Site, offset_h: float) -> ProviderYear:
-    """Values are of one moment: the row's UTC time plus the offset that the header states
+    """Return the hours of a PVGIS file.
+
+    Values are of one moment: the UTC time of the row plus the offset that the header states
     (PVGIS, "TMY generator" page).
     """
     year = _year_of(data, place, typical=True, shift=timedelta(hours=float(offset_h)))
@@ -127,7 +132,7 @@ def _pvgis_year(data: Any, place: Site, offset_h: float) -> ProviderYear:
 
 
 def _read_nsrdb(path: Path) -> ProviderYear:
-    """Rows are stamped in local standard time at the middle of their hour (minute 30)."""
+    """Read an NSRDB file; its labels are the middle of the hour (minute 30), in standard time."""
     from pvlib.iotools import read_nsrdb_psm4
 
     data: Any
@@ -138,7 +143,10 @@ def _read_nsrdb(path: Path) -> ProviderYear:
 
 
 def _read_tmy2(path: Path) -> ProviderYear:
-    """Rows are means of the hour that ends at their label; pvlib stamps the hour's start."""
+    """Read a TMY2 file: a row is the mean of the hour that ends at its label.
+
+    pvlib returns the start of that hour.
+    """
     from pvlib.iotools import read_tmy2
 
     data: Any
@@ -151,7 +159,7 @@ def _read_tmy2(path: Path) -> ProviderYear:
 
 
 def _read_solaranywhere(path: Path) -> ProviderYear:
-    """Rows are labelled at the start, the middle or the end of their hour, by product."""
+    """Read a SolarAnywhere file; labels are the start, middle or end of the hour, by product."""
     from pvlib.iotools import read_solaranywhere
 
     data: Any
@@ -175,7 +183,7 @@ def _year_of(data: Any, place: Site, *, typical: bool, shift: timedelta) -> Prov
         for name in ("dni", "dhi", "ghi")
     ]
     if not len(times) or any(name not in data for name in ("dni", "dhi")):
-        raise ValueError("no direct and diffuse irradiance in it")
+        raise ValueError("no columns of direct and diffuse irradiance")
     moments = tuple((t.astimezone(UTC) + shift).replace(microsecond=0) for t in times)
     return ProviderYear(place, moments, *columns, typical=typical)
 
@@ -183,8 +191,9 @@ def _year_of(data: Any, place: Site, *, typical: bool, shift: timedelta) -> Prov
 def best_shift(
     year: ProviderYear, shifts: dict[str, timedelta], what: str = "labels count as"
 ) -> ProviderYear:
-    """Return the year with the shift after which the fewest hours contradict sunrise and sunset,
-    and a note that names the choice.
+    """Return the year moved by the shift after which the fewest hours contradict the sun.
+
+    shifts : the choices by name; what : how the note begins that lists the choice.
     """
     some = [k for k in range(len(year.t_utc)) if (k // 24) % _EVERY_DAY == 0]
     light = (np.nan_to_num(year.dni_wm2) + np.nan_to_num(year.dhi_wm2))[some]

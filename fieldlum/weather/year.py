@@ -13,18 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from fieldlum import sun
 from fieldlum.records import Site
 
-TYPICAL_YEAR = (
-    2027  # hours without a year of their own are dated in this one; it has no 29 February
-)
+# Hours of a typical year are dated in this year: any year without 29 February serves.
+TYPICAL_YEAR = 2027
 _HOUR = timedelta(hours=1)
 
 
 @dataclass(frozen=True, slots=True)
 class Weather:
-    """Hours of irradiance in time order; t_utc stands at the middle of each. Arrays [n] in W/m2.
+    """Hours of irradiance in time order; t_utc is the middle of each hour. Arrays [n] in W/m2.
 
-    repairs: one sentence for everything that was changed, left out or is doubtful. typical: the
-    hours make one year of no particular date, so that any year's moment can be looked up in it.
+    repairs : one sentence for each thing that was changed, left out or is doubtful. typical : the
+    hours are one year without a date of its own, so that a moment of any year can be looked up.
     """
 
     name: str
@@ -51,15 +50,15 @@ class Weather:
         )
 
     def daylight(self, least_altitude_deg: float = 0.0) -> Weather:
-        """The hours with the sun's centre above `least_altitude_deg` and any light at all."""
+        """Return the hours with light and with the sun's centre above `least_altitude_deg`."""
         up = sun.position(self.t_utc, self.site).altitude_deg > least_altitude_deg
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
     def at(self, times_utc: Sequence[datetime], *, steady: bool = True) -> sun.Irradiance:
-        """Irradiance at any moment: of its hour (steady), or between hour centres. NaN where there
-        is no weather.
+        """Return the irradiance at any moments, [n], W/m2; NaN where there is no weather.
 
-        A typical year answers for every year; 29 February is answered by the 28th.
+        steady : the value of the moment's hour; else linear between hour centres. A typical year
+        serves for every year; 29 February has the weather of the 28th.
         """
         moments = (
             [self._dated(t) for t in times_utc]
@@ -81,7 +80,7 @@ class Weather:
         return sun.Irradiance(value(self.ghi_wm2), value(self.dni_wm2), value(self.dhi_wm2))
 
     def _dated(self, t_utc: datetime) -> datetime:
-        """The same moment of local standard time in this weather's own year."""
+        """Return the same moment of local standard time in this weather's own year."""
         offset = sun.standard_offset(self.site.timezone, t_utc.astimezone(UTC).year)
         local = t_utc.astimezone(UTC) + offset
         year = (self.t_utc[len(self) // 2] + offset).year
@@ -94,11 +93,12 @@ class Weather:
 
 
 def synthetic_weather(site: Site, seed: int = 1, year: int = TYPICAL_YEAR) -> Weather:
-    """A plausible year for a place without a weather file: never for judging that place.
+    """Return a plausible year for a place without a weather file; never judge the place by it.
 
-    pvlib's clear sky times a random cloudiness: an hourly AR(1) series (correlation 0.85) around a
-    slower daily one, mapped to a share of the beam and an increase of the diffuse (thin clouds
-    double it, thick ones halve it).
+    The clear sky of pvlib times a random cloudiness: an hourly AR(1) series (correlation 0.85)
+    around a slower daily one (0.6), mapped to a share of the beam and to a factor on the diffuse
+    (thin clouds double it, thick ones halve it). All coefficients are chosen so that the hours look
+    like weather; not fitted to measurements.
     """
     offset = sun.standard_offset(site.timezone, year)
     start = datetime.combine(date(year, 1, 1), datetime.min.time(), tzinfo=UTC) - offset
@@ -110,7 +110,7 @@ def synthetic_weather(site: Site, seed: int = 1, year: int = TYPICAL_YEAR) -> We
     beam = np.clip(1.0 - 1.35 * cloud, 0.0, 1.0) ** 1.5
     diffuse = np.where(cloud < 0.5, 1 + 2.4 * cloud, 2.2 - 3.2 * (cloud - 0.5))
     dni, dhi = clear.dni_wm2 * beam, clear.dhi_wm2 * diffuse
-    # An overcast sky passes a share of the beam that it took away as diffuse light.
+    # Clouds scatter a share of the beam that they remove; it arrives as diffuse light.
     height = np.maximum(np.sin(np.radians(sun.position(times, site).altitude_deg)), 0.0)
     dhi = dhi + 0.22 * (clear.dni_wm2 - dni) * height
     dni[dni < 1.0] = 0.0
