@@ -1,6 +1,4 @@
-"""Exposure and luminance arithmetic: shutter times, response curves, exposure ratios,
-vignetting, illuminance.
-"""
+"""Arithmetic of exposure and luminance: shutter times, responses, exposure ratios, vignetting."""
 
 from fieldlum.photometry.exposure import (
     STONITS,

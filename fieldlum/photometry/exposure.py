@@ -1,28 +1,32 @@
-"""What an exposure collects, what a shutter dial really means, and where a sensor is full."""
+"""The signal of an exposure, the true time of a shutter setting, the saturation of a sensor."""
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-# cd/m2 at z = 1, f/1, 1 s, ISO 100 is STONITS / 100 * 100: hdrgen's empirical constant (Ward,
-# panlib)
+# L = STONITS N^2 / (t S) cd/m2 at z = 1, f-number N, time t [s], ISO S: the empirical constant of
+# hdrgen (Ward, panlib). A wrong value scales all luminances without a scale calibration.
 STONITS = 87.0
-_OFF_GRID = 0.07  # a nominal time further than this from every grid is taken as it stands
+# A nominal time further than this share from both grids is used unchanged. Nominal times of third
+# stops are rounded by up to 6.3 % (13 s is 12.7 s).
+_OFF_GRID = 0.07
+# A saturated run of counts is a spike if it is this many times the average of equal runs below it.
+# Chosen so that a bright smooth scene is no spike; not measured.
+_SPIKE_RATIO = 10
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
-    """Linear signal z in [0, 1] per cd/m2: the inverse of L = k * 87 N^2 / (t S) * z."""
+    """Return the linear signal z in [0, 1] per cd/m2: the inverse of L = k 87 N^2 / (t S) z."""
     return shutter_s * iso / (STONITS * f_number**2 * k)
 
 
 def snap_shutter_s(nominal_s: float) -> float:
-    """The time behind a nominal one: shutters run in powers of 2^(1/3), or of 2^(1/2) in half-stop
-    cameras. [s]
+    """Return the true time of a nominal shutter time, in s.
 
-    1/60 is 1/64 and 13 s is 12.7 s; the dial's own figures are off by up to 6.3 %. A time off both
-    grids by more than 7 % is no dial figure and is kept. Source: linearhdr (Wasilewski), hdrmerge
-    (Jakob); measured on simulated brackets.
+    Shutters run in powers of 2^(1/3), or of 2^(1/2) in cameras with half stops: 1/60 is 1/64 s and
+    13 s is 12.7 s. A time that differs from both grids by more than 7 % is returned unchanged.
+    Source: linearhdr (Wasilewski), hdrmerge (Jakob); measured on simulated brackets.
     """
     exact = math.log2(nominal_s)
     grids = (round(exact * 3) / 3, round(exact * 2) / 2)
@@ -33,11 +37,12 @@ def snap_shutter_s(nominal_s: float) -> float:
 def saturation_plateau(
     counts: NDArray[np.integer], white_dn: float, *, share: float = 2e-4
 ) -> float | None:
-    """The count at which a sensor is full, from the spike at the top of its histogram; None without
-    a spike. [DN]
+    """Return the count at which a sensor saturates [DN], or None without a histogram spike.
 
-    Many sensors stop below the white level of their file. The spike is the highest short run of
-    counts that holds at least `share` of all pixels and stands ten times above the counts below it.
+    counts : raw counts of any shape; white_dn : the white level of the file.
+
+    Many sensors saturate below the white level of their file. The spike is the highest short run of
+    counts that has at least `share` of all pixels and ten times the pixels of the counts below it.
     """
     top = int(counts.max(initial=0))
     if top < 0.5 * white_dn:
@@ -47,6 +52,6 @@ def saturation_plateau(
     near = flat[flat > top - 12 * width].astype(np.int64)
     histogram = np.bincount(top - near, minlength=12 * width)
     spike, below = histogram[:width].sum(), histogram[2 * width :].sum() / 10
-    if spike < max(share * flat.size, 8) or spike < 10 * below:
+    if spike < max(share * flat.size, 8) or spike < _SPIKE_RATIO * below:
         return None
     return float(top - np.average(np.arange(width), weights=histogram[:width]))

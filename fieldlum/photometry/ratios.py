@@ -1,10 +1,9 @@
-"""How long did each frame of a bracket really expose? A robust fit in the log domain over all pairs
-that overlap.
+"""Exposure ratios of the frames of a bracket: a robust fit in the log domain over all pairs.
 
-For a pair, y_short / y_long is averaged over pixels that both see well; the choice of pixels rests
-on the long frame alone, whose noise is small, so that noise in the short frame selects nothing. The
-pair's answers then give one correction a frame by weighted least squares with priors. Only ratios
-are known from pictures: the priors fix the gauge.
+For a pair, y_short / y_long is averaged over pixels that are well exposed in both frames. The
+pixels are selected by the long frame alone: its noise is small, so that noise of the short frame
+does not bias the selection. Weighted least squares with priors then give one correction for each
+frame. Pictures determine only ratios; the priors determine the common level.
 """
 
 from dataclasses import dataclass
@@ -14,19 +13,27 @@ from numpy.typing import NDArray
 
 from fieldlum.statistics import robust_sigma
 
+# Fewer usable pixels give no ratio. Chosen so that one object does not decide it; not measured.
 MIN_PIXELS = 50
-_SYSTEMATIC = 5e-4  # floor of a pair's uncertainty: linearity of the sensor, light within a second
-PRIOR_LONG, PRIOR_SHORT, SHORT_S = (
-    0.003,
-    0.03,
-    1 / 1000,
-)  # how well a snapped time is known, below SHORT_S worse
+# Floor of a pair's relative uncertainty: linearity of the sensor, change of light within a second.
+# Chosen well below the shutter priors; not measured.
+_SYSTEMATIC = 5e-4
+# Relative standard uncertainty of a snapped shutter time, from SHORT_S on and below it: mechanical
+# shutters are less accurate at short times. Chosen so that measured ratios outweigh them: errors of
+# up to 3.9 % are found (docs/results/merge-estimator.md). Not measured on real cameras.
+PRIOR_LONG = 0.003
+PRIOR_SHORT = 0.03
+SHORT_S = 1 / 1000
+# Residuals over this many sigma lose weight (Huber 1964; 2.5 keeps 99 % of normal residuals).
+_HUBER_SIGMA = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class PairRatio:
-    """log_ratio: ln of (true over assumed) exposure of frame `short` minus that of frame `long`;
-    u_log its u.
+    """The measured exposure ratio of two frames.
+
+    log_ratio is ln(true / assumed exposure) of frame `short` minus that of frame `long`; u_log is
+    its standard uncertainty; pixels is the count of pixels used.
     """
 
     long: int
@@ -38,8 +45,10 @@ class PairRatio:
 
 @dataclass(frozen=True, slots=True)
 class RatioFit:
-    """correction[i] multiplies the assumed exposure of frame i; covariance [frames, frames] is
-    of its logarithm.
+    """Corrections of the exposures of a bracket, and their covariance.
+
+    correction[i] multiplies the assumed exposure of frame i; covariance [frames, frames] is that of
+    its natural logarithm.
     """
 
     correction: NDArray[np.float64]
@@ -48,7 +57,7 @@ class RatioFit:
 
     @property
     def u_log(self) -> NDArray[np.float64]:
-        """Relative standard uncertainty of each correction."""
+        """Return the relative standard uncertainty of each correction, [frames]."""
         return np.sqrt(np.diag(self.covariance))
 
 
@@ -62,11 +71,11 @@ def pair_ratio(
     long: int = 0,
     short: int = 1,
 ) -> PairRatio | None:
-    """One pair from its sampled pixels, all arrays [n]; None where fewer than 50 pixels are left.
+    """Return the ratio of two frames from sampled pixels; None with fewer than 50 usable pixels.
 
-    short_variance is that of the signal predicted from the long frame (long_signal *
-    assumed_ratio), never of the noisy value. Huber weights at 2.5 sigma hold off motion and hot
-    pixels.
+    Arrays are [n]. short_variance is the variance of the signal predicted from the long frame
+    (long_signal * assumed_ratio), never of the noisy value. Huber weights at 2.5 sigma reduce the
+    weight of motion and hot pixels.
     """
     y_long, y_short = (np.asarray(s, np.float64)[usable] for s in (long_signal, short_signal))
     ratio = np.broadcast_to(np.asarray(assumed_ratio, np.float64), np.shape(long_signal))[usable]
@@ -79,7 +88,7 @@ def pair_ratio(
     for _ in range(8):
         pull = np.abs(r - centre) * np.sqrt(weight)
         spread = max(1.0, robust_sigma(pull, 0.0))
-        robust = weight * np.minimum(1.0, 2.5 * spread / np.maximum(pull, 1e-12))
+        robust = weight * np.minimum(1.0, _HUBER_SIGMA * spread / np.maximum(pull, 1e-12))
         centre = float((robust * r).sum() / robust.sum())
     if not centre > 0:
         return None
@@ -96,21 +105,19 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
 
 
 def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
-    """How well a snapped shutter time is known before any picture: 0.3 %, and 3 % below 1/1000
-    s.
-    """
+    """Return the prior relative uncertainty of snapped shutter times: 0.3 %; 3 % below 1/1000 s."""
     return np.where(np.asarray(shutter_s) < SHORT_S, PRIOR_SHORT, PRIOR_LONG)
 
 
 def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -> RatioFit:
-    """Corrections of all frames from the pairs and the priors: minimise sum (d - delta_s +
-    delta_l)^2 / u^2 + priors.
+    """Return the corrections of all frames that fit the pairs and the priors best.
 
-    prior_covariance [frames, frames] of the log exposures: two frames of one shutter time err
-    together. Pairs that contradict the rest (a cloud passed) lose weight by Huber's rule. Where the
-    corrections contradict the priors (light that changed meanwhile, a shutter unlike its dial), the
-    level that the priors fix is less sure by as much: the covariance then rests on priors that are
-    wider by Birge's ratio (Phys. Rev. 40, 1932).
+    Minimises sum (d - delta_s + delta_l)^2 / u^2 plus the priors. prior_covariance [frames, frames]
+    is that of the log exposures: two frames of one shutter time have a common error. Pairs that
+    contradict the rest (a cloud passed) lose weight by Huber's rule. If the corrections contradict
+    the priors (light that changed, a shutter unlike its nominal times), the common level is less
+    certain: the covariance is then computed with priors widened by Birge's ratio (Phys. Rev. 40,
+    1932).
     """
     frames = len(prior_covariance)
     prior = np.asarray(np.linalg.inv(prior_covariance), np.float64)
@@ -125,10 +132,10 @@ def fit_ratios(pairs: list[PairRatio], prior_covariance: NDArray[np.floating]) -
         normal = design.T @ (weight[:, None] * design) + prior
         delta = np.linalg.solve(normal, design.T @ (weight * observed))
         pull = np.abs(observed - design @ delta) / sigma if pairs else np.zeros(0)
-        weight = 1.0 / sigma**2 * np.minimum(1.0, 2.5 / np.maximum(pull, 1e-12))
-    shared = np.array(
-        [sum(q.short == p.short for q in pairs) for p in pairs]
-    )  # one short frame's noise is in them all
+        huber = np.minimum(1.0, _HUBER_SIGMA / np.maximum(pull, 1e-12))
+        weight = 1.0 / sigma**2 * huber
+    # The noise of one short frame is in all pairs of that frame: they count as one together.
+    shared = np.array([sum(q.short == p.short for q in pairs) for p in pairs])
     known = design.T @ ((weight / shared)[:, None] * design) if pairs else 0.0
     wider = prior_covariance + np.eye(frames) * _surplus(delta, prior, prior_covariance, design)
     covariance = np.asarray(np.linalg.inv(known + np.linalg.inv(wider)), np.float64)
@@ -141,9 +148,7 @@ def _surplus(
     prior_covariance: NDArray[np.floating],
     design: NDArray[np.floating],
 ) -> float:
-    """Variance that each exposure needs beside its prior's: the surest prior's, times how far
-    chi2 is beyond 1.
-    """
+    """Return the variance to add to each prior: the smallest prior variance times (chi2 - 1)."""
     freedom = np.linalg.matrix_rank(design) if len(design) else 0
     if not freedom:
         return 0.0

@@ -1,6 +1,4 @@
-"""From a JPEG's codes to linear z in [0, 1]: tables of 256 values, their shapes, and the fit
-from a bracket.
-"""
+"""JPEG codes to linear z in [0, 1]: tables of 256 values, their forms, the fit from a bracket."""
 
 from collections.abc import Sequence
 
@@ -9,23 +7,26 @@ from numpy.typing import NDArray
 
 
 def srgb_table() -> NDArray[np.float64]:
-    """IEC 61966-2-1, [256]."""
+    """Return the sRGB response of IEC 61966-2-1, z in [0, 1], [256]."""
     c = np.arange(256) / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def polynomial_table(coefficients: Sequence[float]) -> NDArray[np.float64]:
-    """z = sum c_k (code / 255)^k, c_0 first, made monotone and kept above 0, [256]. hdrgen's
-    .rsp has c_0 last.
+    """Return z = sum c_k (code / 255)^k, made monotone and at least 0, [256].
+
+    coefficients : c_0 first; the .rsp file of hdrgen has c_0 last.
     """
     z = np.polynomial.polynomial.polyval(np.arange(256) / 255.0, np.asarray(coefficients, float))
     return monotone(np.asarray(z, np.float64))
 
 
 def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64]:
-    """[256] of a profile's response: linear, srgb, polynomial (coefficients) or table (256 values).
+    """Return the response table of a profile, z, [256].
 
-    Raises ValueError for a table of another length or one that is not increasing.
+    kind : linear, srgb, polynomial (curve: coefficients, c_0 first) or table (curve: 256 values).
+    Raises ValueError for a table that has another length or is not increasing, and for a polynomial
+    with fewer than two finite coefficients.
     """
     if kind == "table":
         z = np.asarray(curve, float)
@@ -40,27 +41,27 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> NDArray[np.float64
 
 
 def monotone(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest non-decreasing curve (pool adjacent violators), at least 0."""
+    """Return the nearest non-decreasing curve, at least 0 (pool adjacent violators)."""
     from scipy.optimize import isotonic_regression
 
     return np.maximum(isotonic_regression(np.asarray(z, float)).x, 0.0)
 
 
-LOWEST, HIGHEST = (
-    3,
-    252,
-)  # codes a response is fitted to; a black level (`dark_floor`) raises the lowest
-_FOLLOWS = 1.5  # codes a code must fall when the exposure halves
-_FLOOR_SEEN, _FLOOR_SEARCHED = 10, 64
+# A response is fitted to codes in this range; a black level (`dark_floor`) raises the lower end.
+# Chosen to leave out clipped codes and JPEG ringing next to them; not measured.
+LOWEST = 3
+HIGHEST = 252
+_FOLLOWS = 1.5  # codes that a code must fall by if the exposure halves; chosen, not measured
+_FLOOR_SEEN = 10  # samples that decide about one code; chosen, not measured
+_FLOOR_SEARCHED = 64  # a black level above this code is not searched; chosen, not measured
 
 
 def dark_floor(codes: NDArray[np.uint8], log_exposure: NDArray[np.floating]) -> int:
-    """The lowest code that still follows the light: those below are black level, stray light, a
-    scan's fog.
+    """Return the lowest code that follows the light; lower codes are black level or stray light.
 
-    codes [places, frames], 0 where a frame has none; log_exposure [frames] natural log. A code is
-    looked at in every frame beside its successor in the longest frame of at most half the exposure:
-    over a black level it hardly falls.
+    codes : [places, frames], 0 where a frame has no code; log_exposure : [frames], natural log. A
+    code of a frame is compared with the code of the same place in the longest frame of at most half
+    the exposure: above a black level it falls clearly.
     """
     order = np.argsort(-np.asarray(log_exposure, float))
     log_e = np.asarray(log_exposure, float)[order]
@@ -91,15 +92,18 @@ def fit_response(
     low: int | None = None,
     high: int = HIGHEST,
 ) -> tuple[NDArray[np.float64], float]:
-    """A monotone response from the same places in all frames, with the exposures held fixed.
+    """Fit a monotone response to the same places in all frames; exposures are held fixed.
 
-    codes [places, frames]; log_exposure [frames] natural log. Debevec and Malik's least squares in
-    the log domain (SIGGRAPH 1997, eq. 3) with hat weights and a second-difference prior, then made
-    monotone. Codes under `low` (the `dark_floor` of these codes unless given) are left out: a black
-    level counted as light bends the whole curve. Returns z [256] with z(255) = 1 and the rms
-    residual of ln z over the codes of 27 to 228. Response and exposure ratios cannot both be free
-    (Grossberg and Nayar 2003): fit the ratios elsewhere. Raises ValueError with fewer than two
-    frames or 20 places.
+    codes : [places, frames]; log_exposure : [frames], natural log. Codes under `low` (by default
+    the `dark_floor` of these codes) are left out: a black level that counts as light bends
+    all of the curve.
+
+    Least squares in the log domain (Debevec and Malik, SIGGRAPH 1997, eq. 3) with hat weights and a
+    second-difference prior, then made monotone. Response and exposure ratios cannot both be free
+    (Grossberg and Nayar 2003): estimate the ratios elsewhere.
+
+    Returns z [256] with z(255) = 1, and the rms residual of ln z over the codes 27 to 228. Raises
+    ValueError with fewer than two frames or 20 places.
     """
     from scipy import sparse
     from scipy.sparse.linalg import spsolve
@@ -145,11 +149,11 @@ def pick_places(
     *,
     each: int = 150,
 ) -> NDArray[np.intp]:
-    """Places for `fit_response`: even over the steps of a bracket, so that the few bright ones
-    count as the many dark.
+    """Choose places for `fit_response`, equally many for each step of a bracket.
 
-    means, spreads [places, frames] of a small neighbourhood's codes, most exposed frame first; flat
-    ones are taken.
+    Without this, many dark places would outweigh the few bright ones. means, spreads : [places,
+    frames], mean and spread of the codes of a small neighbourhood, most exposed frame first; only
+    flat neighbourhoods are used.
     """
     chosen = []
     for j in range(means.shape[1] - 1):

@@ -1,7 +1,7 @@
-"""What a camera's shutter figures mean: one law for a bracket, from its labels and its frames.
+"""The law of a camera's shutter times, from the labels and the frames of a bracket.
 
-A mechanical shutter runs in thirds or halves of a stop, and its dial rounds: 1/60 is 1/64 s. An
-electronic shutter keeps the decimals: 1/60 is 0.016667 s (measured on a phone's bracket,
+A mechanical shutter runs in thirds or halves of a stop, and its labels are rounded: 1/60 is 1/64 s.
+An electronic shutter keeps the decimals: 1/60 is 0.016667 s (measured on a phone's bracket,
 MercuryYen/HDR-Imaging data/101; Ricoh states the same for the Theta). They differ by up to 6.7 %.
 """
 
@@ -19,17 +19,22 @@ from fieldlum.photometry.ratios import PairRatio
 THIRD_STOPS, HALF_STOPS, EXACT, AUTO = "third-stops", "half-stops", "exact", "auto"
 LAWS = (THIRD_STOPS, HALF_STOPS, EXACT)
 _STEPS_A_STOP = {THIRD_STOPS: 3, HALF_STOPS: 2}
-# A figure further from the grid is no dial figure and is kept. Dials round by up to 6.3 % (13 s) in
-# thirds, and by 11.6 % (1/20 s is 2^-4.5 s) in halves.
+# A time further from the grid than this share is used unchanged. Labels are rounded by up to 6.3 %
+# (13 s) in thirds of a stop, and by 11.6 % (1/20 s is 2^-4.5 s) in halves.
 _OFF_GRID = {THIRD_STOPS: 0.07, HALF_STOPS: 0.12}
-_TELLS_APART = 0.02  # ln: pairs whose expected ratio differs less under two laws decide nothing
-_NEAR = 0.5  # of the way from one law's expectation to the other's, median over those pairs
+# ln ratio: pairs whose expected ratio differs by less under two laws decide nothing. Chosen above
+# the uncertainty of a pair; not measured.
+_TELLS_APART = 0.02
+# A law is taken if the measured ratios are nearer to its expectation than to the other's.
+_NEAR = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class ShutterLaw:
-    """law: one of `LAWS`; decided_by: "profile", "labels" or "frames"; misfit_percent of each law,
-    empty where the frames were not asked.
+    """The law of a bracket's shutter times.
+
+    law : one of `LAWS`; decided_by : "profile", "labels" or "frames"; misfit_percent : rms
+    difference of the measured ratios from each law, empty without measured ratios.
     """
 
     law: str
@@ -38,9 +43,9 @@ class ShutterLaw:
 
 
 def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
-    """Return the times behind nominal ones [n] under a law. [s]
+    """Return the times [n] in s that nominal times [n] mean under a law.
 
-    A time far from the law's grid is no dial figure and is kept.
+    A time far from the law's grid is no rounded label and is returned unchanged.
     """
     nominal = np.asarray(nominal_s, np.float64)
     if law == EXACT:
@@ -51,14 +56,14 @@ def times_under(law: str, nominal_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def time_under(law: str, nominal_s: float) -> float:
-    """Return the time behind one nominal time; "auto": on the grid next to it. [s]"""
+    """Return the true time of a nominal time, in s; "auto" takes the grid that is nearer."""
     return snap_shutter_s(nominal_s) if law == AUTO else float(times_under(law, nominal_s))
 
 
 def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
-    """Return the grid that the figures of a whole bracket [n] fit best; thirds where both do.
+    """Return the grid that all labels [n] of a bracket fit best; third stops if both fit equally.
 
-    model: of the camera; a Theta's figures are exact (theta-web-api-v2.1, shutterSpeed).
+    model : the camera's; labels of a Theta are exact (theta-web-api-v2.1, shutterSpeed).
     """
     if "theta" in model.casefold():
         return ShutterLaw(EXACT, "labels")
@@ -76,12 +81,12 @@ def law_of_frames(
     of_labels: ShutterLaw,
     pairs: Sequence[PairRatio],
 ) -> ShutterLaw:
-    """Return the law that the frames support; `of_labels` where they cannot tell the laws apart.
+    """Return the law that the frames support, or `of_labels` if they cannot distinguish the laws.
 
-    times_s: of each law, [frames]; pairs: measured against the times of `of_labels`. Equal nominal
-    steps have equal code transfers only under the right law. A wrong response, or light that
-    changes, stretches all steps alike: that stretch comes from the pairs whose steps the laws
-    agree on.
+    times_s : times under each law, [frames], s; pairs : measured against the times of `of_labels`.
+    Equal nominal steps have equal code transfers only under the right law. A wrong response, or
+    light that changes, stretches all steps by one factor: that factor is estimated from the pairs
+    whose steps the laws agree on.
     """
     if not pairs:
         return of_labels
@@ -98,7 +103,7 @@ def law_of_frames(
             continue
         left = measured - expected[best] - step * _stretch(measured, step, tells)
         if (~tells).sum() > 1 and np.std(left[~tells]) > _NEAR * np.abs(apart[tells]).mean():
-            continue  # pairs on which the laws agree scatter as much: the response is not known
+            continue  # pairs on which the laws agree scatter as much: the response is wrong
         decided = True
         if abs(float(np.median(left[tells] / apart[tells])) - 1.0) < _NEAR:
             best = law
@@ -117,6 +122,6 @@ def _differences(values: NDArray[np.float64], pairs: Sequence[PairRatio]) -> NDA
 def _stretch(
     measured: NDArray[np.float64], step: NDArray[np.float64], tells: NDArray[np.bool_]
 ) -> float:
-    """Return by how much all ln ratios are stretched, from the pairs that decide nothing."""
+    """Return the factor by which all ln ratios are stretched, from pairs that decide nothing."""
     others = ~tells & (np.abs(step) > 0.1)
     return 0.0 if not others.any() else float(np.median(measured[others] / step[others]))

@@ -1,14 +1,13 @@
-"""Loss of light towards the edge of a lens, V(r) = sum c_k r^k with r = angle / half of the full
-angle, V(0) = 1.
-"""
+"""Vignetting: V(r) = sum c_k r^k with r = angle / half of the full angle, and V(0) = 1."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
 def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray[np.float64]:
-    """V at relative radii (1 at the edge of the full angle); beyond the edge the edge's value.
-    Empty: no loss.
+    """Return V at relative radii (1 at the edge of the full angle), in the shape of `radius`.
+
+    Beyond the edge V is that of the edge. Without coefficients V is 1.
     """
     r = np.clip(np.asarray(radius, float), 0.0, 1.0)
     return np.asarray(
@@ -17,8 +16,9 @@ def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> NDArray
 
 
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
-    """What is wrong with a curve, or "": V(0) must be 1, 0 < V <= 1.05, and the loss must grow
-    towards the edge.
+    """Return what is wrong with a curve, or an empty text.
+
+    V(0) must be 1, 0 < V <= 1.05, and V must fall towards the edge.
 
     A curve that rises to the edge is the classic wrong sign (it darkens where it should brighten).
     """
