@@ -1,4 +1,4 @@
-"""How much of what a person sees in a direction was seen by a camera."""
+"""The share of a person's view in a direction that a camera saw."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ from fieldlum.projection.panorama import (
     equirect_solid_angles,
 )
 
-# A dual fisheye with a blind nadir keeps over 99 %; 2 % of a hemisphere of 10 000 cd/m2 changes
-# DGP by 0.04, which the bounds then hold.
+# From this share on a direction counts as seen. A dual fisheye without the nadir sees over 99 %; 2
+# % of a hemisphere of 10 000 cd/m2 changes DGP by 0.04, which the bounds of DGP include.
 FULLY_SEEN_SHARE = 0.98
-# A 180-degree lens sees half of the cosine-weighted hemisphere at 90 degrees from its axis.
+# Below this share a direction gets no result: a 180-degree lens sees half of the cosine-weighted
+# hemisphere at 90 degrees from its axis.
 LEAST_SEEN_SHARE = 0.5
-SEEN, PARTLY_SEEN, NOT_SEEN = "seen", "partly seen", "not seen"
+SEEN = "seen"
+PARTLY_SEEN = "partly seen"
+NOT_SEEN = "not seen"
 
 
 def seen_shares(
     seen: NDArray[np.bool_], heading_deg: float, azimuths_deg: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the seen share of the vertical illuminance of a uniform field, [d].
+    """Return the share of the vertical illuminance of a uniform field that was seen, [d].
 
-    seen : [H, W] pixels of a panorama that a lens saw.
+    seen : [H, W] pixels of a panorama that a lens saw; azimuths_deg : [d] view directions, deg.
     """
     height, width = seen.shape
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
-    ahead = direction(0.0, np.atleast_1d(np.asarray(azimuths_deg, float)))  # [d, 3]
-    cosine = np.clip(rays @ ahead.T, 0.0, None) * equirect_solid_angles(height, width).reshape(
-        -1, 1
-    )
+    ahead = direction(0.0, np.atleast_1d(np.asarray(azimuths_deg, float)))  # (d, 3)
+    solid_angles = equirect_solid_angles(height, width).reshape(-1, 1)  # (H W, 1)
+    cosine = np.clip(rays @ ahead.T, 0.0, None) * solid_angles  # (H W, d)
     return np.clip(seen.ravel() @ cosine / cosine.sum(axis=0), 0.0, 1.0)
 
 
@@ -52,7 +54,7 @@ def seen_by_lenses(
 ) -> NDArray[np.bool_]:
     """Return which pixels of a panorama the lenses see, [H, 2H].
 
-    turns_deg : headings of the turned camera minus the panorama's heading; one 0 for a fixed one.
+    turns_deg : headings of the turned camera minus the panorama's heading; (0,) for a fixed camera.
     """
     rays = equirect_rays(height, 2 * height, 0.0)
     out = np.zeros(rays.shape[:2], bool)
@@ -65,9 +67,9 @@ def seen_by_lenses(
 
 
 def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
-    """Return one sentence on what can be judged from these pixels; empty when all can.
+    """Return one sentence on which views can be judged from these pixels; empty if all can.
 
-    Directions in whole degrees, clockwise from north, with compass words.
+    Directions are rounded to degrees, clockwise from north, with points of the compass.
     """
     azimuths = np.arange(360.0)
     words = seen_words(seen_shares(seen, heading_deg, azimuths))
@@ -86,7 +88,7 @@ def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
 
 
 def _arcs_text(good: Sequence[bool]) -> str:
-    """Runs of good whole degrees around the circle in words."""
+    """Return the arcs of consecutive good degrees around the circle as text."""
     if all(good):
         return "every direction"
     starts = [k for k in range(360) if good[k] and not good[k - 1]]

@@ -1,5 +1,4 @@
-"""A lens on a sensor: angle to radius, pose, and both ways between directions and sensor
-coordinates.
+"""A lens on a sensor: angle to radius, pose, directions to sensor coordinates and back.
 
 Sensor coordinates: (0, 0) is the top left corner of the top left pixel, x right, y down, seen from
 behind the camera.
@@ -19,8 +18,9 @@ Mapping = Literal["equidistant", "equisolid", "polynomial"]
 
 @dataclass(frozen=True, slots=True)
 class LensGeometry:
-    """Where a lens puts a direction. Angles relative to the panorama's heading; see
-    `fieldlum.profiles.Lens`.
+    """The mapping and pose of a lens on a sensor.
+
+    Angles are relative to the panorama's heading; see `fieldlum.profiles.Lens`.
     """
 
     centre_px: tuple[float, float]
@@ -34,11 +34,13 @@ class LensGeometry:
 
     @property
     def half_angle_rad(self) -> float:
+        """Half of the full angle, in radians."""
         return float(np.radians(self.full_angle_deg / 2))
 
     def axes(self) -> NDArray[np.float64]:
-        """Rows: right, up, forward of the camera in the panorama's frame (heading = north of
-        that frame), [3, 3].
+        """Return the camera's axes right, up and forward as rows, [3, 3].
+
+        They are unit vectors in the frame of the panorama, whose north is the heading.
         """
         forward = direction(self.tilt_deg, self.azimuth_deg)
         right = direction(0.0, self.azimuth_deg + 90.0)
@@ -54,8 +56,9 @@ class LensGeometry:
 
 
 def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Distance from the image centre over radius_px, at angles from the optical axis; 1 at half
-    the full angle.
+    """Return the distance from the image centre over radius_px, in the shape of the angles.
+
+    angle_rad : from the optical axis. The distance is 1 at half of the full angle.
     """
     angle = np.asarray(angle_rad, float)
     half = lens.half_angle_rad
@@ -70,8 +73,9 @@ def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> NDArray[np.floa
 
 @lru_cache(maxsize=16)
 def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Radius and angle up to where the polynomial stops rising. Raises ValueError when that is
-    inside the circle.
+    """Return radius and angle [rad] up to where the polynomial stops rising, [n] each.
+
+    Raises ValueError if it stops rising inside the image circle.
     """
     angles = np.linspace(0.0, min(1.15 * lens.half_angle_rad, np.pi), 4001)
     radii = radius_of_angle(lens, angles)
@@ -83,8 +87,9 @@ def _inverse_table(lens: LensGeometry) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64]:
-    """Inverse of `radius_of_angle`; radii beyond what the mapping reaches give the largest
-    angle. [rad]
+    """Return the angle of radii, in rad: the inverse of `radius_of_angle`, in the same shape.
+
+    A radius beyond the reach of the mapping gives the largest angle.
     """
     r = np.asarray(radius, float)
     if lens.mapping == "equisolid":
@@ -97,8 +102,9 @@ def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> NDArray[np.float64
 def lens_pixels(
     lens: LensGeometry, rays: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Sensor x, y [px] and angle from the axis [rad] of unit vectors [..., 3] in the panorama's
-    frame.
+    """Return sensor x, y [px] and angle from the axis [rad] of unit vectors, [...] each.
+
+    rays : [..., 3] in the panorama's frame.
     """
     right, up, forward = np.moveaxis(np.asarray(rays, float) @ lens.axes().T, -1, 0)
     across = np.hypot(right, up)
@@ -108,13 +114,12 @@ def lens_pixels(
 
 
 def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> NDArray[np.float64]:
-    """Unit vectors [..., 3] in the panorama's frame of sensor coordinates; inverse of
-    `lens_pixels`.
+    """Return the unit vectors [..., 3] of sensor coordinates [...]; the inverse of `lens_pixels`.
+
+    The vectors are in the panorama's frame.
     """
-    dx, dy = (
-        np.asarray(x_px, float) - lens.centre_px[0],
-        lens.centre_px[1] - np.asarray(y_px, float),
-    )
+    dx = np.asarray(x_px, float) - lens.centre_px[0]
+    dy = lens.centre_px[1] - np.asarray(y_px, float)
     radius = np.hypot(dx, dy)
     angle = angle_of_radius(lens, radius / lens.radius_px)
     across = np.sin(angle) / np.maximum(radius, 1e-300)

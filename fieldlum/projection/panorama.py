@@ -10,33 +10,33 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def row_solid_angles(height: int, width: int) -> NDArray[np.float64]:
-    """Solid angle of one pixel of each row of a panorama, [H]. [sr] All pixels sum to 4 pi."""
+    """Return the solid angle of one pixel of each row, in sr, [H]; all pixels sum to 4 pi."""
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
     return (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
 
 
 def equirect_solid_angles(height: int, width: int) -> NDArray[np.float64]:
-    """Solid angle of each pixel of a panorama, [H, W]. [sr]"""
+    """Return the solid angle of each pixel of a panorama, in sr, [H, W]."""
     return np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
 
 
 def column_azimuths_deg(width: int, heading_deg: float) -> NDArray[np.float64]:
-    """Azimuth of each column's centre, clockwise from north, in [0, 360), [W]. [deg]"""
+    """Return the azimuth of each column's centre, in deg from north, in [0, 360), [W]."""
     return (heading_deg + ((np.arange(width) + 0.5) / width - 0.5) * 360.0) % 360.0
 
 
 def row_altitudes_deg(height: int) -> NDArray[np.float64]:
-    """Altitude of each row's centre, [H]. [deg]"""
+    """Return the altitude of each row's centre, in deg, [H]."""
     return 90.0 - (np.arange(height) + 0.5) / height * 180.0
 
 
 def signed_angle_deg(angle_deg: ArrayLike) -> NDArray[np.float64]:
-    """Return the same angle in [-180, 180): a difference of two azimuths as a signed turn. [deg]"""
+    """Return angles in [-180, 180) deg: a difference of two azimuths as a signed turn."""
     return np.asarray((np.asarray(angle_deg, float) + 180.0) % 360.0 - 180.0, np.float64)
 
 
 def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
-    """Unit vectors (x east, y north, z up), [..., 3]."""
+    """Return the unit vectors (x east, y north, z up) of directions in deg, [..., 3]."""
     alt, az = np.radians(altitude_deg), np.radians(azimuth_deg)
     return np.stack(
         np.broadcast_arrays(np.cos(alt) * np.sin(az), np.cos(alt) * np.cos(az), np.sin(alt)),
@@ -45,7 +45,7 @@ def direction(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.flo
 
 
 def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.float64]:
-    """Unit vector of each pixel's centre, [H, W, 3]."""
+    """Return the unit vector of each pixel's centre, [H, W, 3]."""
     return direction(
         row_altitudes_deg(height)[:, None], column_azimuths_deg(width, heading_deg)[None, :]
     )
@@ -54,8 +54,9 @@ def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.flo
 def equirect_pixel(
     altitude_deg: ArrayLike, azimuth_deg: ArrayLike, height: int, width: int, heading_deg: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Continuous (row, column) of directions; pixel (i, j) covers [i, i+1) x [j, j+1). Columns
-    wrap into [0, W).
+    """Return the continuous (row, column) of directions in deg; columns wrap into [0, W).
+
+    Pixel (i, j) covers [i, i + 1) x [j, j + 1).
     """
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
     turn = (np.asarray(azimuth_deg, float) - heading_deg) / 360.0 + 0.5
@@ -66,5 +67,5 @@ _COMPASS = tuple("N NNE NE ENE E ESE SE SSE S SSW SW WSW W WNW NW NNW".split()) 
 
 
 def compass_name(azimuth_deg: float) -> str:
-    """Return the nearest of the sixteen points of the compass: N, NNE, NE ..."""
+    """Return the nearest of the sixteen points of the compass, such as N, NNE, NE."""
     return _COMPASS[round(azimuth_deg / 22.5) % 16]

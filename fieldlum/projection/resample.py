@@ -1,10 +1,10 @@
-"""From a sensor to a grid of directions by one sparse matrix that conserves flux.
+"""Resampling from a sensor to a grid of directions by one sparse matrix that conserves flux.
 
-Each target pixel is sampled finely; a sample is shared among the four nearest sensor pixels of its
-colour (bilinear on that colour's own lattice, so that every sensor pixel gives away its own solid
-angle), and the samples' solid angles are the weights. So a uniform field stays uniform exactly, a
-point source keeps its energy, and a colour is taken from its own pixels of the mosaic: nothing is
-demosaicked. The same matrix carries values, variances (its square) and flags.
+Each target pixel is sampled finely. A sample is distributed over the four nearest sensor pixels of
+its colour (bilinear on the lattice of that colour, so that every sensor pixel gives its own solid
+angle); the solid angles of the samples are the weights. A uniform field therefore stays uniform
+exactly, a point source keeps its energy, and each colour comes from its own pixels of the mosaic,
+without demosaicking. The same matrix carries values, variances (by its square) and flags.
 """
 
 from collections.abc import Iterator
@@ -18,34 +18,44 @@ from numpy.typing import NDArray
 from fieldlum.projection.lens import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.projection.panorama import direction, equirect_solid_angles
 
-_BLOCK_SAMPLES = 250_000  # worked on at a time: what stays near a core
-_WINDOWS = 1_000_000  # places of all windows that are summed at a time
-# Cells with no corner within the lens, give or take this, are not looked at: some polynomials fall
-# again beyond the edge and would show what lies behind the lens as a mirror image of its rim.
+# Samples in work at a time. Chosen so that a block fits the cache of a core; speed only.
+_BLOCK_SAMPLES = 250_000
+_WINDOWS = 1_000_000  # window cells that are summed at a time; limits memory only
+# Cells whose corners are all outside of the lens by more than this are skipped: some polynomials
+# fall again beyond the edge and would show directions behind the lens as a mirror image of its rim.
 _EDGE_RAD = 0.002
-_SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}  # of a colour's pixels [px]
-_LEAST = 3  # samples along an edge of a target pixel
-_STEP = 1.1  # of that spacing, between samples
+# Distance between pixels of one colour of a Bayer mosaic, exact. [px]
+_SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}
+# Samples along an edge of a target pixel, at least, and their largest distance over `_SPACING`.
+# Chosen so that no sensor pixel is skipped; energy is kept within 0.35 %
+# (docs/results/merge-estimator.md, geometry).
+_LEAST = 3
+_STEP = 1.1
+# Largest distance of the nodes at which lens coordinates are computed exactly, half a degree:
+# between them the coordinates are interpolated.
+_NODE_RAD = 0.009
 
 
 @dataclass(frozen=True, slots=True)
 class Equirect:
-    """A panorama grid; its frame has the heading in the north."""
+    """A panorama grid of `height` rows, in a frame whose north is the heading."""
 
     height: int
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
         return self.height, 2 * self.height
 
     @property
     def pixel_rad(self) -> float:
+        """Angle across one pixel at the horizon, in rad."""
         return float(np.pi / self.height)
 
     def rays(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Directions of continuous (row, column) coordinates, [rows, columns, 3]."""
+        """Return the directions of continuous (row, column) coordinates, [rows, columns, 3]."""
         altitude = 90.0 - rows / self.height * 180.0
         azimuth = (columns / (2 * self.height) - 0.5) * 360.0
         return direction(altitude[:, None], azimuth[None, :])
@@ -53,12 +63,13 @@ class Equirect:
     def weight(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Relative solid angle of samples, [rows, columns]."""
+        """Return the relative solid angle of samples, [rows, columns]."""
         return np.broadcast_to(
             np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size)
         )
 
     def solid_angles(self) -> NDArray[np.float64]:
+        """Return the solid angle of each pixel, in sr, [H, W]."""
         return equirect_solid_angles(*self.shape)
 
 
@@ -72,14 +83,17 @@ class Fisheye:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
         return self.size, self.size
 
     @property
     def pixel_rad(self) -> float:
+        """Angle across one pixel, in rad."""
         return float(np.radians(self.full_angle_deg) / self.size)
 
     @property
     def geometry(self) -> LensGeometry:
+        """The equidistant lens of this picture, in the pose of `pose`."""
         half = self.size / 2
         p = self.pose
         return LensGeometry(
@@ -95,29 +109,33 @@ class Fisheye:
 
     @property
     def view(self) -> str:
+        """The view options of Radiance for this picture."""
         return f"-vta -vv {self.full_angle_deg:g} -vh {self.full_angle_deg:g}"
 
     def rays(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
+        """Return the directions of continuous (row, column) coordinates, [rows, columns, 3]."""
         return lens_rays(self.geometry, columns[None, :], rows[:, None])
 
     def angles(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """From the axis, [rows, columns]. [rad]"""
+        """Return the angles from the axis, in rad, [rows, columns]."""
         half = self.size / 2
         return np.hypot(columns[None, :] - half, rows[:, None] - half) * self.pixel_rad
 
     def weight(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]
     ) -> NDArray[np.float64]:
+        """Return the relative solid angle of samples, 0 outside the circle, [rows, columns]."""
         angle = self.angles(rows, columns)
         return np.where(
             angle <= np.radians(self.full_angle_deg) / 2, np.abs(np.sinc(angle / np.pi)), 0.0
         )
 
     def solid_angles(self) -> NDArray[np.float64]:
+        """Return the solid angle of each pixel, in sr, [size, size]."""
         centre = np.arange(self.size) + 0.5
         return self.weight(centre, centre) * self.pixel_rad**2
 
@@ -128,11 +146,10 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Resampler:
-    """Matrices by colour [target pixels, sensor pixels], rows that sum to 1 (or 0 where the lens
-    sees nothing).
+    """Matrices [target pixels, sensor pixels] by colour; rows sum to 1, or 0 where nothing is seen.
 
-    coverage: share of a target pixel's solid angle that falls on the sensor inside the lens,
-    [pixels] angle_rad: mean angle from the optical axis of what falls there, [pixels]
+    coverage : share of a target pixel's solid angle that is on the sensor inside the lens,
+    [pixels]. angle_rad : mean angle from the optical axis of that part, [pixels].
     """
 
     matrices: dict[str, Any]  # scipy.sparse.csr_array, float32
@@ -143,8 +160,9 @@ class Resampler:
 
 @dataclass(frozen=True, slots=True)
 class _Lattice:
-    """Where the pixels of one colour stand: at sensor pixel `origin + p right + q down`, in
-    whole steps p and q.
+    """The lattice of one colour's pixels: sensor pixel = origin + p right + q down.
+
+    p and q are integers.
     """
 
     row: int
@@ -153,14 +171,10 @@ class _Lattice:
     down: tuple[int, int]
 
     def places(self, x: Float32, y: Float32) -> tuple[Float32, Float32]:
-        """Continuous p, q of sensor coordinates; whole numbers at the middles of the colour's
-        pixels.
-        """
-        half, across, down = (
-            np.float32(0.5),
-            x - np.float32(self.column + 0.5),
-            y - np.float32(self.row + 0.5),
-        )
+        """Return continuous p, q of sensor coordinates; integers at the centres of the pixels."""
+        half = np.float32(0.5)
+        across = x - np.float32(self.column + 0.5)
+        down = y - np.float32(self.row + 0.5)
         if self.right[0]:  # green: a lattice at 45 degrees
             return np.multiply(across + down, half), np.multiply(across - down, half)
         return np.multiply(across, np.float32(1 / self.right[1])), np.multiply(
@@ -170,13 +184,13 @@ class _Lattice:
     def number(
         self, p: NDArray[np.integer], q: NDArray[np.integer], width: int
     ) -> NDArray[np.int32]:
-        """Number of the sensor pixel, row by row."""
+        """Return the index of sensor pixels, counted row by row."""
         rows = self.row + p * self.right[0] + q * self.down[0]
         return (rows * width + self.column + p * self.right[1] + q * self.down[1]).astype(np.int32)
 
 
 def _lattice(cfa: str, colour: str) -> _Lattice:
-    """cfa "": all colours everywhere."""
+    """Return the lattice of a colour; without a cfa all colours are at every pixel."""
     places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour]
     if len(places) == 2:
         return _Lattice(*places[0], (1, 1), (-1, 1))
@@ -193,18 +207,17 @@ def _blocks(target: Target, sub: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class _Nodes:
-    """Exact sensor coordinates on a grid over some rows of the target, and the target pixels that
-    may meet the lens.
+    """Exact sensor coordinates on a grid over some rows of the target.
 
-    Between nodes the coordinates are interpolated: they are smooth where the lens sees, and a node
-    stands at every pixel corner or at least every half degree.
+    Between nodes the coordinates are interpolated: they are smooth where the lens sees, and there
+    is a node at every pixel corner or at least every half degree.
     """
 
     first: int  # row of the target
     fine: int  # nodes for one edge of a target pixel
     x: Float32
     y: Float32
-    near: NDArray[np.bool_]  # cells between nodes that may meet the lens
+    near: NDArray[np.bool_]  # cells between nodes that the lens may see
     row: NDArray[np.intp]  # of the target pixels with such a cell, from `first`
     column: NDArray[np.intp]
 
@@ -220,14 +233,15 @@ def _nodes(target: Target, lens: LensGeometry, first: int, last: int) -> _Nodes:
 
 
 def _nodes_per_pixel(target: Target) -> int:
-    return max(1, int(np.ceil(target.pixel_rad / 0.009)))
+    return max(1, int(np.ceil(target.pixel_rad / _NODE_RAD)))
 
 
 def _samples(
     target: Target, nodes: _Nodes, down: int, across: int
 ) -> tuple[Float32, Float32, Float32]:
-    """Sensor x, y (not a number where nothing can be seen) and weight [down, across, n] of the
-    pixels of `nodes`.
+    """Return sensor x, y and weight of the samples of the pixels of `nodes`, [down, across, n].
+
+    x and y are NaN where the lens cannot see.
     """
     fine = nodes.fine
     part = np.arange(fine)
@@ -264,8 +278,9 @@ def _between(
     across: NDArray[np.float64],
     hidden: NDArray[np.bool_] | None,
 ) -> Float32:
-    """Bilinear values at places `down` and `across` of cells (i, j) [fine, fine, n]: [fine,
-    down, fine, across, n].
+    """Return bilinear values at places `down` and `across` of cells (i, j) [fine, fine, n].
+
+    The result has the shape [fine, down, fine, across, n].
     """
     a, b, c, d = nodes[i, j], nodes[i, j + 1], nodes[i + 1, j], nodes[i + 1, j + 1]
     if hidden is not None:
@@ -273,14 +288,15 @@ def _between(
     along = down.astype(np.float32)[:, None, None]
     left = a[:, None] + (c - a)[:, None] * along
     right = b[:, None] + (d - b)[:, None] * along
-    found = np.multiply((right - left)[..., None, :], across[:, None], dtype=np.float32)
-    found += left[..., None, :]
-    return found
+    values = np.multiply((right - left)[..., None, :], across[:, None], dtype=np.float32)
+    values += left[..., None, :]
+    return values
 
 
 def samples_per_pixel(target: Target, lens: LensGeometry, colour: str = "") -> int:
-    """Sub-samples along one edge of a target pixel, so that no sensor pixel of the colour falls
-    between them.
+    """Return the samples along one edge of a target pixel, at most 24.
+
+    Chosen so that no sensor pixel of the colour is between two samples.
     """
     densest = lens.radius_px * max(
         1.0 / np.sin(min(lens.half_angle_rad, np.pi / 2)), 1.0 / lens.half_angle_rad
@@ -291,8 +307,9 @@ def samples_per_pixel(target: Target, lens: LensGeometry, colour: str = "") -> i
 
 
 def _counts(target: Target, first: int, last: int, sub: int) -> tuple[int, int]:
-    """Samples down and across a pixel of these rows: fewer across where meridians draw together;
-    nodes divide both.
+    """Return the samples down and across a pixel of these rows, multiples of the nodes.
+
+    Near the poles meridians converge, and fewer samples across suffice.
     """
     fine = _nodes_per_pixel(target)
     across = sub
@@ -310,18 +327,16 @@ def _counts(target: Target, first: int, last: int, sub: int) -> tuple[int, int]:
 def resampler(
     target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str = ""
 ) -> Resampler:
-    """Build (once, then cached) the matrices from a sensor [h, w] seen through `lens` to `target`.
+    """Return the matrices from a sensor [h, w] behind `lens` to `target`; computed once, cached.
 
-    cfa: four letters row by row, or "" for a sensor with all colours everywhere (one matrix, named
-    "").
+    cfa : four letters row by row, or "" for a sensor with all colours at every pixel (one matrix,
+    named "").
     """
     colours = sorted(set(cfa)) or [""]
     subs = {colour: samples_per_pixel(target, lens, colour) for colour in colours}
     width = target.shape[1]
-    coverage, angle = (
-        np.ones(target.shape[0] * width, np.float32),
-        np.zeros(target.shape[0] * width, np.float32),
-    )
+    coverage = np.ones(target.shape[0] * width, np.float32)
+    angle = np.zeros(target.shape[0] * width, np.float32)
     rows: dict[str, list[_Rows]] = {colour: [] for colour in colours}
     for first, last in _blocks(target, max(subs.values())):
         nodes = _nodes(target, lens, first, last)
@@ -335,11 +350,10 @@ def resampler(
                         seen, _lattice(cfa, colour), sensor_shape[1], pixel, (last - first) * width
                     )
                 )
-            whole = np.maximum(
-                _full_weight(target, first, last)[pixel] * counts[0] * counts[1], 1e-30
-            )
+            full = _full_weight(target, first, last)[pixel] * counts[0] * counts[1]
             at = first * width + pixel
-            coverage[at] = np.minimum(coverage[at], seen.total / whole)  # what all colours see
+            # A pixel is covered as far as all colours see it.
+            coverage[at] = np.minimum(coverage[at], seen.total / np.maximum(full, 1e-30))
             angle[at] = seen.angle_rad
         hidden = np.setdiff1d(np.arange((last - first) * width), pixel, assume_unique=True)
         coverage[first * width + hidden] = 0.0
@@ -349,8 +363,9 @@ def resampler(
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """Samples [down, across, n] of n target pixels: sensor coordinates, share of their pixel (0:
-    not seen).
+    """Samples [down, across, n] of n target pixels.
+
+    x, y : sensor coordinates; share : of their pixel, 0 if not seen.
     """
 
     x: Float32
@@ -366,8 +381,10 @@ def _seen(
     samples: tuple[Float32, Float32, Float32],
     margin: float,
 ) -> _Seen:
-    """margin: so that none of the four neighbours of a sample lies outside the circle or the
-    sensor. [px]
+    """Return the samples that the sensor sees inside the lens.
+
+    margin : distance from the circle and from the sensor's edge [px] that keeps all four neighbours
+    of a sample inside.
     """
     x, y, weight = samples
     sensor_h, sensor_w = sensor_shape
@@ -375,8 +392,8 @@ def _seen(
     seen = (r2 <= (lens.radius_px - margin) ** 2) & (weight > 0)
     seen &= (x >= margin) & (y >= margin) & (x < sensor_w - margin) & (y < sensor_h - margin)
     if not seen.all():
-        # What is not seen weighs nothing, and stands where something of its pixel is seen: its
-        # window stays small.
+        # Move samples that are not seen to a seen sample of their pixel, with weight 0: the window
+        # of the pixel stays small.
         weight = weight * seen
         x, y = (
             np.where(seen, v, np.where(seen, v, np.float32(np.inf)).min(axis=(0, 1)))
@@ -389,19 +406,17 @@ def _seen(
     return _Seen(x, y, share, total, (share * angle).sum(axis=(0, 1), dtype=np.float64))
 
 
-_Rows = tuple[
-    NDArray[np.float32], NDArray[np.int32], NDArray[np.intp]
-]  # values, columns, entries of each row
+# Values, columns and the count of entries of each row.
+_Rows = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.intp]]
 
 
 def _rows(
     seen: _Seen, lattice: _Lattice, sensor_width: int, pixel: NDArray[np.intp], pixels: int
 ) -> _Rows:
-    """Rows of the matrix: every sample shared among the four nearest pixels of its colour,
-    bilinearly.
+    """Return the rows of the matrix of one colour: samples distributed bilinearly over four pixels.
 
-    The shares are added up in a small dense window of the lattice around each target pixel: no
-    sorting.
+    The shares are summed in a small dense window of the lattice around each target pixel, which
+    needs no sorting.
     """
     keep = np.flatnonzero(seen.total > 0)
     counts = np.zeros(pixels, np.intp)
@@ -439,8 +454,9 @@ def _rows(
 def _window_sums(
     i: Float32, j: Float32, p: Float32, q: Float32, share: Float32, across: int, down: int
 ) -> NDArray[np.float64]:
-    """Shares of samples at i + p, j + q [.., .., n] added up on the window of each pixel, [n,
-    down * across].
+    """Return the sums of the shares of samples at i + p, j + q, [n, down * across].
+
+    i, j, p, q, share : [down, across, n]; the window of each pixel has `across` x `down` cells.
     """
     size, pixels = across * down, i.shape[-1]
     at = (j * across + i).astype(np.intp)
@@ -471,8 +487,9 @@ def _csr(rows: list[_Rows], sensor_shape: tuple[int, int]) -> Any:
 
 
 def _full_weight(target: Target, first: int, last: int) -> NDArray[np.float64]:
-    """Mean sample weight of whole target pixels, so that coverage is 1 where the lens sees all
-    of a pixel.
+    """Return the mean sample weight of fully seen target pixels, [rows * W].
+
+    Coverage is then 1 where the lens sees all of a pixel.
     """
     fine = np.arange(first * 8, last * 8) / 8 + 1 / 16
     width = target.shape[1]
