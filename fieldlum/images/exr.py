@@ -1,4 +1,4 @@
-"""OpenEXR pictures: fieldlum's own panoramas out and in, and RGB or luminance of other programs."""
+"""OpenEXR pictures: fieldlum's own panoramas, and RGB or luminance of other programs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from fieldlum.images.radiance_header import MAX_PIXELS
 from fieldlum.profiles import CameraProfile, plain
 from fieldlum.records import Flag, Panorama, SunSource, parse_utc, utc_text
 
-_MAX_VALUES = 4 * MAX_PIXELS  # of all channels together, 2.6 GB: what decoding may take
-# 1 cd/m2 for an RGB of 1: where a file has no attribute whiteLuminance its unit is not stated.
+# Values of all channels together, 2.6 GB: limits the memory that decoding may take.
+_MAX_VALUES = 4 * MAX_PIXELS
+# 1 cd/m2 for an RGB of 1: without an attribute whiteLuminance the unit of a file is not stated.
 _WHITE_CDM2_UNSTATED = 1.0
 NO_UNIT = "the EXR states no whiteLuminance: its values count as cd/m2"
 
@@ -28,11 +29,10 @@ NO_UNIT = "the EXR states no whiteLuminance: its values count as cd/m2"
 
 
 def calibration_mark(profile: CameraProfile) -> dict[str, str]:
-    """Attributes of a picture that tell which camera and calibration it was merged with, its k by
-    itself.
+    """Return the attributes that identify the camera and the calibration of a merged picture.
 
-    A new k is the old one times what meters say: without the old one the same readings would move k
-    twice.
+    The scale factor k is an attribute of its own: a new k is the old one times the ratio to the
+    meters. Without the old k the same readings would be applied to k twice.
     """
     p = profile
     parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])
@@ -41,10 +41,10 @@ def calibration_mark(profile: CameraProfile) -> dict[str, str]:
 
 
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
-    """Float32 EXR with channels Y, u, flags (and R, G, B) and attributes view, heading_deg, t_utc,
-    sun.
+    """Write a float32 EXR with channels Y, u, flags (and R, G, B).
 
-    view: for a picture that is no panorama its Radiance view options.
+    Attributes: view, heading_deg, t_utc, sun and `Panorama.attributes`. view : the view options of
+    Radiance for a picture that is no panorama.
     """
     import OpenEXR
 
@@ -86,13 +86,13 @@ def _sun_parse(text: str) -> SunSource:
 
 
 def read_exr(path: Path) -> tuple[Panorama, str]:
-    """Read a luminance picture, and its view: ``equirect``, Radiance's view options, or "".
+    """Return a luminance picture and its view: ``equirect``, Radiance's view options, or "".
 
-    The luminance is channel Y, or R, G and B weighed by the attribute chromaticities (BT.709
-    without it) times whiteLuminance (1 cd/m2 without it; `Panorama.attributes["note"]` says so).
-    What lies outside the data window is flagged as outside the lens.
+    The luminance is channel Y, or R, G and B weighted by the attribute chromaticities (BT.709
+    without it) times whiteLuminance (1 cd/m2 without it; `Panorama.attributes["note"]` states
+    this). Pixels outside of the data window are flagged as outside the lens.
 
-    Raises InputError for what is no EXR, is broken, too large, or has neither Y nor R, G, B.
+    Raises InputError for a file that is no EXR, is broken, too large, or has neither Y nor R, G, B.
     """
     header = _header(path)
     _check_size(header, path)
@@ -109,9 +109,12 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
         view = str(header.get("view", ""))
     except (ValueError, TypeError, AttributeError) as error:
-        # a damaged attribute comes as bytes of no known type
+        # OpenEXR returns a damaged attribute as bytes of an unknown type.
         raise InputError(
-            path, f"attribute {error}", "heading_deg, t_utc and sun as fieldlum writes them"
+            path,
+            f"attribute {error}",
+            "heading_deg, t_utc and sun as fieldlum writes them",
+            "merge the panorama again, or copy the file again",
         ) from None
     rgb = np.stack([channels[c] for c in "RGB"], axis=-1) if set("RGB") <= set(channels) else None
     flags = channels["flags"].astype(np.uint16) if "flags" in channels else None
@@ -120,13 +123,15 @@ def read_exr(path: Path) -> tuple[Panorama, str]:
 
 
 def _header(path: Path) -> dict[str, Any]:
-    """Return the attributes of the first part. Raises InputError for what is no EXR."""
+    """Return the attributes of the first part. Raises InputError for a file that is no EXR."""
     import OpenEXR
 
-    # OpenEXR prints to stderr by itself: it must not see what is no EXR at all
+    # OpenEXR prints to stderr by itself, so check the first bytes before it reads the file.
     with path.open("rb") as file:
         if file.read(4) != b"\x76\x2f\x31\x01":
-            raise InputError(path, "no OpenEXR file", "a panorama .exr", "check what wrote it")
+            raise InputError(
+                path, "no OpenEXR file", "an .exr picture", "check which program wrote the file"
+            )
     try:
         with OpenEXR.File(str(path), header_only=True) as exr:
             return dict(exr.header())
@@ -136,12 +141,12 @@ def _header(path: Path) -> dict[str, Any]:
 
 def _broken(path: Path, error: Exception) -> InputError:
     return InputError(
-        path, f"broken EXR ({error})".replace("\n", " "), "a complete file", "copy it again"
+        path, f"broken EXR ({error})".replace("\n", " "), "a complete EXR", "copy the file again"
     )
 
 
 def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int] | None:
-    """Left, top, width and height of a window, or None where the header has none. [px]"""
+    """Return left, top, width and height of a window, in px, or None if it is not in the header."""
     try:
         (x0, y0), (x1, y1) = header[name]
         return int(x0), int(y0), int(x1) - int(x0) + 1, int(y1) - int(y0) + 1
@@ -153,10 +158,12 @@ def _check_size(header: Mapping[str, Any], path: Path) -> None:
     """Raise InputError for more pixels than `MAX_PIXELS`, before anything is decoded."""
     try:
         kind = str(header.get("type", "")).lower()
-    except UnicodeDecodeError as error:  # a damaged attribute comes as bytes of no known type
+    except UnicodeDecodeError as error:  # a damaged attribute, as bytes of an unknown type
         raise _broken(path, error) from None
     if "deep" in kind:
-        raise InputError(path, "deep data", "a flat picture", "flatten it with the program's own")
+        raise InputError(
+            path, "deep data", "a flat picture", "flatten it with the program that wrote it"
+        )
     channels = max(1, len(header.get("channels") or ()))
     for name in ("dataWindow", "displayWindow"):
         window = _window(header, name)
@@ -191,8 +198,9 @@ def _channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any
 
 
 def _chosen_layer(names: list[str]) -> dict[str, str]:
-    """Return file name and plain name of the channels to read: the plain ones, or those of the
-    only layer with Y or R, G, B.
+    """Return the names of the channels to read, each with its plain name.
+
+    Plain channels are preferred; else the only layer with Y or R, G, B.
     """
     kept = ("Y", "R", "G", "B", "u", "flags")
     if {"Y"} <= set(names) or set("RGB") <= set(names):
@@ -211,7 +219,7 @@ def _chosen_layer(names: list[str]) -> dict[str, str]:
 def _luminance(
     channels: Mapping[str, NDArray[np.float32]], header: Mapping[str, Any], path: Path
 ) -> tuple[NDArray[np.float32], dict[str, str]]:
-    """Luminance [H, W] [cd/m2], and a note where the file does not state its unit."""
+    """Return the luminance [H, W] in cd/m2, and a note if the file does not state its unit."""
     white = header.get("whiteLuminance")
     scale = float(white) if isinstance(white, int | float) and white > 0 else _WHITE_CDM2_UNSTATED
     ours = any(str(key).startswith("fieldlum:") or key == "heading_deg" for key in header)
@@ -232,7 +240,10 @@ def _luminance(
         weights = luminance_weights(BT709_CHROMATICITIES if stated is None else tuple(stated))
     except (TypeError, ValueError) as error:
         raise InputError(
-            path, f"attribute chromaticities ({error})", "x and y of R, G, B and white"
+            path,
+            f"attribute chromaticities ({error})",
+            "x and y of R, G, B and white",
+            "write the picture again with that attribute, or without it",
         ) from None
     luminance = np.zeros_like(channels["R"])
     for name, weight in zip("RGB", weights * scale, strict=True):
@@ -241,7 +252,7 @@ def _luminance(
 
 
 def _on_display_window(panorama: Panorama, header: Mapping[str, Any]) -> Panorama:
-    """Return the picture on the display window; what the data window lacks is outside the lens."""
+    """Return the picture on the display window; pixels without data are outside the lens."""
     data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
     if data is None or display is None or data == display:
         return panorama

@@ -11,17 +11,22 @@ from fieldlum.records import Panorama
 
 
 def read_panorama(path: Path) -> Panorama:
-    """A panorama from .exr (ours) or .hdr (W = 2H). A .hdr without a heading line takes heading 180
-    (south).
+    """Read a panorama: fieldlum's .exr, or a Radiance .hdr that is twice as wide as high.
 
-    Raises InputError for a missing, broken or other kind of file.
+    A .hdr without a heading line gets the heading 180 (south). Raises InputError for a missing or
+    broken file, and for other kinds and shapes.
     """
     if not path.is_file():
-        raise InputError(path, "no such file", "a panorama .exr or .hdr")
+        raise InputError(path, "no such file", "a panorama .exr or .hdr", "check the path")
     panorama = read_exr(path)[0] if path.suffix.lower() == ".exr" else _read_hdr_panorama(path)
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        raise InputError(path, f"{width} x {height} pixels", "a panorama twice as wide as high")
+        raise InputError(
+            path,
+            f"{width} x {height} pixels",
+            "a panorama twice as wide as high",
+            "use a picture of all directions (equirectangular)",
+        )
     return panorama
 
 

@@ -32,12 +32,15 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> NDArray[np.float64]:
     xyz = np.stack([xy[:, 0], xy[:, 1], 1.0 - xy.sum(axis=1)], axis=1) / xy[:, 1:]  # [4, 3]
     columns = xyz[:3].T  # [3, 3]
     if abs(float(np.linalg.det(columns))) < 1e-6:
-        raise ValueError("the three primaries lie on one line")
+        raise ValueError("the three primaries are on one line")
     return columns * np.linalg.solve(columns, xyz[3])
 
 
 def luminance_weights(chromaticities: Sequence[float]) -> NDArray[np.float64]:
-    """Return what R, G and B contribute to luminance, with sum 1, [3]. Raises ValueError."""
+    """Return the shares of R, G and B in luminance, with sum 1, [3].
+
+    Raises ValueError for chromaticities that span no triangle or give a negative luminance.
+    """
     weights = rgb_to_xyz(chromaticities)[1]
     if (weights < 0).any():
         raise ValueError("a primary has a negative luminance")

@@ -1,4 +1,4 @@
-"""Radiance's own programs, which pyradiance's wheel ships."""
+"""The programs of Radiance, which the wheel of pyradiance contains."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def radiance_program(name: str) -> str:
-    """Return the path of one of Radiance's programs, such as ``pvalue``."""
+    """Return the path of a program of Radiance, such as ``pvalue``."""
     from pyradiance.anci import BINPATH
 
     return str(Path(BINPATH) / name)

@@ -1,7 +1,7 @@
-"""Radiance pictures: RGBE and XYZE in through Radiance's own pvalue, RGBE out.
+"""Radiance pictures: RGBE and XYZE are read through Radiance's own pvalue, RGBE is written.
 
-pvalue decodes flat, new and old run-length scanlines; it runs as a process of its own, so that a
-damaged file cannot harm this one. It is given the pixels behind a plain header: exposure, primaries
+pvalue decodes flat, new and old run-length scanlines. It runs as a separate process, so that a
+damaged file cannot crash this one. It gets the pixels behind a plain header: exposure, primaries
 and orientation are applied here (`radiance_header`).
 """
 
@@ -31,22 +31,26 @@ from fieldlum.images.radiance_header import (
 )
 from fieldlum.records import Float
 
-# W/sr/m2; the value written for infinity is 1e30, and single precision ends at 3e38
+# Brighter pixels are damage. Infinity is written as 1e30, and single precision ends at 3e38.
+# [W/sr/m2]
 _BRIGHTEST = 2e30
-_BLOCK_PIXELS = 500_000  # decoded at a time: 6 MB
+_BLOCK_PIXELS = 500_000  # decoded at a time: limits memory to 6 MB
 
 
 @dataclass(frozen=True, slots=True)
 class RadianceImage:
-    """rgb : [H, W, 3] W/sr/m2, upright, with EXPOSURE and COLORCORR undone, in the file's own
+    """A Radiance picture with its colours.
+
+    rgb : [H, W, 3] W/sr/m2, upright, with EXPOSURE and COLORCORR undone, in the file's own
     primaries (XYZE: in Radiance's). header : its lines. view : the text after VIEW=, or "".
-    cdm2_per_unit : [3] luminance of one unit of R, G and B.
+    heading_deg : stated by a header line of a panorama. cdm2_per_unit : [3] luminance of one unit
+    of R, G and B.
     """
 
     rgb: NDArray[np.float32]
     header: tuple[str, ...] = ()
     view: str = ""
-    heading_deg: float | None = None  # set when a header line says that this is a panorama
+    heading_deg: float | None = None
     cdm2_per_unit: tuple[float, float, float] = (
         RADIANCE_LM_PER_W * RADIANCE_Y[0],
         RADIANCE_LM_PER_W * RADIANCE_Y[1],
@@ -55,11 +59,12 @@ class RadianceImage:
 
     @property
     def luminance_cdm2(self) -> NDArray[np.float32]:
+        """The luminance, [H, W], in cd/m2."""
         return self.rgb @ np.asarray(self.cdm2_per_unit, np.float32)
 
 
 def luminance_from_radiance(rgb: Float) -> NDArray[np.float32]:
-    """179 (.265 R + .670 G + .065 B), [..., 3] to [...]. [cd/m2]"""
+    """Return 179 (.265 R + .670 G + .065 B) in cd/m2, from W/sr/m2: [..., 3] to [...]."""
     weights = (RADIANCE_LM_PER_W * np.asarray(RADIANCE_Y)).astype(np.float32)
     return np.asarray(rgb, np.float32) @ weights
 
@@ -91,9 +96,9 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
 
 
 def read_radiance_luminance(path: Path) -> tuple[NDArray[np.float32], RadianceHeader]:
-    """Read a Radiance picture's luminance [H, W] [cd/m2] and header, with 4 bytes a pixel.
+    """Read the luminance [H, W] in cd/m2 and the header of a Radiance picture.
 
-    Raises InputError for anything else.
+    Needs 4 bytes for each pixel. Raises InputError for any other file.
     """
     with _open(path) as file:
         header = read_header(file, path)
@@ -105,7 +110,7 @@ def read_radiance_luminance(path: Path) -> tuple[NDArray[np.float32], RadianceHe
 
 
 def read_radiance_header(path: Path) -> RadianceHeader:
-    """Read the header alone. Raises InputError for what is no Radiance picture."""
+    """Read the header only. Raises InputError for a file that is no Radiance picture."""
     with _open(path) as file:
         return read_header(file, path)
 
@@ -114,18 +119,20 @@ def _open(path: Path) -> BinaryIO:
     """Open a regular file. Raises InputError for any other, or an unreadable one."""
     try:
         if path.exists() and not path.is_file():
-            raise InputError(path, "no regular file", "a Radiance .hdr picture")
+            raise InputError(path, "no regular file", "a Radiance .hdr picture", "check the path")
         return path.open("rb")
     except OSError as error:
-        raise InputError(path, error.strerror or str(error), "a readable file") from None
+        raise InputError(
+            path, error.strerror or str(error), "a readable file", "check the path"
+        ) from None
 
 
 def _decoded_rows(
     file: BinaryIO, header: RadianceHeader, path: Path
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    """Yield (first scanline, values [scanlines, pixels, 3]) in file order, exposure not undone.
+    """Yield (first scanline, values [scanlines, pixels, 3]) in file order, before exposure.
 
-    Raises InputError when the pixels are damaged or end early.
+    Raises InputError if the pixels are damaged or end early.
     """
     scanlines, width = header.resolution.counts
     plain = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {scanlines} +X {width}\n".encode()
@@ -148,7 +155,7 @@ def _decoded_rows(
                 raise InputError(
                     path,
                     f"the pixels are damaged or end after {first} of {scanlines} scanlines",
-                    "Radiance pixels",
+                    f"{scanlines} scanlines of Radiance pixels",
                     "the file is cut short: copy it again",
                 )
             rows = np.frombuffer(data, np.float32).reshape(count, width, 3)
@@ -162,7 +169,7 @@ def _decoded_rows(
 
 
 def _feed(head: bytes, file: BinaryIO, pipe: IO[bytes]) -> None:
-    """Send a plain header and the rest of `file`; a decoder that stops early is no error here."""
+    """Write a plain header and the rest of `file` to the decoder, which may stop reading early."""
     with suppress(OSError, ValueError):
         pipe.write(head)
         shutil.copyfileobj(file, pipe, 1 << 20)
@@ -174,7 +181,10 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
     largest = float(rows.max(initial=0.0))
     if not largest <= brightest:
         raise InputError(
-            path, f"a pixel of {largest:.3g} W/sr/m2", "light", "the file is damaged: copy it again"
+            path,
+            f"a pixel of {largest:.3g} W/sr/m2",
+            f"at most {brightest:.3g} W/sr/m2",
+            "the file is damaged: copy it again",
         )
 
 
@@ -183,8 +193,9 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
 
 
 def encode_rgbe(rgb: Float) -> NDArray[np.uint8]:
-    """Shared-exponent pixels, [..., 3] to [..., 4]. Mantissas are cut, as Radiance decodes
-    (mantissa + .5) / 256.
+    """Return pixels with a shared exponent (RGBE), [..., 3] to [..., 4].
+
+    Mantissas are truncated, because Radiance decodes (mantissa + .5) / 256.
     """
     values = np.maximum(np.nan_to_num(np.asarray(rgb, np.float64), posinf=1e30), 0.0)
     largest = values.max(axis=-1)
@@ -207,8 +218,8 @@ def write_radiance_hdr(
 ) -> None:
     """Write cd/m2 [H, W] or radiance RGB [H, W, 3] as flat RGBE with one EXPOSURE and one VIEW.
 
-    view: Radiance view options, such as "-vta -vh 180 -vv 180"; heading_deg instead marks a
-    panorama.
+    view : view options of Radiance, such as "-vta -vh 180 -vv 180"; heading_deg marks a panorama
+    instead.
     """
     values = np.asarray(pixels)
     height, width = values.shape[:2]

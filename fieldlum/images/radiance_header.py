@@ -1,10 +1,4 @@
-"""The text in front of a Radiance picture's pixels: format, exposure, primaries, view, orientation.
-
-Rules of Radiance's file format (filefmts.pdf; src/common/header.c, color.h, resolu.h): EXPOSURE and
-COLORCORR lines multiply; a line that begins with a tab was inherited from an input picture and
-describes that one; the resolution line states the order of the pixels by two signed axes, and its
-numbers may be padded.
-"""
+"""The header of a Radiance picture: format, exposure, primaries, view, orientation."""
 
 from __future__ import annotations
 
@@ -24,13 +18,16 @@ from fieldlum.images.primaries import (
     same_chromaticities,
 )
 
-RADIANCE_LM_PER_W = 179.0  # Radiance's own white; not 683 and not a luminous efficacy of daylight
-# luminance of Radiance's primaries (Ward Larson and Shakespeare 1998)
+# Radiance's own white efficacy (WHTEFFICACY of src/common/color.h), in lm/W: neither 683 nor a
+# luminous efficacy of daylight.
+RADIANCE_LM_PER_W = 179.0
+# Luminance of Radiance's primaries (Ward Larson and Shakespeare 1998).
 RADIANCE_Y = (0.265, 0.670, 0.065)
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
 # 12 bytes a pixel: 1.9 GB. The largest pictures in use, panoramas of 16k x 8k, have 134 million.
 MAX_PIXELS = 160_000_000
-_MAX_HEADER_BYTES = 4_000_000  # a year of pcomb and pcompos lines has a few thousand
+# A longer header is no header. A year of pcomb and pcompos lines has a few thousand bytes.
+_MAX_HEADER_BYTES = 4_000_000
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _FORMATS = ("32-bit_rle_rgbe", "32-bit_rle_xyze")
 _CONVERT = {
@@ -43,7 +40,7 @@ _CONVERT = {
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """Scanlines and pixels in file order: `axes` such as ("-Y", "+X"), `counts` [px] of each."""
+    """Scanlines and pixels in file order: `axes`, such as ("-Y", "+X"), and `counts` of each."""
 
     axes: tuple[str, str]
     counts: tuple[int, int]
@@ -67,11 +64,12 @@ class Resolution:
 
 @dataclass(frozen=True, slots=True)
 class RadianceHeader:
-    """What the header of a picture states.
+    """The content of a picture's header.
 
-    exposure : [3] divide the decoded channels by it. views : the picture's own VIEW lines in
-    order; inherited_views : those of its input pictures. pixel_aspect : height over width of a
-    pixel. start : position of the first byte of pixels.
+    exposure : [3] divide the decoded channels by it. chromaticities : x, y of red, green, blue and
+    white, [8]. views : the picture's own VIEW lines in order; inherited_views : those of its input
+    pictures. pixel_aspect : height over width of a pixel. start : position of the first byte of
+    pixels.
     """
 
     lines: tuple[str, ...]
@@ -94,13 +92,14 @@ class RadianceHeader:
 
     @property
     def view_is_inherited(self) -> bool:
+        """Whether the view is stated only by an input picture."""
         return not self.views and bool(self.view)
 
     @property
     def cdm2_per_unit(self) -> NDArray[np.float64]:
-        """Luminance of one unit of each decoded channel, [3]. [cd/m2]
+        """Luminance of one unit of each decoded channel, [3], in cd/m2.
 
-        XYZE holds Y in cd/m2: ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
+        XYZE has Y in cd/m2: ra_xyze writes EXPOSURE = 1 / 179 for W/sr/m2.
         """
         if self.xyze:
             return np.array([0.0, 1.0, 0.0]) / self.exposure
@@ -113,8 +112,9 @@ class RadianceHeader:
 
 
 def read_header(file: BinaryIO, path: Path) -> RadianceHeader:
-    """Read up to the first byte of the pixels. Raises InputError for what is no Radiance picture
-    or cannot be read as one.
+    """Read the header, up to the first byte of the pixels.
+
+    Raises InputError for a file that is no Radiance picture or has an unusable header.
     """
     lines = _header_lines(file, path)
     formats = [line[7:].strip() for line in lines if line.startswith("FORMAT=")]
@@ -122,7 +122,7 @@ def read_header(file: BinaryIO, path: Path) -> RadianceHeader:
         raise _not_radiance(path)
     kind = formats[-1] if formats else _FORMATS[0]
     if kind not in _FORMATS:
-        remedy = _CONVERT.get(kind, "write it again as Radiance RGBE or XYZE")
+        remedy = _CONVERT.get(kind, "convert it to Radiance RGBE or XYZE")
         raise InputError(path, f"pixel format {kind[:40]}", "Radiance RGBE or XYZE", remedy)
     resolution = _resolution(file.readline(200), path)
     marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
@@ -141,7 +141,12 @@ def read_header(file: BinaryIO, path: Path) -> RadianceHeader:
 
 
 def _not_radiance(path: Path) -> InputError:
-    return InputError(path, "no Radiance header", "a Radiance .hdr picture", "check what wrote it")
+    return InputError(
+        path,
+        "no Radiance header",
+        "a Radiance .hdr picture",
+        "check which program wrote the file",
+    )
 
 
 def _header_lines(file: BinaryIO, path: Path) -> list[str]:
@@ -182,7 +187,7 @@ def _resolution(line: bytes, path: Path) -> Resolution:
 
 
 def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> NDArray[np.float64]:
-    """Values of all lines that begin with `key`, [lines, count]; each must be above 0."""
+    """Return the values of all lines that begin with `key`, [lines, count]; all must be above 0."""
     rows = []
     for line in lines:
         if not line.startswith(key):
@@ -192,16 +197,14 @@ def _numbers(lines: Sequence[str], key: str, count: int, path: Path) -> NDArray[
         except ValueError:
             row = []
         if len(row) != count or not all(np.isfinite(v) and v > 0 for v in row):
-            needed = "a number" if count == 1 else f"{count} numbers"
-            raise InputError(
-                path, repr(line)[:80], f"{key} and {needed} above 0", "correct the header line"
-            )
+            expected = f"{key} and {'a number' if count == 1 else f'{count} numbers'} above 0"
+            raise InputError(path, repr(line)[:80], expected, "correct the header line")
         rows.append(row)
     return np.asarray(rows, float).reshape(-1, count)
 
 
 def _exposure(lines: Sequence[str], path: Path) -> NDArray[np.float64]:
-    """Product of all EXPOSURE and COLORCORR lines, [3]."""
+    """Return the product of all EXPOSURE and COLORCORR lines, [3]."""
     exposure = float(np.prod(_numbers(lines, "EXPOSURE=", 1, path)))
     total = np.prod(_numbers(lines, "COLORCORR=", 3, path), axis=0) * exposure  # [3]
     if not (np.isfinite(total).all() and (total > 0).all()):
@@ -212,8 +215,9 @@ def _exposure(lines: Sequence[str], path: Path) -> NDArray[np.float64]:
 
 
 def _chromaticities(lines: Sequence[str], path: Path) -> tuple[float, ...]:
-    """Return the eight numbers of the last PRIMARIES line; Radiance's own where there is none, or
-    where all are 0 (Adobe Photoshop).
+    """Return the eight numbers of the last PRIMARIES line, or Radiance's own primaries.
+
+    Adobe Photoshop writes eight zeros; they count as no line.
     """
     stated = [line[10:] for line in lines if line.startswith("PRIMARIES=")]
     if not stated or not stated[-1].replace("0", "").replace(".", "").strip():
