@@ -1,7 +1,6 @@
-"""Raw mosaics and JPEG frames as the camera gave them: counts in, nothing developed; and the same
-files out.
+"""Raw mosaics and JPEG frames as the camera wrote them, read and written without development.
 
-LibRaw opens the file (through rawpy), but only its mosaic is used: `postprocess` rescales each
+LibRaw opens raw files (through rawpy), but only the mosaic is used: `postprocess` rescales each
 frame by its own maximum.
 """
 

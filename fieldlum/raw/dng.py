@@ -1,4 +1,4 @@
-"""A plain DNG, and where its colours stand."""
+"""A writer of plain DNG files, and the positions of the colours in a Bayer cell."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from fieldlum.raw.exif import rational, time_tags
 from fieldlum.records import Exposure
 from fieldlum.session import replacing
 
+# Types and sizes of TIFF values (TIFF 6.0, section 2).
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10
 _FORMAT = {_BYTE: "B", _SHORT: "H", _LONG: "I"}
+# XYZ (D65) to linear sRGB, IEC 61966-2-1 in Lindbloom's digits.
 _XYZ_TO_SRGB = (
     (3.2404542, -1.5371385, -0.4985314),
     (-0.9692660, 1.8760108, 0.0415560),
@@ -25,7 +27,7 @@ _XYZ_TO_SRGB = (
 
 
 def channel_positions(cfa: str) -> tuple[tuple[int, int], ...]:
-    """(row, column) in the 2 x 2 cell of R, G1 (in the rows of red), G2, B."""
+    """Return (row, column) in the 2 x 2 cell of R, G1 (in the rows of red), G2, B."""
     red, blue = divmod(cfa.index("R"), 2), divmod(cfa.index("B"), 2)
     return red, (red[0], blue[1]), (blue[0], red[1]), blue
 
@@ -44,9 +46,7 @@ def _packed(kind: int, value: Any) -> tuple[int, bytes]:
 
 
 def _directory(tags: dict[int, tuple[int, Any]], at: int) -> bytes:
-    """A TIFF directory that will stand at byte `at`, with the values that do not fit in it
-    behind it.
-    """
+    """Return a TIFF directory for byte `at` of the file, followed by its longer values."""
     body, data = struct.pack("<H", len(tags)), b""
     free = at + 2 + 12 * len(tags) + 4
     for tag in sorted(tags):
@@ -73,9 +73,9 @@ def write_dng(
     model: str = "",
     colour_matrix: ArrayLike = _XYZ_TO_SRGB,
 ) -> None:
-    """An uncompressed DNG with an EXIF directory; LibRaw gives the counts back bit for bit.
+    """Write an uncompressed DNG with an EXIF directory; LibRaw returns the same counts exactly.
 
-    counts [h, w] 16-bit; black_dn for R, G1, G2, B; colour_matrix [3, 3] XYZ to camera.
+    counts : [h, w] 16-bit; black_dn : for R, G1, G2, B; colour_matrix : [3, 3] XYZ to camera.
     """
     exif: dict[int, tuple[int, Any]] = {
         33434: (_RATIONAL, [rational(exposure.shutter_s)]),

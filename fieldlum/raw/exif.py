@@ -1,4 +1,4 @@
-"""What a frame's EXIF says, and how it is written."""
+"""The EXIF of a frame: exposure, time, camera; and the values to write it."""
 
 from __future__ import annotations
 
@@ -15,21 +15,18 @@ import numpy as np
 from fieldlum.errors import InputError
 from fieldlum.records import Exposure
 
-_ROLL_DEG = {
-    1: 0.0,
-    3: 180.0,
-    6: 90.0,
-    8: -90.0,
-}  # of EXIF Orientation; mirrored ones are no camera's
+# Roll of the camera by EXIF Orientation (EXIF 2.32). Mirrored orientations are written by no
+# camera.
+_ROLL_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: -90.0}
 
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """What a frame's EXIF says.
+    """The EXIF of a frame.
 
-    t_camera is the camera's own clock: naive unless the file names its offset from UTC
-    (OffsetTimeOriginal). The exposure's nd comes from a ImageDescription ``ND=name``, which a
-    camera does not write: fieldlum and exiftool do.
+    t_camera is the camera's own clock: naive unless the file states its offset from UTC
+    (OffsetTimeOriginal). The exposure's nd comes from an ImageDescription ``ND=name``, which
+    fieldlum and exiftool write and cameras do not.
     """
 
     exposure: Exposure
@@ -39,8 +36,9 @@ class FrameInfo:
 
 
 def tags_of(path: Path) -> dict[str, Any]:
-    """exifread's tags; none for what it cannot read. Raises InputError for a file that is
-    missing or empty.
+    """Return the tags that exifread finds; no tags if it cannot parse the file.
+
+    Raises InputError for a file that is missing or empty.
     """
     import exifread
 
@@ -52,17 +50,17 @@ def tags_of(path: Path) -> dict[str, Any]:
                     path, "the file is empty", "a frame of a camera", "copy it from the card again"
                 )
             file.seek(0)
-            with suppress(
-                Exception
-            ):  # whatever a broken file makes of the parser: then it has no tags
+            with suppress(Exception):  # exifread may raise anything for a broken file
                 return dict(exifread.process_file(file, details=False))
     except OSError as error:
-        raise InputError(path, error.strerror or str(error), "a readable file") from None
+        raise InputError(
+            path, error.strerror or str(error), "a readable file", "check the path"
+        ) from None
     return {}
 
 
 def numbers(tags: dict[str, Any], *names: str) -> list[float]:
-    """The values of the first of `names` that is there and made of finite numbers."""
+    """Return the values of the first of `names` that exists and has finite numbers only."""
     for name in names:
         values = getattr(tags.get(name), "values", None)
         with suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
@@ -99,8 +97,10 @@ def _nd_name(tags: dict[str, Any]) -> str:
 def info_of(
     path: Path, tags: dict[str, Any], fallback: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> FrameInfo:
-    """fallback: shutter, f-number and ISO as LibRaw found them, 0 where it did not. Raises
-    InputError.
+    """Return the exposure, time and camera of the tags.
+
+    fallback : shutter [s], f-number and ISO of LibRaw, 0 where it has none; used where the tags
+    lack a value. Raises InputError for a value that is missing or impossible.
     """
     shutter = numbers(tags, "EXIF ExposureTime", "Image ExposureTime") or [fallback[0]]
     f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1]]
@@ -116,15 +116,16 @@ def info_of(
         if not value:
             raise InputError(
                 path,
-                f"no {name} in its EXIF",
-                remedy=f"write it with: exiftool -{tag}={example} FILE",
+                f"no {name} in the EXIF",
+                "exposure time, f-number and ISO in the EXIF",
+                f"write it with: exiftool -{tag}={example} FILE",
             )
         if not low <= value <= high:
             raise InputError(
                 path,
-                f"{name} {value:g} in its EXIF",
+                f"{name} {value:g} in the EXIF",
                 f"{low:g} to {high:g}",
-                f"mend it: exiftool -{tag}=",
+                f"correct it with: exiftool -{tag}={example} FILE",
             )
     exposure = Exposure(shutter[0], f_number[0], iso[0], _nd_name(tags))
     return FrameInfo(
@@ -133,25 +134,26 @@ def info_of(
 
 
 def roll_deg_of(path: Path) -> float | None:
-    """How the camera was held by its own sensor (EXIF Orientation): roll clockwise as seen from
-    behind; None: not said.
+    """Return the roll that the camera recorded (EXIF Orientation), or None if it recorded none.
 
-    Pixels are never turned by it. Raises InputError for a file that is missing or empty.
+    Roll is in deg, clockwise as seen from behind the camera. Pixels are never turned by it. Raises
+    InputError for a file that is missing or empty.
     """
     tag = numbers(tags_of(path), "Image Orientation")
     return _ROLL_DEG.get(int(tag[0])) if tag else None
 
 
 def same_model(found: str, wanted: str) -> bool:
-    """Whether a camera's name is the profile's, whole or some of its words (a maker's name may
-    stand before it).
+    """Return whether two camera names are equal, or one is a sequence of words in the other.
+
+    A frame may state the maker's name in front of the model.
     """
     a, b = (f" {' '.join(name.split())} ".casefold() for name in (found, wanted))
     return bool(a.strip() and b.strip()) and (a in b or b in a)
 
 
 def rational(value: float) -> Fraction:
-    """As a camera would write it: 1/250, 5.6 = 28/5; exact to 1e-6."""
+    """Return a fraction as a camera writes it: 1/250, 28/5 for 5.6; exact to 1e-6."""
     inverse = Fraction(1, max(round(1 / value), 1)) if 0 < value < 1 else Fraction(0)
     if inverse and abs(float(inverse) / value - 1) < 1e-6:
         return inverse
@@ -159,7 +161,10 @@ def rational(value: float) -> Fraction:
 
 
 def time_tags(t_camera: datetime | None) -> dict[int, str]:
-    """DateTimeOriginal, SubSecTimeOriginal and, for an aware time, OffsetTimeOriginal."""
+    """Return DateTimeOriginal, SubSecTimeOriginal and, for an aware time, OffsetTimeOriginal.
+
+    The keys are the numbers of the EXIF tags.
+    """
     if t_camera is None:
         return {}
     offset = t_camera.strftime("%z")

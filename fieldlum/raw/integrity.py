@@ -12,8 +12,9 @@ JPEG_SUFFIXES = (".jpg", ".jpeg")
 
 
 def unreadable(path: Path) -> str:
-    """Why a frame's pixels cannot be read, or nothing; takes up to some seconds of a large raw
-    frame.
+    """Return why the pixels of a frame cannot be read, or an empty text.
+
+    Decodes the frame, which takes some seconds for a large raw file.
     """
     try:
         read_jpeg(path) if path.suffix.lower() in JPEG_SUFFIXES else read_mosaic(path)

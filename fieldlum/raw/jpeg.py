@@ -1,4 +1,4 @@
-"""JPEG frames as the camera gave them."""
+"""JPEG frames as the camera wrote them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fieldlum.session import replacing
 
 @dataclass(frozen=True, slots=True)
 class JpegFrame:
-    """codes [h, w, 3], red first, not turned by the orientation tag."""
+    """A JPEG frame: codes [h, w, 3], red first, not turned by the orientation tag."""
 
     codes: NDArray[np.uint8]
     exposure: Exposure
@@ -27,7 +27,7 @@ class JpegFrame:
 
 
 def read_jpeg(path: Path) -> JpegFrame:
-    """Raises InputError for what is no whole JPEG, or has no exposure time."""
+    """Read a JPEG frame. Raises InputError for an incomplete JPEG, or without an exposure time."""
     import warnings
 
     from PIL import Image
@@ -44,7 +44,9 @@ def read_jpeg(path: Path) -> JpegFrame:
             if type(error).__name__ == "UnidentifiedImageError"
             else str(error).splitlines()[0]
         )
-        raise InputError(path, found, "a whole JPEG", "copy it from the card again") from None
+        raise InputError(
+            path, found, "a complete JPEG", "copy the file from the card again"
+        ) from None
     return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
 
 
@@ -58,7 +60,7 @@ def write_jpeg(
     model: str = "",
     quality: int = 97,
 ) -> None:
-    """codes [h, w, 3] with EXIF; no chroma subsampling."""
+    """Write codes [h, w, 3] with EXIF, without chroma subsampling."""
     from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 

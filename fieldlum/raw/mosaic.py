@@ -1,4 +1,4 @@
-"""The mosaic of a raw frame through LibRaw, undeveloped."""
+"""The mosaic of a raw frame, read through LibRaw without development."""
 
 from __future__ import annotations
 
@@ -23,21 +23,23 @@ from fieldlum.raw.dng import channel_positions
 from fieldlum.raw.exif import FrameInfo, info_of, numbers, tags_of
 from fieldlum.records import Exposure
 
+# A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels.
 _LARGEST_PIXELS = 400_000_000
-_DAMAGE = ("data corrupted", "Unexpected end of file")
+_DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
 _STDERR = threading.Lock()
-# Panasonic (RW2) and Olympus (ORF): LibRaw fills up what is missing of them without a word.
-_TIFF_COUSINS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
-_PANASONIC_OFFSET = 280  # RawDataOffset: in newer files StripOffsets is a placeholder
+# First bytes of Panasonic (RW2) and Olympus (ORF) files, and those of a TIFF with the same content:
+# LibRaw fills missing data of these files without a message.
+_TIFF_VARIANTS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
+_PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a placeholder
 
 
 @dataclass(frozen=True, slots=True)
 class Mosaic:
-    """One raw frame. counts [h, w]; cfa names the top left 2 x 2 row by row; black_dn for R, G1,
-    G2, B.
+    """One raw frame.
 
-    G1 is the green in the rows of red. white_dn is the file's tag, often above the true plateau.
-    colour_matrix [3, 3] takes XYZ to camera RGB, where the file or LibRaw knows it.
+    counts [h, w]; cfa names the colours of the top left 2 x 2 pixels row by row; black_dn is for R,
+    G1, G2, B, with G1 the green in the rows of red. white_dn is the file's tag, often above the
+    true saturation. colour_matrix [3, 3] takes XYZ to camera RGB, if the file or LibRaw has it.
     """
 
     counts: NDArray[np.uint16]
@@ -52,8 +54,9 @@ class Mosaic:
 
 
 def _check_strips(path: Path) -> None:
-    """Refuse a TIFF-like raw whose data reach past its end: LibRaw may fill the rest with zeros,
-    or fall over.
+    """Raise InputError for a TIFF-like raw whose data reach past the end of the file.
+
+    LibRaw may fill the missing part with zeros, or crash.
     """
     import tifffile
 
@@ -61,8 +64,8 @@ def _check_strips(path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(4)
-    if head in _TIFF_COUSINS:
-        return _check_cousin(path, _TIFF_COUSINS[head])
+    if head in _TIFF_VARIANTS:
+        return _check_variant(path, _TIFF_VARIANTS[head])
     if head not in (b"II*\0", b"MM\0*"):
         return
     try:
@@ -79,26 +82,34 @@ def _check_strips(path: Path) -> None:
                 if max(ends, default=0) > size or (
                     counts and 8 * sum(counts) < bits * page.samplesperpixel
                 ):
-                    raise InputError(
-                        path, f"{size} bytes, its pixels end later", "a whole file", "copy it again"
-                    )
+                    raise _cut_short(path, size)
                 if page.compression == 7 and counts and _bytes_at(path, offsets[0]) != b"\xff\xd8":
                     raise InputError(
                         path,
                         "its pixels are no lossless JPEG",
-                        "what its tags say",
-                        "copy it again",
+                        "the compression that its tags state",
+                        "copy the file from the card again",
                     )
     except InputError:
         raise
     except Exception as error:
         found = f"broken TIFF structure ({type(error).__name__})"
-        raise InputError(path, found, "a raw file", "copy it from the card again") from None
+        raise InputError(path, found, "a raw file", "copy the file from the card again") from None
 
 
-def _check_cousin(path: Path, magic: bytes) -> None:
-    """The same for a maker's own kind of TIFF, by offsets and lengths alone: its other tags keep
-    to their own rules.
+def _cut_short(path: Path, size: int) -> InputError:
+    return InputError(
+        path,
+        f"{size} bytes, but its pixels end later",
+        "a complete file",
+        "copy the file from the card again",
+    )
+
+
+def _check_variant(path: Path, magic: bytes) -> None:
+    """Raise InputError for a maker's variant of TIFF whose data reach past the end of the file.
+
+    Only offsets and lengths are checked: the other tags follow rules of the maker.
     """
     import tifffile
 
@@ -111,9 +122,7 @@ def _check_cousin(path: Path, magic: bytes) -> None:
             offsets = np.ravel(tags.valueof(_PANASONIC_OFFSET) or tags.valueof("StripOffsets", 0))
             end = max(int(at) + int(n) for at, n in zip(offsets, lengths, strict=False))
     if end > size:
-        raise InputError(
-            path, f"{size} bytes, its pixels end later", "a whole file", "copy it again"
-        )
+        raise _cut_short(path, size)
 
 
 def _bytes_at(path: Path, at: int) -> bytes:
@@ -123,7 +132,7 @@ def _bytes_at(path: Path, at: int) -> bytes:
 
 
 def opened(path: Path) -> Any:
-    """rawpy's own object, unpacked. Raises InputError for whatever LibRaw cannot open."""
+    """Return rawpy's object, unpacked. Raises InputError for a file that LibRaw cannot open."""
     import rawpy
 
     with path.open("rb") as file:
@@ -137,55 +146,62 @@ def opened(path: Path) -> Any:
     for magic, kind in kinds.items():
         if head.startswith(magic):
             raise InputError(
-                path, f"{kind} by its content", "a camera raw", "give it its true suffix"
+                path,
+                f"the content is {kind}",
+                "a camera raw",
+                "rename the file with its true suffix",
             )
     _check_strips(path)
     try:
-        with _complaints() as complaints:
+        with _damage_messages() as damage:
             raw = rawpy.imread(str(path))
             raw.unpack()
     except Exception as error:
-        said = error.args[0] if error.args else type(error).__name__
-        text = said.decode("ascii", "replace") if isinstance(said, bytes) else str(said)
+        reason = error.args[0] if error.args else type(error).__name__
+        text = reason.decode("ascii", "replace") if isinstance(reason, bytes) else str(reason)
         raise InputError(
             path,
             f"LibRaw: {text}",
             "a raw file that LibRaw supports",
             "copy it again, or convert it to DNG",
         ) from None
-    if complaints:
+    if damage:
         raw.close()
         raise InputError(
-            path, f"LibRaw: {complaints[0]}", "a whole file", "copy it from the card again"
+            path, f"LibRaw: {damage[0]}", "a complete file", "copy the file from the card again"
         )
     return raw
 
 
 @contextmanager
-def _complaints() -> Iterator[list[str]]:
-    """What LibRaw says about damaged data while it goes on as if nothing were: it tells stderr, and
-    nobody else.
+def _damage_messages() -> Iterator[list[str]]:
+    """Collect the messages of LibRaw about damaged data, which it writes to stderr only.
 
-    All else that is written to stderr meanwhile is passed on.
+    LibRaw then continues as if the data were complete. All other text that is written to stderr
+    meanwhile is passed on.
     """
-    found: list[str] = []
-    with _STDERR, tempfile.TemporaryFile() as held:
+    messages: list[str] = []
+    with _STDERR, tempfile.TemporaryFile() as buffer:
         sys.stderr.flush()
-        kept = os.dup(2)
-        os.dup2(held.fileno(), 2)
+        stderr = os.dup(2)
+        os.dup2(buffer.fileno(), 2)
         try:
-            yield found
+            yield messages
         finally:
             sys.stderr.flush()
-            os.dup2(kept, 2)
-            os.close(kept)
-            held.seek(0)
-            for line in held.read().splitlines(keepends=True):
-                said = next((what for what in _DAMAGE if what.encode() in line), "")
-                found.append(said) if said else os.write(2, line)
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            buffer.seek(0)
+            for line in buffer.read().splitlines(keepends=True):
+                message = next((text for text in _DAMAGE if text.encode() in line), "")
+                if message:
+                    messages.append(message)
+                else:
+                    os.write(2, line)
 
 
 def libraw_exposure(raw: Any) -> tuple[float, float, float]:
+    """Return shutter [s], f-number and ISO of LibRaw, 0 where it has none."""
     other = raw.other
     return (
         float(other.shutter_speed or 0.0),
@@ -195,8 +211,9 @@ def libraw_exposure(raw: Any) -> tuple[float, float, float]:
 
 
 def _pattern(path: Path, raw: Any) -> tuple[str, NDArray[np.intp]]:
-    """Names and LibRaw colour indices of the top left 2 x 2 of the visible mosaic. Raises
-    InputError if no Bayer.
+    """Return the colours and LibRaw's colour indices of the top left 2 x 2 visible pixels.
+
+    Raises InputError without a Bayer mosaic.
     """
     import rawpy
 
@@ -228,7 +245,7 @@ def _pattern(path: Path, raw: Any) -> tuple[str, NDArray[np.intp]]:
 
 
 def _colour_matrix(raw: Any, tags: dict[str, Any]) -> NDArray[np.float64] | None:
-    """XYZ to camera: LibRaw's own table, else the DNG's ColorMatrix2 or 1."""
+    """Return the matrix from XYZ to camera, [3, 3]: LibRaw's, else the DNG's ColorMatrix2 or 1."""
     known = np.asarray(raw.rgb_xyz_matrix, float)[:3]
     if np.any(known):
         return known
@@ -239,16 +256,17 @@ def _colour_matrix(raw: Any, tags: dict[str, Any]) -> NDArray[np.float64] | None
 
 
 def read_mosaic(path: Path) -> Mosaic:
-    """The visible mosaic of a raw frame, undeveloped. Raises InputError, one line, for
-    everything else.
-    """
+    """Read the visible mosaic of a raw frame. Raises InputError for everything else."""
     tags = tags_of(path)
     with opened(path) as raw:
         cfa, index = _pattern(path, raw)
         counts = raw.raw_image_visible
         if not 0 < counts.size <= _LARGEST_PIXELS or min(counts.shape) < 2:
             raise InputError(
-                path, f"a mosaic of {counts.shape}", "a picture of a sensible size", "copy it again"
+                path,
+                f"a mosaic of {counts.shape} pixels",
+                f"2 x 2 to {_LARGEST_PIXELS:,} pixels",
+                "copy the file from the card again",
             )
         black = raw.black_level_per_channel
         black_dn = tuple(float(black[index[at]]) for at in channel_positions(cfa))
@@ -257,9 +275,9 @@ def read_mosaic(path: Path) -> Mosaic:
         if not 0 <= max(black_dn) < white_dn:
             raise InputError(
                 path,
-                f"black {max(black_dn):g}, white {white_dn:g}",
-                "black below white",
-                "copy it again",
+                f"black level {max(black_dn):g}, white level {white_dn:g}",
+                "a black level below the white level",
+                "copy the file from the card again",
             )
         return Mosaic(
             counts.astype(np.uint16),
@@ -275,9 +293,7 @@ def read_mosaic(path: Path) -> Mosaic:
 
 
 def read_exif(path: Path) -> FrameInfo:
-    """EXIF of a JPEG or raw frame. Raises InputError, naming the remedy, when it has no exposure
-    time.
-    """
+    """Read the EXIF of a JPEG or raw frame. Raises InputError if it has no exposure time."""
     tags = tags_of(path)
     with suppress(InputError):
         return info_of(path, tags)
