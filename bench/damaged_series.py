@@ -34,7 +34,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from fieldlum import irradiance
 from fieldlum.devices import ascii_lines, spn1, toa5
-from fieldlum.devices.ask_twice import said_twice
+from fieldlum.devices.ask_twice import agreed_answer
 from fieldlum.devices.learned_format import LineForm
 from fieldlum.errors import FieldlumError
 
@@ -197,7 +197,7 @@ def _asked_again(
     others do.
     """
     left = [came, *(maybe_damaged(whole[-1], before, rng) for _ in range(2))]
-    reading, _ = said_twice(
+    reading, _ = agreed_answer(
         lambda: left.pop(0),
         spn1.parse_reading,
         spn1.apart_wm2,

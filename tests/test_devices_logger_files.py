@@ -45,10 +45,10 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
         ("t_utc,volts\n1,2\n", "columns t_utc, volts"),
         (
             "t_utc,ghi_wm2\n2027-03-20T16:00:00Z,many\n",
-            "nothing could be read: line 2: ghi_wm2 is 'many'",
+            "no row could be read: line 2: ghi_wm2 is 'many'",
         ),
         ("", "no header"),
-        ("t_utc;ghi_wm2\n2027-03-20T16:00:00Z;5,1\n", "columns parted by ';', expected by ','"),
+        ("t_utc;ghi_wm2\n2027-03-20T16:00:00Z;5,1\n", "columns separated by ';'; expected by ','"),
         (
             't_utc,ghi_wm2\n2027-03-20T16:00:00Z,"5,1"\n',
             "ghi_wm2 is '5,1', expected a number with a decimal point",
@@ -65,7 +65,7 @@ def test_bad_files_are_told(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         read_logger_file(tmp_path / "f.csv")
     (tmp_path / "f.csv").write_bytes(CSV.encode("utf-16"))
-    with pytest.raises(InputError, match="UTF-16 text, expected UTF-8, save it again"):
+    with pytest.raises(InputError, match="UTF-16 text; expected UTF-8; save it again"):
         read_logger_file(tmp_path / "f.csv")
     with pytest.raises(InputError, match="No such file"):
         read_logger_file(tmp_path / "none.csv")

@@ -179,7 +179,7 @@ def test_apogee_and_eko_floats() -> None:
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        (lambda reply: b"", "is silent: check wiring"),
+        (lambda reply: b"", "does not answer; check wiring"),
         (lambda reply: reply[:-1] + bytes([reply[-1] ^ 1]), "Checksum"),
         (lambda reply: reply[:7], "unit 1"),
         (lambda reply: b"\xff" + reply, "unit 1"),
@@ -214,10 +214,13 @@ def test_unplugged_is_a_device_error() -> None:
 @pytest.mark.parametrize(
     ("uri", "said"),
     [
-        ("modbus:/dev/x?kind=smq", "no instrument 'smq', there are apogee"),
-        ("modbus:/dev/x?kind=ms60", "no unit, and ms60 has no common one: its unit number is"),
+        ("modbus:/dev/x?kind=smq", "no instrument 'smq'; expected one of apogee"),
+        (
+            "modbus:/dev/x?kind=ms60",
+            "no unit number, and ms60 has no usual one; add it: its unit number is",
+        ),
         ("modbus:/dev/x?unit=1", "expected a port and a kind"),
-        ("modbus:/dev/x?kind=smp&unit=1&dhi_unit=1", "given twice"),
+        ("modbus:/dev/x?kind=smp&unit=1&dhi_unit=1", "occurs twice"),
         ("modbus:/dev/x?kind=smp&write=1", "unknown option 'write'"),
         ("modbus:/dev/does-not-exist?kind=smp", "/dev/does-not-exist"),
     ],
@@ -241,7 +244,7 @@ def test_profiles_are_checked(tmp_path: Path) -> None:
         head
         + 'poll = [{ start = 0, count = 2 }]\nentry = [{ name = "irradiance_wm2", register = 7 }]\n'
     )
-    with pytest.raises(InputError, match="lies outside the blocks"):
+    with pytest.raises(InputError, match="is outside the blocks"):
         load_register_profile(str(own))
     own.write_text(head + "poll = [{ start = 0, count = 2 }]\nentry = []\n")
     with pytest.raises(InputError, match="no entry 'irradiance_wm2'"):

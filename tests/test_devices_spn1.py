@@ -57,7 +57,7 @@ def test_transcript_of_the_manual() -> None:
     ],
 )
 def test_a_broken_line_gives_no_number(reply: bytes) -> None:
-    with pytest.raises(DeviceError, match="SPN1 said"):
+    with pytest.raises(DeviceError, match="SPN1 answered"):
         parse_reading(reply)
 
 
@@ -147,11 +147,11 @@ def test_total_below_diffuse_is_marked() -> None:
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        (lambda reply: reply if reply == b"\xaf" else reply[:7], "SPN1 said"),
-        (lambda reply: reply if reply == b"\xaf" else b"\xfe\x80" + reply, "SPN1 said"),
-        (lambda reply: reply if reply == b"\xaf" else b"", "awake, but silent"),
-        (lambda reply: b"", "is silent when woken"),
-        (lambda reply: b"\x00", "when woken, expected 0xAF"),
+        (lambda reply: reply if reply == b"\xaf" else reply[:7], "SPN1 answered"),
+        (lambda reply: reply if reply == b"\xaf" else b"\xfe\x80" + reply, "SPN1 answered"),
+        (lambda reply: reply if reply == b"\xaf" else b"", "awake, but does not answer"),
+        (lambda reply: b"", "did not answer when woken"),
+        (lambda reply: b"\x00", "when woken; expected 0xAF"),
     ],
     ids=["partial", "garbage", "mute", "dead", "wrong-baud"],
 )
@@ -196,7 +196,7 @@ def test_one_damaged_answer_is_outvoted(first: tuple[bytes, ...]) -> None:
     ("answers", "said"),
     [
         ((SEVEN, b"S 612.4, 104.9,1\r", READING), "no two answers agree"),
-        ((BROKEN, BROKEN), "SPN1 said"),
+        ((BROKEN, BROKEN), "SPN1 answered"),
         ((BROKEN, SEVEN, READING), "no two answers agree"),
     ],
 )
@@ -262,7 +262,7 @@ def test_unplugged_is_a_device_error() -> None:
 @pytest.mark.contract
 def test_a_port_is_used_by_one_only() -> None:
     wire = Wire()
-    with spn1(wire) as device, pytest.raises(DeviceError, match="another program holds it"):
+    with spn1(wire) as device, pytest.raises(DeviceError, match="another program uses it"):
         Spn1(device.info.port, FastClock(START), timeout_s=0.15)
 
 
@@ -270,7 +270,7 @@ def test_a_port_is_used_by_one_only() -> None:
 def test_a_silent_port_is_no_spn1() -> None:
     ours, theirs = os.openpty()
     tty.setraw(ours)
-    with pytest.raises(DeviceError, match="is silent when woken"):
+    with pytest.raises(DeviceError, match="did not answer when woken"):
         open_pyranometer(
             f"serial:{os.ttyname(theirs)}?kind=spn1&timeout=0.1", clock=FastClock(START)
         )
@@ -310,7 +310,7 @@ def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) 
             "serial.tools.list_ports.comports", lambda device=device: plugged(device)
         )
         assert resolve("usb=0403:6001") == resolve("usb=0403:6001:ft9z") == device
-    with pytest.raises(DeviceError, match=r"not plugged in; USB ports there are: 0403:6001:ft9z"):
+    with pytest.raises(DeviceError, match=r"not plugged in; USB ports: 0403:6001:ft9z"):
         resolve("usb=0403:6015")
     assert resolve("COM3") == "COM3"
 
@@ -324,9 +324,9 @@ def test_a_port_that_does_not_open_says_what_to_do(
     from fieldlum.devices.serial_port import SerialPort
 
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [ListPortInfo("/dev/ttyUSB1")])
-    with pytest.raises(DeviceError, match=r"gone: no such port; ports there are: /dev/ttyUSB1$"):
+    with pytest.raises(DeviceError, match=r"gone: no such port; ports: /dev/ttyUSB1$"):
         SerialPort(str(tmp_path / "gone"), baud=9600, timeout_s=0.1)
-    with pytest.raises(DeviceError, match=r"/dev/null: is no serial port"):
+    with pytest.raises(DeviceError, match=r"/dev/null: not a serial port"):
         SerialPort("/dev/null", baud=9600, timeout_s=0.1)
 
 
@@ -338,7 +338,7 @@ def test_a_port_that_does_not_open_says_what_to_do(
             FileNotFoundError(2, "The system cannot find the file specified.", None, 2),
             "COM9: no such port",
         ),
-        (PermissionError(13, "Access is denied.", None, 5), "COM9: another program holds it"),
+        (PermissionError(13, "Access is denied.", None, 5), "COM9: another program uses it"),
     ],
 )
 def test_windows_ports_too(monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str) -> None:

@@ -195,7 +195,7 @@ def test_nothing_snaps_silently(theta: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"theta aperture: 8 is not offered"):
         camera.expose(Exposure(0.004, 8.0), tmp_path / "f")
     assert not list(tmp_path.glob("f*"))
-    with pytest.raises(DeviceError, match="no head that turns"):
+    with pytest.raises(DeviceError, match="no turning head"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f", heading_deg=0.0)
 
 
@@ -214,10 +214,10 @@ def test_its_errors_become_ours(theta: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"camera.takePicture: noFreeSpace: no"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
     theta["errors"], theta["short"] = {}, 10
-    with pytest.raises(DeviceError, match=r"IncompleteRead|came short"):
+    with pytest.raises(DeviceError, match=r"IncompleteRead|is incomplete"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
     theta["short"], theta["address"] = 0, "http://192.0.2.9"
-    with pytest.raises(DeviceError, match="which is not on"):
+    with pytest.raises(DeviceError, match="expected one on"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
 
 
@@ -233,15 +233,15 @@ def test_one_that_never_ends(
             1
         ],
     )
-    with pytest.raises(DeviceError, match="was not done after"):
+    with pytest.raises(DeviceError, match="was not done within"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
 
 
 def test_nobody_there() -> None:
-    with pytest.raises(DeviceError, match="is the computer in its network"):
+    with pytest.raises(DeviceError, match="connect the computer"):
         ThetaCamera("http://127.0.0.1:9", FastClock(START), timeout_s=1.0)
     for bad in ("theta:ftp://192.168.1.1", "theta:192.168.1.1"):
-        with pytest.raises(DeviceError, match="expected an address like"):
+        with pytest.raises(DeviceError, match="no HTTP address"):
             open_camera(bad, clock=FastClock(START))
 
 
@@ -252,5 +252,5 @@ def test_what_is_no_theta(theta: dict[str, Any], monkeypatch: pytest.MonkeyPatch
             "_http",
             lambda self, request, timeout_s, body=body: io.BytesIO(body).read(),
         )
-        with pytest.raises(DeviceError, match="no JSON"):
+        with pytest.raises(DeviceError, match="expected"):
             opened(theta)

@@ -1,4 +1,4 @@
-"""Cameras and instruments behind one URI each.
+"""Cameras and instruments, each opened by one URI.
 
     sim:office?seed=1                     the shipped simulators (camera and pyranometer)
     gphoto:  gphoto:Nikon                 a tethered camera
@@ -9,8 +9,8 @@
     modbus:/dev/serial/by-id/...?kind=smp&unit=1
     cl200a:/dev/serial/by-id/...          an illuminance meter
 
-An option that a driver does not know is a DeviceError naming it. Drivers only ever ask instruments;
-none writes to one.
+An option that a driver does not have raises a DeviceError with its name. Drivers only query
+instruments; no driver changes a setting of one.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 
-FORM_ALONE = "form alone"
+FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no checksum
 
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
+    """What a camera states about itself; empty or None where it states nothing."""
+
     kind: str  # the driver
     make: str = ""
     model: str = ""
@@ -42,123 +44,146 @@ class CameraInfo:
     firmware: str = ""
     lens: str = ""
     battery: str = ""
-    clock_offset_s: float | None = None  # camera's clock minus ours, where the camera tells
-    frames_left: int | None = None  # on its card, where the camera tells
+    clock_offset_s: float | None = None  # the camera's clock minus the computer's
+    frames_left: int | None = None  # that fit on its card
 
 
 @dataclass(frozen=True, slots=True)
 class InstrumentInfo:
+    """What an instrument states about itself; empty where it states nothing."""
+
     kind: str  # the driver or register profile
     model: str = ""
     serial: str = ""
     firmware: str = ""
     calibration_date: str = ""  # ISO
     sensitivity: str = ""  # with its unit
-    status: str = ""  # empty: all well
+    status: str = ""  # empty: no fault reported
     port: str = ""
     gives: tuple[str, ...] = ("ghi",)  # of ghi, dhi, dni, illuminance
-    guard: str = (
-        ""  # what shows a damaged answer: CRC-16, exclusive or, asked twice; FORM_ALONE is none
-    )
+    # How a damaged answer is detected: CRC-16, exclusive or, asked twice; FORM_ALONE: by form only.
+    guard: str = ""
 
 
 class Camera(Protocol):
+    """A camera that takes one frame at a time."""
+
     @property
-    def info(self) -> CameraInfo: ...
+    def info(self) -> CameraInfo:
+        """What the camera states about itself."""
+        ...
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Take one frame and return its file: `target`'s name with the camera's suffix put behind
-        it.
+        """Take one frame and return its file: the name of `target` plus the camera's suffix.
 
-        heading_deg: where a turned head shall look. Raises DeviceError when the camera cannot do
-        just this.
+        heading_deg : view direction of a camera on a turning head. Raises DeviceError if the camera
+        cannot take exactly this frame.
         """
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Release the camera."""
+        ...
 
 
 @runtime_checkable
 class BracketingCamera(Protocol):
-    """A camera that takes a whole bracket by itself, in one go."""
+    """A camera that takes all frames of a bracket by itself after one command."""
 
     @property
     def bracket_shots(self) -> range:
-        """How many frames a bracket may have."""
+        """The counts of frames that a bracket may have."""
         ...
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """All frames in the order asked for, each to its target's name with a suffix. Raises
-        DeviceError.
+        """Take all frames in the given order, each to its target's name plus a suffix.
+
+        Raises DeviceError.
         """
         ...
 
 
 @runtime_checkable
 class Choosing(Protocol):
-    """A camera that offers its settings in steps."""
+    """A camera whose settings have fixed steps."""
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raises DeviceError, naming the nearest, for an exposure that is not offered."""
+        """Raise DeviceError, with the nearest step, for an exposure that is not offered."""
         ...
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Why a camera will take none of these frames: a sentence each, doubles once; none for one
-    that takes anything.
+    """Return why a camera will not take these exposures, one sentence each, without repetition.
+
+    Empty for a camera that does not report its steps.
     """
-    said: list[str] = []
+    reasons: list[str] = []
     if not isinstance(camera, Choosing):
-        return said
+        return reasons
     for exposure in exposures:
         try:
             camera.check_offered(exposure)
         except DeviceError as error:
-            said.append(str(error))
-    return list(dict.fromkeys(said))
+            reasons.append(str(error))
+    return list(dict.fromkeys(reasons))
 
 
 class Pyranometer(Protocol):
+    """An instrument that measures irradiance."""
+
     @property
-    def info(self) -> InstrumentInfo: ...
+    def info(self) -> InstrumentInfo:
+        """What the instrument states about itself."""
+        ...
 
     def read(self) -> IrradianceSample:
-        """One reading, now. Raises DeviceError for silence and for an answer that cannot be
-        trusted.
+        """Return one reading, taken now.
+
+        Raises DeviceError for silence and for an answer that cannot be trusted.
         """
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Release the instrument."""
+        ...
 
 
 @runtime_checkable
 class Streaming(Protocol):
-    """An instrument that talks by itself."""
+    """An instrument that sends readings without a request."""
 
     def refused(self) -> list[str]:
-        """What of its lines was refused since this was last asked: why, and the line as it came."""
+        """Return the lines that were rejected since the last call, each with the reason."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class IlluminanceReading:
+    """One reading of an illuminance meter; raw is its answer as received."""
+
     illuminance_lx: float
     low_battery: bool = False
     raw: str = ""
 
 
 class IlluminanceMeter(Protocol):
-    @property
-    def info(self) -> InstrumentInfo: ...
+    """An instrument that measures illuminance."""
 
-    def read(self) -> IlluminanceReading:
-        """One reading, now. Raises DeviceError."""
+    @property
+    def info(self) -> InstrumentInfo:
+        """What the meter states about itself."""
         ...
 
-    def close(self) -> None: ...
+    def read(self) -> IlluminanceReading:
+        """Return one reading, taken now. Raises DeviceError."""
+        ...
+
+    def close(self) -> None:
+        """Release the meter."""
+        ...
 
 
-# Scheme -> module and function; modules are imported when their scheme is asked for.
+# Scheme -> module and function; a module is imported only when its scheme is used.
 CAMERAS = {
     "sim": ("fieldlum.devices.simulated", "open_camera"),
     "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
@@ -178,27 +203,32 @@ PYRANOMETERS = {
 def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any:
     if uri.scheme not in table:
         raise DeviceError(
-            f"{uri.text}: no {what} driver '{uri.scheme}:', there are {', '.join(sorted(table))}"
+            f"{uri.text}: no {what} driver '{uri.scheme}:'; expected one of "
+            f"{', '.join(sorted(table))}"
         )
     module, function = table[uri.scheme]
     return getattr(import_module(module), function)
 
 
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
-    """Raises DeviceError for an unknown scheme or option, or a camera that is not there."""
-    asked = parse_uri(uri)
-    return _driver(asked, CAMERAS, "camera")(asked, clock=clock, session=session)
+    """Open a camera. Raises DeviceError for an unknown scheme or option, or a missing camera."""
+    parsed = parse_uri(uri)
+    return _driver(parsed, CAMERAS, "camera")(parsed, clock=clock, session=session)
 
 
 def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) -> Pyranometer:
-    """`session` matters to the simulator only: its truth. Raises DeviceError as `open_camera`."""
-    asked = parse_uri(uri)
-    return _driver(asked, PYRANOMETERS, "pyranometer")(asked, clock=clock, session=session)
+    """Open a pyranometer. Raises DeviceError as `open_camera` does.
+
+    session : its simulated truth is read by the simulator; other drivers ignore it.
+    """
+    parsed = parse_uri(uri)
+    return _driver(parsed, PYRANOMETERS, "pyranometer")(parsed, clock=clock, session=session)
 
 
 def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
-    """An illuminance meter beside the lens: ``cl200a:/dev/serial/by-id/...``. Raises
-    DeviceError.
+    """Open an illuminance meter next to the lens: ``cl200a:/dev/serial/by-id/...``.
+
+    Raises DeviceError.
     """
-    asked = parse_uri(uri)
-    return _driver(asked, METERS, "illuminance meter")(asked, clock=clock)
+    parsed = parse_uri(uri)
+    return _driver(parsed, METERS, "illuminance meter")(parsed, clock=clock)

@@ -1,9 +1,8 @@
-"""Instruments that send a line now and then (Arduino rigs, loggers): what a line means, as data and
-pure functions.
+"""Lines of instruments that print readings (Arduino rigs, loggers), as data and pure functions.
 
-A profile says the form: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json` (one
-object a line). A line that does not fit in every part gives no number; it is counted, not guessed
-at.
+A profile states the form: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json`
+(one object a line). A line that does not fit in every part gives no number: it is rejected and
+counted.
 """
 
 from __future__ import annotations
@@ -25,30 +24,33 @@ from fieldlum.profiles import build, read_toml, shipped
 from fieldlum.records import IrradianceSample
 
 _NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
-_LONGEST = 1000
+_LONGEST = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.
+# Limits of quantities that are no irradiance; outside is a misread number. Chosen wider than any
+# instrument housing in use; not measured.
 _LIMITS = {"temperature_c": (-60.0, 150.0)}
 
 
 @dataclass(frozen=True, slots=True)
 class AsciiLine:
-    """The serial line. Opening it restarts most Arduinos: their silence after that is waited
-    out.
+    """The serial line.
+
+    Opening it restarts most Arduinos; `silence_s` is longer than their restart.
     """
 
     baud: int = 9600
     bits: int = 8
     parity: Literal["N", "E", "O"] = "N"
     stop: int = 1
-    silence_s: float = 5.0  # without a line for this long the instrument counts as dead
+    silence_s: float = 5.0  # without a line for this long the instrument counts as silent
 
 
 @dataclass(frozen=True, slots=True)
 class AsciiField:
-    """quantity = scale * number + offset.
+    """One number of a line: quantity = scale * number + offset.
 
-    What is known of the form tells a damaged number from a whole one: `decimals` exactly so many
-    digits after the point; `width` exactly so many characters, as printf's %6.1f or %06.1f fill
-    them; `unit` text right behind the number; `lowest` and `highest` of the quantity.
+    Further fields reject damaged numbers. `decimals` : the exact count of digits after the point;
+    `width` : the exact count of characters, as printf's %6.1f or %06.1f print; `unit` : text
+    directly behind the number; `lowest` and `highest` : limits of the quantity.
     """
 
     quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
@@ -64,16 +66,16 @@ class AsciiField:
 
 @dataclass(frozen=True, slots=True)
 class AsciiProfile:
-    """calibration/instruments/ascii/NAME.toml or an own file."""
+    """The form of an instrument's lines: calibration/instruments/ascii/NAME.toml."""
 
     name: str
     form: Literal["regex", "key-value", "json"]
     entry: tuple[AsciiField, ...]
     pattern: str = ""  # of a regex; groups are named as the entries' keys
     only: bool = False  # key-value, json: these keys, in this order, and no others
-    # The line ends in * and hexadecimal digits over what stands before it (less a leading $): the
-    # exclusive or of its bytes in two, as NMEA's do; or CRC-16/MODBUS in four, which lets no damage
-    # of a few bytes pass.
+    # The line ends in * and hexadecimal digits over the text before it (without a leading $): two
+    # digits for the exclusive or of its bytes, as in NMEA; four for CRC-16/MODBUS, which detects
+    # all damage to a few bytes.
     checksum: Literal["none", "xor", "crc16"] = "none"
     model: str = ""
     serial: str = ""
@@ -82,15 +84,16 @@ class AsciiProfile:
 
 
 def load_ascii_profile(name: str) -> AsciiProfile:
-    """By the name of a shipped profile or by path. Raises InputError, or DeviceError for an
-    unknown name.
+    """Read a profile, by the name of a shipped one or by path.
+
+    Raises DeviceError for an unknown name, and InputError for a broken profile.
     """
     folder = shipped("calibration") / "instruments" / "ascii"
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
         raise DeviceError(
-            f"no profile of lines '{name}', there are {known}, or give the path of a TOML"
+            f"no line profile '{name}'; expected one of {known}, or the path of a TOML file"
         )
     profile = build(AsciiProfile, read_toml(path), str(path))
     quantities = [e.quantity for e in profile.entry]
@@ -100,64 +103,64 @@ def load_ascii_profile(name: str) -> AsciiProfile:
         raise InputError(
             path,
             f"entries for {', '.join(quantities) or 'nothing'}",
-            "an irradiance, each quantity once",
+            "at least one irradiance, and each quantity once",
+            "correct the entries",
         )
     if profile.form == "regex":
         try:
             groups = set(re.compile(profile.pattern, re.ASCII).groupindex)
         except re.error as error:
             raise InputError(
-                path, f"pattern: {error}", "a regular expression with named groups"
+                path,
+                f"pattern: {error}",
+                "a regular expression with named groups",
+                "correct the pattern",
             ) from None
         if missing := {e.key for e in profile.entry} - groups:
             raise InputError(
                 path,
-                f"no group named {', '.join(sorted(missing))}",
-                "one in the pattern",
-                "(?P<name>...)",
+                f"no group named {', '.join(sorted(missing))} in the pattern",
+                "a group (?P<name>...) for each entry",
+                "correct the pattern",
             )
     return profile
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Quantities of one whole line, its end mark included. Raises DeviceError for everything
-    that does not fit.
+    """Return the quantities of one complete line, including its end mark.
+
+    Raises DeviceError for a line that does not fit the profile in every part.
     """
     text = body_of(profile, line)
-    found = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](
-        profile, text
-    )
+    readers = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}
+    words = readers[profile.form](profile, text)
     values = {
-        e.quantity: e.scale * _number(found[e.key], e, text) + e.offset for e in profile.entry
+        e.quantity: e.scale * _number(words[e.key], e, text) + e.offset for e in profile.entry
     }
     for entry in profile.entry:
-        value, (low, high) = (
-            values[entry.quantity],
-            _LIMITS.get(entry.quantity, (LOWEST_WM2, HIGHEST_WM2)),
-        )
-        low, high = (
-            entry.lowest if entry.lowest is not None else low,
-            entry.highest if entry.highest is not None else high,
-        )
+        value = values[entry.quantity]
+        low, high = _LIMITS.get(entry.quantity, (LOWEST_WM2, HIGHEST_WM2))
+        low = entry.lowest if entry.lowest is not None else low
+        high = entry.highest if entry.highest is not None else high
         if not low <= value <= high:
             raise DeviceError(
-                f"line {text[:60]!r}: {entry.quantity} {value:g}, expected {low:g} to {high:g}"
+                f"line {text[:60]!r}: {entry.quantity} {value:g}; expected {low:g} to {high:g}"
             )
     return values
 
 
 def body_of(profile: AsciiProfile, line: bytes) -> str:
-    """The text of a whole line, its checksum looked at and taken off. Raises DeviceError."""
-    text = _whole_text(line)
+    """Return the text of a complete line without its checksum. Raises DeviceError for damage."""
+    text = _complete_text(line)
     return text if profile.checksum == "none" else _without_checksum(text, profile.checksum)
 
 
-def _whole_text(line: bytes) -> str:
+def _complete_text(line: bytes) -> str:
     if not line.endswith(b"\n") or len(line) > _LONGEST:
-        raise DeviceError(f"line {line[:60]!r} has no end")
+        raise DeviceError(f"line {line[:60]!r} has no end mark")
     body = line.rstrip(b"\r\n")
     if not body.isascii() or any(c < 32 and c != 9 for c in body):
-        raise DeviceError(f"line {line[:60]!r} holds bytes that are no text")
+        raise DeviceError(f"line {line[:60]!r} has bytes that are no text")
     return body.decode("ascii")
 
 
@@ -171,7 +174,10 @@ def _without_checksum(text: str, kind: Literal["xor", "crc16"]) -> str:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/MODBUS: polynomial 0x8005 reflected, from 0xFFFF; `_crc16_update` of avr-libc."""
+    """Return the CRC-16/MODBUS: polynomial 0x8005 reflected, from 0xFFFF.
+
+    The same as `_crc16_update` of avr-libc.
+    """
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -188,13 +194,13 @@ def _by_regex(profile: AsciiProfile, text: str) -> dict[str, Any]:
 
 
 def _by_keys(profile: AsciiProfile, text: str) -> dict[str, Any]:
-    """Every word must be key=value, no key twice, no key of the profile missing."""
+    """Return the values by key; every word must be key=value, and no key may be there twice."""
     found: dict[str, Any] = {}
     for word in re.split(r"[,;\s]+", text.strip(" \t,;")):
         key, equals, value = word.partition("=")
         if not equals or not key or key in found:
             raise DeviceError(
-                f"line {text[:60]!r}: {word!r} is no key=value, or its key stands there twice"
+                f"line {text[:60]!r}: {word!r} is no key=value, or its key occurs twice"
             )
         found[key] = value
     return _having(profile, found, text)
@@ -203,11 +209,11 @@ def _by_keys(profile: AsciiProfile, text: str) -> dict[str, Any]:
 def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if len({key for key, _ in pairs}) != len(pairs):
-            raise ValueError("a key twice")
+            raise ValueError("a key occurs twice")
         return dict(pairs)
 
     try:
-        # Numbers stay texts, so that their decimals can be counted.
+        # Numbers are read as text, so that their decimals can be counted.
         found = json.loads(
             text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str
         )
@@ -221,10 +227,10 @@ def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
 def _having(profile: AsciiProfile, found: dict[str, Any], text: str) -> dict[str, Any]:
     keys = [e.key for e in profile.entry]
     if missing := [key for key in keys if key not in found]:
-        raise DeviceError(f"line {text[:60]!r} lacks {', '.join(missing)}")
+        raise DeviceError(f"line {text[:60]!r} has no {', '.join(missing)}")
     if profile.only and list(found) != keys:
         raise DeviceError(
-            f"line {text[:60]!r} has keys {', '.join(found)}, expected {', '.join(keys)} and no "
+            f"line {text[:60]!r} has keys {', '.join(found)}; expected {', '.join(keys)} and no "
             f"others"
         )
     return found
@@ -240,18 +246,18 @@ def _number(value: Any, entry: AsciiField, text: str) -> float:
         or (entry.width is not None and len(shown) != entry.width)
         or not math.isfinite(float(match[0]))
     ):
-        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}, expected {_form(entry)}")
+        raise DeviceError(f"line {text[:60]!r}: {entry.key} is {value!r}; expected {_form(entry)}")
     return float(match[0])
 
 
 def _form(entry: AsciiField) -> str:
-    said = "a number"
-    said += f" of {entry.width} characters" if entry.width is not None else ""
-    said += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
-    return said + (f" and '{entry.unit}'" if entry.unit else "")
+    form = "a number"
+    form += f" of {entry.width} characters" if entry.width is not None else ""
+    form += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
+    return form + (f" and '{entry.unit}'" if entry.unit else "")
 
 
 def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> IrradianceSample:
-    """A sample of the quantities there are."""
+    """Return a sample of the quantities in `values`; the others are None."""
     ghi, dhi, dni = values.get("ghi_wm2"), values.get("dhi_wm2"), values.get("dni_wm2")
     return IrradianceSample(t_utc, ghi, dhi, dni, values.get("temperature_c"), raw=raw)

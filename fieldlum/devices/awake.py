@@ -1,6 +1,4 @@
-"""This computer as a device that falls asleep: held awake while something runs, by what the
-system offers for it.
-"""
+"""Sleep of this computer: a lock of the operating system keeps it awake while a capture runs."""
 
 from __future__ import annotations
 
@@ -11,19 +9,19 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-# A closed lid is a lock of its own; where that is not granted (a remote login, say), the rest is
-# worth having.
+# A closed lid needs a lock of its own. If that is not granted (a remote login, for example), the
+# other two are still taken.
 _WHAT = ("sleep:idle:handle-lid-switch", "sleep:idle")
-_PATIENCE_S = 5.0
+_PATIENCE_S = 5.0  # for an answer of the lock's process; chosen, not measured
 
 
 @contextmanager
 def kept_awake() -> Iterator[str]:
-    """Keep the computer awake inside; yields what holds (``sleep:idle:handle-lid-switch``), empty
-    where nothing can.
+    """Keep the computer awake inside the block; yield the locks that were granted.
 
+    Yields systemd's names (``sleep:idle:handle-lid-switch``), or an empty text without a lock.
     Linux: a lock of systemd-logind; macOS: caffeinate; Windows: the thread's execution state (the
-    last two were not tried). The lock goes with this process, however it ends.
+    last two were not tried). The lock ends with this process, however it ends.
     """
     if sys.platform == "win32":
         with _windows() as what:
@@ -56,8 +54,9 @@ def _start() -> tuple[subprocess.Popen[bytes] | None, str]:
 
 
 def _inhibit(what: str) -> subprocess.Popen[bytes] | None:
-    """A `cat` under the lock: it answers once the lock is granted, and ends when this process
-    does.
+    """Start `cat` under the lock, and return its process, or None if the lock is not granted.
+
+    It answers once the lock is granted, and ends when this process ends.
     """
     line = [
         "systemd-inhibit",

@@ -1,6 +1,4 @@
-"""Time as a device: the real clock, and a fast one whose sleep costs nothing and that can be
-stepped and suspended.
-"""
+"""Clocks as devices: the real clock, and a simulated one that can be stepped and suspended."""
 
 from __future__ import annotations
 
@@ -13,28 +11,34 @@ from typing import Literal, Protocol
 
 
 class Clock(Protocol):
+    """Wall time, time since start with and without sleep, and waiting."""
+
     def now(self) -> datetime:
-        """Wall time, aware UTC; may be stepped by people and time servers."""
+        """Return wall time, aware UTC; people and time servers may step it."""
         ...
 
     def monotonic(self) -> float:
-        """Seconds that stand still while the computer sleeps."""
+        """Return seconds that stop while the computer sleeps."""
         ...
 
     def boottime(self) -> float:
-        """Seconds that go on while the computer sleeps."""
+        """Return seconds that continue while the computer sleeps."""
         ...
 
-    def sleep(self, seconds: float) -> None: ...
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        ...
 
 
 class RealClock:
     """The computer's own clocks."""
 
     def now(self) -> datetime:
+        """Return wall time, aware UTC."""
         return datetime.now(UTC)
 
     def monotonic(self) -> float:
+        """Return seconds that stop while the computer sleeps."""
         return (
             time.clock_gettime(time.CLOCK_MONOTONIC)
             if hasattr(time, "clock_gettime")
@@ -42,7 +46,8 @@ class RealClock:
         )
 
     def boottime(self) -> float:
-        # Only Linux has this clock; on macOS and Windows time.monotonic counts sleep, or nothing
+        """Return seconds that continue while the computer sleeps."""
+        # Only Linux has this clock. On macOS and Windows time.monotonic counts sleep, or no clock
         # does.
         return (
             time.clock_gettime(time.CLOCK_BOOTTIME)
@@ -51,13 +56,15 @@ class RealClock:
         )
 
     def sleep(self, seconds: float) -> None:
+        """Wait."""
         time.sleep(max(seconds, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class ClockFault:
-    """At `at_utc` (true time) the wall clock is stepped by `seconds`, or the computer sleeps for
-    `seconds`.
+    """A fault of the wall clock at `at_utc` (true time).
+
+    step : the wall clock is set forward by `seconds`; suspend : the computer sleeps for `seconds`.
     """
 
     at_utc: datetime
@@ -66,16 +73,15 @@ class ClockFault:
 
 
 class FastClock:
-    """Simulated time: `sleep` returns at once and time has passed. `true_utc` is what the sun goes
-    by.
+    """Simulated time: `sleep` returns at once, and time has passed.
 
-    faults: wall steps and suspends that come when their time does; `step` and `suspend` make them
-    by hand.
+    `true_utc` is the time of the simulated sun. faults : steps and suspends that happen at their
+    time; `step` and `suspend` cause them directly.
     """
 
     def __init__(self, start: datetime, faults: Iterable[ClockFault] = ()) -> None:
         if start.tzinfo is None:
-            raise ValueError(f"naive time {start}: give it a time zone")
+            raise ValueError(f"naive time {start}: add a time zone")
         self._lock = threading.RLock()
         self._true = start.astimezone(UTC)
         self._step_s = self._boot_s = self._slept_s = 0.0
@@ -83,25 +89,27 @@ class FastClock:
 
     @property
     def true_utc(self) -> datetime:
+        """The true time, which steps of the wall clock do not change."""
         with self._lock:
             return self._true
 
     def now(self) -> datetime:
+        """Return wall time, aware UTC: true time plus all steps."""
         with self._lock:
             return self._true + timedelta(seconds=self._step_s)
 
     def monotonic(self) -> float:
+        """Return seconds that stop while the computer sleeps."""
         with self._lock:
             return self._boot_s - self._slept_s
 
     def boottime(self) -> float:
+        """Return seconds that continue while the computer sleeps."""
         with self._lock:
             return self._boot_s
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass; a suspend on the way makes the sleeper wake later, as on a real
-        computer.
-        """
+        """Let time pass; a suspend meanwhile delays the return, as on a real computer."""
         with self._lock:
             left = max(seconds, 0.0)
             while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=left):
@@ -113,12 +121,12 @@ class FastClock:
             self._pass(left)
 
     def step(self, seconds: float) -> None:
-        """Set the wall clock forward (or back)."""
+        """Set the wall clock forward (or back, if negative)."""
         with self._lock:
             self._step_s += seconds
 
     def suspend(self, seconds: float) -> None:
-        """The computer sleeps: wall and boot time go on, monotonic time does not."""
+        """Let the computer sleep: wall and boot time continue, monotonic time does not."""
         with self._lock:
             self._slept_s += seconds
             self._pass(seconds)

@@ -1,8 +1,7 @@
-"""A driver in a process of its own: when it hangs it is killed, when it crashes it is started anew,
-and the rest lives.
+"""A driver in its own process, which is killed if it hangs and restarted after a crash.
 
 The child runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result), ("error",
-text), or ("full", errno) when the disk is: that is no fault of the device's.
+text), or ("full", errno) for a full disk, which is no fault of the device.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Serve = Callable[[Connection], None]
 
 
 def failure(error: Exception) -> tuple[str, Any]:
-    """What a child answers for an error of its own."""
+    """Return the child's answer for an exception: ("full", errno) or ("error", text)."""
     return (
         ("full", error.errno)
         if isinstance(error, OSError) and disk_is_full(error)
@@ -32,8 +31,9 @@ def failure(error: Exception) -> tuple[str, Any]:
 
 
 class Child:
-    """Starts when first asked; one question at a time. `starts` counts how often it had to be
-    started.
+    """A child process that starts with the first command and does one command at a time.
+
+    starts : how often it was started.
     """
 
     def __init__(self, name: str, serve: Serve) -> None:
@@ -45,13 +45,14 @@ class Child:
 
     @property
     def alive(self) -> bool:
+        """Whether the process runs."""
         return self._process is not None and self._process.is_alive()
 
     def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
-        """The child's answer. Raises DeviceError for its error, its silence (it is killed then) and
-        its death.
+        """Return the child's answer to a command.
 
-        Raises OSError when the child found the disk full.
+        Raises DeviceError for an error of the child, for its silence (then it is killed) and for
+        its death; OSError if the child found the disk full.
         """
         with self._lock:
             pipe = self._ready()
@@ -60,12 +61,12 @@ class Child:
                 if not pipe.poll(timeout_s):
                     self._kill()
                     raise DeviceError(
-                        f"{self._name}: '{command}' hung for {timeout_s:g} s; its process was "
-                        f"killed"
+                        f"{self._name}: '{command}' did not answer within {timeout_s:g} s; its "
+                        f"process was killed"
                     )
                 kind, result = pipe.recv()
             except (EOFError, OSError):
-                code = self._kill(grace_s=5.0)  # it is ending by itself: let it tell how
+                code = self._kill(grace_s=5.0)  # the process is ending: wait for its exit code
                 why = (
                     f"signal {signal.Signals(-code).name}"
                     if code is not None and code < 0
@@ -83,9 +84,8 @@ class Child:
     def _ready(self) -> Connection:
         if self._pipe is None or not self.alive:
             self._kill()
-            context = multiprocessing.get_context(
-                "spawn"
-            )  # never fork: libusb and threads do not survive it
+            # Never fork: libusb and threads do not survive it.
+            context = multiprocessing.get_context("spawn")
             ours, theirs = context.Pipe()
             self._process = context.Process(
                 target=self._serve, args=(theirs,), daemon=True, name=self._name
@@ -96,7 +96,7 @@ class Child:
         return self._pipe
 
     def _kill(self, grace_s: float = 0.1) -> int | None:
-        """Ends the process for good; its exit code."""
+        """End the process and return its exit code."""
         if self._pipe is not None:
             self._pipe.close()
             self._pipe = None
@@ -113,7 +113,7 @@ class Child:
         return code
 
     def close(self, timeout_s: float = 3.0) -> None:
-        """Lets the child end by itself, and ends it otherwise."""
+        """Let the child end by itself within the time, and kill it otherwise."""
         with self._lock:
             if self._pipe is not None and self.alive:
                 with suppress(OSError, EOFError):

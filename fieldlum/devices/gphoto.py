@@ -1,5 +1,6 @@
-"""A tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``; ``?delete=1`` clears the
-card as it goes.
+"""A tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``.
+
+The option ``?delete=1`` deletes each picture from the card after it was copied.
 """
 
 from __future__ import annotations
@@ -19,13 +20,17 @@ if TYPE_CHECKING:
     from fieldlum.devices.clock import Clock
     from fieldlum.session import Session
 
-OPEN_S, SET_S, READOUT_S = 30.0, 15.0, 30.0  # patience beyond the shutter time itself
+# Timeouts; READOUT_S is added to the shutter time. Chosen so that slow cards pass; not measured.
+OPEN_S = 30.0
+SET_S = 15.0
+READOUT_S = 30.0
 _NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", re.IGNORECASE)
 
 
 def setting_value(text: str) -> float | None:
-    """Number behind a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100; None for Bulb, Auto
-    and the like.
+    """Return the number of a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100.
+
+    None for Bulb, Auto and other words.
     """
     match = _NUMBER.fullmatch(text.strip())
     if match is None or (match[2] is not None and not float(match[2])):
@@ -34,7 +39,7 @@ def setting_value(text: str) -> float | None:
 
 
 def choose(role: str, asked: float, choices: list[str]) -> str:
-    """The camera's own text for a value. Raises DeviceError when none is within 1/6 EV."""
+    """Return the camera's own text for a value. Raises DeviceError if none is within 1/6 EV."""
     offered = {value: text for text in choices if (value := setting_value(text)) is not None}
     unit = {"shutter": "s", "aperture": "", "iso": ""}[role]
     return offered[nearest(asked, offered, f"camera {role}", unit)]
@@ -47,8 +52,8 @@ def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
 class GphotoCamera:
     """Implements `Camera`, with libgphoto2 in a child process under a watchdog.
 
-    After a hang or a crash the next call starts the child anew. readout_s: patience beyond the
-    shutter time; late_file_s: how long the second file of a raw and JPEG pair may take.
+    After a hang or a crash the next call restarts the child. readout_s : timeout after the shutter
+    time; late_file_s : time within which the second file of a raw and JPEG pair may arrive.
     """
 
     def __init__(
@@ -61,12 +66,9 @@ class GphotoCamera:
         late_file_s: float = 0.15,
     ) -> None:
         self._child = Child("gphoto", serve)
-        self._model, self._delete, self._readout_s, self._late_ms = (
-            model,
-            delete,
-            readout_s,
-            round(1000 * late_file_s),
-        )
+        self._model, self._delete = model, delete
+        self._readout_s = readout_s
+        self._late_ms = round(1000 * late_file_s)
         self._about: dict[str, Any] = {}
         try:
             self._open()
@@ -78,22 +80,23 @@ class GphotoCamera:
         self._about = self._child.ask("open", self._model, timeout_s=OPEN_S)
         self._opened_at_start = self._child.starts
         if "shutter" not in self._about["settings"]:
-            raise DeviceError("gphoto: the camera offers no shutter times: set its dial to M")
+            raise DeviceError("gphoto: the camera offers no shutter times; set its dial to M")
 
     @property
     def info(self) -> CameraInfo:
+        """What the camera states about itself."""
         about = {k: v for k, v in self._about.items() if k != "settings"}
         return CameraInfo("gphoto", **about)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set, read back, take, copy. What was taken is kept, whatever its EXIF says: the caller
-        compares it.
+        """Set the exposure, check it, take the frame and copy it.
 
-        Raises DeviceError, and OSError when the disk is full.
+        The frame is kept whatever its EXIF states: the caller compares it. Raises DeviceError, and
+        OSError if the disk is full.
         """
         if heading_deg is not None:
             raise DeviceError(
-                "gphoto: this camera has no head that turns: leave headings out of the site file"
+                "gphoto: this camera has no turning head; remove headings from the site file"
             )
         if not self._child.alive or self._child.starts != self._opened_at_start:
             self._open()
@@ -105,37 +108,38 @@ class GphotoCamera:
         )
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raises DeviceError for a value that is none of the camera's choices."""
+        """Raise DeviceError for a value that is none of the camera's choices."""
         for role, asked in _roles(exposure):
             if role in self._about["settings"]:
                 choose(role, asked, self._about["settings"][role][1])
 
     def _set(self, role: str, asked: float) -> None:
-        if (
-            role not in self._about["settings"]
-        ):  # a manual lens, or fixed: EXIF has the last word, in `capture`
+        # A manual lens, or a fixed setting: `capture` checks the EXIF of the frame instead.
+        if role not in self._about["settings"]:
             return
         widget, choices = self._about["settings"][role]
         text = choose(role, asked, choices)
         shown = self._child.ask("set", widget, text, timeout_s=SET_S)
         if shown != text:
             raise DeviceError(
-                f"gphoto: {widget} was set to {text}, but the camera shows {shown}: set its dial "
+                f"gphoto: {widget} was set to {text}, but the camera shows {shown}; set its dial "
                 f"to M"
             )
 
     def close(self) -> None:
+        """End the child process, which releases the camera."""
         self._child.close()
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> GphotoCamera:
-    """Raises DeviceError without the gphoto2 package, for unknown options, or without a camera."""
+    """Open the camera. Raises DeviceError without the package gphoto2 or without a camera."""
     from importlib.util import find_spec
 
     options = uri.read(delete=whole(0, 1))
     if find_spec("gphoto2") is None:
         raise DeviceError(
-            f"{uri.text}: needs the package gphoto2: pip install 'fieldlum[gphoto]' (Linux, macOS)"
+            f"{uri.text}: the package gphoto2 is missing; pip install 'fieldlum[gphoto]' "
+            f"(Linux, macOS)"
         )
     from fieldlum.devices.gphoto_child import serve
 

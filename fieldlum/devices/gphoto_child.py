@@ -1,6 +1,4 @@
-"""Runs in its own process, beside libgphoto2: opens the camera, sets what it offers, takes a
-picture, copies it out.
-"""
+"""The child process around libgphoto2: opens a camera, sets it, takes a picture, copies it."""
 
 from __future__ import annotations
 
@@ -13,29 +11,29 @@ from typing import Any
 
 from fieldlum.devices.driver_process import failure
 
-# What brands call the three settings; the first that a camera has is used.
+# The names of the three settings by brand; the first that a camera has is used.
 WIDGETS = {
     "shutter": ("shutterspeed", "shutterspeed2", "exptime"),
     "aperture": ("aperture", "f-number"),
     "iso": ("iso", "isospeed"),
 }
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
-_SAID = {
+_ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
     -1: "unspecified error",
     -3: "out of memory, or its card is full",
-    -7: "input/output error: check the cable",
+    -7: "input/output error; check the cable",
     -10: "timeout",
     -52: "not found on USB",
-    -53: "another program holds it: close it, or run 'gio mount -s gphoto2'",
-    -105: "no camera found: switch it on, set it to PTP, check the cable",
-    -110: "busy",
+    -53: "another program uses it; close it, or run 'gio mount -s gphoto2'",
+    -105: "no camera found; switch it on, set it to PTP, check the cable",
     -115: "its card is full",
 }
-_BUSY, _TRIES = -110, 4
+_BUSY = -110
+_TRIES = 4  # half a second apart while the camera is busy; chosen, not measured
 
 
 def serve(pipe: Connection) -> None:
-    """The child's loop, until `close` or the parent's end."""
+    """Answer commands until `close`, or until the parent process ends."""
     import gphoto2 as gp
 
     camera: Any = None
@@ -59,7 +57,7 @@ def serve(pipe: Connection) -> None:
                 return
             pipe.send(("ok", result))
         except gp.GPhoto2Error as error:
-            pipe.send(("error", _SAID.get(error.code, f"{error.string} ({error.code})")))
+            pipe.send(("error", _ERRORS.get(error.code, f"{error.string} ({error.code})")))
         except (OSError, ValueError) as error:
             pipe.send(failure(error))
 
@@ -70,7 +68,7 @@ def _open(gp: Any, model: str) -> Any:
         found = [entry for entry in gp.Camera.autodetect() if model.lower() in entry[0].lower()]
         if not found:
             raise ValueError(
-                f"no camera named {model}: there are "
+                f"no camera named {model}; connected: "
                 f"{[e[0] for e in gp.Camera.autodetect()] or 'none'}"
             )
         name, port = found[0]
@@ -91,7 +89,7 @@ def _value(gp: Any, camera: Any, name: str) -> Any:
 
 
 def _describe(gp: Any, camera: Any) -> dict[str, Any]:
-    """Model, serial, battery, clock, and for each setting its widget and what it offers."""
+    """Return model, serial, battery, clock, and for each setting its widget and its choices."""
     settings = {}
     for role, names in WIDGETS.items():
         for name in names:
@@ -118,7 +116,7 @@ def _describe(gp: Any, camera: Any) -> dict[str, Any]:
 
 
 def _patiently(gp: Any, work: Any) -> Any:
-    """Do it again while the camera says that it is busy."""
+    """Call `work`, and again while the camera reports that it is busy."""
     for left in reversed(range(_TRIES)):
         try:
             return work()
@@ -130,13 +128,14 @@ def _patiently(gp: Any, work: Any) -> Any:
 
 
 def _set(gp: Any, camera: Any, name: str, text: str) -> str:
-    """Set one of the widget's own choices and return what it shows afterwards.
+    """Set one of the widget's own choices and return the value that it has afterwards.
 
-    A text that is no choice never reaches libgphoto2: it snaps some silently, and dies of others.
+    A text that is no choice never reaches libgphoto2, which replaces some silently and crashes on
+    others.
     """
     widget = camera.get_single_config(name)
     if text not in list(widget.get_choices()):
-        raise ValueError(f"{name}: {text} is not offered")
+        raise ValueError(f"{name}: {text} is not offered; expected one of the camera's choices")
     if widget.get_value() != text:
         widget.set_value(text)
         _patiently(gp, lambda: camera.set_single_config(name, widget))
@@ -144,10 +143,9 @@ def _set(gp: Any, camera: Any, name: str, text: str) -> str:
 
 
 def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> str:
-    """Take a picture and copy it to `target` plus its suffix; of raw and JPEG the raw. Returns the
-    path.
+    """Take a picture, copy it to `target` plus its suffix, and return the path.
 
-    late_ms: how long to wait for a second file of the same picture.
+    Of a raw and JPEG pair the raw is copied. late_ms : time to wait for the second file.
     """
     for _ in range(50):  # events of earlier pictures
         if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
@@ -161,9 +159,7 @@ def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> st
         kind, data = camera.wait_for_event(late_ms)
     folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
     shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
-    body = bytes(
-        memoryview(shot.get_data_and_size())
-    )  # `shot` must live until the bytes are copied
+    body = bytes(memoryview(shot.get_data_and_size()))  # `shot` must exist until this copy
     path = Path(f"{target}{Path(name).suffix.lower()}")
     with path.open("wb") as file:
         file.write(body)

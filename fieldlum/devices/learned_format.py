@@ -1,9 +1,8 @@
-"""The form of a stream of lines, learned from the stream itself: what stands around its numbers,
-how they are written.
+"""The format of a stream of lines, learned from the stream: text around numbers, their decimals.
 
-A damaged line that still reads as a number often lacks the form of all the lines before it: it lost
-decimals, a key, a nought of its padding. What is constant in a stream is found here without anybody
-stating it.
+A damaged line that still reads as a number often differs from the format of all lines before it: it
+lost decimals, a key, a zero of its padding. The constant parts of a stream are found here, so that
+nobody has to state them.
 """
 
 from __future__ import annotations
@@ -13,10 +12,10 @@ from collections import Counter, deque
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
-RECENT, ENOUGH = (
-    60,
-    20,
-)  # lines that count; and how many it takes before anything is called constant
+# Lines that count, and lines from which on a part can be called constant. Chosen so that a format
+# is known after half a minute to some minutes; effect in docs/results/parsers.md.
+RECENT = 60
+ENOUGH = 20
 _NUMBER = re.compile(
     r"(?P<blanks>[ \t]*)(?P<number>[+-]?\d+(?:\.(?P<decimals>\d+))?(?:[eE][+-]?\d{1,2})?)"
 )
@@ -24,9 +23,7 @@ _PADDED = re.compile(r"[+-]?0\d")
 
 
 def constant(values: Sequence[Hashable]) -> Hashable | None:
-    """The value that all of them have but one in sixty; None where there is none, or too few to
-    tell.
-    """
+    """Return the value that all but one in sixty have; None without one or with under 20 values."""
     if len(values) < ENOUGH:
         return None
     value, count = Counter(values).most_common(1)[0]
@@ -35,48 +32,46 @@ def constant(values: Sequence[Hashable]) -> Hashable | None:
 
 @dataclass(slots=True)
 class _Number:
-    """One number's place in the line, over the recent lines."""
+    """The forms of the number at one place of the line, over the recent lines."""
 
     decimals: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    widths: deque[int] = field(
-        default_factory=lambda: deque(maxlen=RECENT)
-    )  # blanks before it included
+    widths: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))  # with leading blanks
     blanks: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    noughts: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))  # 024.1
+    zero_padded: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))  # 024.1
 
     @property
     def padded(self) -> bool:
-        """Whether it is filled to a width: that shows by noughts, or by blanks that come and go."""
-        return sum(self.noughts) > 1 or constant(self.blanks) is None
+        """Whether it has a fixed width: leading zeros, or leading blanks of varying count."""
+        return sum(self.zero_padded) > 1 or constant(self.blanks) is None
 
 
 @dataclass(slots=True)
 class LineForm:
-    """Remembers the last 60 lines that fitted their profile."""
+    """The format of the last 60 lines that fitted their profile."""
 
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))
     numbers: dict[int, _Number] = field(default_factory=dict)
 
     def unlike(self, text: str) -> str:
-        """How a line differs from what was constant before it, or nothing; the line is then
-        remembered.
+        """Return how a line differs from the constant format, or an empty text; then learn it.
 
-        A form that changes for good is refused twice and is no exception any more.
+        After a permanent format change, two lines are rejected, then the new format is accepted.
         """
-        found = list(_NUMBER.finditer(text))
+        numbers = list(_NUMBER.finditer(text))
         around = re.sub(r"[ \t]+", " ", _NUMBER.sub("#", text))
         usual = constant(self.texts)
         self.texts.append(around)
         if usual not in (None, around):
             return f"it reads {around!r} around its numbers, usual is {usual!r}"
-        said = next((why for i, match in enumerate(found) if (why := self._number(i, match))), "")
-        for i, match in enumerate(found):
+        reasons = (self._number(i, match) for i, match in enumerate(numbers))
+        reason = next((text for text in reasons if text), "")
+        for i, match in enumerate(numbers):
             known = self.numbers.setdefault(i, _Number())
             known.decimals.append(len(match["decimals"] or ""))
             known.widths.append(len(match[0]))
             known.blanks.append(len(match["blanks"]))
-            known.noughts.append(_PADDED.match(match["number"]) is not None)
-        return said
+            known.zero_padded.append(_PADDED.match(match["number"]) is not None)
+        return reason
 
     def _number(self, i: int, match: re.Match[str]) -> str:
         known, decimals, width = self.numbers.get(i), len(match["decimals"] or ""), len(match[0])
@@ -84,8 +79,8 @@ class LineForm:
             return ""
         usual = constant(known.decimals)
         if usual not in (None, decimals):
-            return f"number {match['number']} has {decimals} decimals, usual are {usual}"
+            return f"number {match['number']} has {decimals} decimals, usual is {usual}"
         usual = constant(known.widths) if known.padded else None
         if usual not in (None, width):
-            return f"number {match[0]!r} fills {width} characters, usual are {usual}"
+            return f"number {match[0]!r} fills {width} characters, usual is {usual}"
         return ""

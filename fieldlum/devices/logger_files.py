@@ -1,6 +1,4 @@
-"""Files of data loggers to irradiance samples: Campbell TOA5, plain CSV, and fieldlum's own day
-files.
-"""
+"""Files of data loggers to irradiance samples: Campbell TOA5, plain CSV, fieldlum's day files."""
 
 from __future__ import annotations
 
@@ -22,8 +20,10 @@ _TIMES = ("t_utc", "time", "timestamp")
 
 @dataclass(frozen=True, slots=True)
 class LoggerFile:
-    """samples by time; left_out: lines that could not be read, with the reason; about: what the
-    file says it is.
+    """The content of a logger's file.
+
+    samples : by time; left_out : lines that could not be read, with the reason; about : the kind of
+    file, in words.
     """
 
     samples: tuple[IrradianceSample, ...]
@@ -34,15 +34,20 @@ class LoggerFile:
 def read_logger_file(
     path: Path, utc_offset: timedelta | None = None, columns: Mapping[str, str] | None = None
 ) -> LoggerFile:
-    """utc_offset: the logger's clock minus UTC, for files whose times have no zone.
+    """Read a file of a data logger.
 
-    Raises InputError for what is no such file, for times without a zone and without utc_offset, and
-    for a file of which nothing can be read.
+    utc_offset : the logger's clock minus UTC, for files whose times have no zone; columns :
+    quantity (ghi_wm2 ...) to column name, else the usual names.
+
+    Raises InputError for a file of another kind, for times without a zone and without utc_offset,
+    and for a file without a readable row.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(path, error.strerror or str(error), "a logger's file") from None
+        raise InputError(
+            path, error.strerror or str(error), "a logger's file", "check the path"
+        ) from None
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(path, "UTF-16 text", "UTF-8", "save it again as CSV UTF-8")
     text = data.decode("utf-8-sig", "replace")
@@ -66,9 +71,9 @@ def read_logger_file(
     else:
         found = _read_csv(path, text, utc_offset, columns)
     if not found.samples:
-        why = found.left_out[0] if found.left_out else "it holds no rows"
+        why = found.left_out[0] if found.left_out else "it has no rows"
         raise InputError(
-            path, f"nothing could be read: {why}", "rows of irradiance", "check the file"
+            path, f"no row could be read: {why}", "rows of irradiance", "check the file"
         )
     return LoggerFile(
         tuple(sorted(found.samples, key=lambda s: s.t_utc)), found.left_out, found.about
@@ -87,24 +92,27 @@ def _no_zone(path: Path) -> InputError:
 def _read_csv(
     path: Path, text: str, utc_offset: timedelta | None, columns: Mapping[str, str] | None
 ) -> LoggerFile:
-    """A header with a time (t_utc, time or timestamp) and at least one irradiance."""
+    """Read rows under a header with a time (t_utc, time or timestamp) and an irradiance."""
     rows = csv.reader(text.splitlines())
     try:
         names = [name.strip() for name in next(rows)]
     except (StopIteration, csv.Error):
-        raise InputError(path, "no header", "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2") from None
+        raise InputError(
+            path,
+            "no header",
+            "columns t_utc, ghi_wm2, dhi_wm2, dni_wm2",
+            "name the columns in the first line",
+        ) from None
     if len(names) == 1 and (mark := next((mark for mark in ";\t|" if mark in names[0]), "")):
         remedy = "save it as CSV with commas between and points in the numbers"
-        raise InputError(path, f"columns parted by {mark!r}", "by ','", remedy)
+        raise InputError(path, f"columns separated by {mark!r}", "by ','", remedy)
     lower = [name.lower() for name in names]
     when = next((lower.index(name) for name in _TIMES if name in lower), None)
     wanted = columns or {name: name for name in QUANTITIES}
     chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
     if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
-        shown, remedy = (
-            ", ".join(names)[:120],
-            "name them in its first line, or by --column ghi_wm2=NAME",
-        )
+        shown = ", ".join(names)[:120]
+        remedy = "name them in its first line, or by --column ghi_wm2=NAME"
         raise InputError(path, f"columns {shown}", "t_utc and ghi_wm2, dhi_wm2 or dni_wm2", remedy)
     samples, left_out = [], []
     try:
@@ -127,7 +135,7 @@ def _sample(
     chosen: dict[str, int],
     utc_offset: timedelta | None,
 ) -> IrradianceSample:
-    """Raises ValueError for a broken row."""
+    """Return the sample of a row. Raises ValueError for a broken row."""
     if len(row) != len(names):
         raise ValueError(f"{len(row)} values, expected {len(names)}")
     try:

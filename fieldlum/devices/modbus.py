@@ -1,9 +1,8 @@
-"""Pyranometers on Modbus RTU: ``modbus:PLACE?kind=smp&unit=1``, all by one driver and a register
-profile.
+"""Pyranometers on Modbus RTU: ``modbus:PLACE?kind=smp&unit=1``, one driver with register profiles.
 
-Options: kind (or the path of an own profile), unit, dhi_unit and dni_unit (more instruments of that
-kind on the same bus), baud, parity, stop, timeout. Only functions 3 and 4 are ever sent: no
-register is written.
+Options: kind (or the path of another profile), unit, dhi_unit and dni_unit (more instruments of the
+same kind on the bus), baud, parity, stop, timeout. Only functions 3 and 4 are sent: no register is
+ever written.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from fieldlum.devices.registers import (
     decode,
     load_register_profile,
 )
-from fieldlum.devices.serial_port import SerialPort, told
+from fieldlum.devices.serial_port import SerialPort, device_errors
 from fieldlum.devices.uri import DeviceUri, number, one_of, whole
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
+    """One instrument on the bus."""
+
     measures: str  # ghi, dhi or dni
     address: int
 
@@ -69,9 +70,11 @@ class ModbusPyranometer:
 
     @property
     def info(self) -> InstrumentInfo:
+        """What the instruments state about themselves, joined by " + "."""
+
         def texts(name: str) -> str:
-            found = [d.texts.get(name) or _whole(d.values.get(name)) for d in self._about]
-            return " + ".join(text for text in found if text)
+            parts = [d.texts.get(name) or _integer_text(d.values.get(name)) for d in self._about]
+            return " + ".join(text for text in parts if text)
 
         model = texts("model") or f"{self._profile.maker} {self._profile.models[0]}"
         return InstrumentInfo(
@@ -96,19 +99,20 @@ class ModbusPyranometer:
         )
 
     def read(self) -> IrradianceSample:
-        """All units one after the other. Raises DeviceError when one is silent or answers
-        nonsense.
+        """Return one reading of all units, read one after the other.
+
+        Raises DeviceError if a unit does not answer or its answer cannot be right.
         """
         t_utc = self._clock.now()
         values: dict[str, float] = {}
         words, status, warm = [], [], None
         for unit in self._units:
-            found, raw = self._ask(unit, self._profile.poll)
-            values[f"{unit.measures}_wm2"] = found.values["irradiance_wm2"]
+            decoded, raw = self._ask(unit, self._profile.poll)
+            values[f"{unit.measures}_wm2"] = decoded.values["irradiance_wm2"]
             words.append(raw)
-            if found.status:
-                status.append(f"{unit.measures}: {found.status}")
-            warm = found.values.get("temperature_c") if warm is None else warm
+            if decoded.status:
+                status.append(f"{unit.measures}: {decoded.status}")
+            warm = decoded.values.get("temperature_c") if warm is None else warm
         return IrradianceSample(
             t_utc,
             values.pop("ghi_wm2", None),
@@ -119,20 +123,19 @@ class ModbusPyranometer:
         )
 
     def _ask(self, unit: Unit, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
-        """The blocks of one unit, decoded and as hexadecimal words."""
+        """Return the blocks of one unit, decoded, and as hexadecimal words."""
         import minimalmodbus
 
         client = minimalmodbus.Instrument(self._port.handle, unit.address)
         registers: dict[int, int] = {}
         for block in blocks:
-            with told(self._port.name):
+            with device_errors(self._port.name):
                 try:
                     words = client.read_registers(block.start, block.count, self._profile.function)
                 except minimalmodbus.NoResponseError:
                     raise DeviceError(
-                        f"{self._port.name}: {self._profile.kind} unit {unit.address} is silent: "
-                        f"check wiring, power, "
-                        "unit number, baud rate and parity"
+                        f"{self._port.name}: {self._profile.kind} unit {unit.address} does not "
+                        f"answer; check wiring, power, unit number, baud rate and parity"
                     ) from None
                 except minimalmodbus.ModbusException as error:
                     raise DeviceError(
@@ -147,18 +150,21 @@ class ModbusPyranometer:
         return decode(self._profile, registers), raw
 
     def close(self) -> None:
+        """Close the port."""
         self._port.close()
 
 
-def _whole(value: float | None) -> str:
+def _integer_text(value: float | None) -> str:
     return "" if value is None else f"{value:.10g}"
 
 
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> ModbusPyranometer:
-    """Raises DeviceError for unknown options or kinds, a missing port, or an instrument that
-    does not answer.
+    """Open the instruments of a URI.
+
+    Raises DeviceError for unknown options or kinds, a missing port, or an instrument that does not
+    answer.
     """
     options: dict[str, Any] = uri.read(
         kind=str,
@@ -172,21 +178,22 @@ def open_pyranometer(
     )
     if not uri.place or "kind" not in options:
         raise DeviceError(
-            f"{uri.text}: expected a port and a kind, like modbus:/dev/ttyUSB0?kind=smp&unit=1"
+            f"{uri.text}: expected a port and a kind, such as modbus:/dev/ttyUSB0?kind=smp&unit=1"
         )
     profile = load_register_profile(options["kind"])
     line = profile.line
     unit = options.get("unit", line.unit)
     if not unit:
         raise DeviceError(
-            f"{uri.text}: no unit, and {profile.kind} has no common one: {profile.note}"
+            f"{uri.text}: no unit number, and {profile.kind} has no usual one; add it: "
+            f"{profile.note}"
         )
     units = [Unit("ghi", unit)]
     units += [
         Unit(name, options[f"{name}_unit"]) for name in ("dhi", "dni") if f"{name}_unit" in options
     ]
     if len({u.address for u in units}) != len(units):
-        raise DeviceError(f"{uri.text}: a unit number is given twice")
+        raise DeviceError(f"{uri.text}: a unit number occurs twice; each unit needs its own")
     settings = Line(
         options.get("baud", line.baud),
         line.bits,

@@ -1,6 +1,4 @@
-"""Instruments with registers: what stands where (profiles as data), and what a block of
-registers means.
-"""
+"""Instruments with registers: profiles of registers as data, and the decoding of their blocks."""
 
 from __future__ import annotations
 
@@ -16,16 +14,16 @@ from fieldlum.profiles import build, read_toml, shipped
 
 Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
 WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}
-LOWEST_WM2, HIGHEST_WM2 = (
-    -200.0,
-    4000.0,
-)  # beyond any sun, cloud edge or night offset: a misread register
+# An irradiance outside of these limits is a misread register: chosen beyond any sun, cloud edge and
+# night offset; not measured. [W/m2]
+LOWEST_WM2 = -200.0
+HIGHEST_WM2 = 4000.0
 Registers = Mapping[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Factory settings of the serial line; unit 0: the user must say it."""
+    """Factory settings of the serial line; unit 0: the user must state it."""
 
     baud: int = 19200
     bits: int = 8
@@ -36,7 +34,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class RegisterBlock:
-    """Registers that are read in one request, and so belong to one moment."""
+    """Registers that are read by one request, and so are of one moment."""
 
     start: int
     count: int
@@ -44,8 +42,9 @@ class RegisterBlock:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One value. power10_register: the value is divided by ten to the power of that register
-    (Kipp & Zonen).
+    """One value of a profile.
+
+    power10_register : the value is divided by ten to the power of that register (Kipp & Zonen).
     """
 
     name: str
@@ -54,12 +53,15 @@ class Entry:
     scale: float = 1.0
     power10_register: int | None = None
     words: int = 0  # of a text
-    allow: tuple[int, ...] = ()  # a status word: any other value makes the sample suspect
+    allow: tuple[int, ...] = ()  # good values of a status word; others make the sample suspect
 
 
 @dataclass(frozen=True, slots=True)
 class RegisterProfile:
-    """calibration/instruments/KIND.toml. 32-bit values have their high word first."""
+    """The registers of a kind of instrument: calibration/instruments/KIND.toml.
+
+    32-bit values have their high word first.
+    """
 
     kind: str
     maker: str
@@ -67,7 +69,7 @@ class RegisterProfile:
     source: str
     poll: tuple[RegisterBlock, ...]
     entry: tuple[Entry, ...]
-    function: Literal[3, 4] = 3  # read holding or input registers: nothing else is ever sent
+    function: Literal[3, 4] = 3  # read holding or input registers; no other function is sent
     at_open: tuple[RegisterBlock, ...] = ()
     largest_request: int = 125
     line: Line = field(default_factory=Line)
@@ -76,8 +78,10 @@ class RegisterProfile:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """values by the entries' names; texts of model, serial and dates; what the status words
-    complain of.
+    """Decoded registers.
+
+    values : by the names of the entries; texts : of model, serial and dates; status : the status
+    words that report a fault.
     """
 
     values: dict[str, float]
@@ -86,20 +90,22 @@ class Decoded:
 
 
 def known_kinds() -> list[str]:
+    """Return the kinds of the shipped profiles, sorted."""
     return sorted(p.stem for p in (shipped("calibration") / "instruments").glob("*.toml"))
 
 
 def load_register_profile(kind: str) -> RegisterProfile:
-    """By kind, or by the path of an own TOML. Raises InputError for a broken one, DeviceError
-    for an unknown kind.
+    """Read a profile, by kind or by the path of a TOML file.
+
+    Raises InputError for a broken profile, DeviceError for an unknown kind.
     """
     path = Path(kind)
     if path.suffix != ".toml":
         path = shipped("calibration") / "instruments" / f"{kind}.toml"
     if not path.is_file():
         raise DeviceError(
-            f"no instrument '{kind}', there are {', '.join(known_kinds())}, or give the path of a "
-            f"TOML"
+            f"no instrument '{kind}'; expected one of {', '.join(known_kinds())}, or the path of a "
+            f"TOML file"
         )
     profile = build(RegisterProfile, read_toml(path), str(path))
     for block in (*profile.poll, *profile.at_open):
@@ -108,38 +114,39 @@ def load_register_profile(kind: str) -> RegisterProfile:
             or not 0 <= block.start <= 65535 - block.count
         ):
             limit = f"1 to {profile.largest_request} registers in a request"
-            raise InputError(path, f"a block of {block.count} registers at {block.start}", limit)
+            found = f"a block of {block.count} registers at {block.start}"
+            raise InputError(path, found, limit, "split the block")
     polled = {r for b in profile.poll for r in range(b.start, b.start + b.count)}
     read = polled | {r for b in profile.at_open for r in range(b.start, b.start + b.count)}
     for entry in profile.entry:
         if not set(_span(entry)) <= (polled if entry.name == "irradiance_wm2" else read):
             raise InputError(
                 path,
-                f"entry '{entry.name}' lies outside the blocks",
-                "a block that holds it",
-                "add it",
+                f"entry '{entry.name}' is outside the blocks",
+                "a block with all its registers",
+                "add the block",
             )
     if "irradiance_wm2" not in {e.name for e in profile.entry}:
-        raise InputError(path, "no entry 'irradiance_wm2'", "one", "add it")
+        raise InputError(path, "no entry 'irradiance_wm2'", "one such entry", "add it")
     return profile
 
 
 def _span(entry: Entry) -> list[int]:
-    """All registers that an entry needs."""
+    """Return all registers that an entry needs."""
     count = entry.words if entry.type == "text" else WORDS[entry.type]
     own = list(range(entry.register, entry.register + count))
     return own if entry.power10_register is None else [*own, entry.power10_register]
 
 
 def raw_value(kind: str, words: Iterable[int]) -> float:
-    """One number from its registers, high word first."""
+    """Return one number from its registers, high word first."""
     data = b"".join(struct.pack(">H", w) for w in words)
     code = {"u16": ">H", "s16": ">h", "u32": ">I", "s32": ">i", "f32": ">f", "date": ">I"}[kind]
     return float(struct.unpack(code, data)[0])
 
 
 def date_text(number: float) -> str:
-    """20260115 to 2026-01-15; empty for what is no date."""
+    """Return 20260115 as 2026-01-15; empty for a number that is no date."""
     text = f"{number:.0f}"
     plausible = (
         len(text) == 8
@@ -156,8 +163,9 @@ def _text(words: Iterable[int]) -> str:
 
 
 def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
-    """The entries whose registers are there. Raises DeviceError for an irradiance that no sun
-    can make.
+    """Decode the entries whose registers were read.
+
+    Raises DeviceError for an irradiance outside -200 to 4000 W/m2.
     """
     values: dict[str, float] = {}
     texts: dict[str, str] = {}
@@ -186,8 +194,8 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
         math.isfinite(irradiance) and LOWEST_WM2 <= irradiance <= HIGHEST_WM2
     ):
         raise DeviceError(
-            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2, expected {LOWEST_WM2:g} to "
-            f"{HIGHEST_WM2:g}"
+            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2; expected {LOWEST_WM2:g} to "
+            f"{HIGHEST_WM2:g} W/m2"
         )
     return Decoded(
         {k: v for k, v in values.items() if math.isfinite(v)}, texts, " ".join(complaints)
@@ -197,5 +205,5 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
 def _power(word: int, profile: RegisterProfile) -> int:
     power = int(raw_value("s16", [word]))
     if not -1 <= power <= 2:
-        raise DeviceError(f"{profile.maker} {profile.kind}: scale factor {power}, expected -1 to 2")
+        raise DeviceError(f"{profile.maker} {profile.kind}: scale factor {power}; expected -1 to 2")
     return power

@@ -1,8 +1,7 @@
-"""Frames that were taken before, as a camera: ``replay:FOLDER``. For rehearsals, and to see what a
-capture would do.
+"""Frames that were taken before, as a camera: ``replay:FOLDER``, for rehearsals.
 
-Each frame of the folder is given once, in the order of the camera's clock, to the first exposure
-that it fits.
+Each frame of the folder is returned once, in the order of the camera's clock, for the first
+exposure that it fits.
 """
 
 from __future__ import annotations
@@ -28,25 +27,25 @@ _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", 
 
 
 def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
-    """All frames under a folder, by the camera's clock and name. Raises DeviceError when there is
-    none.
+    """Return all frames under a folder, by the camera's clock and name.
 
-    A file that is no frame, or tells no exposure, is passed over.
+    A file that is no frame, or has no exposure in its EXIF, is skipped. Raises DeviceError if no
+    frame remains.
     """
-    found = []
+    frames = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.name[0] != "."):
         if path.suffix.lower() not in _NO_FRAMES:
             try:
-                found.append((path, read_exif(path)))
+                frames.append((path, read_exif(path)))
             except InputError:
                 continue
-    if not found:
-        raise DeviceError(f"replay: no frames in {folder}")
-    return sorted(found, key=lambda one: (_order(one[1].t_camera), str(one[0])))
+    if not frames:
+        raise DeviceError(f"replay: no frames in {folder}; expected raw or JPEG files")
+    return sorted(frames, key=lambda frame: (_order(frame[1].t_camera), str(frame[0])))
 
 
 def _order(t_camera: datetime | None) -> datetime:
-    """Naive camera times are only compared with each other."""
+    """Return a sort key; naive camera times are compared only with each other."""
     late = datetime.max.replace(tzinfo=UTC)
     return (
         late if t_camera is None else t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
@@ -54,7 +53,7 @@ def _order(t_camera: datetime | None) -> datetime:
 
 
 def fits(found: Exposure, asked: Exposure) -> bool:
-    """The same within 1/6 EV in each setting, and the same filter where the file names one."""
+    """Return whether two exposures agree within 1/6 EV in each setting, and in a stated filter."""
     pairs = (
         (found.shutter_s, asked.shutter_s),
         (found.f_number, asked.f_number),
@@ -65,7 +64,7 @@ def fits(found: Exposure, asked: Exposure) -> bool:
 
 
 class ReplayCamera:
-    """Implements `Camera`."""
+    """Copies frames that were taken before; implements `Camera`."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self._clock = clock
@@ -75,10 +74,11 @@ class ReplayCamera:
 
     @property
     def info(self) -> CameraInfo:
+        """What the first frame states about its camera."""
         return CameraInfo("replay", self._make, self._model, frames_left=len(self._left))
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Copy the next frame that fits. Raises DeviceError when none is left."""
+        """Copy the next frame that fits. Raises DeviceError if none remains."""
         for i, (path, info) in enumerate(self._left):
             if fits(info.exposure, exposure):
                 del self._left[i]
@@ -87,16 +87,19 @@ class ReplayCamera:
                 self._clock.sleep(exposure.shutter_s)
                 return written
         shown = f"{exposure.shutter_s:.5g} s f/{exposure.f_number:g} ISO {exposure.iso:g}"
-        raise DeviceError(f"replay: no frame of {shown} is left, {len(self._left)} others are")
+        raise DeviceError(
+            f"replay: no frame of {shown} remains; {len(self._left)} frames of other exposures do"
+        )
 
     def close(self) -> None:
+        """Forget the frames that remain."""
         self._left = []
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ReplayCamera:
-    """Raises DeviceError for a folder that is not there or holds no frames."""
+    """Open a folder. Raises DeviceError for a missing folder, or one without frames."""
     uri.read()
     folder = Path(uri.place)
     if not uri.place or not folder.is_dir():
-        raise DeviceError(f"{uri.text}: no such folder, expected replay:FOLDER")
+        raise DeviceError(f"{uri.text}: no such folder; expected replay:FOLDER")
     return ReplayCamera(folder, clock)

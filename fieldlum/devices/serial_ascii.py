@@ -1,5 +1,6 @@
-"""``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``; PLACE is a device file or
-usb=VID:PID:SERIAL.
+"""Serial pyranometers: ``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``.
+
+PLACE is a device file or usb=VID:PID:SERIAL.
 """
 
 from __future__ import annotations
@@ -18,19 +19,20 @@ if TYPE_CHECKING:
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> Pyranometer:
-    """Raises DeviceError for unknown options, a port that is not there, or an instrument that
-    does not answer.
+    """Open the instrument of a URI.
+
+    Raises DeviceError for unknown options, a missing port, or an instrument that does not answer.
     """
     if not uri.place:
         raise DeviceError(
-            f"{uri.text}: no port, expected something like serial:/dev/serial/by-id/NAME?kind=spn1"
+            f"{uri.text}: no port; expected a URI like serial:/dev/serial/by-id/NAME?kind=spn1"
         )
     kind = one_of("spn1", "ascii")
     if uri.options.get("kind") == "ascii":
         return _open_lines(uri, clock)
     options = uri.read(kind=kind, baud=whole(300, 921600), timeout=number(0.1, 60.0))
     if "kind" not in options:
-        raise DeviceError(f"{uri.text}: no kind, add ?kind=spn1 or ?kind=ascii&profile=NAME")
+        raise DeviceError(f"{uri.text}: no kind; add ?kind=spn1 or ?kind=ascii&profile=NAME")
     from fieldlum.devices.serial_spn1 import Spn1
 
     return Spn1(
@@ -44,6 +46,8 @@ def _open_lines(uri: DeviceUri, clock: Clock) -> Pyranometer:
 
     options = uri.read(kind=str, profile=str, silence=number(0.1, 600.0))
     if "profile" not in options:
-        raise DeviceError(f"{uri.text}: no profile, add &profile=NAME or the path of a TOML")
+        raise DeviceError(
+            f"{uri.text}: no profile; add &profile=NAME or &profile= and the path of a TOML file"
+        )
     profile = load_ascii_profile(options["profile"])
     return LineInstrument(uri.place, profile, clock, silence_s=options.get("silence"))

@@ -1,4 +1,4 @@
-"""An instrument that sends lines by itself, on a serial port. Nothing is ever sent to it."""
+"""An instrument that sends lines by itself on a serial port; nothing is ever sent to it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,29 @@ from fieldlum.devices.serial_port import SerialPort
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
-_POLL_S = 0.05
-_LONGEST_REST = 4096
+_POLL_S = 0.05  # timeout of one read; decides only how often the port is polled
+_LONGEST_REST = 4096  # bytes without an end mark that mean a wrong baud rate; chosen, not measured
+# Lines of which the median is taken, and the largest time between them: over slower lines the light
+# changes too much. Effect in docs/results/parsers.md.
 _VOTES = 3
-_SLOWEST_VOTE_S = 2.0  # between lines; over three slower ones the light changes too much
-_REFUSED_KEPT = 100
+_SLOWEST_VOTE_S = 2.0
+_REJECTED_STORED = 100  # the last rejected lines that wait for `refused`
 _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 
 
 def voted(values: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """The median of each quantity over lines: of three, a damaged one stands outside the other
-    two, or is harmless.
+    """Return the median of each quantity over lines.
+
+    Of three values a damaged one is outside the other two, or does no harm.
     """
     return {quantity: median(line[quantity] for line in values) for quantity in values[-1]}
 
 
 class LineInstrument:
-    """Implements `Pyranometer` and `Streaming`: the newest line since the last reading, or the next
-    one.
+    """Returns the newest line since the last reading, or the next one.
 
-    Where three or more have come, at two seconds' distance or less, the median of the newest three.
+    Implements `Pyranometer` and `Streaming`. If three or more lines have arrived at most two
+    seconds apart, the reading is the median of the newest three.
     """
 
     def __init__(
@@ -50,7 +53,9 @@ class LineInstrument:
             stop=line.stop,
             timeout_s=_POLL_S,
         )
-        self._rest: bytes | None = None  # None: the first line may have begun before we listened
+        self._rest: bytes | None = (
+            None  # None: the first line may have begun before the port opened
+        )
         self._form = LineForm()
         self._refused: list[str] = []
         self._last_read_s = clock.boottime()
@@ -58,6 +63,7 @@ class LineInstrument:
 
     @property
     def info(self) -> InstrumentInfo:
+        """What the profile states about the instrument."""
         p = self._profile
         gives = tuple(
             e.quantity.removesuffix("_wm2") for e in p.entry if e.quantity.endswith("_wm2")
@@ -73,44 +79,45 @@ class LineInstrument:
         )
 
     def read(self) -> IrradianceSample:
-        """Raises DeviceError after a silence, or when only lines come that do not fit."""
+        """Return a reading. Raises DeviceError after a silence, or if no line fits the profile."""
         deadline = time.monotonic() + self._silence_s
-        why = "is silent: check cable, power and baud rate"
+        why = "no line received; check cable, power and baud rate"
         while True:
-            sound: list[tuple[str, dict[str, float]]] = []
+            valid: list[tuple[str, dict[str, float]]] = []
             for line in self._lines():
                 try:
-                    sound.append(self._understood(line))
+                    valid.append(self._understood(line))
                 except DeviceError as error:
                     self.ignored, why = self.ignored + 1, str(error)
-                    self._refused = [*self._refused, f"{why}; it was {line!r}"][-_REFUSED_KEPT:]
-            if sound:
-                return self._reading(sound)
+                    reasons = [*self._refused, f"{why}; the line was {line!r}"]
+                    self._refused = reasons[-_REJECTED_STORED:]
+            if valid:
+                return self._reading(valid)
             if time.monotonic() > deadline:
                 raise DeviceError(f"{self._port.name}: {why}")
 
     def _understood(self, line: bytes) -> tuple[str, dict[str, float]]:
         values = parse_line(self._profile, line)
-        if said := self._form.unlike(body_of(self._profile, line)):
-            raise DeviceError(f"line is unlike all before it: {said}")
+        if reason := self._form.unlike(body_of(self._profile, line)):
+            raise DeviceError(f"line differs from all lines before it: {reason}")
         return line.decode("ascii").strip(), values
 
-    def _reading(self, sound: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:
+    def _reading(self, valid: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:
         now = self._clock.boottime()
-        apart_s, self._last_read_s = (now - self._last_read_s) / len(sound), now
-        newest = (
-            sound[-_VOTES:] if len(sound) >= _VOTES and apart_s <= _SLOWEST_VOTE_S else sound[-1:]
-        )
+        apart_s = (now - self._last_read_s) / len(valid)
+        self._last_read_s = now
+        can_vote = len(valid) >= _VOTES and apart_s <= _SLOWEST_VOTE_S
+        newest = valid[-_VOTES:] if can_vote else valid[-1:]
         texts = " | ".join(dict.fromkeys(text for text, _ in newest))
         return sample_of(self._clock.now(), voted([values for _, values in newest]), texts)
 
     def refused(self) -> list[str]:
-        """What was refused since this was last asked: why, and the line as it came."""
+        """Return the lines that were rejected since the last call, each with the reason."""
         refused, self._refused = self._refused, []
         return refused
 
     def _lines(self) -> list[bytes]:
-        """Whole lines that have come; what follows the last end mark waits for the next call."""
+        """Return the complete lines received; an incomplete one waits for the next call."""
         data = self._port.drain() or self._port.read(1) + self._port.drain()
         if self._rest is None:
             if b"\n" not in data:
@@ -118,9 +125,10 @@ class LineInstrument:
             data = data.partition(b"\n")[2]
             self._rest = b""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > _LONGEST_REST:  # no end mark at all: the wrong baud rate
+        if len(self._rest) > _LONGEST_REST:  # no end mark: the baud rate is wrong
             self._rest = None
         return [line + b"\n" for line in lines]
 
     def close(self) -> None:
+        """Close the port."""
         self._port.close()

@@ -1,6 +1,4 @@
-"""A serial port that says what is wrong with it as DeviceError, and finds its instrument again
-after an unplug.
-"""
+"""A serial port whose errors are DeviceErrors with a remedy, and that finds a replugged device."""
 
 from __future__ import annotations
 
@@ -18,45 +16,43 @@ except ImportError:  # Windows
 
 
 @contextmanager
-def told(port: str) -> Iterator[None]:
-    """Turns the three unrelated errors that a serial port raises into DeviceError."""
+def device_errors(port: str) -> Iterator[None]:
+    """Raise DeviceError for the three unrelated errors that a serial port raises."""
     try:
         yield
-    except (
-        OSError,
-        _TermiosError,
-    ) as error:  # serial.SerialException is an OSError, termios.error is not
-        said = str(error.args[-1] if error.args else error).splitlines()
-        raise DeviceError(f"{port}: {said[0] if said else type(error).__name__}") from None
+    except (OSError, _TermiosError) as error:
+        # serial.SerialException is an OSError, termios.error is not.
+        lines = str(error.args[-1] if error.args else error).splitlines()
+        raise DeviceError(f"{port}: {lines[0] if lines else type(error).__name__}") from None
 
 
 def _cannot_open(port: str, error: DeviceError) -> str:
-    """What to do about a port that does not open. pyserial tells the reason in its text alone on
-    Windows.
+    """Return why a port does not open, and the remedy.
+
+    On Windows the text of pyserial's error is the only hint of the reason.
     """
-    said = str(error)
-    if "[Errno 2]" in said or "FileNotFoundError" in said:
+    reason = str(error)
+    if "[Errno 2]" in reason or "FileNotFoundError" in reason:
         from serial.tools.list_ports import comports
 
-        known = ", ".join(sorted(found.device for found in comports()))
-        return f"{port}: no such port; ports there are: {known or 'none, so check cable and power'}"
-    if "[Errno 13]" in said:
+        known = ", ".join(sorted(port.device for port in comports()))
+        return f"{port}: no such port; ports: {known or 'none, check cable and power'}"
+    if "[Errno 13]" in reason:
         return (
-            f"{port}: no right to open it; join the port's group (often dialout) and log in again"
+            f"{port}: no permission to open it; join the port's group (often dialout) and log in "
+            f"again"
         )
-    if "exclusively lock" in said or "[Errno 16]" in said or "PermissionError" in said:
-        return (
-            f"{port}: another program holds it; close that one (a terminal, another capture or log)"
-        )
-    if "[Errno 25]" in said or "Inappropriate ioctl" in said:
-        return f"{port}: is no serial port"
-    return said
+    if "exclusively lock" in reason or "[Errno 16]" in reason or "PermissionError" in reason:
+        return f"{port}: another program uses it; close it (a terminal, another capture or log)"
+    if "[Errno 25]" in reason or "Inappropriate ioctl" in reason:
+        return f"{port}: not a serial port"
+    return reason
 
 
 def resolve(place: str) -> str:
-    """The device file of a place: itself, or the port of ``usb=VID:PID`` or ``usb=VID:PID:SERIAL``.
+    """Return the device file of a place: itself, or the port of ``usb=VID:PID[:SERIAL]``.
 
-    A USB port comes back under another name after a replug; its identity stays. Raises DeviceError.
+    A USB port gets another name after a replug; its identity is the same. Raises DeviceError.
     """
     if not place.startswith("usb="):
         return place
@@ -71,11 +67,11 @@ def resolve(place: str) -> str:
         if name[: len(wanted)] == wanted:
             return port.device
         found.append(":".join(part for part in name if part))
-    raise DeviceError(f"{place}: not plugged in; USB ports there are: {', '.join(found) or 'none'}")
+    raise DeviceError(f"{place}: not plugged in; USB ports: {', '.join(found) or 'none'}")
 
 
 class SerialPort:
-    """One exclusive port with fixed settings. `exchange` asks and reads up to an end mark."""
+    """One exclusive port with fixed settings."""
 
     def __init__(
         self,
@@ -91,7 +87,7 @@ class SerialPort:
 
         self.name, self.timeout_s = resolve(place), timeout_s
         try:
-            with told(self.name):
+            with device_errors(self.name):
                 self._port: Any = serial.Serial(
                     self.name,
                     baud,
@@ -107,37 +103,36 @@ class SerialPort:
 
     @property
     def handle(self) -> Any:
-        """The pyserial object, for libraries that want one."""
+        """The pyserial object, for libraries that need one."""
         return self._port
 
     def drain(self) -> bytes:
-        """Take what lies waiting: the rest of a reply that came too late must not be taken for
-        the next one.
-        """
-        with told(self.name):
+        """Return the bytes that wait: a late reply must not be read as the next one."""
+        with device_errors(self.name):
             waiting = self._port.in_waiting
             return self._port.read(waiting) if waiting else b""
 
     def write(self, data: bytes) -> None:
-        with told(self.name):
+        """Write all bytes. Raises DeviceError."""
+        with device_errors(self.name):
             self._port.write(data)
 
     def read(self, count: int) -> bytes:
-        """Up to `count` bytes; fewer when the timeout ends."""
-        with told(self.name):
+        """Return up to `count` bytes, fewer after the timeout. Raises DeviceError."""
+        with device_errors(self.name):
             return self._port.read(count)
 
     def read_until(self, end: bytes, limit: int = 4096) -> bytes:
-        """Up to and with `end`. What came when the timeout ends lacks it: the caller must look."""
-        with told(self.name):
+        """Return all bytes up to and including `end`; after the timeout without it: check."""
+        with device_errors(self.name):
             return self._port.read_until(end, limit)
 
     def read_quiet(self, quiet_s: float, longest_s: float) -> bytes:
-        """All that comes until the line has been silent for `quiet_s`."""
+        """Return all bytes until the line has been silent for `quiet_s`, at most `longest_s`."""
         out, deadline = b"", time.monotonic() + longest_s
         last = time.monotonic()
         while (now := time.monotonic()) < deadline and now - last < quiet_s:
-            with told(self.name):
+            with device_errors(self.name):
                 data = self._port.read(self._port.in_waiting) if self._port.in_waiting else b""
             if data:
                 out, last = out + data, now
@@ -146,5 +141,6 @@ class SerialPort:
         return out
 
     def close(self) -> None:
+        """Close the port; errors of a port that is gone are ignored."""
         with suppress(OSError, _TermiosError):
             self._port.close()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from fieldlum.devices import InstrumentInfo
-from fieldlum.devices.ask_twice import said_twice
+from fieldlum.devices.ask_twice import agreed_answer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialPort
 from fieldlum.devices.spn1 import (
@@ -22,13 +22,16 @@ from fieldlum.devices.spn1 import (
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
-_WAKE_TRIES = 3
+_WAKE_TRIES = 3  # a sleeping SPN1 may lose the first character; chosen, not measured
+# A total this far below the diffuse is doubtful: the instrument's own noise is below 3 W/m2, and
+# larger differences were seen in the field at dawn.
+_TOTAL_BELOW_DIFFUSE_WM2 = 3.0
 
 
 class Spn1:
-    """Implements `Pyranometer`. Sends R, S and I and nothing else.
+    """The SPN1; implements `Pyranometer`. Sends R, S and I and nothing else.
 
-    close_too: called with `close`, for a simulator behind the port.
+    close_too : called by `close`, for a simulator behind the port.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class Spn1:
 
     @property
     def info(self) -> InstrumentInfo:
+        """What the instrument states about itself."""
         return InstrumentInfo(
             "spn1",
             "Delta-T SPN1",
@@ -61,18 +65,17 @@ class Spn1:
         )
 
     def read(self) -> IrradianceSample:
-        """Total and diffuse, now, said twice: its line has no checksum. A total below the diffuse
-        comes with a status.
+        """Return total and diffuse on which two answers agree: the line has no checksum.
 
-        raw holds all answers that differ. Raises DeviceError for silence, and when neither two
-        answers agree nor three lie in line.
+        A total below the diffuse gets a status. raw has all answers that differ. Raises DeviceError
+        for silence, and if neither two answers agree nor three follow an even change.
         """
         t_utc = self._clock.now()
-        reading, answers = said_twice(
+        reading, answers = agreed_answer(
             self._ask_reading, parse_reading, apart_wm2, (NOISE_WM2, AGREE_WM2), in_line
         )
-        # Seen in the field at dawn; the instrument's own noise is below 3 W/m2.
-        doubt = "total below diffuse" if reading.total_wm2 < reading.diffuse_wm2 - 3.0 else ""
+        is_doubtful = reading.total_wm2 < reading.diffuse_wm2 - _TOTAL_BELOW_DIFFUSE_WM2
+        doubt = "total below diffuse" if is_doubtful else ""
         text = " | ".join(
             answer.decode("ascii", "backslashreplace").strip() for answer in dict.fromkeys(answers)
         )
@@ -85,13 +88,11 @@ class Spn1:
         self._port.write(b"S")
         reply = self._port.read_until(b"\r", 64)
         if not reply:
-            raise DeviceError(f"{self._port.name}: SPN1 is awake, but silent")
+            raise DeviceError(f"{self._port.name}: SPN1 is awake, but does not answer")
         return reply
 
     def _wake(self) -> None:
-        """R until it answers 0xAF; what else lies in the line is a late reply and is thrown
-        away.
-        """
+        """Send R until the answer is 0xAF; discard late replies in the line."""
         heard = b""
         for _ in range(_WAKE_TRIES):
             self._port.drain()
@@ -99,9 +100,9 @@ class Spn1:
             heard = self._port.read(1)
             if heard == AWAKE:
                 return
-        said = f"said {heard!r}" if heard else "is silent"
+        answer = f"answered {heard!r}" if heard else "did not answer"
         raise DeviceError(
-            f"{self._port.name}: SPN1 {said} when woken, expected 0xAF: check cable, power and "
+            f"{self._port.name}: SPN1 {answer} when woken; expected 0xAF; check cable, power and "
             f"9600 8N1"
         )
 
@@ -112,6 +113,7 @@ class Spn1:
         return parse_status(reply.removeprefix(b"I"))
 
     def close(self) -> None:
+        """Close the port."""
         self._port.close()
         if self._close_too is not None:
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""A camera offers steps; what was asked for must be one of them, or so near that it is the same."""
+"""Steps of a camera's settings: a planned value must be one of them, or nearly."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ LARGEST_STEP_EV = 1.0 / 6.0  # half of a third of a stop
 
 
 def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -> float:
-    """The offered value nearest in the log domain. Raises DeviceError when it is over 1/6 EV
-    away.
+    """Return the offered value nearest to `asked` in the log domain.
+
+    Raises DeviceError if it is over 1/6 EV away, or if nothing is offered.
     """
     choices = [value for value in offered if value > 0]
     if not (asked > 0 and choices):
         raise DeviceError(
-            f"{what}: {asked:g} {unit} asked, nothing to choose from".replace("  ", " ")
+            f"{what}: {asked:g} {unit} planned, but the camera offers nothing".replace("  ", " ")
         )
     best = min(choices, key=lambda value: abs(math.log2(value / asked)))
     if abs(math.log2(best / asked)) > LARGEST_STEP_EV:
         shown = shutter_text(best) if unit == "s" else f"{best:.5g}"
         raise DeviceError(
-            f"{what}: {asked:.5g} {unit} is not offered, the nearest is {shown}".replace("  ", " ")
+            f"{what}: {asked:.5g} {unit} is not offered; the nearest is {shown}".replace("  ", " ")
         )
     return best

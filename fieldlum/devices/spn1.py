@@ -1,8 +1,8 @@
-"""Delta-T SPN1, total and diffuse: what it says and what that means, as pure functions.
+"""Delta-T SPN1, total and diffuse: its answers and their values, as pure functions.
 
 Source: SPN1 User Manual v1.0, appendix B: 9600 8N1; every character is echoed except R; replies end
-in CR alone. Only R, S and I are ever sent. T starts a test mode in which commands change the
-calibration for good.
+in CR only. Only R, S and I are ever sent. T starts a test mode in which commands change the
+calibration permanently.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from dataclasses import dataclass
 from fieldlum.errors import DeviceError
 
 AWAKE = b"\xaf"
-LARGEST_WM2 = 2500.0  # the instrument's range ends at 2000
-_SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"  # filled with blanks, or with noughts
+LARGEST_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User Manual)
+_SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"  # padded with blanks, or with zeros
 _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
-# Answers within a tenth of a second of each other: apart by the instrument's noise; by what they
-# may be apart under a steady sky; from the first to the third at a shadow's edge, blurred by the
-# sun's half degree and the cloud's own.
-NOISE_WM2, AGREE_WM2, STEEPEST_WM2 = 3.0, 25.0, 200.0
+# Differences of answers within a tenth of a second, in W/m2 (docs/results/parsers.md): the noise of
+# the instrument; the largest difference under a steady sky; from the first to the third answer at
+# the edge of a shadow, which the sun's half degree and the cloud's own edge blur.
+NOISE_WM2 = 3.0
+AGREE_WM2 = 25.0
+STEEPEST_WM2 = 200.0
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
@@ -27,6 +29,8 @@ _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
 
 @dataclass(frozen=True, slots=True)
 class Spn1Reading:
+    """One reading: total and diffuse irradiance, and whether the sun shone."""
+
     total_wm2: float
     diffuse_wm2: float
     sunshine: bool
@@ -34,35 +38,39 @@ class Spn1Reading:
 
 @dataclass(frozen=True, slots=True)
 class Spn1Status:
+    """The answer to I; lines has all of it."""
+
     firmware: str = ""
     serial: str = ""
     lines: tuple[str, ...] = ()
 
 
 def parse_reading(reply: bytes) -> Spn1Reading:
-    """``S 812.4, 104.9,1<CR>``, with or without the echo. Raises DeviceError for every other byte
-    string.
+    """Return the reading of ``S 812.4, 104.9,1<CR>``, with or without the echo.
 
-    Both numbers fill six places with one decimal, so that a lost character is never taken for a
-    smaller number.
+    Raises DeviceError for every other byte string. Both numbers fill six places with one decimal,
+    so that a number that lost a character is never read as a smaller one.
     """
     match = _READING.fullmatch(reply)
     if match is None:
-        raise DeviceError(f"SPN1 said {reply[:40]!r}, expected total, diffuse, sunshine and CR")
+        raise DeviceError(f"SPN1 answered {reply[:40]!r}; expected total, diffuse, sunshine and CR")
     total, diffuse = float(match[1]), float(match[2])
     if max(total, diffuse) > LARGEST_WM2:
-        raise DeviceError(f"SPN1 said {reply[:40]!r}, beyond its range of {LARGEST_WM2:g} W/m2")
+        raise DeviceError(
+            f"SPN1 answered {reply[:40]!r}; expected at most {LARGEST_WM2:g} W/m2, its range"
+        )
     return Spn1Reading(total, diffuse, match[3] == b"1")
 
 
 def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
-    """By how much two answers differ, in the figure in which they differ more."""
+    """Return the larger of the differences of total and of diffuse, in W/m2."""
     return max(abs(x - y) for x, y in zip(_both(a), _both(b), strict=True))
 
 
 def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
-    """Whether three answers may be of light that rises or falls evenly: the middle one half way
-    between the others.
+    """Return whether three answers may be of light that rises or falls evenly.
+
+    The middle answer must be half way between the others.
     """
     triples = zip(_both(a), _both(b), _both(c), strict=True)
     return apart_wm2(a, c) <= STEEPEST_WM2 and all(
@@ -75,17 +83,17 @@ def _both(reading: Spn1Reading) -> tuple[float, float]:
 
 
 def parse_status(reply: bytes) -> Spn1Status:
-    """Reply to I: firmware, units, radio and serial number in CR lines.
+    """Parse the reply to I: firmware, units, radio and serial number in CR lines.
 
-    Raises DeviceError for what is no such reply, and for an instrument that is set to other units.
+    Raises DeviceError for another reply, and for an instrument that is set to other units.
     """
     if not (_STATUS_REPLY.fullmatch(reply) and b"SPN1 " in reply):
-        raise DeviceError(f"SPN1 said {reply[:40]!r}, expected lines about itself")
+        raise DeviceError(f"SPN1 answered {reply[:40]!r}; expected lines about itself")
     text = reply.decode("ascii").replace("\r", "\n")
     units = re.search(r"Units: *(\S+)", text)
     if units and units[1].upper().replace("^", "") not in ("W.M-2", "W/M2"):
         raise DeviceError(
-            f"SPN1 is set to {units[1]}, expected W.m-2: set it with Delta-T's own program"
+            f"SPN1 is set to {units[1]}; expected W.m-2; set it with Delta-T's own program"
         )
     firmware, serial = _FIRMWARE.search(text), _SERIAL.search(text)
     lines = tuple(line.strip() for line in text.splitlines() if line.strip())

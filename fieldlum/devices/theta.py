@@ -1,8 +1,7 @@
-"""A Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``; ``?delete=1``
-clears its memory.
+"""A Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``.
 
-Source: Ricoh's THETA Web API v2.1. With file format raw+ (Z1) the DNG of each picture is kept, else
-the JPEG.
+The option ``?delete=1`` deletes pictures after they were copied. Source: Ricoh's THETA Web API
+v2.1. With file format raw+ (Z1) the DNG of each picture is copied, else the JPEG.
 """
 
 from __future__ import annotations
@@ -29,24 +28,22 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 ADDRESS = "http://192.168.1.1"  # of the camera's own access point
-READOUT_S, POLL_S = 40.0, 0.3
-BRACKET_SHOTS = range(2, 14)  # all models take up to 13; Z1 and V up to 19
-_LARGEST_FILE = 200_000_000
+# Timeout added to the shutter time, and the pause between status requests. Chosen, not measured.
+READOUT_S = 40.0
+POLL_S = 0.3
+BRACKET_SHOTS = range(2, 14)  # all models take up to 13, Z1 and V up to 19 (THETA Web API v2.1)
+_LARGEST_FILE = 200_000_000  # bytes; longer answers are cut and then rejected
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
 
 
 class ThetaCamera:
-    """Implements `Camera`. `expose_bracket` takes many frames in one go (`_autoBracket`, JPEG)."""
+    """Implements `Camera`; `expose_bracket` takes many frames at once (`_autoBracket`, JPEG)."""
 
     def __init__(
         self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0
     ) -> None:
-        self._address, self._clock, self._delete, self._timeout_s = (
-            address.rstrip("/"),
-            clock,
-            delete,
-            timeout_s,
-        )
+        self._address, self._clock = address.rstrip("/"), clock
+        self._delete, self._timeout_s = delete, timeout_s
         about, state = self._get("/osc/info"), self._post("/osc/state", {}).get("state", {})
         self._set(_MANUAL)
         names = (
@@ -75,7 +72,7 @@ class ThetaCamera:
         )
 
     def _clock_offset(self, text: Any) -> float | None:
-        """From ``2027:03:20 15:30:00+00:00``; the camera tells whole seconds."""
+        """Return the offset for ``2027:03:20 15:30:00+00:00``; the camera states full seconds."""
         with suppress(ValueError, TypeError, AttributeError):
             day, _, clock = text.partition(" ")
             stamp = datetime.fromisoformat(f"{day.replace(':', '-')}T{clock}")
@@ -86,10 +83,10 @@ class ThetaCamera:
     # pictures
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set, read back, take, fetch. What was taken is kept, whatever its EXIF says: the caller
-        compares it.
+        """Set the exposure, check it, take the frame and fetch it.
 
-        Raises DeviceError, and OSError when the disk is full.
+        The frame is kept whatever its EXIF states: the caller compares it. Raises DeviceError, and
+        OSError if the disk is full.
         """
         self._refuse_turning(heading_deg)
         wanted = self._chosen(exposure)
@@ -107,23 +104,27 @@ class ThetaCamera:
             if isinstance(url := results.get(name), str) and url
         ]
         if not urls:
-            raise DeviceError("theta: the picture was taken, but the camera names no file")
+            raise DeviceError(
+                "theta: the picture was taken, but the camera states no file; take it again"
+            )
         path = self._fetch(urls[0], target)
         self._clear(urls)
         return path
 
     @property
     def bracket_shots(self) -> range:
+        """The counts of frames that a bracket may have."""
         return BRACKET_SHOTS
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """All frames in one go, in the order asked for. Raises DeviceError; frames fetched by
-        then stay.
+        """Take all frames at once, in the given order.
+
+        Raises DeviceError; frames that were fetched before stay on the disk.
         """
         if len(exposures) not in self.bracket_shots:
             low, high = self.bracket_shots[0], self.bracket_shots[-1]
             raise DeviceError(
-                f"theta: a bracket of {len(exposures)} frames, it takes {low} to {high}"
+                f"theta: a bracket of {len(exposures)} frames; expected {low} to {high}"
             )
         shots = [
             {"exposureProgram": 1, "whiteBalance": "daylight", **self._chosen(e)} for e in exposures
@@ -132,14 +133,11 @@ class ThetaCamera:
             {**_MANUAL, "_autoBracket": {"_bracketNumber": len(shots), "_bracketParameters": shots}}
         )
         patience = sum(e.shutter_s for e in exposures) + READOUT_S + 2.0 * len(shots)
-        # The camera tells only how many frames it will take, not their settings: their EXIF says
-        # it.
+        # The camera reports only the count of frames, not their settings: their EXIF states them.
         urls = self._command("camera.startCapture", {"_mode": "bracket"}, patience).get("fileUrls")
         if not isinstance(urls, list) or len(urls) != len(shots):
-            raise DeviceError(
-                f"theta: {len(urls) if isinstance(urls, list) else 'no'} files, {len(shots)} were "
-                f"asked"
-            )
+            count = len(urls) if isinstance(urls, list) else "no"
+            raise DeviceError(f"theta: {count} files; expected {len(shots)}")
         paths = [self._fetch(str(url), target) for url, target in zip(urls, targets, strict=True)]
         self._clear([str(u) for u in urls])
         return paths
@@ -147,11 +145,11 @@ class ThetaCamera:
     def _refuse_turning(self, heading_deg: float | None) -> None:
         if heading_deg is not None:
             raise DeviceError(
-                "theta: this camera has no head that turns: leave headings out of the site file"
+                "theta: this camera has no turning head; remove headings from the site file"
             )
 
     def _chosen(self, exposure: Exposure) -> dict[str, float]:
-        """The camera's own steps. Raises DeviceError when one is over 1/6 EV away."""
+        """Return the camera's own steps. Raises DeviceError if one is over 1/6 EV away."""
         out = {
             "shutterSpeed": nearest(
                 exposure.shutter_s, self._offers["shutter"], "theta shutter", "s"
@@ -163,13 +161,13 @@ class ThetaCamera:
         return out
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raises DeviceError for a value over 1/6 EV from all that the camera offers."""
+        """Raise DeviceError for a value that is over 1/6 EV from every step of the camera."""
         self._chosen(exposure)
 
     def _fetch(self, url: str, target: Path) -> Path:
         parts = urlsplit(url)
         if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
-            raise DeviceError(f"theta: it names {url}, which is not on {self._address}")
+            raise DeviceError(f"theta: it states the file {url}; expected one on {self._address}")
         path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
         body = self._http(urllib.request.Request(url), 60.0)
         with path.open("wb") as file:
@@ -183,7 +181,7 @@ class ThetaCamera:
             self._command("camera.delete", {"fileUrls": urls}, self._timeout_s)
 
     def close(self) -> None:
-        """HTTP keeps nothing open."""
+        """Do nothing: HTTP leaves no connection open."""
 
     # --------------------------------------------------------------------------------------
     # protocol
@@ -197,14 +195,15 @@ class ThetaCamera:
         return found if isinstance(found, dict) else {}
 
     def _command(self, name: str, parameters: dict[str, Any], patience_s: float) -> dict[str, Any]:
-        """Execute and wait until it is done. Raises DeviceError for its error and for its
-        silence.
+        """Execute a command, wait until it is done, and return its results.
+
+        Raises DeviceError for an error of the camera and for its silence.
         """
         reply = self._post("/osc/commands/execute", {"name": name, "parameters": parameters})
         started = self._clock.boottime()
         while reply.get("state") == "inProgress":
             if self._clock.boottime() - started > patience_s:
-                raise DeviceError(f"theta: {name} was not done after {patience_s:g} s")
+                raise DeviceError(f"theta: {name} was not done within {patience_s:g} s")
             self._clock.sleep(POLL_S)
             reply = self._post("/osc/commands/status", {"id": reply.get("id")})
         if reply.get("state") != "done":
@@ -221,8 +220,9 @@ class ThetaCamera:
         return _json(self._http(request, self._timeout_s))
 
     def _http(self, request: urllib.request.Request, timeout_s: float) -> bytes:
-        """Raises DeviceError for all that can go wrong; an error with a JSON body is the
-        camera's own answer.
+        """Return the body of the answer; an HTTP error with a JSON body is the camera's answer.
+
+        Raises DeviceError for everything else that can go wrong.
         """
         try:
             with urllib.request.urlopen(request, timeout=timeout_s) as response:
@@ -236,11 +236,11 @@ class ThetaCamera:
         except (OSError, ValueError) as error:
             why = getattr(error, "reason", error)
             raise DeviceError(
-                f"theta: {self._address}: {why}: is the computer in its network?"
+                f"theta: {self._address}: {why}; connect the computer to the camera's network"
             ) from None
         if length is not None and length.isdigit() and len(body) != int(length):
             raise DeviceError(
-                f"theta: {request.full_url} came short: {len(body)} of {length} bytes"
+                f"theta: {request.full_url} is incomplete: {len(body)} of {length} bytes"
             )
         return body
 
@@ -249,9 +249,9 @@ def _json(body: bytes) -> dict[str, Any]:
     try:
         reply = json.loads(body)
     except ValueError:
-        raise DeviceError(f"theta: an answer that is no JSON: {body[:40]!r}") from None
+        raise DeviceError(f"theta: answered {body[:40]!r}; expected JSON") from None
     if not isinstance(reply, dict):
-        raise DeviceError(f"theta: an answer that is no JSON object: {body[:40]!r}")
+        raise DeviceError(f"theta: answered {body[:40]!r}; expected a JSON object")
     return reply
 
 
@@ -270,9 +270,9 @@ def _numbers(values: Any) -> list[float]:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
-    """Raises DeviceError for unknown options, or when no Theta answers."""
+    """Open the camera. Raises DeviceError for unknown options, or if no Theta answers."""
     options = uri.read(delete=whole(0, 1))
     address = uri.place or ADDRESS
     if urlsplit(address).scheme != "http" or not urlsplit(address).hostname:
-        raise DeviceError(f"{uri.text}: expected an address like theta:{ADDRESS}")
+        raise DeviceError(f"{uri.text}: no HTTP address; expected a URI like theta:{ADDRESS}")
     return ThetaCamera(address, clock, delete=bool(options.get("delete", 0)))

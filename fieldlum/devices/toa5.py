@@ -1,8 +1,8 @@
 """Campbell Scientific TOA5 tables: a logger's file to irradiance samples.
 
 Four header lines (environment, names, units, processing), then quoted times WITHOUT a time zone, a
-record number and numbers, "NAN" where there is none. Source: help.campbellsci.com, TOA5. The
-logger's UTC offset must be told.
+record number and numbers, "NAN" where there is none. Source: help.campbellsci.com, TOA5. The user
+must state the logger's UTC offset.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fieldlum.records import IrradianceSample
 _TIME = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,6})?")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?")
 _UNITS = ("W/M^2", "W/M2", "W.M-2", "WM-2", "W/M²", "WATTS/METER^2")
-# Names by which loggers' programs call the columns; compared without digits, underlines and case.
+# Usual column names in loggers' programs; compared without digits, underscores and case.
 _USUAL = {
     "ghi_wm2": ("ghi", "global", "slrw", "slrwavg", "solarwm", "total", "ghiavg", "globalavg"),
     "dhi_wm2": ("dhi", "diffuse", "dhiavg", "diffuseavg"),
@@ -35,8 +35,10 @@ _USUAL = {
 
 @dataclass(frozen=True, slots=True)
 class Toa5:
-    """samples in the file's order; broken: the lines left out, with the reason; gaps in the
-    record numbers.
+    """The content of a table.
+
+    samples : in the file's order; broken : lines that were left out, with the reason;
+    missing_records : gaps in the record numbers.
     """
 
     samples: tuple[IrradianceSample, ...]
@@ -48,6 +50,7 @@ class Toa5:
 
 
 def is_toa5(text: str) -> bool:
+    """Return whether a text begins as a TOA5 table does."""
     return text.startswith(('"TOA5",', "TOA5,"))
 
 
@@ -58,12 +61,14 @@ def parse_toa5(
     *,
     source: str | Path = "TOA5",
 ) -> Toa5:
-    """columns: quantity (ghi_wm2 ...) to column name, else the usual names. utc_offset: the
-    logger's clock minus UTC.
+    """Read a TOA5 table.
 
-    A row that is cut, whose time or number is no such thing or out of step, or which has other
-    decimals than the rest of its column, is left out and listed. Raises InputError for what is no
-    TOA5 table, has no such column, or has another unit than W/m2.
+    columns : quantity (ghi_wm2 ...) to column name, else the usual names; utc_offset : the logger's
+    clock minus UTC.
+
+    A row is left out and listed if it is cut, if its time or a number cannot be read, if its time
+    does not fit its record number, or if it has other decimals than the rest of its column. Raises
+    InputError for a file that is no TOA5 table, has no such column, or another unit than W/m2.
     """
     lines = text.split("\n")
     if not is_toa5(text) or len(lines) < 4:
@@ -85,8 +90,8 @@ def parse_toa5(
         raise InputError(
             source,
             f"columns {', '.join(names)[:80]}",
-            "a column TIMESTAMP, and a unit for each",
-            "",
+            "a column TIMESTAMP, and a unit for each column",
+            "export the table again",
         )
     chosen = _columns(names, units, columns, source)
     samples: list[IrradianceSample] = []
@@ -99,7 +104,7 @@ def parse_toa5(
             continue
         try:
             if number == len(lines):
-                raise ValueError("the line has no end")
+                raise ValueError("the line has no end mark")
             row = next(csv.reader([line.rstrip("\r")], strict=True))
             if len(row) != len(names):
                 raise ValueError(f"{len(row)} values, expected {len(names)}")
@@ -113,25 +118,26 @@ def parse_toa5(
             numbered.append((number, len(samples) - 1, int(record)))
     strays = _out_of_step(numbered, [sample.t_utc for sample in samples])
     broken += [
-        f"line {line}: its time or record number fits neither neighbour's" for line, _ in strays
+        f"line {line}: its time and record number disagree with both neighbours'"
+        for line, _ in strays
     ]
-    odd = _odd_decimals([row for _, row in read], chosen)
-    broken += [f"line {read[i][0]}: {why}" for i, why in odd.items()]
-    left_out = {i for _, i in strays} | set(odd)
+    differing = _differing_decimals([row for _, row in read], chosen)
+    broken += [f"line {read[i][0]}: {why}" for i, why in differing.items()]
+    left_out = {i for _, i in strays} | set(differing)
     samples = [sample for i, sample in enumerate(samples) if i not in left_out]
     missing = sum(b - a - 1 for a, b in pairwise(records) if 1 < b - a < 1_000_000)
     station, model, serial = (*about[1:4], "", "", "")[:3]
     return Toa5(tuple(samples), station, model, serial, tuple(broken), missing)
 
 
-def _odd_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[int, str]:
-    """Row to reason: a number has other decimals than all the rest of its column but one in sixty.
+def _differing_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[int, str]:
+    """Return row to reason, for numbers with other decimals than the rest of their column.
 
-    Compared are numbers with as many digits before the point: Campbell's FP2 writes 99.99, 999.9
-    and 1023. Where numbers of several sizes have the same decimals, all are compared. A logger that
-    drops noughts has no usual ones.
+    All of the column but one number in sixty must agree. Numbers with equally many digits before
+    the point are compared: Campbell's FP2 writes 99.99, 999.9 and 1023. If numbers of several sizes
+    have the same decimals, all are compared. A logger that drops zeros has no usual decimals.
     """
-    odd: dict[int, str] = {}
+    differing: dict[int, str] = {}
     for quantity, i in chosen.items():
         parts = {
             k: row[i].lstrip("+-").partition(".")
@@ -139,25 +145,25 @@ def _odd_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[int, st
             if _NUMBER.fullmatch(row[i])
         }
         sizes: dict[int, list[int]] = {}
-        for whole, _, decimals in parts.values():
-            sizes.setdefault(len(whole), []).append(len(decimals))
+        for integer, _, decimals in parts.values():
+            sizes.setdefault(len(integer), []).append(len(decimals))
         usual = {size: constant(found) for size, found in sizes.items() if len(found) >= ENOUGH}
         everywhere = (
             next(iter(usual.values())) if len(usual) > 1 and len(set(usual.values())) == 1 else None
         )
-        for k, (whole, _, decimals) in parts.items():
-            due = usual.get(len(whole), everywhere)
+        for k, (integer, _, decimals) in parts.items():
+            due = usual.get(len(integer), everywhere)
             if due not in (None, len(decimals)):
-                odd[k] = f"{quantity} has {len(decimals)} decimals, usual are {due}"
-    return odd
+                differing[k] = f"{quantity} has {len(decimals)} decimals, usual is {due}"
+    return differing
 
 
 def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> list[tuple[int, int]]:
-    """(line, sample) of rows whose time less their record number's share differs from both
-    neighbours', which agree.
+    """Return (line, sample) of rows whose time does not fit their record number.
 
-    A table's records are written at a fixed interval: a damaged digit in a time or a number stands
-    out, and a logger whose clock was set does not, for all later rows go with it.
+    A table's records are written at a fixed interval. Time minus interval times number of a damaged
+    row differs from both neighbours, which agree. After a logger's clock was set, all later rows
+    change together: they are not listed.
     """
     if len(rows) < 4:
         return []
@@ -183,7 +189,7 @@ def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> lis
 def _columns(
     names: list[str], units: list[str], asked: Mapping[str, str] | None, source: str | Path
 ) -> dict[str, int]:
-    """Quantity to column number."""
+    """Return quantity to column index. Raises InputError for missing or ambiguous columns."""
     found: dict[str, int] = {}
     for quantity, usual in _USUAL.items():
         if asked is not None:
@@ -197,8 +203,8 @@ def _columns(
             raise InputError(
                 source,
                 f"columns {several} for {quantity}",
-                "one",
-                f"name it: --column {quantity}=NAME",
+                "one column",
+                f"choose it: --column {quantity}=NAME",
             )
         if matches:
             found[quantity] = matches[0]
@@ -212,14 +218,14 @@ def _columns(
                 source,
                 f"{names[i]} in '{units[i]}'",
                 "W/m^2",
-                f"name another: --column {quantity}=NAME",
+                f"choose another: --column {quantity}=NAME",
             )
     if not any(q.endswith("_wm2") for q in found):
         raise InputError(
             source,
             f"columns {', '.join(names)[:120]}",
-            "one of irradiance",
-            "name it: --column ghi_wm2=NAME",
+            "a column of irradiance",
+            "choose it: --column ghi_wm2=NAME",
         )
     return found
 
@@ -239,8 +245,9 @@ def _sample(
 
 
 def number_of(text: str, quantity: str) -> float | None:
-    """A logger's number; None for its NAN. Raises ValueError for what is none, or no irradiance
-    that can be.
+    """Return a logger's number, or None for its NAN.
+
+    Raises ValueError for a text that is no number, and for an irradiance outside -200 to 4000 W/m2.
     """
     if text.upper() in ("NAN", "-NAN", "INF", "-INF"):
         return None

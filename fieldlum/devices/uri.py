@@ -16,14 +16,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class DeviceUri:
+    """A parsed device URI."""
+
     text: str
     scheme: str
-    place: str = ""  # what stands between the colon and the question mark
+    place: str = ""  # the text between the colon and the question mark
     options: dict[str, str] = field(default_factory=dict)
 
     def read(self, **known: Callable[[str], Any]) -> dict[str, Any]:
-        """The options, each through its reader. Raises DeviceError naming an unknown option or a
-        bad value.
+        """Return the options, each converted by its reader.
+
+        Raises DeviceError for an unknown option or a bad value, with its name.
         """
         for name in self.options:
             if name not in known:
@@ -33,36 +36,35 @@ class DeviceUri:
                     if near
                     else f"known: {', '.join(sorted(known)) or 'none'}"
                 )
-                raise DeviceError(f"{self.text}: unknown option '{name}', {hint}")
-        found = {}
+                raise DeviceError(f"{self.text}: unknown option '{name}'; {hint}")
+        values = {}
         for name, value in self.options.items():
             try:
-                found[name] = known[name](value)
+                values[name] = known[name](value)
             except ValueError as error:
                 raise DeviceError(f"{self.text}: option {name}={value}: {error}") from None
-        return found
+        return values
 
 
 def parse_uri(text: str) -> DeviceUri:
-    """Raises DeviceError for what has no scheme, or an option without a value."""
+    """Parse a URI. Raises DeviceError without a scheme, or for an option without a value."""
     scheme, colon, rest = text.partition(":")
     if not colon or not re.fullmatch(r"[a-z][a-z0-9+]*", scheme):
         raise DeviceError(
-            f"{text}: no device URI, expected something like sim:office or "
-            f"serial:/dev/ttyUSB0?kind=spn1"
+            f"{text}: no device URI; expected one like sim:office or serial:/dev/ttyUSB0?kind=spn1"
         )
     place, _, query = rest.partition("?")
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
     except ValueError:
-        raise DeviceError(f"{text}: options '{query}', expected name=value joined by &") from None
+        raise DeviceError(f"{text}: options '{query}'; expected name=value joined by &") from None
     if len({name for name, _ in pairs}) != len(pairs):
-        raise DeviceError(f"{text}: an option is given twice")
+        raise DeviceError(f"{text}: an option occurs twice; remove one")
     return DeviceUri(text, scheme, unquote(place), dict(pairs))
 
 
 def one_of(*choices: str) -> Callable[[str], str]:
-    """A reader that takes one of `choices`."""
+    """Return a reader that accepts one of `choices`."""
 
     def reader(value: str) -> str:
         if value not in choices:
@@ -73,24 +75,24 @@ def one_of(*choices: str) -> Callable[[str], str]:
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """A reader of a number within limits."""
+    """Return a reader of a number within limits."""
 
     def reader(value: str) -> float:
-        found = float(value)
-        if not low <= found <= high:
+        parsed = float(value)
+        if not low <= parsed <= high:
             raise ValueError(f"expected a number from {low:g} to {high:g}")
-        return found
+        return parsed
 
     return reader
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """A reader of a whole number within limits."""
+    """Return a reader of an integer within limits."""
 
     def reader(value: str) -> int:
-        found = int(value)
-        if not low <= found <= high:
-            raise ValueError(f"expected a whole number from {low} to {high}")
-        return found
+        parsed = int(value)
+        if not low <= parsed <= high:
+            raise ValueError(f"expected an integer from {low} to {high}")
+        return parsed
 
     return reader

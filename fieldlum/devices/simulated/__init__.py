@@ -1,7 +1,7 @@
 """Shipped simulators: ``sim:office?seed=1`` as a camera or as a pyranometer.
 
 Camera options: seed, profile (name or path; default: the session's, else sim-dual-fisheye),
-clock_offset (s, the camera's own clock minus ours), overhead (s between frames). Pyranometer
+clock_offset (s, the camera's clock minus the computer's), overhead (s between frames). Pyranometer
 options: seed, noise (W/m2).
 """
 
@@ -22,11 +22,14 @@ _SEED = whole(0, 2**31)
 
 def _check_place(uri: DeviceUri) -> None:
     if uri.place not in ("office", ""):
-        raise DeviceError(f"{uri.text}: no simulated place '{uri.place}', there is sim:office")
+        raise DeviceError(f"{uri.text}: no simulated place '{uri.place}'; expected sim:office")
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Camera:
-    """Raises DeviceError for unknown options, InputError for a bad profile or truth."""
+    """Open a simulated camera.
+
+    Raises DeviceError for unknown options, InputError for a bad profile or truth.
+    """
     from fieldlum.devices.simulated.camera import SimulatedCamera
     from fieldlum.devices.simulated.office import open_world
     from fieldlum.profiles import load_camera_profile
@@ -52,7 +55,7 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> Pyranometer:
-    """An SPN1 on a pty, read by the real driver."""
+    """Open a simulated SPN1 on a pseudo-terminal, read by the real driver."""
     from fieldlum.devices.simulated.office import open_world
     from fieldlum.devices.simulated.spn1 import open_simulated
 

@@ -1,6 +1,4 @@
-"""A fisheye camera that photographs a `World`: everything between the room's light and a DNG or
-JPEG on the card.
-"""
+"""A fisheye camera that photographs a `World`: from the room's light to a DNG or JPEG file."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ from fieldlum.records import Exposure, Panorama
 
 
 class SimulatedCamera:
-    """Implements `Camera`. heading_deg: where it looks when nobody turns it."""
+    """Implements `Camera`. heading_deg : its view direction unless `expose` states another."""
 
     def __init__(
         self,
@@ -52,6 +50,7 @@ class SimulatedCamera:
 
     @property
     def info(self) -> CameraInfo:
+        """What the simulated camera states about itself."""
         body = self._profile.camera
         return CameraInfo(
             "sim",
@@ -63,45 +62,50 @@ class SimulatedCamera:
         )
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Takes as much of the clock's time as a camera would: overhead and shutter."""
+        """Take one frame; it takes as much of the clock's time as a camera would.
+
+        That time is the overhead plus the shutter time.
+        """
         dial_s = self._allowed(exposure)
-        asked = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)
+        set_to = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)
         opened = self._clock.now()
         heading = self._heading_deg if heading_deg is None else heading_deg
         image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
         true_s = self._true_s(dial_s)
-        # One seed a frame, whatever was taken before: a resumed capture gives the frames of an
-        # undisturbed one.
-        name = f"{opened.timestamp():.0f} {asked} {heading}".encode()
+        # One seed for each frame, independent of frames before it: a resumed capture gives the same
+        # frames as an undisturbed one.
+        name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
         rng = np.random.default_rng([self._seed, zlib.crc32(name)])
-        path = self._write(image, asked, true_s, target, opened, rng)
+        path = self._write(image, set_to, true_s, target, opened, rng)
         self._clock.sleep(self._overhead_s + true_s)
         return path
 
     def close(self) -> None:
+        """Forget the last picture."""
         self._last = None
 
     def _allowed(self, exposure: Exposure) -> float:
-        """The dial's time. Raises DeviceError for what this camera does not have."""
+        """Return the dial's time, in s. Raises DeviceError for settings that it does not have."""
         profile = self._profile
         apertures = [v.f_number for v in profile.lens[0].vignetting] or [profile.bracket.f_number]
         if exposure.f_number not in apertures:
             raise DeviceError(
-                f"simulated camera: no f/{exposure.f_number:g}, it has {_list(apertures, 'f/')}"
+                f"simulated camera: no f/{exposure.f_number:g}; expected {_list(apertures, 'f/')}"
             )
         if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
             known = ", ".join(nd.name for nd in profile.nd) or "none"
-            raise DeviceError(f"simulated camera: no filter '{exposure.nd}', it has {known}")
+            raise DeviceError(f"simulated camera: no filter '{exposure.nd}'; expected {known}")
         if not 50 <= exposure.iso <= 6400:
-            raise DeviceError(f"simulated camera: no ISO {exposure.iso:g}, it has 50 to 6400")
+            raise DeviceError(f"simulated camera: no ISO {exposure.iso:g}; expected 50 to 6400")
         return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
 
     def _true_s(self, dial_s: float) -> float:
         return true_shutter_s(dial_s, self._profile)[0]
 
     def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
-        """Camera channels before vignetting, [h, w] on the mosaic or [h, w, 3]; kept while the
-        scene is the same.
+        """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
+
+        The result is stored while the scene stays the same.
         """
         if self._last is None or self._last[0] is not panorama or self._last[1] != heading_deg:
             height, width = panorama.luminance_cdm2.shape
@@ -118,7 +122,7 @@ class SimulatedCamera:
         return [optics.look(lens, self._shape, panorama) for lens in lenses]
 
     def _shading_of(self, f_number: float) -> NDArray[np.float32]:
-        """Vignetting on the sensor, [h, w] or [h, w, 1]."""
+        """Return the vignetting on the sensor, [h, w] or [h, w, 1]."""
         out = np.ones(self._shape, np.float32)
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
         for lens in self._profile.lens:
@@ -146,9 +150,8 @@ class SimulatedCamera:
         rng: np.random.Generator,
     ) -> Path:
         body = self._profile.camera
-        t_camera = (opened + timedelta(seconds=self._clock_offset_s)).replace(
-            tzinfo=None
-        )  # cameras know no time zone
+        camera_time = opened + timedelta(seconds=self._clock_offset_s)
+        t_camera = camera_time.replace(tzinfo=None)  # cameras write no time zone
         if self._jpeg is not None:
             path = target.with_name(f"{target.name}.jpg")
             codes = self._jpeg.codes(image, exposure, true_s, rng)

@@ -1,8 +1,7 @@
-"""A built-in office for the simulators: a shoebox lit by the sky, the ground and the sun through
-its windows.
+"""A built-in office for the simulators: a box lit by sky, ground and sun through its windows.
 
-Closed form and fast, not physics to be trusted: window form factors, split-flux interreflection,
-one sun patch. `fieldlum simulate` makes the real thing with Radiance.
+Closed form and fast, not physically accurate: window form factors, split-flux interreflection, one
+sun patch. `fieldlum simulate` renders an accurate truth with Radiance.
 """
 
 from __future__ import annotations
@@ -22,21 +21,24 @@ from fieldlum.session import Session
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
 # The office of Liu, Colburn and Inanici (2020): 6 x 14 x 4.5 m, one glazed south wall.
 OFFICE = Room(window=(Window("south", left_m=0.5, width_m=5.0, sill_m=0.9, height_m=3.2, panes=3),))
-_HEIGHT = 230
-_LIGHT_STEP_S = 600
-_LM_PER_W_SUN, _LM_PER_W_SKY = 93.0, 120.0
+_HEIGHT = 230  # rows of the panorama; chosen for speed
+_LIGHT_STEP_S = 600  # between computed skies
+# Luminous efficacies of sun and sky, typical of clear skies; chosen, not computed for each sky.
+_LM_PER_W_SUN = 93.0
+_LM_PER_W_SKY = 120.0
 
 Array = NDArray[np.float64]
 
 
 def _wall_frames(room: Room) -> dict[str, tuple[Array, Array, Array]]:
-    """Per wall: lower left corner as seen from inside, unit vector to the right, inward normal
-    (room axes).
+    """Return for each wall its lower left corner, right vector and inward normal (room axes).
+
+    Left and right are as seen from inside.
     """
     w, d = room.width_m, room.depth_m
     x, y = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     return {
-        "south": (np.array([w, 0, 0]), -x, y),  # looking at it from inside, east is on the left
+        "south": (np.array([w, 0, 0]), -x, y),  # seen from inside, east is on the left
         "north": (np.array([0, d, 0]), x, -y),
         "east": (np.array([w, d, 0]), -y, -x),
         "west": (np.array([0, 0, 0]), y, x),
@@ -44,9 +46,7 @@ def _wall_frames(room: Room) -> dict[str, tuple[Array, Array, Array]]:
 
 
 class _Geometry:
-    """All that does not change with the time: where each pixel looks, and what its point sees of
-    the windows.
-    """
+    """The part that does not change with time: view of each pixel, form factors of the windows."""
 
     def __init__(self, room: Room, heading_deg: float) -> None:
         self.room = room
@@ -72,10 +72,11 @@ class _Geometry:
         self.sky_factor, self.ground_factor = self._window_factors()
 
     def through_glass(self, start: Array, rays: Array) -> Array:
-        """Transmittance of rays [n, 3] from `start` ([3] or [n, 3]) to the outside; 0 where a
-        wall is in the way.
+        """Return the transmittance of rays [n, 3] to the outside, [n]; `start` is [3] or [n, 3].
+
+        It is 0 where a wall is in the way.
         """
-        found = np.zeros(len(rays))
+        transmittance = np.zeros(len(rays))
         for window in self.room.window:
             corner, right, inward = _wall_frames(self.room)[window.wall]
             towards = rays @ -inward
@@ -93,13 +94,11 @@ class _Geometry:
             clear = (pane > window.frame_m / 2) & (
                 pane < window.width_m / max(window.panes, 1) - window.frame_m / 2
             )
-            found[inside & clear] = window.transmittance
-        return found
+            transmittance[inside & clear] = window.transmittance
+        return transmittance
 
     def _window_factors(self) -> tuple[Array, Array]:
-        """Form factors times transmittance of the window parts that show sky and ground, [n]
-        each.
-        """
+        """Return form factor times transmittance of windows to sky and ground, [n] each."""
         sky, ground = np.zeros(len(self.points)), np.zeros(len(self.points))
         for window in self.room.window:
             corner, right, inward = _wall_frames(self.room)[window.wall]
@@ -122,8 +121,9 @@ class _Geometry:
 
 
 def _turn(wall_azimuth_deg: float) -> Array:
-    """Rotation from world axes (x east, y north) to room axes, whose -y points to the wall's
-    azimuth.
+    """Return the rotation from world axes (x east, y north) to room axes, [3, 3].
+
+    The room's -y points to the azimuth of the wall.
     """
     angle = np.radians(wall_azimuth_deg - 180.0)
     return np.array(
@@ -132,7 +132,7 @@ def _turn(wall_azimuth_deg: float) -> Array:
 
 
 class Office:
-    """A `World` under a sky whose clouds come from `seed`."""
+    """A `World` under a sky whose clouds are random, by `seed`."""
 
     def __init__(self, setup: SiteFile | None = None, seed: int = 1) -> None:
         self.setup = setup or SiteFile(SEATTLE, CameraSetup(), OFFICE)
@@ -144,7 +144,7 @@ class Office:
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Ineichen's clear sky thinned by clouds, every ten minutes; linear between."""
+        """Return Ineichen's clear sky reduced by clouds, linear between steps of ten minutes."""
         part, step = math.modf(t_utc.timestamp() / _LIGHT_STEP_S)
         before, after = self._light_of(int(step)), self._light_of(int(step) + 1)
         return SimulatedLight(*(a + part * (b - a) for a, b in zip(before, after, strict=True)))
@@ -160,7 +160,7 @@ class Office:
         return SimulatedLight(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
 
     def _cloudiness(self, t_utc: datetime) -> float:
-        """0 to 1: a clear, mixed or grey day, with hours that differ a little."""
+        """Return 0 to 1: a clear, mixed or overcast day, with small differences of its hours."""
         hour = t_utc.timestamp() / 3600.0
         day = np.random.default_rng([self._seed, int(hour // 24)]).choice(
             [0.02, 0.1, 0.35, 0.6, 0.95]
@@ -171,15 +171,16 @@ class Office:
         return float(np.clip(day + np.interp(hour % 1.0, [0, 1], marks), 0.0, 1.0))
 
     def scene(self, t_utc: datetime) -> Panorama:
-        """Steady within each minute."""
+        """Return the panorama of a time; it is constant within each minute."""
         return self._scene_of(t_utc.replace(second=0, microsecond=0))
 
     def _scene(self, t_utc: datetime) -> Panorama:
         if self._geometry is None:
             self._geometry = _Geometry(self._room, self.setup.camera.heading_deg)
         g, room, light = self._geometry, self._room, self.irradiance(t_utc)
-        stands = sun.position([t_utc], self.setup.site)
-        altitude, azimuth = float(stands.apparent_altitude_deg[0]), float(stands.azimuth_deg[0])
+        position = sun.position([t_utc], self.setup.site)
+        altitude = float(position.apparent_altitude_deg[0])
+        azimuth = float(position.azimuth_deg[0])
         to_sun = projection.direction(altitude, azimuth) @ g.to_room.T
         beam_lx = light.dni_wm2 * _LM_PER_W_SUN * (altitude > 0)
         zenith = 9.0 / (7.0 * np.pi) * light.dhi_wm2 * _LM_PER_W_SKY + 1e-3  # CIE overcast sky
@@ -211,15 +212,13 @@ class Office:
         return Panorama(luminance, self.setup.camera.heading_deg, t_utc=t_utc, sun=disc)
 
     def _interreflected_lx(self, g: _Geometry, first_lx: Array) -> float:
-        """Split flux: the first flux, reflected for ever in a room of mean reflectance."""
+        """Return the interreflected illuminance in lx: first flux in a room of mean reflectance."""
         room = self._room
-        floor, walls = (
-            room.width_m * room.depth_m,
-            2 * (room.width_m + room.depth_m) * room.height_m,
-        )
+        floor = room.width_m * room.depth_m
+        walls = 2 * (room.width_m + room.depth_m) * room.height_m
         area = 2 * floor + walls
         sight = np.linalg.norm(g.points - g.eye, axis=1)
-        # A pixel stands for area = solid angle x distance^2 / cosine of its ray with the surface.
+        # The area of a pixel is solid angle x distance^2 / cosine of its ray with the surface.
         omega = np.repeat(projection.row_solid_angles(_HEIGHT, 2 * _HEIGHT), 2 * _HEIGHT)
         patch = omega * sight**2 / np.maximum(-(g.rays * g.normals).sum(axis=1), 1e-3)
         reflected = float((first_lx * g.reflectance * patch).sum())
@@ -231,8 +230,9 @@ class Office:
 
 
 def open_world(session: Session | None, seed: int) -> World:
-    """The session's truth where it has one, else the built-in office at the session's place
-    (Seattle without one).
+    """Return the session's truth, or the built-in office at the session's place.
+
+    Without a session the office is in Seattle.
     """
     if session is not None and session.truth_irradiance.is_file():
         return TruthWorld(session.truth)

@@ -1,4 +1,4 @@
-"""From a luminance panorama to what falls on each pixel of a fisheye sensor."""
+"""From a luminance panorama to the light on each pixel of a fisheye sensor."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from fieldlum.records import Panorama, SunSource
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-SUN_RADIUS_DEG = 0.2665
-_SUBSAMPLES = 3  # per sensor pixel and axis
-_SUN_SUBSAMPLES, _SUN_REACH_PX = 8, 8
-# standard deviation of the lens's blur; applied to the sun only, all else is smoother than that
+SUN_RADIUS_DEG = 0.2665  # mean angular radius of the sun at 1 au
+_SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
+_SUN_SUBSAMPLES = 8  # per pixel and axis of the disc; chosen, not measured
+_SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the blur
+# Standard deviation of the lens's blur. It is applied to the sun only, because everything else is
+# smoother. Chosen as that of a good lens; not measured.
 _PSF_PX = 0.5
 
 Array = NDArray[np.float64]
@@ -26,10 +28,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class LensSampling:
-    """One lens on the sensor: its pixels (flat indices [n]), how far off its axis they look, and at
-    what.
+    """One lens on the sensor.
 
-    weights [n, H*W]: share of each panorama pixel in each sensor pixel; rows sum to 1.
+    pixels [n] : flat indices of its pixels; relative_angle [n] : their angle from the axis over
+    half of the full angle; weights [n, H * W] : the share of each panorama pixel in each sensor
+    pixel, rows sum to 1.
     """
 
     geometry: LensGeometry
@@ -39,14 +42,13 @@ class LensSampling:
 
 
 def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensSampling:
-    """Precompute a lens's view; sensor and panorama are (height, width).
+    """Compute the sampling of a lens once; sensor and panorama are (height, width).
 
-    The panorama is taken as constant over each of its pixels; a sensor pixel averages 3 x 3
-    directions within it.
+    The panorama is constant over each of its pixels. A sensor pixel averages 3 x 3 directions.
     """
     from scipy.sparse import csr_array
 
-    (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0  # the picture ends behind the circle
+    (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0  # the picture ends outside the circle
     top, bottom = max(int(cy - reach), 0), min(int(cy + reach) + 1, sensor[0])
     left, right = max(int(cx - reach), 0), min(int(cx + reach) + 1, sensor[1])
     rows, columns = (a.ravel() for a in np.mgrid[top:bottom, left:right])
@@ -67,8 +69,9 @@ def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int])
 
 
 def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32]:
-    """Flat index of the panorama pixel that each ray meets; rays are in the panorama's own frame
-    (heading 0).
+    """Return the flat index of the panorama pixel of each ray, in the shape of the rays.
+
+    Rays are in the panorama's own frame (heading 0).
     """
     height, width = panorama
     altitude = np.degrees(np.arcsin(np.clip(rays[:, 2], -1.0, 1.0)))
@@ -81,8 +84,9 @@ def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32
 
 
 def channels(panorama: Panorama) -> NDArray[np.float32]:
-    """Red, green and blue in cd/m2 such that .265 R + .670 G + .065 B is the luminance, [H*W,
-    3]; [H*W, 1] if grey.
+    """Return R, G, B in cd/m2 with luminance .265 R + .670 G + .065 B, [H * W, 3].
+
+    [H * W, 1] for a grey panorama.
     """
     from fieldlum.images import RADIANCE_LM_PER_W
 
@@ -94,8 +98,9 @@ def channels(panorama: Panorama) -> NDArray[np.float32]:
 def on_sensor(
     panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Mean luminance [cd/m2] over each sensor pixel, [h, w, 3] or [h, w, 1] (grey), the sun's
-    disc in it.
+    """Return the mean luminance of each sensor pixel in cd/m2, [h, w, 3] or grey [h, w, 1].
+
+    It includes the sun's disc.
     """
     flat = channels(panorama)
     out = np.zeros((sensor[0] * sensor[1], flat.shape[1]), np.float32)
@@ -111,8 +116,9 @@ def on_sensor(
 def _add_sun(
     image: NDArray[np.float32], sun: SunSource, heading_deg: float, lens: LensGeometry
 ) -> None:
-    """Deposit the disc by energy: its pixels' luminance times their solid angles is its normal
-    illuminance.
+    """Add the disc to the image by its energy.
+
+    The sum of luminance times solid angle over its pixels is its normal illuminance.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -140,7 +146,7 @@ def _add_sun(
 def pixel_solid_angle_sr(
     lens: LensGeometry, x_px: NDArray[np.floating], y_px: NDArray[np.floating]
 ) -> Array:
-    """Solid angle of the sensor pixel around a point; 0 outside the circle. [sr]"""
+    """Return the solid angle of the sensor pixel around a point, in sr; 0 outside the circle."""
     distance = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     step = 1e-4
     r = np.clip(distance, step, 1.0 - step)

@@ -1,6 +1,4 @@
-"""From luminance on a sensor to the counts or codes that a camera writes, with all that is wrong
-about them.
-"""
+"""From luminance on a sensor to the counts or codes of a camera, with its noise and clipping."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions
 from fieldlum.records import Exposure
 
-# What a camera's dial says, thirds of a stop.
+# Nominal shutter times of cameras, in thirds of a stop.
 DIAL_S = tuple(
     float(t) for t in (30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3.2, 2.5, 2, 1.6, 1.3, 1)
 ) + tuple(
@@ -63,15 +61,16 @@ DIAL_S = tuple(
         16000,
     )
 )
-_GAUSSIAN_ABOVE_E = 60.0  # a Poisson of more electrons is a normal distribution to 0.1 %
-RADIANCE_Y = (0.265, 0.670, 0.065)
+# A Poisson distribution of more electrons is approximated by a normal one, for speed.
+_GAUSSIAN_ABOVE_E = 60.0
+RADIANCE_Y = (0.265, 0.670, 0.065)  # of Radiance's primaries (Ward Larson and Shakespeare 1998)
 
 
 def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
-    """Scene red, green, blue [cd/m2] to camera channels, [3, 3]: the inverse of the profile's
-    colour.
+    """Return the matrix from scene R, G, B [cd/m2] to camera channels, [3, 3].
 
-    A profile without a matrix sees grey only: each channel gets luminance / sum(y_from_rgb).
+    It is the inverse of the profile's colour. A profile without a matrix sees grey only: each
+    channel gets luminance / sum(y_from_rgb).
     """
     colour = profile.colour
     if colour.rgb_to_radiance:
@@ -80,13 +79,13 @@ def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
 
 
 def camera_channels(scene: NDArray[np.float32], profile: CameraProfile) -> NDArray[np.float32]:
-    """[h, w, 3] or grey [h, w, 1] in cd/m2 to camera channels [h, w, 3]."""
+    """Return camera channels [h, w, 3] of a scene [h, w, 3] or grey [h, w, 1], in cd/m2."""
     matrix = camera_from_scene(profile).astype(np.float32)
     return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
 
 
 def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
-    """One colour a pixel, [h, w, 3] to [h, w]."""
+    """Return one colour for each pixel, [h, w, 3] to [h, w]."""
     out = np.empty(image.shape[:2], np.float32)
     for i, letter in enumerate(cfa):
         row, column = divmod(i, 2)
@@ -95,7 +94,7 @@ def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
 
 
 def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Values of R, G1, G2, B spread over a mosaic."""
+    """Return the values of R, G1, G2, B at their pixels of a mosaic, [h, w]."""
     out = np.empty(shape, np.float32)
     for (row, column), value in zip(channel_positions(cfa), by_colour, strict=True):
         out[row::2, column::2] = value
@@ -103,7 +102,7 @@ def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> ND
 
 
 class RawSensor:
-    """A Bayer sensor as the profile describes it, for one size of picture."""
+    """A Bayer sensor by its profile, for one size of picture."""
 
     def __init__(self, profile: CameraProfile) -> None:
         sensor, body = profile.sensor, profile.camera
@@ -120,8 +119,9 @@ class RawSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint16]:
-        """Camera channels on the mosaic (vignetting in them) to raw counts with shot, read and
-        rounding noise.
+        """Return the raw counts of camera channels on the mosaic, vignetting included, [h, w].
+
+        Adds shot noise and read noise, then rounds.
         """
         sensor, k = self._profile.sensor, self._profile.scale.k
         gain = gain_e_per_dn(exposure.iso, self._profile)
@@ -142,7 +142,7 @@ class RawSensor:
 
 
 class JpegSensor:
-    """A camera that writes 8 bits through a response curve."""
+    """A camera that writes 8 bits through a response."""
 
     def __init__(self, profile: CameraProfile) -> None:
         self._profile = profile
@@ -155,7 +155,7 @@ class JpegSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint8]:
-        """Camera channels [h, w, 3] (vignetting in them) to codes."""
+        """Return the codes of camera channels [h, w, 3], vignetting included, [h, w, 3]."""
         sensor, k = self._profile.sensor, self._profile.scale.k
         per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
         full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso

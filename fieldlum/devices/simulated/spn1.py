@@ -1,4 +1,4 @@
-"""An SPN1 on a pseudo-terminal: the bytes of the real one, its noise and its slowness."""
+"""An SPN1 on a pseudo-terminal: the answers of the real instrument, its noise and its delay."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated.world import SimulatedLight, World
 from fieldlum.errors import DeviceError
 
-TIME_CONSTANT_S = 0.1  # the SPN1's: 200 ms to 95 %
+TIME_CONSTANT_S = 0.1  # the SPN1 reaches 95 % within 200 ms (User Manual)
 _STATUS = b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\r1mV radio off\rA%d\r"
 
 
 class PtyInstrument(threading.Thread):
-    """Answers on a pty what `answer(bytes)` gives for each bunch of bytes that comes; `port` is its
-    device file.
+    """A thread that answers on a pseudo-terminal; `port` is its device file.
 
-    The pty stays open until `unplug`, so that a client may come and go.
+    answer : gives the reply to each group of bytes that arrives. The pty stays open until `unplug`,
+    so that a client may close and open it.
     """
 
     def __init__(self, answer: Callable[[bytes], bytes]) -> None:
@@ -39,6 +39,7 @@ class PtyInstrument(threading.Thread):
         self.start()
 
     def run(self) -> None:
+        """Answer until `unplug`."""
         while True:
             ready = select.select([self._ours, self._wake_read], [], [])[0]
             if self._wake_read in ready:
@@ -51,6 +52,7 @@ class PtyInstrument(threading.Thread):
                 return
 
     def unplug(self) -> None:
+        """Stop answering and close the pty."""
         with suppress(OSError):
             os.write(self._wake_write, b"x")
         self.join(timeout=2.0)
@@ -60,8 +62,9 @@ class PtyInstrument(threading.Thread):
 
 
 class Spn1Voice:
-    """What the instrument says: echoes all but R, wakes with 0xAF, tells total, diffuse and
-    sunshine for S.
+    """The answers of the instrument.
+
+    It echoes all but R, wakes with 0xAF, and answers S with total, diffuse and sunshine.
     """
 
     def __init__(
@@ -71,12 +74,13 @@ class Spn1Voice:
         noise_wm2: float,
         serial: int,
     ) -> None:
-        """light: gives a time [s] that never goes back, and the irradiance then."""
+        """Take light : a function that returns a time [s] that never decreases, and irradiance."""
         self._light, self._rng, self._noise_wm2, self._serial = light, rng, noise_wm2, serial
         self._shown: np.ndarray | None = None
         self._shown_at = 0.0
 
     def __call__(self, data: bytes) -> bytes:
+        """Return the answer to some bytes of the client."""
         out = b""
         for byte in data:
             command = bytes([byte])
@@ -104,16 +108,18 @@ class Spn1Voice:
 
 
 def open_simulated(world: World, clock: Clock, seed: int, noise_wm2: float) -> Pyranometer:
-    """The real driver on a simulated instrument. Raises DeviceError where there are no ptys
-    (Windows).
+    """Open the real driver on a simulated instrument.
+
+    Raises DeviceError on a system without pseudo-terminals (Windows).
     """
     from fieldlum.devices.serial_spn1 import Spn1
 
     if not hasattr(os, "openpty"):
         raise DeviceError(
-            "sim: the simulated pyranometer needs pseudo-terminals, which this system lacks"
+            "sim: this system has no pseudo-terminals, which the simulated pyranometer needs; use "
+            "Linux or macOS"
         )
-    world.irradiance(clock.now())  # loads what it needs now, not within the driver's patience
+    world.irradiance(clock.now())  # load the truth now, not within the driver's timeout
     voice = Spn1Voice(
         lambda: (clock.boottime(), world.irradiance(clock.now())),
         np.random.default_rng([seed, 1]),

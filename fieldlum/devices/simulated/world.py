@@ -1,8 +1,8 @@
-"""What the simulated devices look at: a session's truth/ folder, or the built-in office.
+"""The scenes of the simulated devices: a session's truth/ folder, or the built-in office.
 
 truth/ (written by `fieldlum simulate`): ``<slot>.exr``, a panorama with its sun, and
-``irradiance.csv`` with the columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted; between its rows the
-light is interpolated, beyond them it is dark.
+``irradiance.csv`` with the columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted. Between its rows light
+is interpolated; before and after them it is dark.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from fieldlum.errors import DeviceError
 from fieldlum.records import Panorama
 from fieldlum.session.files.truth_csv import TruthIrradiance
 
+# A panorama of the truth serves for times up to this far away: slots are an hour apart.
 NEAREST_TRUTH = timedelta(minutes=45)
 
 
 class SimulatedLight(NamedTuple):
-    """Horizontal global and diffuse, and direct normal irradiance. [W/m2]"""
+    """Horizontal global and diffuse, and direct normal irradiance, in W/m2."""
 
     ghi_wm2: float
     dhi_wm2: float
@@ -30,9 +31,15 @@ class SimulatedLight(NamedTuple):
 
 
 class World(Protocol):
-    def scene(self, t_utc: datetime) -> Panorama: ...
+    """A simulated place: its picture and its irradiance at any time."""
 
-    def irradiance(self, t_utc: datetime) -> SimulatedLight: ...
+    def scene(self, t_utc: datetime) -> Panorama:
+        """Return the luminance panorama of a time."""
+        ...
+
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        """Return the irradiance of a time."""
+        ...
 
 
 class TruthWorld:
@@ -47,15 +54,17 @@ class TruthWorld:
         self._read = lru_cache(maxsize=2)(_read_panorama)
 
     def scene(self, t_utc: datetime) -> Panorama:
-        """The panorama nearest in time. Raises DeviceError when none is within 45 minutes."""
+        """Return the panorama nearest in time. Raises DeviceError without one within 45 minutes."""
         nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
         if nearest is None or abs(nearest - t_utc) > NEAREST_TRUTH:
             raise DeviceError(
-                f"simulated camera: no truth for {t_utc:%Y-%m-%d %H:%M} UTC, it is dark here"
+                f"simulated camera: no truth within 45 min of {t_utc:%Y-%m-%d %H:%M} UTC; simulate "
+                f"that hour"
             )
         return self._read(self._panoramas[nearest])
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        """Return the irradiance of a time, 0 before the first and after the last row."""
         now = t_utc.timestamp()
         times = self._light.t_unix_s
         if not times[0] <= now <= times[-1]:
