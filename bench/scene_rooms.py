@@ -1,13 +1,14 @@
-"""Rooms that are no boxes of ours, rendered by plain Radiance, and users who measured them badly.
+"""Rooms that are no boxes of ours, and users who measured them badly.
 
-    python bench/scene_rooms.py render OUT [NAME ...] [--height 57] [--tests 60]
+    python bench/scene_rooms.py render OUT [NAME ...] [--height 76] [--tests 150]
     python bench/scene_rooms.py judge OUT [NAME ...] [--draws 1]
 
-`render` writes OUT/NAME.npz: nine days and random test hours of a synthetic year by `rtrace -ab 2`
-with the Perez sky and the sun, and the sun patches by `rtrace -ab 0`. `judge` fits the transport
-model with no patch, with the patches of a stated box (lengths 1.5 %, edges 4 cm, camera 5 cm, north
-1 degree, each a standard deviation; clock 5 minutes), and with the exact patches, and prints the
-error on the test hours beside what `fieldlum.scene_fit.verdict` chose and expected.
+`render` writes OUT/NAME.npz: nine days and random test hours of a synthetic year, by rays of
+Radiance and the radiosity of `scene_truth.py`, with the Perez sky and the sun; the sun patches by
+shadow rays alone. `judge` fits the transport model with no patch, with the patches of a stated box
+(standard deviations: lengths 1.5 %, edges 4 cm, camera 5 cm; north 1 degree, clock 5 minutes off),
+and with the exact patches, and prints the error on the test hours beside what
+`fieldlum.scene_fit.verdict` chose and expected.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import argparse
 import os
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
@@ -24,178 +24,28 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scene_generators import GLASS, ROOMS
+from scene_truth import build_truth, cast, pictures
 
 from fieldlum import plan, simulate, sun
 from fieldlum.light import Light, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
 from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.scene.geometry import transmissivity
-from fieldlum.scene.radiance import octree, trace
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, slot_id
+from fieldlum.scene.geometry import glass_optics
+from fieldlum.scene.radiance import octree
 from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
 from fieldlum.scene_fit.fit import SceneFit, fit_scene
 from fieldlum.scene_fit.stage import judge_fit
 from fieldlum.scene_fit.sun_path import sun_earlier
-from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 Array = NDArray[Any]
 YEAR = 2027
 SITE = Site("room", 47.6, -122.3, "America/Los_Angeles")
-GLASS = 0.88
-INDIRECT = (
-    *("-ab", "2", "-ad", "96", "-as", "24", "-aa", ".3", "-ar", "16", "-lw", "2e-3"),
-    *("-dj", "0", "-dt", "0", "-dc", "1", "-lr", "3", "-w-", "-u-"),
-)
-DIRECT_SUB = 2
-
-
-# ----------------------------------------------------------------------------------------------
-# the rooms: a tape-measure box that a user would state, and what is really there
-
-
-def material(name: str, reflectance: float) -> str:
-    return f"void plastic {name} 0 0 5 {reflectance} {reflectance} {reflectance} 0 0\n"
-
-
-def quad(mat: str, corners: Sequence[Sequence[float]]) -> str:
-    quad.count += 1  # type: ignore[attr-defined]
-    numbers = " ".join(f"{v:.5f}" for corner in corners for v in corner)
-    return f"{mat} polygon q{quad.count} 0 0 {3 * len(corners)} {numbers}\n"  # type: ignore[attr-defined]
-
-
-quad.count = 0  # type: ignore[attr-defined]
-
-
-def block(mat: str, low: Sequence[float], high: Sequence[float]) -> str:
-    (x0, y0, z0), (x1, y1, z1) = low, high
-    ends = [
-        [(x0, y0, z0), (x0, y1, z0), (x0, y1, z1), (x0, y0, z1)],
-        [(x1, y0, z0), (x1, y1, z0), (x1, y1, z1), (x1, y0, z1)],
-        [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x0, y0, z1)],
-        [(x0, y1, z0), (x1, y1, z0), (x1, y1, z1), (x0, y1, z1)],
-        [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0)],
-        [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)],
-    ]
-    return "".join(quad(mat, corners) for corners in ends)
-
-
-def disc(mat: str, centre: tuple[float, float, float], radius: float) -> str:
-    angles = np.linspace(0, 2 * np.pi, 33)[:-1]
-    x, y, z = centre
-    return quad(mat, [(x + radius * np.cos(a), y + radius * np.sin(a), z) for a in angles])
-
-
-def shell(room: Room) -> str:
-    """Walls with their window's hole, reveals, floor, ceiling, glass in mid-wall."""
-    t, wide, deep, tall = room.wall_thickness_m, room.width_m, room.depth_m, room.height_m
-    w = room.window[0]
-    u0, u1 = wide - w.left_m - w.width_m, wide - w.left_m
-    z0, z1 = w.sill_m, w.sill_m + w.height_m
-    text = material("wall", room.reflectance_walls) + material("floor", room.reflectance_floor)
-    text += material("ceiling", room.reflectance_ceiling) + material("wood", 0.35)
-    text += material("frame", room.reflectance_frame) + material("ground", 0.2)
-    text += material("facade", 0.5)
-    n = transmissivity(GLASS)
-    text += f"void glass pane 0 0 3 {n:.5f} {n:.5f} {n:.5f}\n"
-    text += block("floor", (-t, -t, -0.1), (wide + t, deep + t, 0.0))
-    text += block("ceiling", (-t, -t, tall), (wide + t, deep + t, tall + 0.3))
-    text += block("wall", (-t, -t, 0.0), (0.0, deep + t, tall))
-    text += block("wall", (wide, -t, 0.0), (wide + t, deep + t, tall))
-    text += block("wall", (0.0, deep, 0.0), (wide, deep + t, tall))
-    text += block("wall", (0.0, -t, 0.0), (u0, 0.0, tall)) + block(
-        "wall", (u1, -t, 0.0), (wide, 0.0, tall)
-    )
-    text += block("wall", (u0, -t, 0.0), (u1, 0.0, z0)) + block(
-        "wall", (u0, -t, z1), (u1, 0.0, tall)
-    )
-    y = -t / 2
-    return text + quad("pane", [(u0, y, z0), (u1, y, z0), (u1, y, z1), (u0, y, z1)])
-
-
-def ground(z: float) -> str:
-    return quad("ground", [(-60, -60, z), (60, -60, z), (60, 60, z), (-60, 60, z)])
-
-
-def bars(room: Room, places: Sequence[tuple[float, float]], levels: Sequence[float]) -> str:
-    """Mullions (middle, width) and transoms of 6 cm, around the glass."""
-    t, w = room.wall_thickness_m, room.window[0]
-    u0, u1 = room.width_m - w.left_m - w.width_m, room.width_m - w.left_m
-    z0, z1 = w.sill_m, w.sill_m + w.height_m
-    near, far = -t / 2 - 0.04, -t / 2 + 0.05
-    text = "".join(block("frame", (u - b / 2, near, z0), (u + b / 2, far, z1)) for u, b in places)
-    return text + "".join(block("frame", (u0, near, z - 0.03), (u1, far, z + 0.03)) for z in levels)
-
-
-def _room(azimuth: float, window: Window, **more: Any) -> Room:
-    return replace(Room(wall_azimuth_deg=azimuth, window=(window,)), **more)
-
-
-def round_table() -> tuple[Room, str]:
-    """Round table, odd mullions, wall azimuth 203."""
-    room = _room(
-        203.0,
-        Window("south", 0.6, 3.2, 0.85, 1.9, GLASS, 1, 0.0),
-        width_m=4.6, depth_m=6.2, height_m=3.0, camera_x_m=2.4, camera_y_m=3.4, camera_z_m=1.4,
-        wall_thickness_m=0.3, reflectance_floor=0.3,
-    )  # fmt: skip
-    things = disc("wood", (1.7, 1.9, 0.74), 0.65) + disc("wood", (1.7, 1.9, 0.70), 0.65)
-    things += block("wood", (1.62, 1.82, 0.0), (1.78, 1.98, 0.7))
-    things += block("wood", (3.9, 0.6, 0.0), (4.5, 2.2, 1.1))
-    text = shell(room) + things + ground(-0.1)
-    return room, text + bars(room, [(1.35, 0.07), (2.1, 0.12), (3.5, 0.07)], [2.1])
-
-
-def canopy() -> tuple[Room, str]:
-    """Deep reveals and a canopy, wall azimuth 156."""
-    room = _room(
-        156.0,
-        Window("south", 0.9, 2.4, 0.5, 2.0, GLASS, 1, 0.0),
-        width_m=4.2, depth_m=5.4, height_m=2.9, camera_x_m=2.0, camera_y_m=2.9, camera_z_m=1.5,
-        wall_thickness_m=0.5, reflectance_floor=0.35, reflectance_walls=0.6,
-    )  # fmt: skip
-    things = block("facade", (0.2, -1.5, 2.62), (4.0, -0.5, 2.75))
-    things += block("wood", (0.4, 1.2, 0.0), (1.2, 2.6, 0.75)) + block(
-        "wood", (3.3, 3.6, 0.0), (4.2, 5.2, 1.9)
-    )
-    return room, shell(room) + things + ground(-0.1) + bars(room, [(2.1, 0.08)], [])
-
-
-def upstairs() -> tuple[Room, str]:
-    """Second floor with a neighbour across the street, wall azimuth 187."""
-    room = _room(
-        187.0,
-        Window("south", 0.5, 4.0, 0.8, 1.8, GLASS, 1, 0.0),
-        width_m=5.0, depth_m=7.0, height_m=2.8, camera_x_m=2.6, camera_y_m=2.6, camera_z_m=1.5,
-        wall_thickness_m=0.3,
-    )  # fmt: skip
-    things = block("facade", (-14.0, -22.0, -7.0), (20.0, -14.0, 3.4))
-    things += block("wood", (0.5, 1.2, 0.68), (2.0, 2.0, 0.74)) + block(
-        "wall", (3.6, 1.6, 0.0), (3.9, 1.9, 2.8)
-    )
-    return room, shell(room) + things + ground(-7.0) + bars(room, [(1.8, 0.06), (3.2, 0.06)], [1.2])
-
-
-def blind() -> tuple[Room, str]:
-    """Venetian blind half down, wall azimuth 171. The room that is looked at last."""
-    room = _room(
-        171.0,
-        Window("south", 0.4, 2.8, 0.9, 1.7, GLASS, 1, 0.0),
-        width_m=3.8, depth_m=5.0, height_m=2.8, camera_x_m=1.9, camera_y_m=2.7, camera_z_m=1.4,
-        wall_thickness_m=0.25, reflectance_floor=0.25,
-    )  # fmt: skip
-    slats = ""
-    for z in np.arange(1.8, 2.59, 0.07):
-        slats += quad(
-            "frame",
-            [(0.6, -0.05, z), (3.4, -0.05, z), (3.4, -0.01, z + 0.03), (0.6, -0.01, z + 0.03)],
-        )
-    things = block("wood", (0.3, 0.9, 0.0), (1.5, 1.7, 0.74)) + slats
-    return room, shell(room) + things + ground(-0.1) + bars(room, [(2.0, 0.06)], [])
-
-
-ROOMS = {"round-table": round_table, "canopy": canopy, "upstairs": upstairs, "blind": blind}
+PIXEL_SUB = 3  # rays of a pixel, each way
+NOISY = ("canopy", "mullions")  # rooms that a simulated camera sees
 
 
 # ----------------------------------------------------------------------------------------------
@@ -217,58 +67,41 @@ def hours_of(setup: SiteFile, tests: int) -> tuple[Light, Array]:
     return light[np.flatnonzero(usable)], test[usable]
 
 
-def sky_text(light: Light, k: int, toward: Array) -> str:
-    sky = light.sky
-    numbers = [sky.norm_cdm2[k] / 179.0, sky.ground_cdm2[k] / 179.0, *sky.shape[k], *toward]
-    text = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 "
-    text += " ".join(f"{v:.7g}" for v in numbers)
-    text += "\nskyfunc glow skyglow 0 0 4 1 1 1 0\nskyglow source sky 0 0 4 0 0 1 180\n"
-    return text + "skyglow source below 0 0 4 0 0 -1 180\n"
-
-
-def sun_text(light: Light, k: int, toward: Array) -> str:
-    radiance = light.direct_lx[k] / 179.0 / SUN_SOLID_ANGLE_SR
-    x, y, z = toward
-    text = f"void light solar 0 0 3 {radiance:.6g} {radiance:.6g} {radiance:.6g}\n"
-    return text + f"solar source sun 0 0 4 {x:.7f} {y:.7f} {z:.7f} .533\n"
-
-
 def in_room(world: Array, azimuth_deg: float) -> Array:
     a = np.radians(azimuth_deg)
     turn = np.array([(-np.cos(a), np.sin(a), 0.0), (-np.sin(a), -np.cos(a), 0.0), (0.0, 0.0, 1.0)])
     return world @ turn.T
 
 
-def render(name: str, out: Path, height: int, tests: int, workers: int) -> None:
+def without_glass(text: str) -> str:
+    """The room's surfaces alone: `scene_truth` computes the glass."""
+    lines = text.splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith(("pane ", "void glass")))
+
+
+def render(name: str, out: Path, height: int, tests: int) -> None:
+    begin = time.process_time(), sum(os.times()[2:4])
     room, text = ROOMS[name]()
     heading = room.wall_azimuth_deg
     setup = SiteFile(SITE, CameraSetup(heading_deg=heading), room)
     light, test = hours_of(setup, tests)
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
-    pixel, world = pixel_rays(height, heading, DIRECT_SUB)
-    rays = in_room(world, heading)
+    pixel, world = pixel_rays(height, heading, PIXEL_SUB)
+    order = np.argsort(pixel, kind="stable")
+    rays = in_room(world, heading)[order]
     suns = in_room(light.sun_direction, heading)
-    count = 2 * height**2
-    maps, patches = np.zeros((2, len(light), count), np.float32)
+    gap = 0.02
+    low = np.array([-gap, -room.wall_thickness_m / 2.0, -gap])
+    high = np.array([room.width_m + gap, room.depth_m + gap, room.height_m + gap])
     disc_lx = np.zeros(len(light))
-
-    def one(k: int) -> None:
-        shines = light.direct_lx[k] > 50.0 and suns[k, 2] > 0
-        sun = sun_text(light, k, suns[k]) if shines else ""
-        with octree(text, sky_text(light, k, suns[k]), sun) as lit:
-            seen = 179.0 * trace(lit, eye, rays, [*INDIRECT, "-dv-"])
-        maps[k] = np.bincount(pixel, seen, count) / DIRECT_SUB**2
-        if shines:
-            with octree(text, sun) as lit:
-                seen = 179.0 * trace(lit, eye, rays, ["-ab", "0", "-dv-"])
-                disc_lx[k] = 179.0 * SUN_SOLID_ANGLE_SR * trace(lit, eye, suns[k : k + 1])[0]
-            patches[k] = np.bincount(pixel, seen, count) / DIRECT_SUB**2
-
-    begin = time.perf_counter()
-    with ThreadPoolExecutor(workers) as pool:
-        for k, _ in enumerate(pool.map(one, range(len(light)))):
-            if k % 20 == 0:
-                print(f"{name}: {k}/{len(light)}, {time.perf_counter() - begin:.0f} s", flush=True)
+    with octree(without_glass(text)) as tree:
+        truth = build_truth(tree, eye, rays, low, high, GLASS)
+        maps, patches = pictures(truth, light, suns, rays, pixel[order], 2 * height**2)
+        shines = np.flatnonzero((light.direct_lx > 50.0) & (suns[:, 2] > 0.0))
+        free = ~cast(tree, eye, suns[shines]).any
+        disc_lx[shines] = light.direct_lx[shines] * free * glass_optics(GLASS, suns[shines, 1])[0]
+    if name in NOISY:
+        maps = photographed(maps, height, np.random.default_rng(11))
     size = (len(light), height, 2 * height)
     np.savez_compressed(
         out / f"{name}.npz",
@@ -280,6 +113,22 @@ def render(name: str, out: Path, height: int, tests: int, workers: int) -> None:
         dni=light.dni_wm2,
         dhi=light.dhi_wm2,
     )
+    spent = time.process_time() - begin[0] + sum(os.times()[2:4]) - begin[1]
+    print(
+        f"{name}: {len(light)} hours, {len(truth.cell_albedo)} cells, {spent:.0f} CPU s", flush=True
+    )
+
+
+def photographed(maps: Array, height: int, rng: np.random.Generator) -> Array:
+    """The maps by a simulated camera: noise of 1.5 % and vignetting that is 4 % wrong at 90 deg
+    from the axis, as its correction leaves.
+    """
+    azimuth = ((np.arange(2 * height) + 0.5) / (2 * height) - 0.5) * 2.0 * np.pi
+    altitude = (0.5 - (np.arange(height) + 0.5) / height) * np.pi
+    off_axis = np.arccos(np.cos(altitude)[:, None] * np.cos(azimuth))  # [H, W]
+    falloff = 1.0 - 0.04 * np.minimum(off_axis / (np.pi / 2.0), 1.0) ** 2
+    noise = 1.0 + 0.015 * rng.standard_normal(maps.shape)
+    return (maps * falloff.ravel() * noise).astype(np.float32)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -418,15 +267,14 @@ def main() -> None:
     parser.add_argument("what", choices=("render", "judge"))
     parser.add_argument("out", type=Path)
     parser.add_argument("names", nargs="*")
-    parser.add_argument("--height", type=int, default=57)
-    parser.add_argument("--tests", type=int, default=60)
+    parser.add_argument("--height", type=int, default=76)
+    parser.add_argument("--tests", type=int, default=150)
     parser.add_argument("--draws", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 4))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     for name in asked.names or ROOMS:
         if asked.what == "render":
-            render(name, asked.out, asked.height, asked.tests, asked.workers)
+            render(name, asked.out, asked.height, asked.tests)
     if asked.what == "judge":
         judge_rooms(asked.out, asked.names or list(ROOMS), asked.draws)
 
