@@ -31,7 +31,7 @@ from fieldlum import plan, simulate, sun
 from fieldlum.light import Light, light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport import fit
-from fieldlum.projection import equirect_solid_angles
+from fieldlum.projection import equirect_solid_angles, rotation
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, slot_id
 from fieldlum.scene.geometry import glass_optics
 from fieldlum.scene.radiance import octree
@@ -44,6 +44,7 @@ from fieldlum.scene_fit.sun_path import sun_earlier
 Array = NDArray[Any]
 YEAR = 2027
 SITE = Site("room", 47.6, -122.3, "America/Los_Angeles")
+LEVEL_SD_DEG = 0.3  # of a camera that a person levels
 PIXEL_SUB = 3  # rays of a pixel, each way
 NOISY = ("canopy", "mullions")  # rooms that a simulated camera sees
 
@@ -88,7 +89,11 @@ def render(name: str, out: Path, height: int, tests: int) -> None:
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     pixel, world = pixel_rays(height, heading, PIXEL_SUB)
     order = np.argsort(pixel, kind="stable")
-    rays = in_room(world, heading)[order]
+    tilt_deg, roll_deg = LEVEL_SD_DEG * np.random.default_rng(
+        list(ROOMS).index(name)
+    ).standard_normal(2)
+    level = rotation(0.0, tilt_deg, roll_deg, heading)
+    rays = in_room(world @ level.T, heading)[order]
     suns = in_room(light.sun_direction, heading)
     gap = 0.02
     low = np.array([-gap, -room.wall_thickness_m / 2.0, -gap])
@@ -112,6 +117,7 @@ def render(name: str, out: Path, height: int, tests: int) -> None:
         t_s=np.array([t.timestamp() for t in light.t_utc]),
         dni=light.dni_wm2,
         dhi=light.dhi_wm2,
+        level_deg=np.array([tilt_deg, roll_deg]),
     )
     spent = time.process_time() - begin[0] + sum(os.times()[2:4]) - begin[1]
     print(

@@ -144,6 +144,8 @@ class Room:
     camera_x_m: float = 3.0
     camera_y_m: float = 3.0
     camera_z_m: float = 1.6
+    camera_tilt_deg: float = 0.0  # kind box: the panorama's centre column points up by it
+    camera_roll_deg: float = 0.0  # kind box: the panorama's right-hand side is low by it
     wall_azimuth_deg: float = (
         180.0  # where the outward normal of the "south" wall points, clockwise from true north
     )

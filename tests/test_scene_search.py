@@ -103,6 +103,8 @@ def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
         window=(
             replace(ROOM.window[0], wall=wall, width_m=3.0, panes=2, frame_m=0.06, transom_m=2.0),
         ),
+        camera_tilt_deg=3.0,
+        camera_roll_deg=-2.0,
         obstruction=(Obstruction(1.0, 1.2, 0.0, 1.0, 0.6, 0.7), Obstruction(-3, -4, 0, 2, 1, 3)),
     )
     azimuth = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}[wall]
@@ -139,8 +141,8 @@ def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> No
     )
     start = replace(guess_of(wrong), north_deg=0.0)
     turned = replace(evidence, clock=evidence.clock + np.array([0.0, 1.0]))  # stated north: 1 off
-    # With pixels of 2.8 degrees the clock and the wall's azimuth cannot be told from north.
-    known = ("clock_min", "wall_azimuth_deg")
+    # With pixels of 2.8 degrees these cannot be told from north.
+    known = ("clock_min", "wall_azimuth_deg", "tilt_deg", "roll_deg")
     parameters = [p for p in room_parameters(start) if p.name not in known]
     albedo = turned.albedos(start, stated_albedo(wrong))
     first = float(turned.misfit(turned.patches(start, albedo)).mean())

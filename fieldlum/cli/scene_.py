@@ -23,9 +23,18 @@ def command() -> None:
 @pairs_argument
 @site_option
 @click.option("--out", type=PATH, help="Folder to write. [default: scene/ in the session's folder]")
+@click.option(
+    "--clock-sd",
+    default=5.0,
+    show_default=True,
+    type=click.FloatRange(min=0, min_open=True),
+    help="Standard uncertainty of the captures' times in minutes; 0.1 for a clock set by NTP.",
+)
 @click.option("--seed", default=0, show_default=True, help="Of the pixels drawn.")
 @json_option
-def fit(pairs: Path, site: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
+def fit(
+    pairs: Path, site: Path | None, out: Path | None, clock_sd: float, seed: int, as_json: bool
+) -> None:
     """Find north, clock, windows and furniture from captured sun patches.
 
     Starts at the `[room]` that was measured by tape and edits nothing of yours: it writes
@@ -44,7 +53,7 @@ def fit(pairs: Path, site: Path | None, out: Path | None, seed: int, as_json: bo
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
     with progress("fitting the scene") as show:
-        result = run(data, folder, seed=seed, progress=show)
+        result = run(data, folder, clock_sd_min=clock_sd, seed=seed, progress=show)
     if as_json:
         emit_json(_answer(result.scene))
     else:

@@ -33,6 +33,7 @@ from fieldlum.projection.panorama import (
     row_solid_angles,
     signed_angle_deg,
 )
+from fieldlum.projection.pose import rotation, turned
 from fieldlum.projection.resample import Equirect, Fisheye, Resampler, resampler
 
 __all__ = [
@@ -56,10 +57,12 @@ __all__ = [
     "lens_rays",
     "radius_of_angle",
     "resampler",
+    "rotation",
     "row_altitudes_deg",
     "row_solid_angles",
     "seen_by_lenses",
     "seen_shares",
     "seen_words",
     "signed_angle_deg",
+    "turned",
 ]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.projection import direction
+from fieldlum.projection import direction, rotation
 from fieldlum.records import Room
 from fieldlum.scene.geometry import BoxScene, build
 from fieldlum.scene.points import SunPoints, sun_points
@@ -82,7 +82,8 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView
     """
     scene = build(room)
     pixel, world = pixel_rays(height, heading_deg, sub)
-    rays = scene.to_room(world)
+    level = rotation(0.0, room.camera_tilt_deg, room.camera_roll_deg, heading_deg)
+    rays = scene.to_room(world @ level.T)
     eye = np.broadcast_to(np.array(scene.camera_m), rays.shape)
     hits = first_hits(scene, eye, rays)
     panes = pane_crossings(scene, eye, rays, hits.distance_m)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,17 +53,7 @@ def window_picture(
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
     along = 1 - axis
-    only = Guess(
-        guess.size_m,
-        guess.camera_m,
-        guess.wall_azimuth_deg,
-        guess.thickness_m,
-        (rect,),
-        (),
-        guess.solids,
-        guess.north_deg,
-        guess.clock_min,
-    )
+    only = replace(guess, windows=(rect,), bars=())
     ends = surfaces(guess, evidence.rays)
     suns = evidence.suns_room(guess)
     lit = lit_entries(only, ends, suns)

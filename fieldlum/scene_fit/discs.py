@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.projection import rotation
 from fieldlum.records import Site
-from fieldlum.scene_fit.sun_path import rotation, sun_earlier
+from fieldlum.scene_fit.sun_path import sun_earlier
 
 Array = NDArray[np.float64]
 

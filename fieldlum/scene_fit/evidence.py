@@ -155,7 +155,7 @@ def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) ->
     if room.kind != "box" or not room.window:
         found = f"kind '{room.kind}', {len(room.window)} windows"
         raise InputError("[room]", found, "a box with a window", "state the window in SITE.toml")
-    guess = guess_of(room)
+    guess = guess_of(room, data.heading_deg)
     rows = _sunny(data, guess)
     if len(rows) < MIN_SUNNY_HOURS:
         raise NotEnoughDataError(

@@ -6,7 +6,6 @@ the misfit stated for no patch, the stated box and the fitted scene is theirs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,9 @@ from fieldlum.scene_fit.furniture import pixel_depths, propose_solids, solid_par
 from fieldlum.scene_fit.guess import Guess, guess_of, room_of
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
+    CLOCK_SD_MIN,
     PRIOR_SHARE,
+    SUN_DEG_PER_MIN,
     Objective,
     Parameter,
     bar_parameters,
@@ -31,6 +32,7 @@ from fieldlum.scene_fit.search import (
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
+    from fieldlum.scene_fit.pose_prior import PosePrior
 
 Array = NDArray[np.floating]
 
@@ -81,17 +83,27 @@ class SceneFit:
 
 
 def fit_scene(
-    data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0, progress: Progress = quiet
+    data: Dataset,
+    room: Room,
+    *,
+    pose: PosePrior | None = None,
+    clock_sd_min: float = CLOCK_SD_MIN,
+    pixels: int = PIXELS,
+    seed: int = 0,
+    progress: Progress = quiet,
 ) -> SceneFit:
     """Find the scene that explains the sun patches of the captures, starting at the stated box.
 
+    pose: what the sun's discs determined before. clock_sd_min: standard uncertainty of the stated
+    times; with `pose` it is already in it.
     Raises InputError for a room without a window, NotEnoughDataError with too few sunny captures.
     """
     progress(0, 100, "light below the patches")
     evidence = gather(data, room, pixels=pixels, seed=seed)
     number = np.arange(len(evidence))
     kept_out = number % KEPT_OUT_EVERY == KEPT_OUT_EVERY - 1
-    search = _Search(data, evidence, np.flatnonzero(~kept_out), np.flatnonzero(kept_out), room)
+    prior = _Stated(room, pose, clock_sd_min)
+    search = _Search(data, evidence, np.flatnonzero(~kept_out), np.flatnonzero(kept_out), prior)
     guess = search.start
     progress(5, 100, "north, clock and box")
     guess = search.box(guess)
@@ -142,6 +154,32 @@ def _with_albedo(room: Room, albedo: Array) -> Room:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Stated:
+    """What is known before the search."""
+
+    room: Room
+    pose: PosePrior | None
+    clock_sd_min: float
+
+    @property
+    def start_clocks_min(self) -> tuple[float, ...]:
+        """Clocks to start from: several where the clock is not known to a minute."""
+        clock, sd = 0.0, self.clock_sd_min
+        if self.pose is not None:
+            clock, sd = float(self.pose.values[3]), self.pose.u_clock_min
+        return START_CLOCKS_MIN if sd > 1.0 else (clock,)
+
+    def at_clock(self, guess: Guess, clock_min: float) -> Guess:
+        """The guess at another clock, with the pose that belongs to it."""
+        if self.pose is not None:
+            return self.pose.at_clock(guess, clock_min)
+        moved = clock_min - guess.clock_min
+        return replace(
+            guess, clock_min=clock_min, north_deg=guess.north_deg - SUN_DEG_PER_MIN * moved
+        )
+
+
 class _Search:
     """State of one fit: evidence, which hours count, and the light below the patches."""
 
@@ -151,30 +189,31 @@ class _Search:
         evidence: SceneEvidence,
         fit_hours: NDArray[np.intp],
         kept_out: NDArray[np.intp],
-        room: Room,
+        stated: _Stated,
     ) -> None:
-        self.data, self.evidence = data, evidence
+        self.data, self.evidence, self.stated = data, evidence, stated
         self.fit_hours, self.kept_out = fit_hours, kept_out
-        self.start = guess_of(room)
-        self.parameters = room_parameters(self.start)
-        self.albedo = evidence.albedos(self.start, stated_albedo(room))
+        self.start = guess_of(stated.room, data.heading_deg)
+        self.parameters = room_parameters(self.start, clock_sd_min=stated.clock_sd_min)
+        self.albedo = evidence.albedos(self.start, stated_albedo(stated.room))
         patch = evidence.patches(self.start, self.albedo)
         self.prior_unit = PRIOR_SHARE * float(evidence.misfit(patch).mean())
 
     def objective(self, evidence: SceneEvidence) -> Objective:
-        return Objective(evidence, self.start, self.parameters, self.albedo, self.prior_unit)
+        return Objective(
+            evidence, self.start, self.parameters, self.albedo, self.prior_unit, self.stated.pose
+        )
 
     @property
     def fit_evidence(self) -> SceneEvidence:
         return self.evidence.hours(self.fit_hours)
 
-    def box(self, guess: Guess, clocks: Sequence[float] = START_CLOCKS_MIN) -> Guess:
+    def box(self, guess: Guess) -> Guess:
         """North, clock, sizes, camera and window edges, from several clocks."""
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
         tries = []
-        for clock in clocks:
-            moved = clock - guess.clock_min
-            start = replace(guess, clock_min=clock, north_deg=guess.north_deg - 0.25 * moved)
+        for clock in self.stated.start_clocks_min:
+            start = self.stated.at_clock(guess, clock)
             tries.append(pattern_search(coarse, start, self.parameters, fine=4.0))
         guess = min(tries, key=lambda pair: pair[1])[0]
         for _ in range(2):
@@ -295,7 +334,8 @@ class _Search:
             for p in self.parameters:
                 start = p.change(start, float(rng.normal(0.0, p.first_step)))
                 stated = p.change(stated, float(rng.normal(0.0, p.sd)))
-            objective = replace(self.objective(thin.hours(hours)), start=stated)
+            pose = self.stated.pose and self.stated.pose.drawn(rng)
+            objective = replace(self.objective(thin.hours(hours)), start=stated, pose=pose)
             again, _ = pattern_search(objective, start, self.parameters, fine=2.0)
             found.append([p.read(again) for p in self.parameters])
         spread = np.std(found, axis=0, ddof=1)

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.projection import rotation
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import WALLS, build
 
@@ -55,7 +56,8 @@ class Solid:
 @dataclass(frozen=True, slots=True)
 class Guess:
     """One possible scene. north_deg: room and camera stand so much further clockwise than stated.
-    clock_min: the stated times are so much later than the true ones.
+    clock_min: the stated times are so much later than the true ones. tilt_deg, roll_deg: the
+    picture's centre, at the stated azimuth axis_deg, points up, and its right-hand side is low.
     """
 
     size_m: tuple[float, float, float]
@@ -67,6 +69,9 @@ class Guess:
     solids: tuple[Solid, ...] = ()
     north_deg: float = 0.0
     clock_min: float = 0.0
+    tilt_deg: float = 0.0
+    roll_deg: float = 0.0
+    axis_deg: float = 180.0
 
     @property
     def turn(self) -> Array:
@@ -76,9 +81,16 @@ class Guess:
         y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)
         return np.array([x, y, (0.0, 0.0, 1.0)])
 
+    @property
+    def camera_turn(self) -> Array:
+        """Rotation from the picture's stated world axes to room axes, [3, 3]."""
+        return self.turn @ rotation(0.0, self.tilt_deg, self.roll_deg, self.axis_deg)
 
-def guess_of(room: Room) -> Guess:
+
+def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
     """Return the guess that a stated box room is, without its bars' false precision.
+
+    axis_deg: the stated azimuth of the picture's centre.
 
     Frames and bars of the room become bars. Raises InputError for a room that cannot be.
     """
@@ -105,6 +117,9 @@ def guess_of(room: Room) -> Guess:
         tuple(windows),
         tuple(bars),
         solids,
+        tilt_deg=room.camera_tilt_deg,
+        roll_deg=room.camera_roll_deg,
+        axis_deg=axis_deg,
     )
 
 
@@ -145,6 +160,8 @@ def room_of(guess: Guess, stated: Room) -> Room:
         camera_x_m=guess.camera_m[0],
         camera_y_m=guess.camera_m[1],
         camera_z_m=guess.camera_m[2],
+        camera_tilt_deg=guess.tilt_deg,
+        camera_roll_deg=guess.roll_deg,
         wall_thickness_m=guess.thickness_m,
         window=windows,
         obstruction=bars + solids,

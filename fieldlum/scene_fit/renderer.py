@@ -41,7 +41,7 @@ class Surfaces:
 
 def surfaces(guess: Guess, rays_world: Float32) -> Surfaces:
     """Return where rays [r, 3] from the camera end, world axes as stated."""
-    rays = (rays_world @ guess.turn.T.astype(np.float32)).astype(np.float32)  # [r, 3]
+    rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).astype(np.float32)  # [r, 3]
     eye = np.array(guess.camera_m, np.float32)
     bounds = np.where(rays > 0.0, np.array(guess.size_m, np.float32), np.float32(0.0))
     with np.errstate(divide="ignore", invalid="ignore"):

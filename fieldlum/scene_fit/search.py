@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +16,19 @@ from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Bar, Guess
 
+if TYPE_CHECKING:
+    from fieldlum.scene_fit.pose_prior import PosePrior
+
 Array = NDArray[np.floating]
 
 Change = Callable[[Guess, float], Guess]
 
 # Standard deviations of what a person states with a tape measure and a compass (docs/scene.md).
-NORTH_SD_DEG, CLOCK_SD_MIN = 2.0, 5.0
+NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.5
 LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
 PRIOR_SHARE = 0.0005  # of the stated misfit: what one standard deviation of one number must pay
 MIN_GAIN_SHARE = 1e-5
+POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
 SUN_DEG_PER_MIN = 0.25  # of azimuth: a late clock and a turned north look alike
 MAX_MOVES = 6
 
@@ -44,8 +49,10 @@ def _tuple_at(values: tuple[float, ...], index: int, by: float) -> tuple[float, 
     return (*values[:index], values[index] + by, *values[index + 1 :])
 
 
-def room_parameters(guess: Guess, *, with_wall: bool = True) -> list[Parameter]:
-    """North, clock, sizes, camera, wall thickness and the edges of each window.
+def room_parameters(
+    guess: Guess, *, with_wall: bool = True, clock_sd_min: float = CLOCK_SD_MIN
+) -> list[Parameter]:
+    """North, clock, level, sizes, camera, wall thickness and the edges of each window.
 
     The camera's height is the one known length: it sets the scale.
     """
@@ -72,8 +79,10 @@ def room_parameters(guess: Guess, *, with_wall: bool = True) -> list[Parameter]:
             lambda g, by: replace(g, clock_min=float(np.clip(g.clock_min + by, -19.0, 19.0))),
             2.0,
             0.12,
-            CLOCK_SD_MIN,
+            clock_sd_min,
         ),
+        _level("tilt_deg"),
+        _level("roll_deg"),
     ]
     if with_wall:
         parameters.append(
@@ -107,6 +116,13 @@ def room_parameters(guess: Guess, *, with_wall: bool = True) -> list[Parameter]:
     for number in range(len(guess.windows)):
         parameters += _window_parameters(number)
     return parameters
+
+
+def _level(name: str) -> Parameter:
+    def change(g: Guess, by: float) -> Guess:
+        return replace(g, **{name: getattr(g, name) + by})
+
+    return Parameter(name, lambda g: getattr(g, name), change, 0.25, 0.03, LEVEL_SD_DEG)
 
 
 def _reader(read: Callable[[Guess, int], float], index: int) -> Callable[[Guess], float]:
@@ -178,13 +194,17 @@ def _deepened_bar(bar: Bar, by: float) -> Bar:
 
 @dataclass(slots=True)
 class Objective:
-    """Misfit plus prior of a guess, at some evidence; counts its evaluations."""
+    """Misfit plus prior of a guess, at some evidence; counts its evaluations.
+
+    pose: replaces the priors of `POSE_NAMES`.
+    """
 
     evidence: SceneEvidence
     start: Guess
     parameters: Sequence[Parameter]
     albedo: Array
     prior_unit: float
+    pose: PosePrior | None = None
     count: int = field(default=0)
 
     def __call__(self, guess: Guess) -> float:
@@ -199,8 +219,14 @@ class Objective:
 
     def prior(self, guess: Guess) -> float:
         """What departing from the stated numbers costs."""
-        z = [(p.read(guess) - p.read(self.start)) / p.sd for p in self.parameters]
-        return self.prior_unit * float(np.sum(np.square(z)))
+        by_disc = POSE_NAMES if self.pose is not None else ()
+        z = [
+            (p.read(guess) - p.read(self.start)) / p.sd
+            for p in self.parameters
+            if p.name not in by_disc
+        ]
+        pose = 0.0 if self.pose is None else self.pose.cost(guess)
+        return self.prior_unit * (float(np.sum(np.square(z))) + pose)
 
 
 def stated_albedo(room: Room) -> Array:
@@ -228,7 +254,7 @@ def pattern_search(
     best, cost = guess, objective(guess)
     step = {p.name: coarse * p.first_step for p in parameters}
     moves = [(p.name, p.change, p.last_step) for p in parameters]
-    for name, change, first, last in compound_moves(guess, parameters):
+    for name, change, first, last in compound_moves(guess, parameters, objective.pose):
         moves.append((name, change, last))
         step[name] = coarse * first
     active = True
@@ -254,7 +280,7 @@ def pattern_search(
 
 
 def compound_moves(
-    guess: Guess, parameters: Sequence[Parameter]
+    guess: Guess, parameters: Sequence[Parameter], pose: PosePrior | None = None
 ) -> list[tuple[str, Change, float, float]]:
     """Moves of several numbers at once, along which the misfit hardly changes: name, change, first
     and last step.
@@ -275,6 +301,8 @@ def compound_moves(
     moves: list[tuple[str, Change, float, float]] = []
     if {"north_deg", "clock_min"} <= by_name.keys():
         moves.append(("valley", _along_valley, 2.0, 0.12))
+    if pose is not None and set(POSE_NAMES) <= by_name.keys():
+        moves.append(("discs", _along_discs(pose), 2.0, 0.12))
     if {"north_deg", "wall_azimuth_deg"} <= by_name.keys():
         change = together(("north_deg", -1.0), ("wall_azimuth_deg", 1.0))
         moves.append(("wall and north", change, 0.5, 0.03))
@@ -296,6 +324,22 @@ def compound_moves(
             moves.append((f"shell {number}", together(*slide, *free), 0.04, 0.004))
             moves.append((f"camera {number}", together(*slide, free[0]), 0.04, 0.004))
     return moves
+
+
+def _along_discs(pose: PosePrior) -> Change:
+    """A later clock with the pose that keeps the sun's discs where they are."""
+    slopes = pose.covariance[:3, 3] / pose.covariance[3, 3]
+
+    def change(guess: Guess, by_min: float) -> Guess:
+        clock = float(np.clip(guess.clock_min + by_min, -19.0, 19.0))
+        moved = clock - guess.clock_min
+        fields = {
+            name: getattr(guess, name) + float(slope) * moved
+            for name, slope in zip(POSE_NAMES[:3], slopes, strict=True)
+        }
+        return replace(guess, clock_min=clock, **fields)
+
+    return change
 
 
 def _along_valley(guess: Guess, by_min: float) -> Guess:

@@ -13,8 +13,11 @@ from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import Misfits, SceneFit, fit_scene
+from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
+from fieldlum.scene_fit.search import CLOCK_SD_MIN
 from fieldlum.scene_fit.verdict import GeometryCandidate, SceneVerdict, judge
+from fieldlum.session import Session
 
 if TYPE_CHECKING:
     from fieldlum.models import Patch
@@ -30,9 +33,18 @@ class SceneResult:
     files: tuple[Path, ...]
 
 
-def run(data: Dataset, out: Path, *, seed: int = 0, progress: Progress = quiet) -> SceneResult:
+def run(
+    data: Dataset,
+    out: Path,
+    *,
+    clock_sd_min: float = CLOCK_SD_MIN,
+    seed: int = 0,
+    progress: Progress = quiet,
+) -> SceneResult:
     """Fit the scene of captures and write scene.toml, overlay.png, windows.png and plan.png.
 
+    The centres of the sun's disc that merge measured next to the captures are used where there are
+    at least three. clock_sd_min: standard uncertainty of the captures' times.
     Raises InputError without a `[room]` of kind box with a window, NotEnoughDataError with too few
     sunny captures; nothing is written then.
     """
@@ -44,8 +56,19 @@ def run(data: Dataset, out: Path, *, seed: int = 0, progress: Progress = quiet) 
             "a box with a window, measured by tape",
             "add [room] to SITE.toml, or train with --scene none",
         )
-    fit = fit_scene(data, room, seed=seed, progress=progress)
+    discs = read_discs(Session(Path(data.source).parent))
+    pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
+    fit = fit_scene(
+        data,
+        room,
+        pose=pose and prior_of(pose),
+        clock_sd_min=clock_sd_min,
+        seed=seed,
+        progress=progress,
+    )
     scene = judged_scene(data, fit, seed=seed, progress=progress)
+    if pose is not None:
+        scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
     files = [write_scene(out, scene)]
     from fieldlum.scene_fit.pictures import draw
 

@@ -1,0 +1,137 @@
+"""What the sun's discs in the merged panoramas say about the camera's pose and clock before any
+patch is looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.records import Site, parse_utc
+from fieldlum.scene_fit.discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
+from fieldlum.scene_fit.search import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
+from fieldlum.session import Session
+
+if TYPE_CHECKING:
+    from fieldlum.scene_fit.guess import Guess
+
+Array = NDArray[np.float64]
+
+# Allowance for the lens model and the mount, which the sidecar's sigma_deg leaves out
+# (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.
+LEAST_U_DEG = 0.02
+_LENS_SCALE_SD = 0.01
+_FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")  # of `discs.NAMES`, as `POSE_NAMES`
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredDiscs:
+    """Centres of the sun's disc in merged panoramas, n each; see `discs.fit_pose`."""
+
+    altitude_deg: Array
+    azimuth_deg: Array
+    sigma_deg: Array
+    t_utc: tuple[datetime, ...]
+
+    def __len__(self) -> int:
+        return len(self.t_utc)
+
+
+@dataclass(frozen=True, slots=True)
+class PosePrior:
+    """A normal distribution of `search.POSE_NAMES`: values [4], covariance [4, 4]."""
+
+    values: Array
+    covariance: Array
+
+    def cost(self, guess: Guess) -> float:
+        """Squared distance of the guess's pose in standard deviations."""
+        off = np.array([getattr(guess, name) for name in POSE_NAMES]) - self.values
+        return float(off @ np.linalg.solve(self.covariance, off))
+
+    def at_clock(self, guess: Guess, clock_min: float) -> Guess:
+        """Return the guess with the pose that is likeliest at a clock."""
+        slopes = self.covariance[:3, 3] / self.covariance[3, 3]
+        pose = self.values[:3] + slopes * (clock_min - self.values[3])
+        fields = dict(zip(POSE_NAMES, (*map(float, pose), float(clock_min)), strict=True))
+        return replace(guess, **fields)
+
+    def drawn(self, rng: np.random.Generator) -> PosePrior:
+        """Return the prior with values drawn from itself."""
+        values = rng.multivariate_normal(self.values, self.covariance, method="cholesky")
+        return replace(self, values=values)
+
+    @property
+    def u_clock_min(self) -> float:
+        return float(np.sqrt(self.covariance[3, 3]))
+
+
+def read_discs(session: Session) -> MeasuredDiscs:
+    """Return the discs that the sidecars of a session's panoramas hold; none without a session."""
+    rows: list[tuple[float, float, float, datetime]] = []
+    for path in session.sidecar_files():
+        row = _measured(path)
+        if row is not None:
+            rows.append(row)
+    numbers = np.array([row[:3] for row in rows], float).reshape(-1, 3)
+    return MeasuredDiscs(*numbers.T, tuple(row[3] for row in rows))
+
+
+def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
+    from fieldlum.session.files.sidecar import Sidecar
+
+    sidecar = Sidecar.read(path)
+    measured: dict[str, Any] = (sidecar.sun or {}).get("measured") or {}
+    when = parse_utc(measured["t_utc"]) if measured.get("t_utc") else sidecar.t_utc
+    if not measured or when is None:
+        return None
+    return (
+        float(measured["altitude_deg"]),
+        float(measured["azimuth_deg"]),
+        max(float(measured["sigma_deg"]), LEAST_U_DEG),
+        when,
+    )
+
+
+def pose_of(
+    discs: MeasuredDiscs, site: Site, heading_deg: float, clock_sd_min: float
+) -> PoseFit | None:
+    """Return the pose that three or more discs determine, else None.
+
+    The priors are those of the search, so that discs and patches together decide what discs alone
+    leave open.
+    """
+    if len(discs) < LEAST_DISCS:
+        return None
+    prior = (NORTH_SD_DEG, LEVEL_SD_DEG, LEVEL_SD_DEG, clock_sd_min, _LENS_SCALE_SD)
+    return fit_pose(
+        discs.altitude_deg,
+        discs.azimuth_deg,
+        discs.sigma_deg,
+        discs.t_utc,
+        site,
+        heading_deg,
+        prior,
+    )
+
+
+def prior_of(pose: PoseFit) -> PosePrior:
+    """Return the pose as a prior of the search."""
+    rows = [NAMES.index(name) for name in _FITTED]
+    covariance = pose.covariance[np.ix_(rows, rows)] + np.diag([LEAST_U_DEG**2] * 3 + [0.0])
+    return PosePrior(pose.values[rows], covariance)
+
+
+def pose_note(pose: PoseFit, discs: int) -> str:
+    """Return what the discs found, in one line."""
+    found = ", ".join(
+        f"{name.rpartition('_')[0]} {pose[name]:+.2f} +- {pose.u[name]:.2f}" for name in _FITTED
+    )
+    left_out = f"; {len(pose.dropped)} left out as gross errors" if pose.dropped else ""
+    open_ = f"; not determined by discs alone: {', '.join(pose.open)}" if pose.open else ""
+    return f"{discs} sun discs (rms {pose.rms_deg:.2f} degrees): {found}{left_out}{open_}"

@@ -1,0 +1,126 @@
+"""Sun discs of merged panoramas as a prior of the scene: sidecars in, north and level out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldlum import sun
+from fieldlum.devices.clock import FastClock
+from fieldlum.devices.simulated.camera import SimulatedCamera
+from fieldlum.devices.simulated.world import SimulatedLight
+from fieldlum.merge import Shot, merge_frames
+from fieldlum.profiles import bracket_exposures, load_camera_profile
+from fieldlum.records import Panorama, Room, Site, SunSource, Window, utc_text
+from fieldlum.scene_fit.guess import guess_of
+from fieldlum.scene_fit.pose_prior import (
+    MeasuredDiscs,
+    PosePrior,
+    pose_note,
+    pose_of,
+    prior_of,
+    read_discs,
+)
+from fieldlum.session import Session
+from fieldlum.session.files.sidecar import Sidecar
+
+SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
+TIMES = [datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.3 * k) for k in range(5)]
+NORTH_DEG = 1.3
+
+
+def _write_sidecar(session: Session, slot: str, when: datetime, place: tuple[float, ...]) -> None:
+    session.panoramas.mkdir(exist_ok=True)
+    measured = dict(zip(("altitude_deg", "azimuth_deg", "sigma_deg"), place, strict=True))
+    table = {"measured": measured | {"t_utc": utc_text(when)}}
+    Sidecar(slot, when, sun=table).write(session.sidecar(slot))
+
+
+def _slot(when: datetime) -> str:
+    return f"{when:%Y%m%dT%H%M%SZ}"
+
+
+@pytest.mark.analytic
+def test_sidecars_give_the_pose(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    assert len(read_discs(session)) == 0
+    shown = sun.position(TIMES, SEATTLE)
+    for k, when in enumerate(TIMES):
+        place = (shown.apparent_altitude_deg[k], shown.azimuth_deg[k] - NORTH_DEG, 0.03)
+        _write_sidecar(session, _slot(when), when, tuple(map(float, place)))
+    Sidecar("20270320T150000Z").write(session.sidecar("20270320T150000Z"))  # shows no disc
+    discs = read_discs(session)
+    assert len(discs) == len(TIMES)
+    pose = pose_of(discs, SEATTLE, 180.0, 0.1)
+    assert pose is not None and pose["heading_deg"] == pytest.approx(NORTH_DEG, abs=0.01)
+    assert pose.u["heading_deg"] < 0.05 and "5 sun discs" in pose_note(pose, len(discs))
+    two = MeasuredDiscs(*(np.ones((3, 2))), tuple(TIMES[:2]))
+    assert pose_of(two, SEATTLE, 180.0, 0.1) is None
+
+
+@pytest.mark.property
+def test_an_open_clock_leaves_a_valley_and_no_wrong_north() -> None:
+    shown = sun.position(TIMES, SEATTLE)
+    discs = MeasuredDiscs(
+        shown.apparent_altitude_deg, shown.azimuth_deg - NORTH_DEG, np.full(5, 0.03), tuple(TIMES)
+    )
+    pose = pose_of(discs, SEATTLE, 180.0, 5.0)
+    assert pose is not None
+    prior = prior_of(pose)
+    start = replace(guess_of(Room(window=(Window("south", 1.0, 2.0, 0.8, 1.8),))), north_deg=NORTH_DEG)
+    # A late clock with the pose that follows it costs little: less than the clock's own prior.
+    late = prior.at_clock(start, 3.0)
+    assert late.clock_min == 3.0 and abs(late.north_deg - NORTH_DEG) > 0.2
+    assert prior.cost(late) < 1.5
+    assert prior.cost(replace(start, clock_min=3.0)) > 50.0
+    assert isinstance(prior.drawn(np.random.default_rng(0)), PosePrior)
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_simulated_frames_give_north_to_a_twentieth_of_a_degree(tmp_path: Path) -> None:
+    """authority: the simulated camera, whose stated heading is 1.3 degrees off."""
+    profile = load_camera_profile("sim-fisheye")
+    session = Session(tmp_path)
+    room = np.full((184, 368), 200.0, np.float32)
+    rgb = np.repeat(room[..., None] / 179.0, 3, axis=2).astype(np.float32)
+    shown = sun.position(TIMES, SEATTLE)
+    for k, when in enumerate(TIMES):
+        altitude = float(shown.apparent_altitude_deg[k])
+        azimuth = float(shown.azimuth_deg[k])
+        disc = SunSource(altitude, azimuth - NORTH_DEG, 60_000.0)
+        panorama = Panorama(room, 180.0, sun=disc, rgb=rgb)
+        camera = SimulatedCamera(_World(panorama), profile, FastClock(when), heading_deg=180.0)
+        folder = tmp_path / f"frames{k}"
+        folder.mkdir()
+        shots = [
+            Shot(camera.expose(e, folder / f"{i:02d}"), e, None)
+            for i, e in enumerate(bracket_exposures(profile.bracket))
+        ]
+        merged = merge_frames(
+            [s.path for s in shots], profile, height=92, shots=shots, sun_deg=(altitude, azimuth)
+        )
+        assert merged.sun is not None
+        place = (merged.sun.altitude_deg, merged.sun.azimuth_deg, merged.sun.sigma_deg)
+        _write_sidecar(session, _slot(when), when, place)
+    pose = pose_of(read_discs(session), SEATTLE, 180.0, 0.1)
+    assert pose is not None and not pose.dropped
+    assert pose["heading_deg"] == pytest.approx(NORTH_DEG, abs=0.05)
+    assert abs(pose["tilt_deg"]) < 0.05 and abs(pose["roll_deg"]) < 0.1
+
+
+class _World:
+    """A still room: what a simulated camera photographs."""
+
+    def __init__(self, panorama: Panorama) -> None:
+        self.panorama = panorama
+
+    def scene(self, t_utc: datetime) -> Panorama:
+        return self.panorama
+
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        return SimulatedLight(0.0, 0.0, 0.0)
