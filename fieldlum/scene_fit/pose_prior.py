@@ -79,7 +79,8 @@ def read_discs(session: Session) -> MeasuredDiscs:
         if row is not None:
             rows.append(row)
     numbers = np.array([row[:3] for row in rows], float).reshape(-1, 3)
-    return MeasuredDiscs(*numbers.T, tuple(row[3] for row in rows))
+    altitude, azimuth, sigma = numbers.T
+    return MeasuredDiscs(altitude, azimuth, sigma, tuple(row[3] for row in rows))
 
 
 def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
