@@ -72,7 +72,9 @@ def test_an_open_clock_leaves_a_valley_and_no_wrong_north() -> None:
     pose = pose_of(discs, SEATTLE, 180.0, 5.0)
     assert pose is not None
     prior = prior_of(pose)
-    start = replace(guess_of(Room(window=(Window("south", 1.0, 2.0, 0.8, 1.8),))), north_deg=NORTH_DEG)
+    start = replace(
+        guess_of(Room(window=(Window("south", 1.0, 2.0, 0.8, 1.8),))), north_deg=NORTH_DEG
+    )
     # A late clock with the pose that follows it costs little: less than the clock's own prior.
     late = prior.at_clock(start, 3.0)
     assert late.clock_min == 3.0 and abs(late.north_deg - NORTH_DEG) > 0.2
