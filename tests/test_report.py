@@ -14,12 +14,15 @@ import pytest
 from click.testing import CliRunner
 from learning_room import SETUP, dataset, write_pairs
 
-from fieldlum import models, predict, report
+from fieldlum import models, predict, report, train
 from fieldlum.cli import main
 from fieldlum.records import Exposure, Slot
 from fieldlum.report import annual as annual_page
+from fieldlum.report import evidence
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
 from fieldlum.session import Session, create_session
+from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.scores_json import ScoresFile
 
 pytestmark = pytest.mark.contract
 
@@ -59,9 +62,8 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
     made = create_session(root, SETUP, slots, {"set": "test"})
     write_pairs(root, data)
     folder = made.models / "transport"
-    models.save(folder, models.fit("transport", data), data, patch="absolute", seed=0)
     # This room has no [room]: the year is predicted without known patches.
-    models.save(folder, models.fit("transport", data, patch="none"), data, patch="none", seed=0)
+    train.run(data, "transport", patch="none", out=folder, captures=False)
     predict.run(folder, _weather(root / "w.csv"))
     return made
 
@@ -95,6 +97,28 @@ def test_every_picture_has_words(page: Path) -> None:
 def test_the_first_screen_answers_in_words(page: Path) -> None:
     answer = re.search(r'<p class="answer">(.*?)</p>', page.read_text("utf-8"))
     assert answer and answer[1].startswith("Sit facing ")
+
+
+@pytest.mark.slow
+def test_the_evidence_has_the_figures_and_maps_of_training(session: Session, page: Path) -> None:
+    folder = session.models / "transport"
+    scores, held = ScoresFile.read(folder), HeldOutMaps.find(folder)
+    row = scores.judged_row
+    assert row is not None and held is not None and len(held) == row["n_test"]
+    assert held.log10_mse.mean() == pytest.approx(row["log10_mse_weighted"])
+    assert ((held.dgp_predicted - held.dgp_measured) ** 2).mean() == pytest.approx(row["dgp_mse"])
+    text = page.read_text("utf-8")
+    assert f"Checked on {row['n_test']} held-out maps" in text
+    assert f"a factor of {10 ** row['median'] ** 0.5:.2f} (rms over the map)" in text
+
+
+def test_a_model_without_held_out_maps_shows_its_scores(tmp_path: Path) -> None:
+    """As models of 0.1.0 and trials that were too short."""
+    row = {"name": "mean", "median": 0.04, "worst": 0.09, "n_test": 1}
+    text = evidence.section(None, ScoresFile((row,), "mean")).text
+    assert "1 held-out map," in text and "1.58" in text and "train it again" in text
+    short = evidence.section(None, ScoresFile(({"name": "mean", "median": None},), "mean"))
+    assert "not checked" in short.text and HeldOutMaps.find(tmp_path) is None
 
 
 @pytest.mark.slow

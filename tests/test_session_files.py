@@ -141,4 +141,4 @@ def test_model_config_is_strict_about_what_it_knows(tmp_path: Path) -> None:
 def test_scores_come_back_equal(tmp_path: Path) -> None:
     scores = ScoresFile(({"name": "mean"},), "mean", "only one", 5, 0.1, {}, ("note",))
     scores.write(tmp_path)
-    assert ScoresFile.read(tmp_path) == scores and scores.chosen_row == {"name": "mean"}
+    assert ScoresFile.read(tmp_path) == scores and scores.judged_row is None

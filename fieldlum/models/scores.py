@@ -15,18 +15,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.glare import Views, glare_directions, panorama_views, view_azimuths_deg
-from fieldlum.glare.contrast import rammg
+from fieldlum.glare.contrast import RAMMG_LEVELS, contrast_levels
 from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
 from fieldlum.models import trusted_hours
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, quiet
+from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.sun_disc import add_disc
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 FLOOR_CDM2 = 1.0
 RAMMG_CUT = 500.0
 GLARE_MAPS = 150  # at most so many maps are asked for DGP and RAMMG, evenly spread over the test
+KEPT_HEIGHT = 58  # rows of kept maps, at least: those of the smallest panoramas of a demo
 CHUNK = 24  # maps predicted at a time
 BAND_90 = 1.6449  # standard deviations of a 90 % interval
 
@@ -66,6 +68,7 @@ class Scores:
     seconds: float = 0.0  # spent predicting, by the clock
     cpu_s: float = 0.0
     slots: tuple[str, ...] = field(default=())
+    maps: HeldOutMaps | None = None  # of those asked for glare, where `evaluate` keeps maps
 
     def __len__(self) -> int:
         return len(self.mse)
@@ -73,7 +76,8 @@ class Scores:
 
 def join(parts: Sequence[Scores]) -> Scores:
     """Scores of several tests as of one."""
-    arrays = [f.name for f in fields(Scores) if f.name not in ("seconds", "cpu_s", "slots")]
+    others = ("seconds", "cpu_s", "slots", "maps")
+    arrays = [f.name for f in fields(Scores) if f.name not in others]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     slots = tuple(slot for part in parts for slot in part.slots)
     return Scores(
@@ -81,6 +85,7 @@ def join(parts: Sequence[Scores]) -> Scores:
         seconds=sum(part.seconds for part in parts),
         cpu_s=sum(part.cpu_s for part in parts),
         slots=slots,
+        maps=HeldOutMaps.join([part.maps for part in parts if part.maps is not None]),
     )
 
 
@@ -99,7 +104,7 @@ class Truth:
     views: Views
     glare_maps: NDArray[np.bool_]
     dgp: NDArray[np.float64]  # [n, 10]; NaN where not asked
-    rammg: NDArray[np.float64]  # [n]
+    contrast: NDArray[np.float64]  # [n, levels], whose mean is RAMMG; NaN where not asked
     room_disc_lx: NDArray[np.float64] | None = None  # [n] by the stated room; None without one
 
 
@@ -110,11 +115,11 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     if glare:
         asked[np.unique(np.linspace(0, n - 1, min(n, GLARE_MAPS)).round().astype(int))] = True
     views = panorama_views(*data.shape, data.heading_deg, view_azimuths_deg(data.heading_deg))
-    dgp, contrast = np.full((n, len(views.azimuths_deg)), np.nan), np.full(n, np.nan)
+    dgp, contrast = (np.full((n, k), np.nan) for k in (len(views.azimuths_deg), RAMMG_LEVELS))
     for rows in _chunks(np.flatnonzero(asked)):
         part = data.take(rows)
         dgp[rows] = _dgp(part.luminance_cdm2, part, views)
-        contrast[rows] = _rammg(part.luminance_cdm2, part)
+        contrast[rows] = _contrast(part.luminance_cdm2, part)
     room_disc = stated_disc_lx(data.setup, data.light) if glare else None
     return Truth(data, data.weights, views, asked, dgp, contrast, room_disc)
 
@@ -142,13 +147,16 @@ def _glare(
     )
 
 
-def _rammg(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
+def _contrast(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
+    """Contrast of each pyramid level with the true disc, [n, levels]; their mean is RAMMG."""
     whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
-    return np.array([rammg(image) for image in whole])
+    return np.array([contrast_levels(image) for image in whole])
 
 
-def evaluate(fitted: Fitted, test: Truth, *, progress: Progress = quiet) -> Scores:
-    """Predict a test set in chunks and compare."""
+def evaluate(
+    fitted: Fitted, test: Truth, *, keep_maps: bool = False, progress: Progress = quiet
+) -> Scores:
+    """Predict a test set in chunks and compare. keep_maps: of the maps asked for glare."""
     parts = []
     for rows in _chunks(np.arange(len(test.data))):
         progress(int(rows[0]), len(test.data), f"{fitted.name}: test")
@@ -157,7 +165,7 @@ def evaluate(fitted: Fitted, test: Truth, *, progress: Progress = quiet) -> Scor
         prediction = fitted.predict(part.light, part.patch_cdm2)
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
         scores = compare(prediction, part, test.weights)
-        _glare_errors(scores, prediction, part, test, rows)
+        _glare_errors(scores, prediction, part, test, rows, keep_maps)
         scores.seconds, scores.cpu_s = wall, cpu
         parts.append(scores)
     return join(parts)
@@ -205,7 +213,12 @@ def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64])
 
 
 def _glare_errors(
-    scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: NDArray[Any]
+    scores: Scores,
+    prediction: Prediction,
+    part: Dataset,
+    test: Truth,
+    rows: NDArray[Any],
+    keep_maps: bool,
 ) -> None:
     asked = test.glare_maps[rows]
     if not asked.any():
@@ -224,8 +237,28 @@ def _glare_errors(
     scores.dgp_mae[asked] = np.abs(difference).mean(axis=1)
     scores.dgp_mean[asked] = test.dgp[rows[asked]].mean(axis=1)
     scores.dgp_square[asked] = (test.dgp[rows[asked]] ** 2).mean(axis=1)
-    scores.rammg_truth[asked] = test.rammg[rows[asked]]
-    scores.rammg_error[asked] = _rammg(maps, some) - test.rammg[rows[asked]]
+    true_contrast, contrast = test.contrast[rows[asked]], _contrast(maps, some)
+    scores.rammg_truth[asked] = true_contrast.mean(axis=1)
+    scores.rammg_error[asked] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
+    if not keep_maps:
+        return
+    measured, predicted = (
+        np.log10(np.maximum(m.thin(KEPT_HEIGHT).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
+        for m in (some, replace(some, luminance_cdm2=maps))
+    )
+    scores.maps = HeldOutMaps(
+        np.array(some.slots),
+        some.light.sun_altitude_deg,
+        some.light.sun_azimuth_deg,
+        scores.mse_weighted[asked],
+        test.dgp[rows[asked]],
+        found["dgp"],
+        true_contrast,
+        contrast,
+        measured,
+        predicted,
+        np.full(len(some), np.nan),
+    )
 
 
 # ----------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import numpy as np
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.records import Progress, quiet
 from fieldlum.session import Session, replacing
+from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
@@ -52,18 +53,6 @@ def find(session: Session) -> SessionArtefacts:
     if newest is None:
         return SessionArtefacts(None, None, None, annual)
     return SessionArtefacts(newest, read_config(newest), ScoresFile.find(newest), annual)
-
-
-def _evidence(session: Session, found: SessionArtefacts, progress: Progress) -> Section | None:
-    if found.model is None or found.config is None or not session.pairs.is_file():
-        return None
-    from fieldlum.models.data import load_pairs
-    from fieldlum.report import evidence
-
-    data = load_pairs(session, progress=progress)
-    return evidence.section(
-        evidence.held_out(data, found.model, found.config, progress), found.scores
-    )
 
 
 def _settings(session: Session, found: SessionArtefacts) -> Section:
@@ -106,9 +95,9 @@ def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
     ]
 
 
-def _page(session: Session, found: SessionArtefacts, progress: Progress) -> Page:
+def _page(session: Session, found: SessionArtefacts) -> Page:
     from fieldlum.predict import read_pictures
-    from fieldlum.report import annual, captured
+    from fieldlum.report import annual, captured, evidence
     from fieldlum.report.page import Page
 
     setup = session.site_file()
@@ -119,8 +108,8 @@ def _page(session: Session, found: SessionArtefacts, progress: Progress) -> Page
     if year is not None:
         sections += [annual.directions_section(year), annual.when_section(year, zone)]
         sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
-    evidence = _evidence(session, found, progress)
-    sections += [evidence] if evidence else []
+    if found.model is not None:
+        sections.append(evidence.section(HeldOutMaps.find(found.model), found.scores))
     dni, dhi = (
         (year.hours["dni_wm2"], year.hours["dhi_wm2"]) if year else (np.empty(0), np.empty(0))
     )
@@ -200,7 +189,9 @@ def run(session: Session, out: Path | None = None, *, progress: Progress = quiet
     found = find(session)
     folder = out or session.report
     page = folder / "index.html"
-    text = render(_page(session, found, progress))
+    progress(0, 1, "page")
+    text = render(_page(session, found))
+    progress(1, 1, "")
     with replacing(page, "w", encoding="utf-8") as file:
         file.write(text)
     summary = {

@@ -18,6 +18,7 @@ from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.scores import summary
 from fieldlum.records import Progress, quiet
+from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
@@ -48,6 +49,11 @@ class Result:
     fit_s: float
     notes: tuple[str, ...] = ()
     captures: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def held_out(self) -> HeldOutMaps | None:
+        """Held-out maps of the chosen model; None where its trial was too short to be judged."""
+        return next((t.scores.maps for t in self.trials if t.name == self.choice.name), None)
 
     def table(self, seed: int) -> list[dict[str, Any]]:
         """Return the rows of `train --json` (docs/design.md, Command line), with more columns."""
@@ -116,7 +122,14 @@ def fit_and_score(
         try:
             trials.append(
                 evaluate_folds(
-                    name, data, some, patch=patch, seed=seed, budget_s=limit, progress=progress
+                    name,
+                    data,
+                    some,
+                    patch=patch,
+                    seed=seed,
+                    budget_s=limit,
+                    keep_maps=True,
+                    progress=progress,
                 )
             )
         except NotEnoughDataError as error:
@@ -231,5 +244,8 @@ def run(
             warnings=[note for note in result.notes if note.startswith("WARNING")],
         )
         ScoresFile.from_table(answer, out / "scores.json").write(out)
+        (out / "held_out.npz").unlink(missing_ok=True)
+        if result.held_out is not None:
+            result.held_out.write(out)
         checkpoint.unlink(missing_ok=True)
     return answer

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum import models
 from fieldlum.model_registry import MODELS
@@ -59,6 +63,7 @@ def evaluate_folds(
     seed: int,
     budget_s: float | None = None,
     glare: bool = True,
+    keep_maps: bool = False,
     progress: Progress = quiet,
     **more: Any,
 ) -> Trial:
@@ -90,13 +95,26 @@ def evaluate_folds(
             progress=progress,
             **more,
         )
-        parts.append(evaluate(fitted, truth(data.take(fold.check), glare=glare), progress=progress))
+        test = truth(data.take(fold.check), glare=glare)
+        scores = evaluate(fitted, test, keep_maps=keep_maps, progress=progress)
+        if scores.maps is not None:
+            scores.maps = replace(scores.maps, season_deg=_season_deg(scores, data, fold))
+        parts.append(scores)
         if (seen := passes_over_data(fitted)) is not None:
             passes.append(seen)
         wall_s, cpu_s, taught = wall_s + spent.wall_s, cpu_s + spent.cpu_s, taught + len(fold.teach)
     n = len(parts)
     least = min(passes, default=None)
     return Trial(name, join(parts), wall_s / n, cpu_s / n, round(taught / n), n, least)
+
+
+def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64]:
+    """Return the angle from the sun of each kept map to the nearest one that taught, [n]. [deg]"""
+    assert scores.maps is not None
+    row = {data.slots[k]: k for k in fold.check}
+    suns = data.light.sun_direction
+    cosine = suns[[row[slot] for slot in scores.maps.slots.tolist()]] @ suns[fold.teach].T
+    return np.degrees(np.arccos(np.clip(cosine.max(axis=1), -1.0, 1.0)))
 
 
 def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:

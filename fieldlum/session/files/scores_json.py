@@ -27,12 +27,11 @@ class ScoresFile:
     more: dict[str, Any] = field(default_factory=dict)  # keys that other versions add
 
     @property
-    def chosen_row(self) -> dict[str, Any]:
-        """Raises KeyError when the chosen model has no row."""
-        for row in self.models:
-            if row.get("name") == self.chosen:
-                return row
-        raise KeyError(self.chosen)
+    def judged_row(self) -> dict[str, Any] | None:
+        """The chosen model's row; None where it has none, or had no time to be judged."""
+        rows = (row for row in self.models if row.get("name") == self.chosen)
+        row = next(rows, None)
+        return row if row is not None and row.get("median") is not None else None
 
     @classmethod
     def read(cls, folder: Path) -> ScoresFile:

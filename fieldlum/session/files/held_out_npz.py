@@ -1,0 +1,86 @@
+"""models/NAME/held_out.npz: measured and predicted maps of the hours behind scores.json."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.session.writing import replacing
+
+FORMAT = 1
+MOST_MAPS = 150  # kept in the file, spread evenly: 4 MB at 116 x 58
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutMaps:
+    """Hours that the fit which predicted them had not seen, in the order of the folds.
+
+    slots [n] ids; sun_altitude_deg, sun_azimuth_deg [n]; log10_mse [n] weighted, as in scores.json;
+    dgp_measured, dgp_predicted [n, 10] with the true disc; contrast_measured, contrast_predicted
+    [n, 5] of each pyramid level [cd/m2]; measured_log10, predicted_log10 [n, h, w] log10 of cd/m2,
+    float16 (to 0.2 %), every f-th pixel, without the disc; season_deg [n] angle to the nearest sun
+    that the fit had seen.
+    """
+
+    slots: NDArray[np.str_]
+    sun_altitude_deg: NDArray[np.float64]
+    sun_azimuth_deg: NDArray[np.float64]
+    log10_mse: NDArray[np.float64]
+    dgp_measured: NDArray[np.float64]
+    dgp_predicted: NDArray[np.float64]
+    contrast_measured: NDArray[np.float64]
+    contrast_predicted: NDArray[np.float64]
+    measured_log10: NDArray[np.float16]
+    predicted_log10: NDArray[np.float16]
+    season_deg: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.slots)
+
+    def take(self, rows: NDArray[np.intp]) -> HeldOutMaps:
+        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
+
+    @classmethod
+    def join(cls, parts: Sequence[HeldOutMaps]) -> HeldOutMaps | None:
+        """Return the hours of several tests as of one; None of none."""
+        if not parts:
+            return None
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS))
+
+    def write(self, folder: Path) -> None:
+        """Write at most `MOST_MAPS` hours, spread evenly from the best to the worst predicted."""
+        order = np.argsort(self.log10_mse, kind="stable")
+        kept = order[
+            np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_MAPS)).round()).astype(
+                int
+            )
+        ]
+        some = self.take(np.sort(kept))
+        arrays: dict[str, Any] = {name: getattr(some, name) for name in _ARRAYS}
+        with replacing(folder / "held_out.npz") as file:
+            np.savez_compressed(file, format=FORMAT, **arrays)
+
+    @classmethod
+    def find(cls, folder: Path) -> HeldOutMaps | None:
+        """Return None where there is no file, as in models of 0.1.0. Raises InputError."""
+        path = folder / "held_out.npz"
+        if not path.is_file():
+            return None
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                if int(stored["format"]) > FORMAT:
+                    raise ValueError(f"format {int(stored['format'])}")
+                return cls(*(stored[name] for name in _ARRAYS))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            expected = f"held-out maps of format 1 to {FORMAT}"
+            raise InputError(path, str(error), expected, "train the model again") from None
+
+
+_ARRAYS = tuple(field.name for field in fields(HeldOutMaps))
