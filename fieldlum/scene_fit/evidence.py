@@ -146,15 +146,21 @@ class SceneEvidence:
         return albedo
 
 
+def require_box(room: Room) -> None:
+    """Raise InputError for a room that is no box or has no window."""
+    if room.kind != "box" or not room.window:
+        found = f"kind '{room.kind}', {len(room.window)} windows"
+        remedy = "state the window in SITE.toml, or train with --scene none"
+        raise InputError("[room]", found, "a box with a window", remedy)
+
+
 def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) -> SceneEvidence:
     """Collect the evidence of captures with a stated box room.
 
     Raises InputError for a room that is no box or has no window, NotEnoughDataError with fewer
     than six captures of direct sun before a window.
     """
-    if room.kind != "box" or not room.window:
-        found = f"kind '{room.kind}', {len(room.window)} windows"
-        raise InputError("[room]", found, "a box with a window", "state the window in SITE.toml")
+    require_box(room)
     guess = guess_of(room, data.heading_deg)
     rows = _sunny(data, guess)
     if len(rows) < MIN_SUNNY_HOURS:

@@ -11,6 +11,7 @@ import numpy as np
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
+from fieldlum.scene_fit.checks import check_captures
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import Misfits, SceneFit, fit_scene
 from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
@@ -45,8 +46,9 @@ def run(
 
     The centres of the sun's disc that merge measured next to the captures are used where there are
     at least three. clock_sd_min: standard uncertainty of the captures' times.
-    Raises InputError without a `[room]` of kind box with a window, NotEnoughDataError with too few
-    sunny captures; nothing is written then.
+    Raises InputError without a `[room]` of kind box with a window and for captures that contradict
+    it (`checks.check_captures`), NotEnoughDataError with too few sunny captures; nothing is written
+    then.
     """
     room = data.setup.room
     if room is None:
@@ -56,6 +58,7 @@ def run(
             "a box with a window, measured by tape",
             "add [room] to SITE.toml, or train with --scene none",
         )
+    check_captures(data, room)
     discs = read_discs(Session(Path(data.source).parent))
     pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
     fit = fit_scene(

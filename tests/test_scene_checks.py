@@ -1,0 +1,120 @@
+"""Captures that no scene can explain are refused in one line, before anything is written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fieldlum import sun
+from fieldlum.errors import InputError
+from fieldlum.light import Light
+from fieldlum.models.data import Dataset
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
+from fieldlum.scene import sun_patches
+from fieldlum.scene.view import look
+from fieldlum.scene_fit.checks import check_captures
+from fieldlum.scene_fit.stage import run
+
+HEIGHT = 32
+SITE = Site("test room", 47.6, -122.3, "America/Los_Angeles")
+ROOM = Room(
+    width_m=5.0,
+    depth_m=6.0,
+    height_m=3.0,
+    camera_x_m=2.4,
+    camera_y_m=3.0,
+    camera_z_m=1.3,
+    window=(Window("south", 0.6, 3.6, 0.8, 1.9, 0.85, 1, 0.0, 0.0),),
+)
+
+
+@pytest.fixture(scope="module")
+def captures() -> Dataset:
+    """Clear and overcast hours of a room: skylight, a bright window, the sun's own light."""
+    days = ("2027-03-20", "2027-06-21", "2027-12-21")
+    times = [
+        datetime.fromisoformat(day).replace(tzinfo=UTC) + timedelta(hours=hour)
+        for day in days
+        for hour in np.arange(15.5, 26.0, 1.0)
+    ]
+    at = sun.position(times, SITE)
+    up = at.altitude_deg > 4.0
+    times = [t for t, u in zip(times, up, strict=True) if u]
+    count = len(times)
+    light = Light(
+        tuple(times),
+        np.where(np.arange(count) % 4 == 3, 0.0, 700.0),
+        np.full(count, 90.0),
+        at.altitude_deg[up],
+        at.azimuth_deg[up],
+    )
+    setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), ROOM)
+    patch = sun_patches(
+        ROOM, setup, light.sun_direction, light.direct_lx, height=HEIGHT, heading_deg=180.0
+    ).luminance_cdm2
+    facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0) * light.direct_lx
+    base = 0.004 * light.diffuse_lx + 0.002 * facing
+    glass = look(ROOM, HEIGHT, 180.0).sky
+    maps = base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass + patch
+    return Dataset(
+        light,
+        maps.astype(np.float32),
+        None,
+        np.zeros(count),
+        180.0,
+        np.array([sun.standard_date(t, SITE.timezone) for t in times], "datetime64[D]"),
+        tuple(slot_id(t) for t in times),
+        setup,
+        np.ones((HEIGHT, 2 * HEIGHT), bool),
+        np.zeros(count),
+    )
+
+
+@pytest.mark.property
+def test_captures_of_the_stated_room_pass(captures: Dataset) -> None:
+    check_captures(captures, ROOM)
+    check_captures(captures.take(np.arange(4)), ROOM)  # too few to show a pattern
+
+
+@pytest.mark.analytic
+def test_a_camera_heading_off_by_180_degrees_is_refused(captures: Dataset, tmp_path: Path) -> None:
+    turned = replace(captures, heading_deg=0.0)
+    with pytest.raises(InputError, match=r"windows about -180 degrees.*nothing was written"):
+        run(turned, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.analytic
+def test_a_compass_read_backwards_is_refused(captures: Dataset, tmp_path: Path) -> None:
+    room = replace(ROOM, wall_azimuth_deg=0.0)
+    setup = replace(captures.setup, room=room)
+    turned = replace(captures, heading_deg=0.0, setup=setup)
+    with pytest.raises(InputError, match="read backwards"):
+        run(turned, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.analytic
+def test_two_cameras_in_one_csv_are_refused(captures: Dataset, tmp_path: Path) -> None:
+    maps = captures.luminance_cdm2.copy()
+    maps[::2] = np.roll(maps[::2], HEIGHT // 3, axis=2)
+    mixed = replace(captures, luminance_cdm2=maps)
+    with pytest.raises(InputError, match=r"pictures of two views: \d+ and \d+ captures"):
+        run(mixed, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.contract
+def test_a_room_without_windows_is_refused(captures: Dataset, tmp_path: Path) -> None:
+    for room in (replace(ROOM, window=()), replace(ROOM, kind="radiance", file="room.rad")):
+        bare = replace(captures, setup=replace(captures.setup, room=room))
+        with pytest.raises(InputError, match="a box with a window"):
+            run(bare, tmp_path / "scene")
+    none = replace(captures, setup=replace(captures.setup, room=None))
+    with pytest.raises(InputError, match=r"no \[room\]"):
+        run(none, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
