@@ -36,9 +36,11 @@ class Ledger:
     counts: dict[str, int] = field(default_factory=dict)
 
 
-def fold(events: Iterable[dict[str, Any]]) -> Ledger:
-    """State = fold(events): resuming needs nothing else."""
-    ledger = Ledger()
+def fold(events: Iterable[dict[str, Any]], ledger: Ledger | None = None) -> Ledger:
+    """State = fold(events): resuming needs nothing else. With a ledger the events are added to
+    it.
+    """
+    ledger = Ledger() if ledger is None else ledger
     for event in events:
         kind = event["event"]
         ledger.counts[kind] = ledger.counts.get(kind, 0) + 1

@@ -25,6 +25,7 @@ COMMANDS = (
     "log",
     "import",
     "status",
+    "watch",
     "calibrate",
     "merge",
     "pair",

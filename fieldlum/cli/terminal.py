@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from fieldlum.errors import InputError
 from fieldlum.records import Progress
 
 
@@ -61,6 +62,19 @@ def unattended() -> Iterator[None]:
     finally:
         for number, how in before.items():
             signal.signal(number, how)
+
+
+@contextmanager
+def web_library() -> Iterator[None]:
+    """For imports of the web server, an optional part. Raises InputError without it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn"):
+            raise
+        found = "the web server is not installed"
+        remedy = "install it with: pip install 'fieldlum[web]'"
+        raise InputError("fieldlum[web]", found, remedy=remedy) from None
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def _first_free(
     return None
 
 
-def _made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
+def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
     """The make-ups of each missed slot; one of a missed make-up stands for the first of them
     all.
     """
@@ -138,7 +138,7 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     about = _resumed(session)
     setup, slots, done = session.site_file(), session.slots(), captured_ids(session)
     grace = session.grace
-    stands_in = _made_up_for(slots)
+    stands_in = made_up_for(slots)
     instead = {made.id for several in stands_in.values() for made in several}
     missed = [slot for slot in missed_slots(slots, done, now_utc, grace) if slot.id not in instead]
     recovered = [

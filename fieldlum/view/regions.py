@@ -106,11 +106,14 @@ def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
         if len(values):
             lows.append(float(np.percentile(values, 1)))
             highs.append(float(np.percentile(values, 99.9)))
-    low, high = (min(lows), max(highs)) if lows else (1.0, 1000.0)
-    high = max(high, 10.0 * low)
-    return _one_digit(low, np.floor), _one_digit(high, np.ceil)
+    return rounded_scale(*((min(lows), max(highs)) if lows else (1.0, 1000.0)))
+
+
+def rounded_scale(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of a scale rounded outwards to one digit, at least a factor of ten apart."""
+    return _one_digit(low, np.floor), _one_digit(max(high, 10.0 * low), np.ceil)
 
 
 def _one_digit(value: float, rounding: np.ufunc) -> float:
     power = 10.0 ** np.floor(np.log10(value))
-    return float(rounding(value / power) * power)
+    return float(f"{rounding(value / power) * power:.1g}")

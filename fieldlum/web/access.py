@@ -1,0 +1,89 @@
+"""Who may read the pages: a token, a cookie, and requests of the page itself only.
+
+A page on loopback is within reach of every program and every web site that the browser shows. So
+the token is needed on loopback too, and the Host and Origin headers must name this server: a
+foreign site cannot read the pages, also not under a name that it points to 127.0.0.1.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from urllib.parse import parse_qs
+
+TOKEN_BYTES = 32  # 256 random bits cannot be guessed, so wrong tokens need no counting
+
+SECURITY_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+    "Cache-Control": "no-store",
+}
+"""Sent with each answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """What happens to a request. status 200: it is answered, 303: the token becomes a cookie and
+    leaves the address, else: it is refused with `text`.
+    """
+
+    status: int
+    text: str = ""
+
+
+class Access:
+    """The token of one run of the server, and the names that the server has."""
+
+    def __init__(self, port: int, names: Iterable[str]) -> None:
+        """names: host names and addresses without a port, an IPv6 address in brackets."""
+        self.token = secrets.token_urlsafe(TOKEN_BYTES)
+        self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
+        # Cookies are shared by all ports of a host: two sessions that are watched need two names.
+        self._cookie_name = f"fieldlum-{port}"
+        self.hosts = frozenset(f"{name}:{port}".lower() for name in names)
+
+    @property
+    def set_cookie(self) -> str:
+        """Value of the Set-Cookie header that stands for the token."""
+        return f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+
+    def rule(self, method: str, path: str, query: str, headers: Mapping[str, str]) -> Ruling:
+        """Decide about one request; header names are in lower case."""
+        if headers.get("host", "").lower() not in self.hosts:
+            return Ruling(421, "This server does not have that name.")
+        origin = headers.get("origin", "")
+        if origin and origin.lower() not in {f"http://{host}" for host in self.hosts}:
+            return Ruling(403, "The request comes from another site.")
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return Ruling(403, "The request comes from another site.")
+        if method not in ("GET", "HEAD", "POST"):
+            return Ruling(405, "Only GET, HEAD and POST are answered.")
+        if method == "POST" and not origin:
+            return Ruling(403, "A change needs the header Origin.")
+        if self._has_cookie(headers.get("cookie", "")):
+            return Ruling(303 if path == "/" and "token" in parse_qs(query) else 200)
+        given = parse_qs(query).get("token", [""])[0]
+        if path == "/" and method == "GET" and _same(given, self.token):
+            return Ruling(303)
+        return Ruling(401, "Open the address with the token that the terminal printed first.")
+
+    def _has_cookie(self, header: str) -> bool:
+        pairs = (part.strip().partition("=") for part in header.split(";"))
+        return any(
+            name == self._cookie_name and _same(value, self._cookie) for name, _, value in pairs
+        )
+
+
+def _same(given: str, wanted: str) -> bool:
+    """Compare in constant time."""
+    return hmac.compare_digest(given.encode(), wanted.encode())

@@ -1,0 +1,162 @@
+"""A session's growing files, read from where the last look ended.
+
+A page that is open for a month must not read a month of files every few seconds, and must not grow:
+the journal is folded line by line, a day of irradiance is a fixed number of bins.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict, deque
+from dataclasses import dataclass, field
+from datetime import date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.capture.state import Ledger, fold
+from fieldlum.records import parse_utc
+from fieldlum.session import Session, decode_line, decode_sample
+
+BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page
+_BINS = 86400 // BIN_S
+_DAYS_KEPT = 6
+_EVENTS_KEPT = 60
+
+
+class LineTail:
+    """Lines of a file that are new since the last look."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._offset, self._inode = path, 0, 0
+
+    def read(self) -> tuple[bool, list[bytes]]:
+        """Return whether the file was replaced or cut since, and its new complete lines."""
+        try:
+            with self._path.open("rb") as file:
+                about = os.fstat(file.fileno())
+                again = about.st_ino != self._inode or about.st_size < self._offset
+                if again:
+                    self._offset, self._inode = 0, about.st_ino
+                file.seek(self._offset)
+                data = file.read()
+        except OSError:  # not there yet, or a share that is away: look again later
+            return False, []
+        end = data.rfind(b"\n") + 1
+        self._offset += end
+        return again, data[:end].splitlines(keepends=True)
+
+
+@dataclass(slots=True)
+class JournalState:
+    """The journal so far.
+
+    events: the latest ones that a person may want to know. away: devices that are lost now, with
+    the time. running_since: time of the `open` event without a `close`, or None.
+    """
+
+    ledger: Ledger = field(default_factory=Ledger)
+    events: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=_EVENTS_KEPT))
+    away: dict[str, datetime] = field(default_factory=dict)
+    opened: dict[str, Any] | None = None
+
+    def add(self, event: dict[str, Any]) -> None:
+        """Fold one more event."""
+        kind = event["event"]
+        fold((event,), self.ledger)
+        if kind == "open":
+            self.opened, self.away = event, {}
+        elif kind == "close":
+            self.opened = None
+        elif kind == "device-lost":
+            self.away[str(event.get("device", ""))] = parse_utc(event["t_utc"])
+        elif kind == "device-back":
+            self.away.pop(str(event.get("device", "")), None)
+        if kind not in ("frame", "retake", "started", "illuminance"):
+            self.events.append(event)
+
+
+class JournalFollower:
+    """Keeps a `JournalState` up to date."""
+
+    def __init__(self, session: Session) -> None:
+        self._tail, self.state = LineTail(session.journal), JournalState()
+
+    def update(self) -> JournalState:
+        """Read what is new. Damaged lines are passed over, as everywhere."""
+        again, lines = self._tail.read()
+        if again:
+            self.state = JournalState()
+        for line in lines:
+            if (event := decode_line(line)) is not None:
+                self.state.add(event)
+        return self.state
+
+
+class DayBins:
+    """One UTC day file as means over `BIN_S`."""
+
+    def __init__(self, path: Path) -> None:
+        self._tail = LineTail(path)
+        self._clear()
+
+    def _clear(self) -> None:
+        self._sum = np.zeros((_BINS, 3))
+        self._count = np.zeros((_BINS, 3))
+        self.flagged = np.zeros(_BINS, bool)
+        self.status: dict[str, int] = {}
+        self.last: tuple[datetime, float | None] | None = None
+
+    def update(self) -> None:
+        """Add the new rows."""
+        again, lines = self._tail.read()
+        if again:
+            self._clear()
+        for line in lines:
+            sample = decode_sample(line)
+            if sample is None:
+                continue
+            midnight = sample.t_utc.replace(hour=0, minute=0, second=0, microsecond=0)
+            k = int((sample.t_utc - midnight).total_seconds() // BIN_S)
+            for i, value in enumerate((sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2)):
+                if value is not None:
+                    self._sum[k, i] += value
+                    self._count[k, i] += 1
+            if sample.status:
+                self.flagged[k] = True
+                if sample.status in self.status or len(self.status) < 20:
+                    self.status[sample.status] = self.status.get(sample.status, 0) + 1
+            self.last = sample.t_utc, sample.ghi_wm2
+
+    @property
+    def means(self) -> NDArray[np.float64]:
+        """GHI, DNI and DHI [bins, 3] in W/m2; NaN without a reading."""
+        return np.where(self._count > 0, self._sum / np.maximum(self._count, 1), np.nan)
+
+
+class IrradianceFollower:
+    """Day files of the few days that somebody looks at."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._days: OrderedDict[date, DayBins] = OrderedDict()
+
+    def day(self, day_utc: date) -> DayBins:
+        """Return the bins of a UTC day, up to date."""
+        if day_utc not in self._days:
+            path = self._session.irradiance / f"{day_utc.isoformat()}.csv"
+            self._days[day_utc] = DayBins(path)
+        self._days.move_to_end(day_utc)
+        while len(self._days) > _DAYS_KEPT:
+            self._days.popitem(last=False)
+        self._days[day_utc].update()
+        return self._days[day_utc]
+
+    def latest(self, now: datetime) -> tuple[datetime, float | None] | None:
+        """Return time and global irradiance of the last row of today or yesterday (UTC)."""
+        for day in (now.date(), now.date() - timedelta(days=1)):
+            if (last := self.day(day).last) is not None:
+                return last
+        return None

@@ -1,0 +1,100 @@
+"""False-colour PNGs of a session's panoramas, for a page."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.images import read_panorama
+from fieldlum.records import Flag
+from fieldlum.view.false_colour import COLOURS
+from fieldlum.view.regions import rounded_scale
+
+MAX_WIDTH = 1840
+_UNSEEN_RGB = (120, 120, 120)  # grey is no colour of the scale
+_KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more
+
+
+def luminance_ends(path: Path) -> tuple[float, float]:
+    """Return the 1 % and 99.9 % percentiles of a panorama's seen pixels. [cd/m2]"""
+    return _ends(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=1024)
+def _ends(path: Path, stamp: int) -> tuple[float, float]:
+    values = _seen(path)
+    values = values[np.isfinite(values) & (values > 0)]
+    if not len(values):
+        return 1.0, 1000.0
+    low, high = np.percentile(values, (1.0, 99.9))
+    return float(low), float(high)
+
+
+def scale_of(paths: list[Path]) -> tuple[float, float]:
+    """Return one scale for several panoramas, rounded outwards to one digit. [cd/m2]"""
+    ends = [luminance_ends(path) for path in paths] or [(1.0, 1000.0)]
+    return rounded_scale(min(low for low, _ in ends), max(high for _, high in ends))
+
+
+def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
+    """Return a panorama in false colour, logarithmic from low to high [cd/m2], at most `width`
+    pixels wide.
+
+    Raises InputError for a damaged file, OSError for one that is away.
+    """
+    return _png(path, path.stat().st_mtime_ns, min(width, MAX_WIDTH), low, high)
+
+
+@lru_cache(maxsize=_KEPT_PICTURES)
+def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
+    import cv2
+
+    values = _seen(path)  # [H, W]
+    if values.shape[1] > width:
+        height = max(1, round(values.shape[0] * width / values.shape[1]))
+        shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
+        values = np.asarray(shrunk, np.float32)
+    return _encoded(coloured(values, low, high))
+
+
+def coloured(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
+    """Return RGB [H, W, 3] of luminances [H, W]; grey where no lens saw (NaN)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.log(np.maximum(values, 1e-9) / low) / np.log(high / low)
+    index = np.nan_to_num(np.clip(share * 255.0 + 0.5, 0, 255)).astype(np.uint8)
+    rgb = _colours()[index]
+    rgb[~np.isfinite(values)] = _UNSEEN_RGB
+    return rgb
+
+
+def scale_png() -> bytes:
+    """Return the colours of the scale from low to high as a picture of 256 x 1."""
+    return _encoded(_colours()[None])
+
+
+def _seen(path: Path) -> NDArray[np.float32]:
+    panorama = read_panorama(path)
+    values = np.array(panorama.luminance_cdm2, np.float32)
+    if panorama.flags is not None:
+        values[(panorama.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
+    return values
+
+
+@lru_cache(maxsize=1)
+def _colours() -> NDArray[np.uint8]:
+    import matplotlib
+
+    table = np.asarray(matplotlib.colormaps[COLOURS](np.arange(256)))[:, :3]
+    return np.rint(table * 255).astype(np.uint8)
+
+
+def _encoded(rgb: NDArray[np.uint8]) -> bytes:
+    import cv2
+
+    good, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
+    if not good:
+        raise ValueError("the picture could not be encoded")
+    return data.tobytes()

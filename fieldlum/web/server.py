@@ -1,0 +1,191 @@
+"""The web server of the pages: routes, headers, and one process on one port."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from fieldlum.errors import DeviceError, InputError
+from fieldlum.session import Session
+from fieldlum.web.access import SECURITY_HEADERS, Access
+from fieldlum.web.pictures import picture_png, scale_png
+from fieldlum.web.snapshot import Snapshots, known_slot
+
+STATIC = Path(__file__).parent / "static"
+_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
+_MAX_CONNECTIONS = 64
+_YEAR_S = 31_536_000
+
+
+class Guard:
+    """ASGI layer: rules about each request first, and puts the security headers on each answer."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":  # no web sockets here
+            return
+        headers = dict(Headers(scope=scope).items())
+        query = scope["query_string"].decode("latin-1")
+        ruling = self._access.rule(scope["method"], scope["path"], query, headers)
+        answer: ASGIApp = self._app
+        if ruling.status == 303:
+            cookie = {"location": "/", "set-cookie": self._access.set_cookie}
+            answer = Response(status_code=303, headers=cookie)
+        elif ruling.status != 200:
+            answer = PlainTextResponse(f"{ruling.text}\n", ruling.status)
+
+        async def secured(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                added = MutableHeaders(scope=message)
+                for name, value in SECURITY_HEADERS.items():
+                    added.setdefault(name, value)
+            await send(message)
+
+        await answer(scope, receive, secured)
+
+
+def static_route(path: str, name: str) -> Route:
+    """Return a route for one file of this package."""
+    body = (STATIC / name).read_bytes()
+    kind = _TYPES[Path(name).suffix]
+    return Route(path, lambda request: Response(body, media_type=kind))
+
+
+def picture_routes(session: Session) -> list[Route]:
+    """Return routes for the panoramas of a session in false colour, and for the scale's colours."""
+
+    def picture(request: Request) -> Response:
+        slot = request.path_params["slot"]
+        try:
+            low, high = (float(request.query_params[name]) for name in ("low", "high"))
+            width = int(request.query_params.get("width", "920"))
+        except (KeyError, ValueError):
+            raise HTTPException(400) from None
+        if not (known_slot(slot) and 1e-6 <= low < high <= 1e12 and width >= 16):
+            raise HTTPException(400)
+        try:
+            data = picture_png(session.panorama(slot), width, low, high)
+        except (InputError, OSError):
+            raise HTTPException(404) from None
+        # the address has the stamp of the file: a picture that is merged again has another one
+        return Response(data, media_type="image/png", headers=_cached())
+
+    def scale(request: Request) -> Response:
+        return Response(scale_png(), media_type="image/png", headers=_cached())
+
+    return [Route("/picture/{slot}.png", picture), Route("/scale.png", scale)]
+
+
+def _cached() -> dict[str, str]:
+    return {"Cache-Control": f"private, max-age={_YEAR_S}, immutable"}
+
+
+def watch_routes(session: Session) -> list[Route]:
+    """Return the routes of the page of `fieldlum watch`."""
+    snapshots = Snapshots(session)
+
+    def day(request: Request) -> Response:
+        try:
+            wanted = date.fromisoformat(request.path_params["day"])
+        except ValueError:
+            raise HTTPException(404) from None
+        return table(lambda: snapshots.day(wanted))
+
+    return [
+        static_route("/", "watch.html"),
+        static_route("/watch.js", "watch.js"),
+        static_route("/page.css", "page.css"),
+        Route("/state.json", lambda request: table(snapshots.state)),
+        Route("/calendar.json", lambda request: table(snapshots.calendar)),
+        Route("/day/{day}.json", day),
+        *picture_routes(session),
+    ]
+
+
+def table(make: Callable[[], dict[str, Any]]) -> Response:
+    """Return a table as JSON; a session that cannot be read now (a share that is away) is 503."""
+    try:
+        return JSONResponse(make())
+    except (InputError, OSError) as error:
+        return JSONResponse({"error": str(error)}, 503)
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A server that is ready to run. address: with the token."""
+
+    app: ASGIApp
+    socket: socket.socket
+    address: str
+
+    def run(self) -> None:
+        """Serve until the process is interrupted."""
+        config = uvicorn.Config(
+            self.app,
+            log_level="warning",
+            access_log=False,  # addresses hold the token
+            server_header=False,
+            limit_concurrency=_MAX_CONNECTIONS,
+            timeout_graceful_shutdown=2,
+            ws="none",
+            lifespan="off",
+        )
+        uvicorn.Server(config).run(sockets=[self.socket])
+
+
+def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
+    """Listen on loopback, or on all interfaces for `lan`. A port of 0 takes a free one.
+
+    Raises DeviceError when the port is in use.
+    """
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind(("0.0.0.0" if lan else "127.0.0.1", port))
+        listener.listen(_MAX_CONNECTIONS)  # the printed address works at once
+    except OSError as error:
+        listener.close()
+        raise DeviceError(
+            f"port {port} cannot be used ({error.strerror}): another program has it; "
+            f"give --port N, or --port 0 for a free one"
+        ) from None
+    port = listener.getsockname()[1]
+    lan_name = lan_address() if lan else ""
+    own = {"127.0.0.1", "localhost"} | ({lan_name, *_host_names()} if lan else set())
+    access = Access(port, own - {""})
+    host = lan_name or "127.0.0.1"
+    app = Guard(Starlette(routes=list(routes)), access)
+    return Served(app, listener, f"http://{host}:{port}/?token={access.token}")
+
+
+def lan_address() -> str:
+    """Return this computer's address in its network; empty without one. Nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # RFC 5737: an address for documentation
+            return str(probe.getsockname()[0])
+        except OSError:
+            return ""
+
+
+def _host_names() -> set[str]:
+    name = socket.gethostname()
+    return {name, f"{name}.local"} if name else set()

@@ -1,0 +1,381 @@
+"""Plain tables of a session for the page of `fieldlum watch`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from fieldlum import doctor, sun
+from fieldlum.capture.utc_clock import boot_id
+from fieldlum.doctor.awake import has_lid, inhibitors
+from fieldlum.errors import FieldlumError, InputError
+from fieldlum.plan.coverage import sun_band_percent
+from fieldlum.plan.days import hours_of
+from fieldlum.plan.makeup import made_up_for
+from fieldlum.records import Slot, parse_utc, slot_id, utc_text
+from fieldlum.session import Session
+from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.web.follow import BIN_S, IrradianceFollower, JournalFollower, JournalState
+from fieldlum.web.pictures import scale_of
+from fieldlum.web.words import event_words
+
+_FINDINGS_EVERY = timedelta(minutes=5)
+_EVENTS_SHOWN = 25
+# A journal this far ahead of the computer's clock comes from `capture --clock fast`.
+_REHEARSAL = timedelta(hours=1)
+
+
+class Snapshots:
+    """Tables of one session; may be asked from several threads.
+
+    wall_clock: returns the present moment (UTC).
+    """
+
+    def __init__(
+        self, session: Session, wall_clock: Callable[[], datetime] = lambda: datetime.now(UTC)
+    ) -> None:
+        self._session, self._wall_clock = session, wall_clock
+        self._lock = threading.Lock()
+        self._journal, self._irradiance = JournalFollower(session), IrradianceFollower(session)
+        self._setup = session.site_file()
+        self._zone = ZoneInfo(self._setup.site.timezone)
+        self._plan: tuple[int, list[Slot]] = (-1, [])
+        self._findings: tuple[datetime, list[dict[str, Any]]] | None = None
+        self._band: tuple[Any, dict[str, float]] = (None, {})
+
+    def state(self) -> dict[str, Any]:
+        """Return what changes from minute to minute."""
+        with self._lock:
+            journal, slots = self._journal.update(), self._slots()
+            now, rehearsal = self._now(journal)
+            states = self._states(slots, journal, now)
+            latest, merged = self._latest(), self._merged()
+            ahead = [slot for slot in slots if states[slot.id] in ("owed", "running")]
+            counts = list(states.values())
+            irradiance = self._irradiance.latest(now)
+            return {
+                "name": self._setup.site.name,
+                "folder": self._session.root.resolve().name,
+                "timezone": self._setup.site.timezone,
+                "now_utc": utc_text(now),
+                "now_local": f"{now.astimezone(self._zone):%a %d %b %Y, %H:%M}",
+                "rehearsal": rehearsal,
+                "running": _is_running(journal),
+                "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
+                "slots": len(slots),
+                "next": self._slot_row(ahead[0], states) if ahead else None,
+                "latest": latest,
+                "devices": self._devices(journal),
+                "irradiance": None
+                if irradiance is None
+                else {"t_utc": utc_text(irradiance[0]), "ghi_wm2": irradiance[1]},
+                "disk": self._disk(slots),
+                "computer": _computer_battery(),
+                "events": self._events(journal),
+                "findings": self._doctor(now),
+                "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(counts)) & 0xFFFFFFFF:x}",
+                "today": self._local_day(now).isoformat(),
+            }
+
+    def calendar(self) -> dict[str, Any]:
+        """Return the days of the plan with the state of each slot, and what the captures cover."""
+        with self._lock:
+            journal, slots = self._journal.update(), self._slots()
+            now, _ = self._now(journal)
+            states, merged = self._states(slots, journal, now), self._merged()
+            days: dict[str, list[dict[str, Any]]] = {}
+            for slot in slots:
+                row = self._slot_row(slot, states) | {"picture": slot.id in merged}
+                days.setdefault(self._local_day(slot.t_utc).isoformat(), []).append(row)
+            return {
+                "days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())],
+                "coverage": self._coverage(slots, states),
+            }
+
+    def day(self, day: date) -> dict[str, Any]:
+        """Return the slots of one local day with their verdicts, and its irradiance."""
+        with self._lock:
+            journal, slots = self._journal.update(), self._slots()
+            now, _ = self._now(journal)
+            states, merged = self._states(slots, journal, now), self._merged()
+            today = [slot for slot in slots if self._local_day(slot.t_utc) == day]
+            rows = [
+                self._slot_row(slot, states)
+                | {
+                    "picture": slot.id in merged,
+                    "verdict": self._verdict(slot.id, journal),
+                }
+                for slot in today
+            ]
+            paths = [self._session.panorama(slot.id) for slot in today if slot.id in merged]
+            low, high = _readable_scale(paths)
+            return {
+                "date": day.isoformat(),
+                "slots": rows,
+                "scale": {"low": low, "high": high, "stamp": _stamp(paths)},
+                "irradiance": self._curve(day),
+            }
+
+    # ------------------------------------------------------------------------------------------
+    # parts
+
+    def _slots(self) -> list[Slot]:
+        """Return the plan, read again only when the file changed."""
+        try:
+            stamp = self._session.plan.stat().st_mtime_ns
+            if stamp != self._plan[0]:
+                self._plan = stamp, sorted(self._session.slots(), key=lambda slot: slot.t_utc)
+        except (OSError, InputError):  # spoilt by hand: the plan before still holds, as in capture
+            pass
+        return self._plan[1]
+
+    def _now(self, journal: JournalState) -> tuple[datetime, bool]:
+        now, last = self._wall_clock(), journal.ledger.last_utc
+        rehearsal = last is not None and last - now > _REHEARSAL
+        return (last if rehearsal and last is not None else now), rehearsal
+
+    def _states(self, slots: list[Slot], journal: JournalState, now: datetime) -> dict[str, str]:
+        """Return done, missed, aborted, "made up", running or owed for each slot."""
+        grace, folded = self._session.grace, journal.ledger.slots
+        states: dict[str, str] = {}
+        for slot in slots:
+            outcome = folded[slot.id].outcome if slot.id in folded else ""
+            if outcome in ("done", "missed", "aborted"):
+                states[slot.id] = outcome
+            elif outcome == "started" and journal.opened is not None:
+                states[slot.id] = "running"
+            else:
+                states[slot.id] = "owed" if slot.t_utc + grace >= now else "missed"
+        for missed, instead in made_up_for(slots).items():
+            if states.get(missed) != "done" and any(states[s.id] == "done" for s in instead):
+                states[missed] = "made up"
+        return states
+
+    def _slot_row(self, slot: Slot, states: dict[str, str]) -> dict[str, Any]:
+        local = slot.t_utc.astimezone(self._zone)
+        return {
+            "slot": slot.id,
+            "t_utc": utc_text(slot.t_utc),
+            "local": f"{local:%H:%M}",
+            "day": f"{local:%a %d %b %Y}",
+            "state": states[slot.id],
+            "sun_altitude_deg": round(slot.sun_altitude_deg, 1),
+            "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
+        }
+
+    def _merged(self) -> set[str]:
+        return {path.stem for path in self._session.panorama_files()}
+
+    def _latest(self) -> dict[str, Any] | None:
+        """Return the newest panorama with its verdict."""
+        files = self._session.panorama_files()
+        if not files:
+            return None
+        slot, (low, high) = files[-1].stem, _readable_scale(files[-1:])
+        row = {"slot": slot, "low": low, "high": high, "stamp": _stamp(files[-1:]), "verdict": ""}
+        try:
+            sidecar = Sidecar.find(self._session.sidecar(slot))
+            row["verdict"] = sidecar.verdict if sidecar else "no sidecar"
+        except InputError as error:
+            row["verdict"] = str(error)
+        try:
+            local = parse_utc(slot).astimezone(self._zone)
+        except ValueError:
+            return row
+        return row | {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
+
+    def _verdict(self, slot: str, journal: JournalState) -> str:
+        try:
+            sidecar = Sidecar.find(self._session.sidecar(slot))
+        except InputError as error:
+            return str(error)
+        if sidecar is not None and sidecar.verdict:
+            return sidecar.verdict
+        state = journal.ledger.slots.get(slot)
+        return state.why if state else ""
+
+    def _devices(self, journal: JournalState) -> dict[str, Any]:
+        table = self._session.table().get("devices", {})
+        camera = table.get("camera", {})
+        return {
+            "camera": " ".join(str(camera.get(k, "")) for k in ("make", "model")).strip(),
+            "camera_battery": str(camera.get("battery", "")),
+            "camera_clock_offset_s": camera.get("clock_offset_s"),
+            "pyranometer": str(table.get("pyranometer", {}).get("model", "")),
+            "away": {name: utc_text(t) for name, t in journal.away.items()},
+        }
+
+    def _disk(self, slots: list[Slot]) -> dict[str, Any]:
+        free = shutil.disk_usage(self._session.root).free
+        planned = float(self._session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
+        days = len({self._local_day(slot.t_utc) for slot in slots})
+        per_day = 1e6 * planned * len(slots) / max(days, 1)
+        return {"free_bytes": free, "days": free / per_day if per_day else None}
+
+    def _events(self, journal: JournalState) -> list[dict[str, str]]:
+        """Return the latest news, newest first; a run of equal sentences is one row."""
+        rows: list[dict[str, Any]] = []
+        for event in reversed(journal.events):
+            words = event_words(event)
+            if words is None:
+                continue
+            if rows and rows[-1]["text"] == words[1]:
+                rows[-1]["times"] += 1
+                continue
+            local = parse_utc(event["t_utc"]).astimezone(self._zone)
+            at = f"{local:%a %d %b %H:%M}"
+            rows.append({"level": words[0], "text": words[1], "local": at, "times": 1})
+        return rows[:_EVENTS_SHOWN]
+
+    def _doctor(self, now: datetime) -> list[dict[str, Any]]:
+        """Return doctor's findings that need no device: a capture may be using them."""
+        if self._findings is not None and abs(now - self._findings[0]) < _FINDINGS_EVERY:
+            return self._findings[1]
+        session = self._session
+        free = shutil.disk_usage(session.root).free
+        checks: dict[str, Callable[[], list[doctor.Finding]]] = {
+            "plan": lambda: doctor.check_plan(session, now),
+            "profile": lambda: doctor.check_profile(session, now.date()),
+            "clock": lambda: [doctor.check_clock(doctor.kernel_clock())],
+            "disk": lambda: [doctor.check_disk(session, now, free)],
+            "sleep": lambda: [doctor.check_sleep(inhibitors(), has_lid())],
+            "calendar": lambda: doctor.check_calendar(session, now),
+        }
+        found: list[doctor.Finding] = []
+        for name, check in checks.items():
+            try:
+                found += check()
+            except (FieldlumError, OSError, ValueError) as error:
+                found.append(doctor.Finding(name, "warn", str(error)))
+        self._findings = now, [asdict(finding) for finding in found]
+        return self._findings[1]
+
+    def _coverage(self, slots: list[Slot], states: dict[str, str]) -> dict[str, float]:
+        """Return the share of the year's sun band that the plan and the captures reach. [%]"""
+        done = [slot for slot in slots if states[slot.id] == "done"]
+        key = len(slots), tuple(slot.id for slot in done)
+        if self._band[0] != key:
+            band = {
+                name: round(sun_band_percent(hours_of(some), self._setup.site), 1)
+                for name, some in (("planned", slots), ("captured", done))
+            }
+            self._band = key, band
+        return self._band[1]
+
+    def _curve(self, day: date) -> dict[str, Any]:
+        """Return the irradiance of a local day in bins, with what is impossible or was flagged by
+        the instrument.
+        """
+        start = datetime(day.year, day.month, day.day, tzinfo=self._zone).astimezone(UTC)
+        # 25 hours on the day when clocks go back: bins belong to a day by their local date
+        times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(25 * 3600 // BIN_S)]
+        times = [t for t in times if self._local_day(t) == day]
+        index = {d: self._irradiance.day(d) for d in sorted({t.date() for t in times})}
+        means = {d: bins.means for d, bins in index.items()}
+        of = [(t.date(), (t.hour * 3600 + t.minute * 60 + t.second) // BIN_S) for t in times]
+        values = np.array([means[d][k] for d, k in of])  # [bins, 3]
+        flagged = np.array([index[d].flagged[k] for d, k in of])
+        present = np.isfinite(values).any(axis=1)
+        impossible = np.zeros(len(times), bool)
+        clear = np.full(len(times), np.nan)
+        if present.any():
+            site = self._setup.site
+            altitude = sun.position(times, site).altitude_deg
+            limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2(times))
+            for i, (low, high) in enumerate((limits.ghi_wm2, limits.dni_wm2, limits.dhi_wm2)):
+                with np.errstate(invalid="ignore"):
+                    impossible |= (values[:, i] < low) | (values[:, i] > high)
+            clear = sun.clearsky(times, site).ghi_wm2
+        keep = present | (np.nan_to_num(clear) > 1.0)
+        words: dict[str, int] = {}
+        for bins in index.values():
+            for text, count in bins.status.items():
+                words[text] = words.get(text, 0) + count
+        names = ("ghi", "dni", "dhi")
+        rows = {name: _numbers(values[keep, i]) for i, name in enumerate(names)}
+        return rows | {
+            "minutes": [round((t - start).total_seconds() / 60, 1) for t in np.array(times)[keep]],
+            "clear_ghi": _numbers(clear[keep]),
+            "flagged": (flagged | impossible)[keep].tolist(),
+            "flagged_bins": int(flagged.sum()),
+            "impossible_bins": int(impossible.sum()),
+            "status": words,
+            "first_local": f"{start.astimezone(self._zone):%H:%M}",
+        }
+
+    def _local_day(self, t_utc: datetime) -> date:
+        return t_utc.astimezone(self._zone).date()
+
+
+def _readable_scale(paths: list[Path]) -> tuple[float, float]:
+    """Return the scale of those panoramas that can be read; a merge may be writing one."""
+    good: list[Path] = []
+    for path in paths:
+        try:
+            scale_of([path])
+            good.append(path)
+        except (InputError, OSError):
+            continue
+    return scale_of(good)
+
+
+def _stamp(paths: list[Path]) -> str:
+    """Return a text that changes when one of the files is written again."""
+    return f"{max((path.stat().st_mtime_ns for path in paths), default=0):x}"
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [None if not np.isfinite(value) else round(float(value), 1) for value in values]
+
+
+def _is_running(journal: JournalState) -> bool | None:
+    """Return whether the capture of the last `open` event runs on this computer; None where that
+    cannot be found out.
+    """
+    if journal.opened is None:
+        return False
+    if journal.opened.get("boot_id") not in ("", None, boot_id()):
+        return False
+    if sys.platform == "win32":  # os.kill(pid, 0) would end the process there
+        return None
+    try:
+        os.kill(int(journal.opened.get("pid", 0)) or -1, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, ValueError, OverflowError):
+        return None
+    return True
+
+
+def _computer_battery(folder: Path = Path("/sys/class/power_supply")) -> dict[str, Any] | None:
+    """Return charge and source of this computer's power (Linux); None where there is no battery."""
+    answer: dict[str, Any] = {}
+    for supply in sorted(folder.glob("*")):
+        try:
+            kind = (supply / "type").read_text().strip()
+            if kind == "Battery" and (supply / "capacity").is_file():
+                answer["percent"] = int((supply / "capacity").read_text())
+            elif kind in ("Mains", "USB") and (supply / "online").is_file():
+                online = (supply / "online").read_text().strip() == "1"
+                answer["mains"] = online or answer.get("mains", False)
+        except (OSError, ValueError):
+            continue
+    return answer if "percent" in answer else None
+
+
+def known_slot(text: str) -> bool:
+    """Whether a text has the form of a slot's id, so that it can be part of a file name."""
+    try:
+        return slot_id(parse_utc(text)) == text
+    except ValueError:
+        return False

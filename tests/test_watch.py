@@ -1,0 +1,370 @@
+"""`fieldlum watch`: who may ask, what the tables hold, and the page in a real browser."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import date, timedelta
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, chromium
+from places import SEATTLE
+from tiny_field import LADDER, T0, Field, make_session
+
+from fieldlum.devices.clock import FastClock
+from fieldlum.images import write_panorama
+from fieldlum.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
+from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
+from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.web.access import Access
+from fieldlum.web.follow import DayBins, JournalFollower
+from fieldlum.web.qr import qr_lines
+from fieldlum.web.snapshot import Snapshots
+
+HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
+MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
+
+
+def _session(folder: Path) -> Session:
+    """Two days: the first with a done, a missed and a made-up slot; names are hostile."""
+    plan = [Slot(T0 + timedelta(hours=h), 20.0, 120.0, LADDER) for h in (0, 1, 2, 24)]
+    plan.append(Slot(T0 + timedelta(hours=48), 20.0, 120.0, LADDER, (f"makeup:{plan[2].id}",)))
+    site = SiteFile(replace(SEATTLE, name=HOSTILE))
+    session = create_session(folder, site, plan, {"set": "test", "megabytes_per_slot": 100.0})
+    journal = Journal(session)
+    journal.append("open", T0 - timedelta(minutes=1), pid=0, boot_id="another")
+    for slot, event, why in (
+        (plan[0], "done", ""),
+        (plan[1], "missed", HOSTILE),
+        (plan[2], "aborted", "the disk is full"),
+        (plan[4], "done", "clipped"),
+    ):
+        journal.append(event, slot.t_utc + timedelta(minutes=1), slot=slot.id, why=why)
+    journal.append("device-lost", T0 + timedelta(hours=3), device="camera", why="no answer")
+    journal.close()
+    for slot, light in ((plan[0], 100.0), (plan[4], 1000.0)):
+        pixels = np.full((20, 40), light, np.float32)
+        pixels[5:9, 15:25] = 20 * light
+        path = session.panorama(slot.id)
+        path.parent.mkdir(exist_ok=True)
+        write_panorama(path, Panorama(pixels, 180.0))
+        Sidecar(slot.id, verdict=f"good {HOSTILE}").write(session.sidecar(slot.id))
+    days = DayFiles(session)
+    for k in range(60):
+        t = T0 + timedelta(minutes=k)
+        status = HOSTILE if k == 5 else ""
+        ghi = 5000.0 if k == 20 else 300.0 + k
+        days.append(IrradianceSample(t, ghi, 100.0, 400.0, status=status))
+    days.close()
+    return session
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    return _session(tmp_path_factory.mktemp("watch") / "office & more")
+
+
+@pytest.fixture(scope="module")
+def address(session: Session) -> Iterator[str]:
+    yield from _watched(session)
+
+
+def _watched(session: Session, *options: str) -> Iterator[str]:
+    """The first line that `fieldlum watch` prints."""
+    command = [sys.executable, "-c", MAIN, "watch", str(session.root), "--port", "0", *options]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
+    )
+    assert process.stdout is not None and process.stderr is not None
+    try:
+        line = process.stdout.readline().strip()
+        assert line.startswith("http://127.0.0.1:"), process.stderr.read()
+        yield line
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def _ask(
+    address: str, path: str, headers: dict[str, str] | None = None, method: str = "GET"
+) -> tuple[int, dict[str, str], bytes]:
+    place = urlsplit(address)
+    connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=20)
+    try:
+        connection.putrequest(method, path, skip_host=headers is not None and "Host" in headers)
+        for name, value in (headers or {}).items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        found = {name.lower(): value for name, value in answer.getheaders()}
+        return answer.status, found, answer.read()
+    finally:
+        connection.close()
+
+
+@pytest.fixture(scope="module")
+def cookie(address: str) -> str:
+    status, headers, _ = _ask(address, "/?" + urlsplit(address).query)
+    assert (status, headers["location"]) == (303, "/")
+    assert {"HttpOnly", "SameSite=Strict"} <= set(headers["set-cookie"].split("; "))
+    token = urlsplit(address).query.removeprefix("token=")
+    assert token not in headers["set-cookie"]
+    return headers["set-cookie"].split(";")[0]
+
+
+# ----------------------------------------------------------------------------------------------
+# who may ask
+
+
+@pytest.mark.contract
+def test_without_the_token_nothing_is_answered(address: str, cookie: str) -> None:
+    for path in ("/", "/state.json", "/watch.js", "/picture/20270320T153000Z.png", "/nothing"):
+        assert _ask(address, path)[0] == 401
+    other = Access(1, ("127.0.0.1",))
+    for token in ("", "x", other.token, "%00", "é".encode().hex(), "a" * 5000):
+        assert _ask(address, f"/?token={token}")[0] == 401
+    for old in (other.set_cookie.split(";")[0], cookie + "x", cookie[:-1], "fieldlum-1=", ";;=;"):
+        assert _ask(address, "/state.json", {"Cookie": old})[0] == 401
+    status, headers, _ = _ask(address, "/state.json", {"Cookie": f"other=1; {cookie}"})
+    assert status == 200
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert headers["referrer-policy"] == "no-referrer"
+    assert headers["x-content-type-options"] == "nosniff"
+    assert "server" not in headers
+
+
+@pytest.mark.contract
+def test_other_hosts_origins_and_methods_are_refused(address: str, cookie: str) -> None:
+    """A name that a foreign site points to 127.0.0.1 is not this server."""
+    place = urlsplit(address)
+    good = {"Cookie": cookie}
+    for host in ("evil.example", f"evil.example:{place.port}", "127.0.0.1", "127.0.0.1:1", ""):
+        assert _ask(address, "/state.json", good | {"Host": host})[0] in (400, 421)
+    assert _ask(address, "/state.json", good | {"Host": f"localhost:{place.port}"})[0] == 200
+    for origin in ("https://evil.example", "null", f"https://127.0.0.1:{place.port}"):
+        assert _ask(address, "/state.json", good | {"Origin": origin})[0] == 403
+    assert _ask(address, "/state.json", good | {"Sec-Fetch-Site": "cross-site"})[0] == 403
+    own = {"Origin": f"http://127.0.0.1:{place.port}"}
+    assert _ask(address, "/state.json", good | own)[0] == 200
+    assert _ask(address, "/state.json", good, "POST")[0] == 403
+    for method in ("PUT", "DELETE", "OPTIONS", "TRACE"):
+        assert _ask(address, "/state.json", good | own, method)[0] == 405
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/picture/..%2F..%2Fsession.toml.png?low=1&high=9",
+        "/picture/../../session.toml?low=1&high=9",
+        "/picture/20270320T153000Z%00.png?low=1&high=9",
+        "/picture/20270320T153000Z.png?low=9&high=1",
+        "/picture/20270320T153000Z.png?low=nan&high=inf",
+        "/picture/20270320T153000Z.png?low=1&high=9&width=-5",
+        "/picture/20270320T153000Z.png",
+        "/picture/19990320T153000Z.png?low=1&high=9",
+        "/day/../session.toml",
+        "/day/..%2F..%2Fetc%2Fpasswd.json",
+        "/static/../access.py",
+        "//etc/passwd",
+        "/session.toml",
+    ],
+)
+def test_no_other_file_can_be_had(address: str, cookie: str, path: str) -> None:
+    status, _, body = _ask(address, path, {"Cookie": cookie})
+    assert status in (400, 404)
+    assert len(body) < 200
+
+
+@pytest.mark.contract
+def test_a_port_in_use_is_one_line(address: str, session: Session) -> None:
+    port = str(urlsplit(address).port)
+    command = [sys.executable, "-c", MAIN, "watch", str(session.root), "--port", port]
+    shown = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert shown.returncode == 4
+    assert f"port {port} cannot be used" in shown.stderr
+
+
+@pytest.mark.contract
+def test_without_the_library_the_remedy_is_named(session: Session) -> None:
+    code = f"import sys; sys.modules['uvicorn'] = None; {MAIN}"
+    command = [sys.executable, "-c", code, "watch", str(session.root)]
+    shown = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert shown.returncode == 3
+    assert "pip install 'fieldlum[web]'" in shown.stderr
+
+
+@pytest.mark.property
+def test_the_code_in_the_terminal_reads_as_the_address() -> None:
+    import cv2
+
+    text = f"http://192.168.178.40:8765/?token={'aB3_' * 11}"
+    blocks = {"█": (255, 255), "▀": (255, 0), "▄": (0, 255), " ": (0, 0)}
+    rows: list[list[int]] = []
+    for line in qr_lines(text):
+        rows += [[blocks[sign][half] for sign in line] for half in (0, 1)]
+    picture = np.kron(np.array(rows, np.uint8), np.ones((8, 8), np.uint8))
+    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == text
+
+
+# ----------------------------------------------------------------------------------------------
+# tables
+
+
+@pytest.mark.contract
+def test_the_tables_hold_plan_verdicts_and_flags(session: Session) -> None:
+    now = T0 + timedelta(hours=2)
+    tables = Snapshots(session, lambda: now)
+    state = tables.state()
+    assert state["rehearsal"] is True  # the journal is a day ahead of this clock
+    days = tables.calendar()["days"]
+    states = [slot["state"] for day in days for slot in day["slots"]]
+    assert states == ["done", "missed", "made up", "missed", "done"]
+    assert state["running"] is False  # another start of the computer
+    assert list(state["devices"]["away"]) == ["camera"]
+    day = tables.day(date(2027, 3, 20))
+    assert day["slots"][0]["verdict"].startswith("good")
+    curve = day["irradiance"]
+    assert curve["flagged_bins"] == 1 and curve["impossible_bins"] == 1
+    assert max(value for value in curve["dhi"] if value is not None) == 100.0
+    json.dumps(state)
+
+
+@pytest.mark.contract
+def test_before_the_first_slot_it_counts_down(tmp_path: Path) -> None:
+    plain = make_session(tmp_path / "s")
+    state = Snapshots(plain, lambda: T0 - timedelta(days=3)).state()
+    assert state["next"]["t_utc"] == utc_text(T0)
+    assert state["latest"] is None and state["irradiance"] is None
+    assert state["counts"] == {"owed": 3}
+
+
+@pytest.mark.property
+def test_followed_files_give_what_a_whole_reading_gives(tmp_path: Path) -> None:
+    """A line that is written in two pieces, a torn tail that is cut, a file that is replaced."""
+    plain = make_session(tmp_path / "s")
+    follower = JournalFollower(plain)
+    journal = Journal(plain)
+    for k in range(3):
+        journal.append("bad-reading", T0 + timedelta(minutes=k), device="pyranometer", why=str(k))
+        follower.update()
+    journal.close()
+    with plain.journal.open("ab") as file:
+        file.write(b"deadbeef {")
+    follower.update()
+    Journal(plain).close()  # cuts the torn tail
+    journal = Journal(plain)
+    journal.append("suspend", T0 + timedelta(minutes=9), seconds=5.0)
+    journal.close()
+    assert list(follower.update().events) == read_journal(plain)
+    plain.journal.write_bytes(b"")
+    assert not follower.update().events
+    days = DayFiles(plain)
+    bins = DayBins(plain.irradiance / f"{T0:%Y-%m-%d}.csv")
+    for k in range(10):
+        days.append(IrradianceSample(T0 + timedelta(seconds=12 * k), 100.0 + k))
+        bins.update()
+    assert np.nansum(bins.means[:, 0]) == pytest.approx(104.5)
+    days.close()
+
+
+# ----------------------------------------------------------------------------------------------
+# in a browser
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
+
+
+@pytest.mark.contract
+@pytest.mark.slow
+@needs_browser
+def test_the_page_shows_the_session_and_takes_names_as_text(address: str, tmp_path: Path) -> None:
+    with chromium(tmp_path) as page:
+        page.size(390, 800, phone=True)
+        page.open(address)
+        page.until("document.body.dataset.polls >= 1")
+        assert page.run("location.href").endswith("/")  # no token
+        text = page.text()
+        for part in (HOSTILE, "camera stopped answering", "was not taken"):
+            assert part in text
+        assert page.run("document.querySelectorAll('img[onerror]').length") == 0
+        assert page.run("document.body.dataset.hacked || ''") == ""
+        assert page.run("document.documentElement.scrollWidth") == 390
+        page.until("document.getElementById('latest').naturalWidth > 0")
+        roles = page.named_parts()
+        assert ("button", "Day before") in roles and ("heading", "Latest panorama") in roles
+        # steps through the days: by a click and by the keyboard
+        first = page.run("document.getElementById('day-name').textContent")
+        page.click_on("#before")
+        page.until(f"document.getElementById('day-name').textContent !== {first!r}")
+        page.run("document.getElementById('strip').focus()")
+        page.key("PageDown", 34)
+        page.until(f"document.getElementById('day-name').textContent === {first!r}")
+        page.click_on("#calendar button")
+        page.until("document.getElementById('day-name').textContent.includes('20 March 2027')")
+        page.until("document.querySelector('#curve polyline.ghi') !== null")
+        assert "impossible values: 1" in page.text()
+        roles = page.named_parts()
+        assert any(role == "image" and name.startswith("Irradiance") for role, name in roles)
+        assert not [name for role, name in roles if role in ("button", "image") and not name]
+        assert page.complaints() == []
+        assert page.asked_hosts() == {address.split("/?")[0]}
+        ground = "getComputedStyle(document.body).backgroundColor"
+        light = page.run(ground)
+        page.size(1200, 800, dark=True)
+        assert page.run(ground) != light
+        # a second run of the server has another token and another cookie
+        assert page.run("document.cookie") == ""
+
+
+@pytest.mark.contract
+@pytest.mark.slow
+@needs_browser
+def test_a_month_with_the_page_open_is_as_without_it_and_the_page_does_not_grow(
+    tmp_path: Path,
+) -> None:
+    """31 days at full speed: the journal is the same, and after the first days the page's heap
+    and nodes stay.
+    """
+
+    def month(folder: Path) -> Field:
+        folder.mkdir()
+        plan = [Slot(T0 + timedelta(hours=24 * d), 10.0, 120.0, LADDER) for d in range(31)]
+        made = create_session(folder / "s", SiteFile(SEATTLE), plan, {"set": "test"})
+        return Field(made, FastClock(T0 - timedelta(minutes=1)))
+
+    def events(field: Field) -> list[tuple[str, str, str]]:
+        rows = read_journal(field.session)
+        return [(row["event"], row["t_utc"], row.get("slot", "")) for row in rows]
+
+    alone = month(tmp_path / "alone")
+    alone.run()
+    watched = month(tmp_path / "watched")
+    sizes: list[tuple[int, int]] = []
+    for address in _watched(watched.session):
+        with chromium(tmp_path / "profile") as page:
+            page.open(address)
+            page.until("document.body.dataset.polls >= 1")
+
+            class Looks(list[Any]):
+                def append(self, live: Any) -> None:
+                    if live.done % 3 == 0:  # on other days the page asks by itself
+                        page.run("refresh()")
+                        sizes.append(page.memory())
+
+            watched.shown = Looks()
+            watched.run()
+            page.until("document.getElementById('running').textContent === 'finished'")
+            assert "31 done" in page.text()
+            assert page.complaints() == []
+    assert events(watched) == events(alone)
+    early, late = sizes[3], sizes[-1]
+    assert late[0] < early[0] + 300_000 and late[1] < early[1] + 400, sizes
