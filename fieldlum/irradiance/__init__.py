@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.irradiance.consistency import closure_fails, doubts
 from fieldlum.irradiance.series import UNUSABLE, Array, Mark, Series, local_period_s, series_of
 from fieldlum.irradiance.verdict import Health as Health
 from fieldlum.irradiance.verdict import health as health
@@ -31,7 +32,7 @@ SPIKE_OVER_USUAL = 3.0  # and than the light changes around it
 _SPIKE_ROWS = 120  # "around it": rows on either side, ten minutes at 5 s
 _SPIKE_RANK = 9  # of the steps around it: four other spikes there hide none
 _BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all would take much memory
-_RECIPE = 6  # raise it when the arithmetic changes: clean.csv is then made again
+_RECIPE = 7  # raise it when the arithmetic changes: clean.csv is then made again
 
 
 # ----------------------------------------------------------------------------------------------
@@ -65,7 +66,7 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
                 marks[(value < low) | (value > high)] |= mark
     with np.errstate(invalid="ignore"):
         marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
-    marks[_closure_fails(ghi, dhi, dni, altitude)] |= Mark.CLOSURE
+    marks[closure_fails(series.t_unix_s, ghi, dhi, dni, altitude)] |= Mark.CLOSURE
     marks[_stuck(series.t_unix_s, ghi, altitude)] |= Mark.STUCK
     for value in (ghi, dhi, dni):
         marks[spikes(series.t_unix_s, np.where(marks & UNUSABLE, np.nan, value))] |= Mark.SPIKE
@@ -91,16 +92,6 @@ def _beam(ghi: Array, dhi: Array, altitude: Array) -> Array:
     """
     sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
     return np.where(altitude > 2.0, (ghi - dhi) / sine, 0.0)
-
-
-def _closure_fails(ghi: Array, dhi: Array, dni: Array, altitude: Array) -> NDArray[np.bool_]:
-    """QCRad: within 8 % above 15 degrees of sun, 15 % below; not testable under 50 W/m2 or with
-    two components only.
-    """
-    ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
-    allowed = np.where(altitude > 15.0, 0.08, 0.15)
-    with np.errstate(invalid="ignore"):
-        return np.isfinite(ratio) & (altitude > -3.0) & (np.abs(ratio - 1.0) > allowed)
 
 
 def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
@@ -261,7 +252,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     if clean.is_file() and note.is_file() and not force:
         known = json.loads(note.read_text(encoding="utf-8"))
         if known.pop("inputs", None) == inputs:
-            return Health(**{**known, "warnings": tuple(known["warnings"])})
+            return Health.from_json(known)
     raw, broken = _read(files, progress)
     if len(raw) == 0:
         raise NotEnoughDataError(
@@ -269,7 +260,9 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
         )
     site = session.site_file().site
     altitude, top = sky_geometry(raw.t_unix_s, site)
-    series = derive(check(raw, altitude, top), altitude, site)
+    checked = check(raw, altitude, top)
+    checked.marks[:] |= doubts(checked, altitude, top, site)
+    series = derive(checked, altitude, site)
     found = health(raw, series, altitude, top, broken, site)
     clean_of(series).write(clean)
     with replacing(note, "w", encoding="utf-8") as file:

@@ -20,7 +20,7 @@ class Mark(IntFlag):
 
     IMPOSSIBLE = 1  # outside BSRN's physically possible limits
     EXTREME = 2  # outside BSRN's extremely rare limits
-    CLOSURE = 4  # global is not diffuse + direct, where three instruments say so
+    CLOSURE = 4  # for half an hour global is not diffuse + direct, where all three are measured
     DIFFUSE = 8  # diffuse above global
     STUCK = 16  # the same figure for over ten minutes of daylight
     STATUS = 32  # the instrument reported an error
@@ -31,6 +31,9 @@ class Mark(IntFlag):
     # one reading alone departs from both neighbours: a damaged line, a bird, a very small cloud
     SPIKE = 1024
     DOUBLE = 2048  # another row of the same moment has other figures; the first one counts
+    K_INDEX = 4096  # clearness, diffuse share or beam transmittance that no sky has, lasting
+    TRACKER = 8192  # a clear sky's global without direct sun: the tracker points elsewhere
+    HORIZON = 16384  # a part of the low sky where the sun is never seen
 
 
 UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK

@@ -5,10 +5,12 @@ do about it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from fieldlum import sun
+from fieldlum.irradiance.consistency import sensitivity_steps
 from fieldlum.irradiance.series import Array, Mark, Series, local_period_s, poll_period_s
 from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 from fieldlum.records import Site
@@ -38,6 +40,13 @@ class Health:
     )  # by the light itself (`light_clock`); None without a whole day, dark on either side
     marks: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    sensitivity_steps: tuple[tuple[str, float], ...] = ()  # from that day on, relative change
+    smallest_step: float | None = None  # that would be found; None: too few days to tell
+
+    @classmethod
+    def from_json(cls, known: dict[str, Any]) -> Health:
+        steps = tuple((str(day), float(change)) for day, change in known["sensitivity_steps"])
+        return cls(**{**known, "warnings": tuple(known["warnings"]), "sensitivity_steps": steps})
 
 
 def health(
@@ -88,6 +97,13 @@ def health(
             "was the logger's clock set (daylight saving)? import the two parts as files of their "
             "own, by --utc-offset"
         )
+    steps = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
+    warnings += [
+        f"from {day:%Y-%m-%d} on global over diffuse + direct differs by {100 * change:+.1f} % "
+        f"from the days before: the sensitivity of an instrument changed, or an instrument; check the "
+        f"logger's sensitivities and calibration dates"
+        for day, change in steps.steps
+    ]
     if broken:
         warnings.append(f"{broken} broken lines in the day files were skipped")
     usable = int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum())
@@ -104,6 +120,8 @@ def health(
         clock_off,
         {name: count for name, count in counts.items() if count},
         tuple(warnings),
+        tuple((f"{day:%Y-%m-%d}", round(change, 4)) for day, change in steps.steps),
+        None if steps.smallest is None else round(steps.smallest, 4),
     )
 
 
@@ -111,6 +129,9 @@ _ASKED = {
     Mark.IMPOSSIBLE: "outside what is physically possible: units, columns, clock?",
     Mark.EXTREME: "outside what is extremely rare: units, columns, clock?",
     Mark.DIFFUSE: "with more diffuse than global: are the two exchanged?",
+    Mark.K_INDEX: "in a ratio of global, diffuse and direct that no sky has: is one of them wrong?",
+    Mark.TRACKER: "a clear sky's global without direct sun: does the tracker follow the sun?",
+    Mark.HORIZON: "where the sun never shows: something on the horizon shades the instrument",
     Mark.STUCK: "the same for over ten minutes: is the instrument dead?",
     Mark.STATUS: "with an error of the instrument",
     Mark.SPIKE: "lone spikes: is the line disturbed?",

@@ -1,0 +1,293 @@
+"""Do three components, a clear sky and the days before agree: closure, k-indices, a tracker that
+points elsewhere, a shaded horizon, and a sensitivity that changed.
+
+pvlib has none of these tests; pvanalytics has QCRad's limits and closure, without the average that
+broken clouds require. Limits of k-indices and the tracker test: Forstinger et al. 2021, Expert
+quality control of solar radiation ground data sets (ISES SWC 2021; IEA PVPS Task 16).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum import sun
+from fieldlum.irradiance.series import Array, Mark, Series
+from fieldlum.records import Site
+
+Rows = NDArray[np.bool_]
+DAY_S = 86400.0
+_CLEAR_GRID_S = 300.0  # a clear sky changes by 2 % in five minutes near sunrise, else less
+# Under broken clouds instruments a few metres or a time constant apart differ by over 8 % in 4 % of
+# the sunny minutes of a good station (bench/station_qc.py); a fault lasts.
+CLOSURE_WINDOW_S = 1800.0
+
+_K_LEAST_WM2 = (
+    50.0  # GHI from which indices are tested (Forstinger et al. 2021, as all that follow)
+)
+_KT_MOST = 1.35
+_KD_MOST, _KD_MOST_LOW_SUN, _KD_ALTITUDE_DEG = 1.05, 1.10, 15.0
+_KD_CLEAR, _KT_CLEAR, _CLEAR_LEAST_WM2, _CLEAR_ALTITUDE_DEG = 0.96, 0.6, 150.0, 5.0
+_KN_TOP_WM2, _KN_PER_M = 1100.0, 0.03
+_K_LASTS_S = 900.0  # a cloud's edge crosses two instruments one after the other: a fault lasts
+
+# Forstinger's 0.2 for global and 5 degrees mark bright overcast hours; a clear sky's global is met
+# within 18 % by the monthly turbidity.
+_TRACKER_GHI, _TRACKER_DNI, _TRACKER_ALTITUDE_DEG = 0.1, 0.95, 10.0
+
+_HORIZON_DEG = 20.0  # what is higher than this is part of the scene that somebody would see
+_BIN_AZIMUTH_DEG, _BIN_ALTITUDE_DEG = 4.0, 1.0
+_BLOCKED, _FREE = 0.05, 0.5  # of the clear sky's DNI
+_FREE_WITHIN_S = 2700.0  # the sun was free so short a time before or after
+_BLOCKED_DAYS = 4  # days that agree; clouds at one place of the horizon on four such days are rare
+
+_STEP_ALTITUDE_DEG, _STEP_DNI_WM2 = 20.0, 300.0
+_STEADY, _STEADY_WINDOW_S = 0.05, 600.0  # DNI against its mean over these seconds
+_DAY_STEADY_S = 1800.0  # steady sun in a day from which its median counts
+# A day's scatter is (1 + this / steady seconds)^0.5 times that of an endless clear day: an hour of
+# steady sun between clouds scatters by 1.3 %, seven hours by 0.5 % (three months at Lyngby).
+_FULL_DAY_S = 28800.0
+_STEP_SIGMA = (
+    4.0  # of the day-to-day scatter; in 2 % of 20-day records without a step a split reaches it
+)
+_STEP_DAYS = 3  # on either side
+_LEAST_SCATTER = 0.001  # of daily medians: no instrument repeats better from day to day
+
+
+def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, NDArray[np.int64]]:
+    """Mean [n] over a window around each row, and how many finite rows it has [n]; NaN for none."""
+    good = np.isfinite(value)
+    total = np.r_[0.0, np.cumsum(np.where(good, value, 0.0))]
+    count = np.r_[0, np.cumsum(good)]
+    first = np.searchsorted(t_unix_s, t_unix_s - window_s / 2, side="left")
+    last = np.searchsorted(t_unix_s, t_unix_s + window_s / 2, side="right")
+    rows = count[last] - count[first]
+    mean = np.divide(
+        total[last] - total[first], rows, out=np.full(len(rows), np.nan), where=rows > 0
+    )
+    return mean, rows.astype(np.int64)
+
+
+def lasting(t_unix_s: Array, marked: Rows, window_s: float) -> Rows:
+    """Marked rows [n] around which at least half of the rows of a window are marked too."""
+    share, _ = window_mean(t_unix_s, marked.astype(float), window_s)
+    return marked & (share >= 0.5)
+
+
+def closure_fails(t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array) -> Rows:
+    """QCRad: within 8 % above 15 degrees of sun, 15 % below; a row counts where at least half of
+    the half hour around it fails too. Not testable under 50 W/m2 or with two components only.
+    """
+    ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
+    allowed = np.where(altitude > 15.0, 0.08, 0.15)
+    testable = np.isfinite(ratio) & (altitude > -3.0)
+    with np.errstate(invalid="ignore"):
+        fails = testable & (np.abs(ratio - 1.0) > allowed)
+    share, _ = window_mean(
+        t_unix_s, np.where(testable, fails.astype(float), np.nan), CLOSURE_WINDOW_S
+    )
+    with np.errstate(invalid="ignore"):
+        return fails & (share >= 0.5)
+
+
+def k_index_fails(
+    t_unix_s: Array,
+    ghi: Array,
+    dhi: Array,
+    dni: Array,
+    altitude: Array,
+    top: Array,
+    altitude_m: float = 0.0,
+) -> Rows:
+    """Rows [n] whose clearness, diffuse share or beam transmittance no sky has, for a while.
+
+    top [n]: irradiance above the air on a plane normal to the sun. Of the two components that
+    contradict each other the test cannot name the wrong one. [W/m2]
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        kt = ghi / (top * np.maximum(np.sin(np.radians(altitude)), 1e-3))
+        kn, kd = dni / top, dhi / ghi
+        tested = (ghi > _K_LEAST_WM2) & (altitude > 0.0)
+        most_kd = np.where(altitude > _KD_ALTITUDE_DEG, _KD_MOST, _KD_MOST_LOW_SUN)
+        clear = (kt > _KT_CLEAR) & (ghi > _CLEAR_LEAST_WM2) & (altitude > _CLEAR_ALTITUDE_DEG)
+        fails = (kn > kt) & (kn > 0) & (kt > 0)
+        fails |= kn > (_KN_TOP_WM2 + _KN_PER_M * altitude_m) / top
+        fails |= (kt > _KT_MOST) | (kd > most_kd) | (clear & (kd > _KD_CLEAR))
+    return lasting(t_unix_s, np.asarray(tested & fails), _K_LASTS_S)
+
+
+def tracker_off(
+    t_unix_s: Array, ghi: Array, dni: Array, altitude: Array, clear: sun.Irradiance
+) -> Rows:
+    """Rows [n] with a clear sky's global and next to no direct for half an hour: the tracker points
+    elsewhere, or the pyrheliometer is covered.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        near = np.abs(clear.ghi_wm2 - ghi) / (clear.ghi_wm2 + ghi) < _TRACKER_GHI
+        none = (clear.dni_wm2 - dni) / (clear.dni_wm2 + dni) > _TRACKER_DNI
+    up = altitude > _TRACKER_ALTITUDE_DEG
+    off = up & near & none & (clear.ghi_wm2 > _K_LEAST_WM2)
+    return lasting(t_unix_s, np.asarray(off), CLOSURE_WINDOW_S)
+
+
+def shaded_horizon(
+    t_unix_s: Array, dni: Array, altitude: Array, azimuth: Array, clear_dni: Array
+) -> Rows:
+    """Rows [n] whose part of the sky, 4 x 1 degrees under 20 degrees of altitude, never shows the
+    sun on at least four days on which it is free shortly before or after.
+    """
+    out = np.zeros(len(t_unix_s), bool)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(clear_dni > _K_LEAST_WM2, dni / clear_dni, np.nan)
+    low = np.isfinite(share) & (altitude > 1.0) & (altitude < _HORIZON_DEG)
+    free_times = t_unix_s[np.nan_to_num(share) > _FREE]
+    if not low.any() or not len(free_times):
+        return out
+    rows = np.flatnonzero(low)
+    after = np.searchsorted(free_times, t_unix_s[rows])
+    gap = np.minimum(
+        np.abs(free_times[np.minimum(after, len(free_times) - 1)] - t_unix_s[rows]),
+        np.abs(free_times[np.maximum(after - 1, 0)] - t_unix_s[rows]),
+    )
+    column = np.floor(azimuth[rows] / _BIN_AZIMUTH_DEG).astype(np.int64)
+    bins = 1000 * column + np.floor(altitude[rows] / _BIN_ALTITUDE_DEG).astype(np.int64)
+    days = np.floor(t_unix_s[rows] / DAY_S).astype(np.int64)
+    for each in np.unique(bins):
+        mine = bins == each
+        asked = mine & (gap <= _FREE_WITHIN_S)
+        blocked = share[rows[mine]].max() < _BLOCKED
+        if blocked and len(np.unique(days[asked])) >= _BLOCKED_DAYS:
+            out[rows[mine]] = True
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class SensitivitySteps:
+    """Days from which global against diffuse + direct is another one, with the relative change; the
+    smallest change that would be found in the middle of the record; days compared.
+    """
+
+    steps: tuple[tuple[date, float], ...]
+    smallest: float | None
+    days: int
+
+
+def sensitivity_steps(
+    t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array
+) -> SensitivitySteps:
+    """Find days at which one of three instruments changed its sensitivity, or was exchanged.
+
+    Each day's figure is the median closure ratio while the direct sun was steady. Closure cannot
+    tell which of the three changed. Fewer than six such days: nothing is found.
+    """
+    ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
+    mean, _ = window_mean(t_unix_s, dni, _STEADY_WINDOW_S)
+    with np.errstate(invalid="ignore"):
+        steady = (np.abs(dni - mean) < _STEADY * mean) & (dni > _STEP_DNI_WM2)
+        steady &= (altitude > _STEP_ALTITUDE_DEG) & np.isfinite(ratio)
+    rows = np.flatnonzero(steady)
+    if not len(rows):
+        return SensitivitySteps((), None, 0)
+    period_s = max(float(np.median(np.diff(t_unix_s))), 1.0)
+    day = np.floor(t_unix_s[rows] / DAY_S).astype(np.int64)
+    present, count = np.unique(day, return_counts=True)
+    enough = count * period_s >= _DAY_STEADY_S
+    present, steady_s = present[enough], count[enough] * period_s
+    value = np.array([float(np.median(ratio[rows[day == d]])) for d in present])
+    spread = np.sqrt(1.0 + _FULL_DAY_S / steady_s)
+    cuts = _cuts(value, spread, 0)
+    parts = list(itertools.pairwise([0, *cuts, len(value)]))
+    levels = [_level(value[a:b], spread[a:b])[0] for a, b in parts]
+    steps = tuple(
+        (datetime.fromtimestamp(float(present[cut]) * DAY_S, UTC).date(), after / before - 1.0)
+        for cut, (before, after) in zip(cuts, itertools.pairwise(levels), strict=True)
+    )
+    return SensitivitySteps(steps, _smallest(value, spread, parts, levels), len(value))
+
+
+def _level(value: Array, spread: Array) -> tuple[float, float]:
+    """Weighted mean of daily figures, and its standard error in units of a clear day's scatter."""
+    weight = spread**-2
+    return float(np.sum(weight * value) / np.sum(weight)), float(np.sum(weight) ** -0.5)
+
+
+def _scatter(value: Array, spread: Array) -> float:
+    """Scatter of a clear day's figure, from neighbouring differences: a step hardly counts."""
+    differences = np.abs(np.diff(value)) / np.hypot(spread[1:], spread[:-1])
+    return max(float(np.median(differences)) * 1.4826, _LEAST_SCATTER)
+
+
+def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
+    """Indices before which the level changes, by the largest contrast first, then in both parts."""
+    n = len(value)
+    if n < 2 * _STEP_DAYS:
+        return []
+    sigma = _scatter(value, spread)
+    at = range(_STEP_DAYS, n - _STEP_DAYS + 1)
+    score = [_contrast(value, spread, k) / sigma for k in at]
+    best = int(np.argmax(score))
+    if score[best] < _STEP_SIGMA:
+        return []
+    k = at[best]
+    before = _cuts(value[:k], spread[:k], offset)
+    return [*before, offset + k, *_cuts(value[k:], spread[k:], offset + k)]
+
+
+def _contrast(value: Array, spread: Array, k: int) -> float:
+    """Difference of the levels before and from index k on, in standard errors of unit scatter."""
+    (before, u_before), (after, u_after) = (
+        _level(value[:k], spread[:k]),
+        _level(value[k:], spread[k:]),
+    )
+    return abs(after - before) / float(np.hypot(u_before, u_after))
+
+
+def _smallest(
+    value: Array, spread: Array, parts: list[tuple[int, int]], levels: list[float]
+) -> float | None:
+    """Step in the middle of the record that would reach the limit, relative."""
+    n = len(value)
+    if n < 2 * _STEP_DAYS:
+        return None
+    rest = np.concatenate([value[a:b] - m for (a, b), m in zip(parts, levels, strict=True)])
+    u_rel = np.hypot(
+        _level(value[: n // 2], spread[: n // 2])[1], _level(value[n // 2 :], spread[n // 2 :])[1]
+    )
+    return float(_STEP_SIGMA * _scatter(rest, spread) * u_rel)
+
+
+def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[np.int64]:
+    """Marks [n] of rows that a clear sky or their own k-indices contradict. No value is blanked.
+
+    altitude, top [n]: of `sky_geometry`.
+    """
+    t, dni = series.t_unix_s, series.dni_wm2
+    marks = np.zeros(len(t), np.int64)
+    complete = (series.marks & Mark.DERIVED) == 0
+    ghi = np.where(complete, series.ghi_wm2, np.nan)
+    marks[k_index_fails(t, ghi, series.dhi_wm2, dni, altitude, top, site.altitude_m)] |= (
+        Mark.K_INDEX
+    )
+    if not np.isfinite(dni[complete]).any():
+        return marks
+    azimuth, clear = _clear_sky(t, site)
+    dni = np.where(complete, dni, np.nan)
+    marks[tracker_off(t, ghi, dni, altitude, clear)] |= Mark.TRACKER
+    marks[shaded_horizon(t, dni, altitude, azimuth, clear.dni_wm2)] |= Mark.HORIZON
+    return marks
+
+
+def _clear_sky(t_unix_s: Array, site: Site) -> tuple[Array, sun.Irradiance]:
+    """Azimuth [n] deg and clear-sky irradiance [n], interpolated between five minutes."""
+    step = np.floor(t_unix_s / _CLEAR_GRID_S)
+    grid = _CLEAR_GRID_S * np.unique(np.r_[step, step + 1.0])
+    times = [datetime.fromtimestamp(t, UTC) for t in grid]
+    turn = np.radians(sun.position(times, site).azimuth_deg)
+    north, east = (np.interp(t_unix_s, grid, f(turn)) for f in (np.cos, np.sin))
+    clear = sun.clearsky(times, site)
+    parts = [np.interp(t_unix_s, grid, part) for part in clear]
+    return np.degrees(np.arctan2(east, north)) % 360.0, sun.Irradiance(*parts)

@@ -1,0 +1,100 @@
+"""Consistency of three components: what lasts is flagged, broken clouds and open horizons are not,
+and a step of the sensitivity is dated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fieldlum import sun
+from fieldlum.irradiance.consistency import (
+    closure_fails,
+    k_index_fails,
+    sensitivity_steps,
+    shaded_horizon,
+    tracker_off,
+)
+
+DAY = np.arange(0.0, 86400.0, 60.0)
+DAYS = 14
+ALTITUDE = 60.0 * np.sin(2.0 * np.pi * (DAY / 86400.0 - 0.25))
+AZIMUTH = DAY / 86400.0 * 360.0
+TOP = np.full(len(DAY), 1361.0)
+
+
+def clear_day() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Global, diffuse and direct of a cloudless day, in exact closure."""
+    sine = np.maximum(np.sin(np.radians(ALTITUDE)), 0.0)
+    dni = np.where(sine > 0, 900.0 * np.exp(-0.08 / np.maximum(sine, 0.02)), 0.0)
+    dhi = 90.0 * np.sqrt(sine)
+    return dhi + dni * sine, dhi, dni
+
+
+@pytest.mark.analytic
+def test_closure_is_judged_by_what_lasts() -> None:
+    ghi, dhi, dni = clear_day()
+    cloud, fault = ghi.copy(), ghi.copy()
+    cloud[700:706] *= 1.3  # six minutes at a cloud's edge
+    fault[700:760] *= 1.3
+    assert not closure_fails(DAY, cloud, dhi, dni, ALTITUDE).any()
+    marked = np.flatnonzero(closure_fails(DAY, fault, dhi, dni, ALTITUDE))
+    assert 700 <= marked.min() <= 701
+    assert 758 <= marked.max() <= 759
+
+
+@pytest.mark.analytic
+def test_indices_of_a_clear_day_pass_and_exchanged_components_fail() -> None:
+    ghi, dhi, dni = clear_day()
+    assert not k_index_fails(DAY, ghi, dhi, dni, ALTITUDE, TOP).any()
+    up = ALTITUDE > 30.0
+    assert k_index_fails(DAY, dhi, ghi, dni, ALTITUDE, TOP)[up].all()  # kd far above one
+
+
+@pytest.mark.analytic
+def test_a_tracker_that_points_elsewhere_is_flagged_and_an_overcast_sky_is_not() -> None:
+    ghi, dhi, dni = clear_day()
+    clear = sun.Irradiance(ghi, dni, dhi)
+    nothing = np.zeros_like(dni)
+    assert tracker_off(DAY, ghi, nothing, ALTITUDE, clear)[ALTITUDE > 15.0].all()
+    assert not tracker_off(DAY, 0.4 * ghi, nothing, ALTITUDE, clear).any()
+    assert not tracker_off(DAY, ghi, dni, ALTITUDE, clear).any()
+
+
+@pytest.mark.analytic
+def test_a_hill_is_found_from_days_that_agree() -> None:
+    _, _, dni = clear_day()
+    clear = np.tile(dni, 6)
+    t = (np.arange(6)[:, None] * 86400.0 + DAY).ravel()
+    altitude, azimuth = np.tile(ALTITUDE, 6), np.tile(AZIMUTH, 6)
+    hill = (altitude < 8.0) & (azimuth < 180.0)
+    found = shaded_horizon(t, np.where(hill, 0.0, clear), altitude, azimuth, clear)
+    inside = hill & (altitude > 3.0)
+    assert found[inside].mean() > 0.9
+    assert not found[~hill].any()
+    assert not shaded_horizon(t, clear, altitude, azimuth, clear).any()
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize("step", [-0.02, 0.0, 0.015])
+def test_a_change_of_sensitivity_is_dated(step: float) -> None:
+    ghi, dhi, dni = clear_day()
+    rng = np.random.default_rng(3)
+    drift = 1.0 + 0.003 * rng.normal(size=DAYS)  # closure of good stations from day to day
+    factor = drift * np.where(np.arange(DAYS) >= 6, 1.0 + step, 1.0)
+    t = (np.arange(DAYS)[:, None] * 86400.0 + DAY).ravel()
+    found = sensitivity_steps(
+        t,
+        (factor[:, None] * ghi).ravel(),
+        np.tile(dhi, DAYS),
+        np.tile(dni, DAYS),
+        np.tile(ALTITUDE, DAYS),
+    )
+    if step:
+        assert [day.day for day, _ in found.steps] == [7]
+        # the mean of eight days against six, each 0.3 %: 0.16 %, three times that
+        assert found.steps[0][1] == pytest.approx(step, abs=0.005)
+    else:
+        assert not found.steps
+    assert found.smallest is not None
+    assert 0.001 < found.smallest < 0.02
