@@ -100,8 +100,8 @@ def health(
     steps = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
     warnings += [
         f"from {day:%Y-%m-%d} on global over diffuse + direct differs by {100 * change:+.1f} % "
-        f"from the days before: the sensitivity of an instrument changed, or an instrument; check the "
-        f"logger's sensitivities and calibration dates"
+        f"from the days before: the sensitivity of an instrument changed, or an instrument; check "
+        f"the logger's sensitivities and calibration dates"
         for day, change in steps.steps
     ]
     if broken:
