@@ -21,10 +21,9 @@ import numpy as np
 from fieldlum.profiles import load_site, shipped
 from fieldlum.records import Progress
 from fieldlum.scheduler import in_processes
-from fieldlum.session import Session, open_session, replacing, sha256
+from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.truth_csv import TruthIrradiance
-from fieldlum.version import __version__
 
 MODEL = "auto"
 WEATHER = "seattle_dni_dhi.csv"
@@ -83,50 +82,6 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
     clock, options = stage.prepare(session, fast=True)
     place = f"sim:office?seed={seed}"
     stage.run(session, place, place, clock=clock, options=options, watch=watch, check=doubts)
-
-
-def trained(session: Session, how: Preset, seed: int, progress: Progress) -> dict[str, Any]:
-    """The scores of the session's model; trained only where the one there is comes from other
-    captures or options.
-    """
-    from fieldlum import train
-    from fieldlum.models.data import load_pairs
-
-    model = session.models / MODEL
-    note, scores = model / "demo.json", model / "scores.json"
-    learned_from = {
-        "files": {
-            path.relative_to(session.root).as_posix(): sha256(path) for path in _lessons(session)
-        },
-        "options": {"model": MODEL, "budget_min": how.budget_min, "seed": seed},
-        "fieldlum": __version__,
-    }
-    if (
-        note.is_file()
-        and scores.is_file()
-        and json.loads(note.read_text(encoding="utf-8")) == learned_from
-    ):
-        return json.loads(scores.read_text(encoding="utf-8"))
-    note.unlink(missing_ok=True)  # a training that is cut off leaves no word of the one before
-    answer = train.run(
-        load_pairs(session),
-        MODEL,
-        budget_min=how.budget_min,
-        seed=seed,
-        out=model,
-        progress=progress,
-    )
-    with replacing(note, "w", encoding="utf-8") as file:
-        json.dump(learned_from, file, indent=1)
-    return answer
-
-
-def _lessons(session: Session) -> list[Path]:
-    return [
-        session.pairs,
-        *session.panorama_files(),
-        *session.sunpatch_files(),
-    ]
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
@@ -224,7 +179,8 @@ def run(
 
     Every stage is skipped where it is done already.
     """
-    from fieldlum import irradiance, merge, pair, predict, report, simulate
+    from fieldlum import irradiance, merge, pair, predict, report, simulate, train
+    from fieldlum.models.data import load_pairs
 
     how, weather = PRESETS[preset], weather or shipped("capture_plans") / WEATHER
     seconds: dict[str, float] = {}
@@ -256,8 +212,9 @@ def run(
         ),
     )
     stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
-    scores = stage("train", lambda p: trained(session, how, seed, p))
     model = session.models / MODEL
+    learning = {"budget_min": how.budget_min, "seed": seed, "out": model}
+    scores = stage("train", lambda p: train.run(load_pairs(session), MODEL, progress=p, **learning))
     annual, _ = stage(
         "predict a year", lambda p: predict.run(model, weather, seed=seed, progress=p)
     )

@@ -81,36 +81,6 @@ def test_what_was_merged_and_paired_is_the_truth(outcome: tuple[Path, demo.Outco
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_taken_up_again_it_trains_only_on_other_captures_or_options(
-    outcome: tuple[Path, demo.Outcome], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from fieldlum import train
-
-    session, asked = open_session(outcome[0]), []
-
-    def run(*args: object, **options: object) -> dict[str, str]:
-        asked.append(options["seed"])
-        return {"chosen": "new"}
-
-    monkeypatch.setattr(train, "run", run)
-    how = demo.Preset(23, "draft", 0.02)
-    assert demo.trained(session, how, 1, quiet)["chosen"] != "new" and not asked
-    note = session.models / demo.MODEL / "demo.json"
-    kept = note.read_text()
-    assert demo.trained(session, how, 2, quiet) == {"chosen": "new"}
-    assert demo.trained(session, demo.Preset(23, "draft", 0.5), 2, quiet) == {
-        "chosen": "new"
-    } and asked == [2, 2]
-    note.write_text(kept)
-    pairs = session.pairs.read_text()
-    session.pairs.write_text(pairs.rpartition("\n")[0].rpartition("\n")[0] + "\n")
-    assert demo.trained(session, how, 1, quiet) == {"chosen": "new"}
-    session.pairs.write_text(pairs)
-    note.write_text(kept)
-
-
-@pytest.mark.slow
-@pytest.mark.contract
 def test_the_commands_read_what_the_demo_made(outcome: tuple[Path, demo.Outcome]) -> None:
     shown = CliRunner().invoke(main, ["status", str(outcome[0]), "--json"])
     assert shown.exit_code == 0

@@ -1,7 +1,9 @@
 """Choosing and keeping a model: folds, the one-standard-error rule, the command."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from learning_room import dataset, write_pairs
 from fieldlum import models
 from fieldlum.cli import main, train_
 from fieldlum.errors import NotEnoughDataError
+from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores
 from fieldlum.train import fit_and_score, run
 from fieldlum.train.captures import how_many, order_of_use
@@ -209,3 +212,22 @@ def test_the_command(tmp_path: Path) -> None:
     assert runner.invoke(main, ["train", str(path), "--budget", "0"]).exit_code == 2
     path.write_text("\n".join(path.read_text().splitlines()[:2]))
     assert runner.invoke(main, ["train", str(path), "--model", "mean"]).exit_code == 5
+
+
+@pytest.mark.contract
+def test_a_model_of_the_same_captures_and_options_is_kept(tmp_path: Path) -> None:
+    """Other captures, options or weights train again, and so does `force`."""
+    out = tmp_path / "m"
+
+    def kept(data: Dataset = DATA, **options: Any) -> bool:
+        return run(data, "mean", out=out, captures=False, **options)["kept"]
+
+    assert [kept(), kept()] == [False, True]
+    assert [kept(seed=1), kept(seed=1), kept(seed=1, force=True)] == [False, True, False]
+    darker = replace(DATA, luminance_cdm2=DATA.luminance_cdm2 * np.float32(0.99))
+    assert [kept(darker, seed=1), kept(darker, seed=1)] == [False, True]
+    assert kept(replace(darker, source="elsewhere/pairs.csv"), seed=1)
+    (out / "weights.npz").write_bytes(b"damaged")
+    assert [kept(darker, seed=1), kept(darker, seed=1)] == [False, True]
+    (out / "scores.json").unlink()
+    assert not kept(darker, seed=1)

@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from fieldlum.cli.options import json_option, out_option, pairs_argument, scene_option, site_option
+from fieldlum.cli.options import (
+    force_option,
+    json_option,
+    out_option,
+    pairs_argument,
+    scene_option,
+    site_option,
+)
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.model_registry import MODELS
 
@@ -39,6 +46,7 @@ from fieldlum.model_registry import MODELS
 @click.option("--seed", default=0, show_default=True, help="Of everything random in training.")
 @scene_option
 @out_option("Model folder", default="models/MODEL in the folder of the pairs")
+@force_option
 @json_option
 def command(
     pairs: Path,
@@ -49,12 +57,14 @@ def command(
     seed: int,
     scene: str,
     out: Path | None,
+    force: bool,
     as_json: bool,
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
     PAIRS is a session or a pairs.csv. The budget is for the dense network, half for its held-out
-    folds and half for the model that is kept; the other models take what they need.
+    folds and half for the final model; the other models take what they need. A model that was
+    trained from the same captures and options is kept.
 
     \b
     Example:
@@ -71,13 +81,23 @@ def command(
         data, patch = in_scene(data, pairs, scene, patch, progress=show)
     with progress("training") as show:
         answer = run(
-            data, model, budget_min=budget, patch=patch, seed=seed, out=folder, progress=show
+            data,
+            model,
+            budget_min=budget,
+            patch=patch,
+            seed=seed,
+            out=folder,
+            force=force,
+            progress=show,
         )
     if as_json:
         emit_json(answer)
     else:
         _show(answer)
-    say(f"model kept in {folder}")
+    if answer["kept"]:
+        say(f"{folder}: kept, trained from the same captures and options; --force trains it again")
+    else:
+        say(f"model written to {folder}")
 
 
 def _show(answer: dict[str, Any]) -> None:

@@ -23,6 +23,7 @@ from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
+from fieldlum.session.provenance import data_digest
 from fieldlum.sun_disc import split_disc
 
 if TYPE_CHECKING:
@@ -69,6 +70,10 @@ class Dataset:
         """Solid angle of the seen pixels, of mean 1 over them; 0 where nothing was seen, [H, W]."""
         weights = np.where(self.seen, equirect_solid_angles(*self.shape), 0.0)
         return weights / weights[self.seen].mean()
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that a model can learn from, wherever the csv is."""
+        return data_digest(replace(self, source=""))
 
     def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
         """The rows of an index or boolean array."""

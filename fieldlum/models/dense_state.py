@@ -4,7 +4,6 @@ weights.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import pickle
 import warnings
@@ -12,7 +11,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,8 +19,7 @@ from fieldlum.models.dense_network import Net, Shape, pick_device
 from fieldlum.session import replacing
 
 if TYPE_CHECKING:
-    from fieldlum.models import Patch
-    from fieldlum.models.data import Dataset
+    pass
 
 STAGES = (6, 3, 1)  # batch in images' worth of pixels
 STAGE_EPOCHS = 30
@@ -62,28 +59,6 @@ class Run:
 # checkpoints
 
 
-def fingerprint(data: Dataset, patch: Patch, seed: int) -> str:
-    """Of what is trained on: hours, light, and each picture's mean. Pictures merged anew are
-    another training.
-    """
-    light = data.light
-    parts = [
-        light.dni_wm2,
-        light.dhi_wm2,
-        light.sun_altitude_deg,
-        light.sun_azimuth_deg,
-        np.array(data.shape, float),
-    ]
-    maps = [data.luminance_cdm2] + (
-        [data.patch_cdm2] if patch != "none" and data.patch_cdm2 is not None else []
-    )
-    parts += [np.array([m.mean(dtype=np.float64) for m in series]) for series in maps]
-    figures = " ".join(f"{value:.6g}" for part in parts for value in part)
-    return hashlib.sha256(
-        f"{seed} {patch} {data.heading_deg:.6g} {' '.join(data.slots)} {figures}".encode()
-    ).hexdigest()
-
-
 def keep(
     path: Path,
     net: Net,
@@ -94,7 +69,7 @@ def keep(
     mark: str,
     best: dict[str, Tensor],
 ) -> None:
-    """Write a checkpoint, whole or not at all; mark: the fingerprint of the data."""
+    """Write a checkpoint, whole or not at all; mark: the digest of what is trained on."""
     state = {
         "net": net.state_dict(),
         "best": best,

@@ -39,11 +39,11 @@ from fieldlum.models.dense_state import (
     STAGES,
     Run,
     TrainingPlan,
-    fingerprint,
     keep,
     restore,
 )
 from fieldlum.records import Progress, quiet
+from fieldlum.session.provenance import data_digest
 
 if TYPE_CHECKING:
     from fieldlum.models import Patch
@@ -260,7 +260,7 @@ def train(
     if plan is None:
         plan = _make_plan(net, pixels, budget_s, half)
     best = {name: value.clone() for name, value in net.state_dict().items()}
-    run, mark = Run(rate=plan.rate), fingerprint(data, patch, seed)
+    run, mark = Run(rate=plan.rate), data_digest(data.digest(), patch, seed)
     if checkpoint is not None and checkpoint.is_file():
         plan, best = restore(checkpoint, net, optimiser, run, shape, mark)
     loop = _Loop(

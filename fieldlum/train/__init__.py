@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,17 +17,21 @@ from fieldlum.model_registry import MODELS, baselines
 from fieldlum.models import Fitted, Patch
 from fieldlum.models.scores import summary
 from fieldlum.records import Progress, quiet
+from fieldlum.session import sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoresFile
+from fieldlum.session.provenance import digest, made_from
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.selection import ModelSelection, Trial, choose
 from fieldlum.train.setting import settle
 from fieldlum.train.trials import dense_folds, evaluate_folds, fit_timed
+from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
+SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 FOLD_SHARE = 0.5  # of the budget of slow models; the rest is for the model that is stored
 # all folds of a quick model, unless they take longer than this: the budget is for the slow ones
 QUICK_S = 300.0
@@ -197,18 +200,31 @@ def run(
     seed: int = 0,
     out: Path,
     captures: bool = True,
+    force: bool = False,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
     """Train, keep the model and its scores in `out`, and return what `train --json` prints.
 
-    A dense training that was cut off goes on from `out`/checkpoint.pt when the data, the model and
-    the seed are the same. captures: also say how many captures would have been enough.
+    A model that was trained from the same captures and options by the same version is kept: the
+    answer's `kept` is then True. A dense training that was cut off goes on from its checkpoint in
+    `out`. captures: also say how many captures would have been enough.
     """
     from fieldlum.models import distributed
     from fieldlum.train.captures import how_many
 
-    same = hashlib.sha256(" ".join((str(seed), patch, *data.slots)).encode()).hexdigest()[:12]
-    checkpoint = out / f"checkpoint-{same}.pt"
+    mode = patch_mode(data, patch)
+    inputs = {
+        "data": data.digest(),
+        "model": model,
+        "patch": mode,
+        "budget_min": budget_min,
+        "seed": seed,
+        "captures": captures,
+        "fieldlum": __version__,
+    }
+    if not force and (table := trained_before(out, inputs)) is not None:
+        return table | {"kept": True}
+    checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
     result = fit_and_score(
         data,
         model,
@@ -218,9 +234,7 @@ def run(
         checkpoint=checkpoint,
         progress=progress,
     )
-    enough = (
-        how_many(data, patch_mode(data, patch), seed=seed, progress=progress) if captures else {}
-    )
+    enough = how_many(data, mode, seed=seed, progress=progress) if captures else {}
     answer = {
         "models": result.table(seed),
         "chosen": result.choice.name,
@@ -229,11 +243,12 @@ def run(
         "final_fit_s": result.fit_s,
         "captures": enough,
         "notes": list(result.notes),
+        "inputs": inputs,
     }
     text = json.dumps(answer, default=lambda value: value.tolist())
     answer = json.loads(text, parse_constant=lambda _: None)  # JSON has no NaN
     if distributed.rank() == 0:
-        mode = patch_mode(data, patch)
+        (out / SCORES).unlink(missing_ok=True)  # written last: with it a model is complete
         models.save(
             out,
             result.fitted,
@@ -243,9 +258,22 @@ def run(
             chosen_because=result.choice.reason,
             warnings=[note for note in result.notes if note.startswith("WARNING")],
         )
-        ScoresFile.from_table(answer, out / "scores.json").write(out)
         (out / "held_out.npz").unlink(missing_ok=True)
         if result.held_out is not None:
             result.held_out.write(out)
+        answer["model_sha256"] = _model_sha256(out)
+        ScoresFile.from_table(answer, out / SCORES).write(out)
         checkpoint.unlink(missing_ok=True)
-    return answer
+    return answer | {"kept": False}
+
+
+def trained_before(folder: Path, inputs: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the scores of the model in `folder` if it came from these inputs and is unchanged."""
+    table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
+    if table is None or table.get("model_sha256") != _model_sha256(folder):
+        return None
+    return ScoresFile.from_table(table, folder / SCORES).table()
+
+
+def _model_sha256(folder: Path) -> str:
+    return digest([sha256(folder / name) for name in MODEL_FILES])

@@ -1,0 +1,65 @@
+"""What a result was computed from: recorded next to it, and the reason not to compute it again.
+
+A result has a note, a JSON object written after the result's files. Its key `inputs` holds
+everything that the result depends on, as plain values; large inputs are in it by their digest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> dict[str, Any] | None:
+    """Return a result's note where it records these very inputs and all files exist, else None.
+
+    A damaged note is none: the result is computed again. A note without `inputs` is the inputs.
+    """
+    try:
+        table = json.loads(note.read_text(encoding="utf-8"))
+        recorded = table.get("inputs", table)
+    except (OSError, ValueError, AttributeError):
+        return None
+    same = recorded == json.loads(json.dumps(inputs))
+    return table if same and all(path.is_file() for path in outputs) else None
+
+
+def digest(value: object) -> str:
+    """Return the SHA-256 of plain values (what JSON can hold), in hex."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def data_digest(*values: object) -> str:
+    """Return the SHA-256 of values with arrays, dataclasses and times in them, in hex."""
+    total = hashlib.sha256()
+    for value in values:
+        _feed(total, value)
+    return total.hexdigest()
+
+
+def _feed(total: Any, value: object) -> None:
+    if isinstance(value, np.ndarray):
+        total.update(f"{value.dtype.str} {value.shape}".encode())
+        total.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+    elif is_dataclass(value):
+        total.update(type(value).__name__.encode())
+        for field in fields(value):
+            _feed(total, getattr(value, field.name))
+    elif isinstance(value, dict):
+        for key in sorted(value, key=str):
+            total.update(f"{key}:".encode())
+            _feed(total, value[key])
+    elif isinstance(value, list | tuple):
+        total.update(f"[{len(value)}]".encode())
+        for item in value:
+            _feed(total, item)
+    else:
+        text = value.isoformat() if isinstance(value, datetime) else json.dumps(value, default=str)
+        total.update(f"{text};".encode())
