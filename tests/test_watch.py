@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
@@ -26,11 +28,19 @@ from fieldlum.records import IrradianceSample, Panorama, SiteFile, Slot, utc_tex
 from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.access import Access
+from fieldlum.web.answer import Moment, Worker, answer_table
 from fieldlum.web.follow import DayBins, JournalFollower
 from fieldlum.web.qr import qr_lines
 from fieldlum.web.snapshot import Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
+ANSWER = (
+    "From 12 captures",
+    "S 180°",
+    "cannot tell yet (medium is likeliest)",
+    "not seen",
+    "0.360",
+)
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 
 
@@ -65,6 +75,9 @@ def _session(folder: Path) -> Session:
         ghi = 5000.0 if k == 20 else 300.0 + k
         days.append(IrradianceSample(t, ghi, 100.0, 400.0, status=status))
     days.close()
+    (session.root / "watch").mkdir()
+    answers = [_answer(0.38, 8), _answer(0.36, 12)]
+    (session.root / "watch" / "answers.json").write_text(json.dumps(answers), encoding="utf-8")
     return session
 
 
@@ -80,7 +93,17 @@ def address(session: Session) -> Iterator[str]:
 
 def _watched(session: Session, *options: str) -> Iterator[str]:
     """The first line that `fieldlum watch` prints."""
-    command = [sys.executable, "-c", MAIN, "watch", str(session.root), "--port", "0", *options]
+    command = [
+        sys.executable,
+        "-c",
+        MAIN,
+        "watch",
+        str(session.root),
+        "--port",
+        "0",
+        "--no-compute",
+    ]
+    command += options
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
     )
@@ -278,6 +301,97 @@ def test_followed_files_give_what_a_whole_reading_gives(tmp_path: Path) -> None:
 
 
 # ----------------------------------------------------------------------------------------------
+# the answer so far
+
+needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows stops no process")
+
+
+@pytest.mark.contract
+@needs_signals
+def test_a_step_is_stopped_while_a_slot_is_near(tmp_path: Path) -> None:
+    """The step writes numbers; while a bracket is taken it has the state T and writes nothing."""
+    plain = make_session(tmp_path / "s")
+    code = (
+        "import time, os\nfor k in range(40):\n print(k, os.nice(0), flush=True)\n time.sleep(.05)"
+    )
+    near = [False]
+    worker = Worker(
+        plain,
+        lambda: Moment(30.0 if near[0] else 3000.0, False, 0),
+        program=(sys.executable, "-c", code),
+        look_every_s=0.02,
+    )
+    good: list[bool] = []
+    thread = threading.Thread(target=lambda: good.append(worker._run("merge")))
+    out = worker.folder / "merge.out"
+    thread.start()
+    _until(lambda: out.is_file() and len(out.read_text().splitlines()) > 3)
+    near[0] = True
+    time.sleep(0.4)
+    before = out.read_text()
+    time.sleep(0.4)
+    assert out.read_text() == before
+    assert before.splitlines()[-1].endswith(" 19")
+    near[0] = False
+    thread.join(20)
+    assert good == [True]
+    assert len(out.read_text().splitlines()) == 40
+
+
+@pytest.mark.contract
+def test_steps_run_once_for_new_captures_and_their_faults_are_named(tmp_path: Path) -> None:
+    plain = make_session(tmp_path / "s")
+    code = (
+        "import sys; print(sys.argv[1]); sys.exit('pair: no light' if sys.argv[1] == 'pair' else 0)"
+    )
+    moments = [Moment(3000.0, True, 9), Moment(30.0, False, 9), Moment(3000.0, False, 9)]
+    worker = Worker(plain, lambda: moments[0], program=(sys.executable, "-c", code))
+    for _ in range(2):
+        worker.work()
+        assert not worker.folder.exists()
+        moments.pop(0)
+    worker.work()
+    assert worker.problem == "pair: no light"
+    (worker.folder / "merge.out").unlink()
+    worker.work()
+    assert not (worker.folder / "merge.out").exists()
+    assert answer_table(plain, worker)["last"] is None
+
+
+def _until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def _answer(dgp: float, captures: int) -> dict[str, Any]:
+    rows = [
+        {
+            "azimuth_deg": az,
+            "class": "medium",
+            "certain": certain,
+            "seen": "seen",
+            "dgp_exceeded": value,
+            "low": None if value is None else value - 0.02,
+            "high": None if value is None else value + 0.02,
+        }
+        for az, certain, value in ((0.0, True, dgp), (180.0, False, 0.41), (270.0, False, None))
+    ]
+    hour = {"t_utc": "2027-03-24T15:30:00Z", "reduction_percent": 2.5, "planned": False}
+    return {
+        "t_utc": "2027-03-21T02:00:00Z",
+        "captures": captures,
+        "weather": HOSTILE,
+        "synthetic": True,
+        "warnings": [HOSTILE],
+        "protection": rows,
+        "useful": [hour],
+        "capture_next": [{"date": "06-21", "hour": "10:30", "dni_wm2": 700.0, "dhi_wm2": 90.0}],
+    }
+
+
+# ----------------------------------------------------------------------------------------------
 # in a browser
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
@@ -293,7 +407,7 @@ def test_the_page_shows_the_session_and_takes_names_as_text(address: str, tmp_pa
         page.until("document.body.dataset.polls >= 1")
         assert page.run("location.href").endswith("/")  # no token
         text = page.text()
-        for part in (HOSTILE, "camera stopped answering", "was not taken"):
+        for part in (HOSTILE, "camera stopped answering", "was not taken", *ANSWER):
             assert part in text
         assert page.run("document.querySelectorAll('img[onerror]').length") == 0
         assert page.run("document.body.dataset.hacked || ''") == ""

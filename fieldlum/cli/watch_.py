@@ -9,6 +9,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
+from fieldlum.errors import InputError
 
 DEFAULT_PORT = 8765
 
@@ -28,11 +29,24 @@ DEFAULT_PORT = 8765
     help="Let other devices of this network open the page. It is plain HTTP: whoever can listen "
     "to the network can read it.",
 )
-def command(session_folder: Path, port: int, lan: bool) -> None:
+@click.option(
+    "--weather",
+    metavar="FILE|synthetic",
+    default="synthetic",
+    show_default=True,
+    help="Weather year of the answer so far, as for predict.",
+)
+@click.option(
+    "--compute/--no-compute",
+    default=True,
+    show_default=True,
+    help="Merge new brackets and compute the answer so far, at the lowest priority between slots.",
+)
+def command(session_folder: Path, port: int, lan: bool, weather: str, compute: bool) -> None:
     """Show a session as a page in the browser, live.
 
-    The first line is the address, with a token that is new in each run. The page reads the
-    session's files only; a capture that runs does not wait for it.
+    The first line is the address, with a token that is new in each run. A capture that runs does
+    not wait for the page: what is computed for it is stopped before each slot.
 
     \b
     Example:
@@ -44,12 +58,26 @@ def command(session_folder: Path, port: int, lan: bool) -> None:
     session = open_session(session_folder)
     with terminal.web_library():
         from fieldlum.web.server import prepare, watch_routes
-    served = prepare(watch_routes(session), port, lan=lan)
+    from fieldlum.web.answer import Worker
+    from fieldlum.web.snapshot import Snapshots
+
+    if weather != "synthetic" and not Path(weather).is_file():
+        raise InputError(weather, "no such file", "a weather year, or the word synthetic")
+    snapshots = Snapshots(session)
+    worker = Worker(session, snapshots.moment, weather) if compute else None
+    served = prepare(watch_routes(session, snapshots, worker), port, lan=lan)
     click.echo(served.address)
     sys.stdout.flush()
     if lan:
         _show_lan(served.address)
-    served.run()
+    if worker is not None:
+        worker.start()
+    try:
+        with terminal.unattended():
+            served.run()
+    finally:
+        if worker is not None:
+            worker.close()
 
 
 def _show_lan(address: str) -> None:

@@ -21,6 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from fieldlum.errors import DeviceError, InputError
 from fieldlum.session import Session
 from fieldlum.web.access import SECURITY_HEADERS, Access
+from fieldlum.web.answer import Worker, answer_table
 from fieldlum.web.pictures import picture_png, scale_png
 from fieldlum.web.snapshot import Snapshots, known_slot
 
@@ -98,9 +99,16 @@ def _cached() -> dict[str, str]:
     return {"Cache-Control": f"private, max-age={_YEAR_S}, immutable"}
 
 
-def watch_routes(session: Session) -> list[Route]:
-    """Return the routes of the page of `fieldlum watch`."""
-    snapshots = Snapshots(session)
+def watch_routes(
+    session: Session, snapshots: Snapshots, worker: Worker | None = None
+) -> list[Route]:
+    """Return the routes of the page of `fieldlum watch`. worker: computes the answer, or None."""
+
+    def state() -> dict[str, Any]:
+        answers = session.root / "watch" / "answers.json"
+        written = answers.stat().st_mtime_ns if answers.is_file() else 0
+        doing = [worker.step, worker.problem] if worker else []
+        return snapshots.state() | {"answer": " ".join([str(written), *doing])}
 
     def day(request: Request) -> Response:
         try:
@@ -113,7 +121,8 @@ def watch_routes(session: Session) -> list[Route]:
         static_route("/", "watch.html"),
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
-        Route("/state.json", lambda request: table(snapshots.state)),
+        Route("/state.json", lambda request: table(state)),
+        Route("/answer.json", lambda request: table(lambda: answer_table(session, worker))),
         Route("/calendar.json", lambda request: table(snapshots.calendar)),
         Route("/day/{day}.json", day),
         *picture_routes(session),

@@ -25,6 +25,7 @@ from fieldlum.plan.makeup import made_up_for
 from fieldlum.records import Slot, parse_utc, slot_id, utc_text
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.web.answer import Moment
 from fieldlum.web.follow import BIN_S, IrradianceFollower, JournalFollower, JournalState
 from fieldlum.web.pictures import scale_of
 from fieldlum.web.words import event_words
@@ -86,6 +87,21 @@ class Snapshots:
                 "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(counts)) & 0xFFFFFFFF:x}",
                 "today": self._local_day(now).isoformat(),
             }
+
+    def moment(self) -> Moment:
+        """Return what decides whether there is time to compute something."""
+        with self._lock:
+            journal, slots = self._journal.update(), self._slots()
+            now, rehearsal = self._now(journal)
+            states = self._states(slots, journal, now)
+            ahead = [slot.t_utc for slot in slots if states[slot.id] == "owed"]
+            running = _is_running(journal) is not False
+            captured = sum(state.outcome == "done" for state in journal.ledger.slots.values())
+            return Moment(
+                (ahead[0] - now).total_seconds() if ahead and running else None,
+                running and (rehearsal or "running" in states.values()),
+                captured,
+            )
 
     def calendar(self) -> dict[str, Any]:
         """Return the days of the plan with the state of each slot, and what the captures cover."""

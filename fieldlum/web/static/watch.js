@@ -6,7 +6,7 @@ const byId = id => document.getElementById(id);
 const POLL_MS = 5000, HIDDEN_POLL_MS = 60000, DAY_MS = 60000, STALE_S = 600;
 const SIGNS = {done: "●", "made up": "◐", owed: "○", missed: "✕", aborted: "▲", running: "◉"};
 const SVG = "http://www.w3.org/2000/svg";
-const view = {state: null, calendar: null, day: null, version: "", dayAt: 0, clockOff: 0, follow: true};
+const view = {state: null, calendar: null, day: null, version: "", dayAt: 0, clockOff: 0, answer: null, follow: true};
 
 function put(tag, props = {}, ...children) {
   const node = document.createElement(tag);
@@ -216,6 +216,55 @@ function runs(minutes, values) {
   return found;
 }
 
+const WINDS = ["N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW"];
+function wind(azimuth) { return `${WINDS[Math.round(azimuth / 22.5) % 16]} ${Math.round(azimuth)}°`; }
+function spark(history, k) {
+  const W = 144, H = 34, days = history.filter(row => row.dgp[k] !== null && row.dgp[k] !== undefined);
+  const svg = draw("svg", {viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": days.length
+    ? `from ${number(days[0].dgp[k], 2)} to ${number(days[days.length - 1].dgp[k], 2)} in ${days.length} answers` : "no figure"});
+  const all = days.flatMap(row => [row.low[k] ?? row.dgp[k], row.high[k] ?? row.dgp[k]]);
+  const low = Math.min(0.3, ...all), high = Math.max(0.5, ...all);
+  const x = i => days.length > 1 ? 3 + i / (days.length - 1) * (W - 6) : W / 2;
+  const y = v => H - 3 - (v - low) / (high - low) * (H - 6);
+  for (const limit of [0.35, 0.40, 0.45]) svg.append(draw("line", {x1: 0, x2: W, y1: y(limit), y2: y(limit)}));
+  const at = (i, v) => `${x(i).toFixed(1)},${y(v).toFixed(1)}`;
+  if (days.length === 1) {
+    svg.append(draw("polyline", {points: `${at(0, all[0])} ${at(0, all[1])}`}), draw("circle", {cx: x(0), cy: y(days[0].dgp[k]), r: 3}));
+  } else if (days.length) {
+    svg.append(draw("polygon", {points: [...days.map((row, i) => at(i, row.high[k] ?? row.dgp[k])),
+      ...days.map((row, i) => at(i, row.low[k] ?? row.dgp[k])).reverse()].join(" ")}));
+    svg.append(draw("polyline", {points: days.map((row, i) => at(i, row.dgp[k])).join(" ")}));
+  }
+  return svg;
+}
+function drawAnswer(a) {
+  const last = a.last, lines = [];
+  byId("answer-section").classList.toggle("hidden", !last && !a.computes);
+  if (last) lines.push(`From ${last.captures} captures, weather ${last.weather}.`
+    + (last.synthetic ? " The weather is made up: it shows how the answer moves, not what this place has. Give --weather FILE." : ""));
+  else lines.push(`The answer begins with ${a.least_captures} captures and is computed between slots.`);
+  if (a.step) lines.push(`Being computed: ${a.step}.`);
+  if (a.problem) lines.push(`The last step failed: ${a.problem}`);
+  show("answer-line", lines.join(" "));
+  byId("answer-rows").replaceChildren(...(last ? last.protection : []).map((row, k) => put("tr", {},
+    put("th", {scope: "row"}, wind(row.azimuth_deg)),
+    put("td", {}, row.dgp_exceeded === null ? "not seen" : row.certain ? `${row.class} protection` : `cannot tell yet (${row.class} is likeliest)`),
+    put("td", {}, row.dgp_exceeded === null ? "–" : `${number(row.dgp_exceeded, 3)}`
+      + (row.low === null ? "" : ` (${number(row.low, 3)} to ${number(row.high, 3)})`)),
+    put("td", {}, spark(a.history, k)))));
+  const next = [];
+  if (last) {
+    for (const hour of last.capture_next.slice(0, 3)) next.push(`To settle what is open, capture a sky like ${hour.date} ${hour.hour}: DNI ${number(hour.dni_wm2)}, DHI ${number(hour.dhi_wm2)} W/m².`);
+    for (const hour of last.useful.slice(0, 4)) next.push(`Useful coming hour: ${local(hour.t_utc)}${hour.planned ? ", planned" : ", not planned"} (${number(hour.reduction_percent, 1)} % of the uncertainty about the year).`);
+    for (const text of last.warnings.slice(0, 4)) next.push(`Doubt: ${text}`);
+  }
+  byId("answer-next").replaceChildren(...next.map(text => put("li", {}, text)));
+}
+function local(t) {
+  return new Date(t).toLocaleString("en-GB", {weekday: "short", day: "numeric", month: "short", hour: "2-digit", minute: "2-digit",
+    timeZone: view.state.timezone});
+}
+
 function step(by) {
   if (!view.calendar || !view.day) return null;
   const dates = view.calendar.days.map(day => day.date);
@@ -237,6 +286,7 @@ async function refresh() {
     const s = await ask("/state.json");
     const changed = s.version !== view.version, turned = view.state !== null && s.today !== view.state.today;
     drawState(s);
+    if (s.answer !== view.answer) { drawAnswer(await ask("/answer.json")); view.answer = s.answer; }
     if (changed) { drawCalendar(await ask("/calendar.json")); view.version = s.version; }
     if (view.day === null || (turned && view.follow)) await choose(nearest(s.today));
     else if (changed || (view.day.date === s.today && performance.now() - view.dayAt > DAY_MS)) {

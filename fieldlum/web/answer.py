@@ -1,0 +1,253 @@
+"""The answer so far: the chain from frames to glare classes, run at low priority between slots.
+
+The steps are ordinary commands in a process of their own. They are stopped before a slot begins and
+go on after it, so that a capture on the same computer never waits. Their results are in the
+session's folder watch/, apart from what the user computes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import IO, Any
+
+from fieldlum.records import utc_text
+from fieldlum.session import Session, replacing
+
+# A bracket begins with the camera waking up: a minute before it the computer is the capture's.
+QUIET_BEFORE_S = 90.0
+_LOOK_EVERY_S = 5.0
+_LOWEST_PRIORITY = 19
+ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day
+LEAST_CAPTURES = 8  # fewer leave every class open
+_DAYS_KEPT = 400
+PROGRAM = (
+    sys.executable,
+    "-c",
+    "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What decides whether there is time to compute. seconds_to_slot: None without a coming slot.
+    busy: a bracket is being taken, or time is simulated and runs fast.
+    """
+
+    seconds_to_slot: float | None
+    busy: bool
+    captured: int
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether nothing of the capture is near."""
+        far = self.seconds_to_slot is None or self.seconds_to_slot > QUIET_BEFORE_S
+        return far and not self.busy
+
+
+@dataclass(slots=True)
+class Worker:
+    """Runs the steps in a thread of its own.
+
+    moment: returns the present state of the capture. weather: a file, or "synthetic".
+    """
+
+    session: Session
+    moment: Callable[[], Moment]
+    weather: str = "synthetic"
+    program: Sequence[str] = PROGRAM
+    look_every_s: float = _LOOK_EVERY_S
+    problem: str = ""  # of the last step that failed
+    step: str = ""  # what is being computed now
+    _stop: threading.Event = field(default_factory=threading.Event)
+    _thread: threading.Thread | None = None
+    _merged_at: int = -1
+    _answered_at: int = -1
+
+    @property
+    def folder(self) -> Path:
+        """Where the results are."""
+        return self.session.root / "watch"
+
+    def start(self) -> None:
+        """Begin; returns at once."""
+        self._thread = threading.Thread(target=self._loop, name="answer", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the step that runs and the thread."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(20.0)
+
+    def _loop(self) -> None:
+        while not self._stop.wait(self.look_every_s):
+            with suppress(OSError):  # a share that is away: look again later
+                self.work()
+
+    def work(self) -> None:
+        """Do what is due: merge and pair new brackets, then perhaps answer."""
+        now = self.moment()
+        if not now.is_quiet or now.captured == 0:
+            return
+        if now.captured != self._merged_at:
+            root = str(self.session.root)
+            good = self._run("merge", "merge", root, "--workers", "1")
+            good = good and self._run("pair", "pair", root)
+            if not self._stop.is_set():
+                self._merged_at = now.captured
+            if not good:
+                return
+        due = now.captured != self._answered_at and now.captured >= LEAST_CAPTURES
+        if due and self._is_old():
+            self._answer(now.captured)
+
+    def _is_old(self) -> bool:
+        rows = read_answers(self.session)
+        if not rows:
+            return True
+        last = datetime.fromisoformat(rows[-1]["t_utc"])
+        return datetime.now(UTC) - last >= ANSWER_EVERY
+
+    def _answer(self, captured: int) -> None:
+        model, annual, root = self.folder / "model", self.folder / "annual", str(self.session.root)
+        fitting = ("train", root, "--model", "transport", "--out", str(model))
+        year = ("predict", str(model), "--weather", self.weather, "--out", str(annual))
+        good = self._run("train", *fitting) and self._run("predict", *year)
+        if good:
+            given = () if self.weather == "synthetic" else ("--weather", self.weather)
+            self._run("useful hours", "plan", root, "--next", "--json", *given)
+            with suppress(OSError, ValueError, KeyError):
+                self._keep(captured, annual)
+        if not self._stop.is_set():
+            self._answered_at = captured
+
+    def _keep(self, captured: int, annual: Path) -> None:
+        """Append the classes to the history of answers."""
+        about = json.loads((annual / "predict.json").read_text(encoding="utf-8"))
+        hours: list[dict[str, Any]] = []
+        with suppress(OSError, ValueError, KeyError):
+            hours = json.loads((self.folder / "useful hours.out").read_text("utf-8"))["hours"]
+        row = {
+            "t_utc": utc_text(datetime.now(UTC)),
+            "captures": captured,
+            "weather": about["weather"]["name"],
+            "synthetic": bool(about["weather"]["synthetic"]),
+            "warnings": [*about["model_warnings"], *about["notes"]],
+            "protection": about["protection"],
+            "capture_next": about["capture_next"][:5],
+            "useful": hours[:8],
+        }
+        rows = [*read_answers(self.session), row][-_DAYS_KEPT:]
+        with replacing(self.folder / "answers.json", "w", encoding="utf-8") as file:
+            json.dump(rows, file)
+
+    def _run(self, name: str, *arguments: str) -> bool:
+        """Run one command at the lowest priority; it is stopped while a slot is near. Return
+        whether it ended well.
+        """
+        if self._stop.is_set():
+            return False
+        self.folder.mkdir(exist_ok=True)
+        self.step = name
+        out, notes = self.folder / f"{name}.out", self.folder / f"{name}.err"
+        try:
+            with out.open("wb") as answer, notes.open("wb") as errors:
+                process = self._started(arguments, answer, errors)
+                code = self._attended(process)
+        finally:
+            self.step = ""
+        if code == 0:
+            self.problem = ""
+            return True
+        if not self._stop.is_set():
+            lines = notes.read_text("utf-8", "replace").strip().splitlines()
+            self.problem = (lines or [f"{name}: exit code {code}"])[-1][:400]
+        return False
+
+    def _started(
+        self, arguments: Sequence[str], out: IO[bytes], errors: IO[bytes]
+    ) -> subprocess.Popen[bytes]:
+        threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+        flags = subprocess.IDLE_PRIORITY_CLASS if sys.platform == "win32" else 0
+        process = subprocess.Popen(
+            [*self.program, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=errors,
+            env={**os.environ, **threads},
+            start_new_session=sys.platform != "win32",
+            creationflags=flags,
+        )
+        if sys.platform != "win32":
+            with suppress(OSError):
+                os.setpriority(os.PRIO_PGRP, process.pid, _LOWEST_PRIORITY)
+        return process
+
+    def _attended(self, process: subprocess.Popen[bytes]) -> int:
+        """Wait for the end; stop and continue the process with the slots. Return its exit code."""
+        stopped = False
+        while True:
+            with suppress(subprocess.TimeoutExpired):
+                return process.wait(min(self.look_every_s, 1.0))
+            if self._stop.is_set():
+                _signal(process, "SIGKILL")
+                return process.wait()
+            quiet = self.moment().is_quiet
+            if quiet == stopped:
+                _signal(process, "SIGCONT" if stopped else "SIGSTOP")
+                stopped = not stopped
+
+
+def _signal(process: subprocess.Popen[bytes], name: str) -> None:
+    """Send a signal to a step and its children. On Windows, which cannot stop a process, a step
+    near a slot goes on at idle priority.
+    """
+    if sys.platform == "win32":
+        if name == "SIGKILL":
+            process.kill()
+        return
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, getattr(signal, name))
+
+
+def read_answers(session: Session) -> list[dict[str, Any]]:
+    """Return the answers so far, oldest first; none for a missing or damaged file."""
+    try:
+        rows = json.loads((session.root / "watch" / "answers.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+
+
+def answer_table(session: Session, worker: Worker | None) -> dict[str, Any]:
+    """Return the last answer, how each direction moved, and what is being computed."""
+    rows = read_answers(session)
+    last = rows[-1] if rows else None
+    history: list[dict[str, Any]] = [
+        {
+            "t_utc": row["t_utc"],
+            "captures": row["captures"],
+            "dgp": [p["dgp_exceeded"] for p in row["protection"]],
+            "low": [p["low"] for p in row["protection"]],
+            "high": [p["high"] for p in row["protection"]],
+        }
+        for row in rows
+    ]
+    return {
+        "last": last,
+        "history": history,
+        "computes": worker is not None,
+        "step": worker.step if worker else "",
+        "problem": worker.problem if worker else "",
+        "least_captures": LEAST_CAPTURES,
+    }
