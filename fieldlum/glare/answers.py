@@ -1,4 +1,4 @@
-"""What the answers for panoramas and for single pictures have in common."""
+"""The parts of an answer that panoramas and single pictures have in common."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from fieldlum.errors import InputError
 from fieldlum.glare.pictures import Picture
 from fieldlum.records import Flag, Panorama, SunSource, utc_text
 
+# Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).
 VERDICTS = (
     (0.35, "imperceptible"),
     (0.40, "perceptible"),
@@ -22,7 +23,7 @@ VERDICTS = (
 
 
 def verdict(dgp: float) -> str:
-    """Wienold's four grades of DGP."""
+    """Return the grade of a DGP, one of Wienold's four."""
     return next(name for limit, name in VERDICTS if dgp < limit)
 
 
@@ -33,7 +34,7 @@ def answer_of(
     warnings: list[str],
     sun: SunSource | None,
 ) -> dict[str, Any]:
-    """Return the plain values of one picture, without what only one of its kinds has."""
+    """Return the values of one picture that both kinds of picture have."""
     panorama = picture.panorama
     return {
         "file": str(path),
@@ -54,7 +55,7 @@ def scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
 
 
 def seen_pixels(panorama: Panorama) -> np.ndarray | None:
-    """Pixels that a lens saw, [H, W]; None where all were."""
+    """Return the pixels that a lens saw, [H, W], or None if all were seen."""
     if panorama.flags is None:
         return None
     outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
@@ -62,10 +63,9 @@ def seen_pixels(panorama: Panorama) -> np.ndarray | None:
 
 
 def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Return a copy of the luminance in which unseen pixels and negative ones (noise) are 0, and
-    what to say of it.
+    """Return a copy of the luminance with unseen and negative pixels set to 0, and warnings.
 
-    Raises InputError for pixels that are not finite.
+    Negative pixels are noise. Raises InputError for pixels that are not finite.
     """
     pixels = np.array(panorama.luminance_cdm2, np.float32)
     seen = seen_pixels(panorama)
@@ -75,8 +75,8 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
     if bad:
         raise InputError(
             path,
-            f"{bad} pixels that are no numbers",
-            "cd/m2 everywhere",
+            f"{bad} pixels are not finite",
+            "cd/m2 in every pixel",
             "merge or render it again",
         )
     dark = int((pixels < 0).sum())
@@ -85,11 +85,11 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]
 
 
 def picture_warnings(picture: Picture) -> list[str]:
-    """What a user must know of the file."""
+    """Return the warnings about the file: notes of the reader, unknown direction, clipping."""
     warnings = list(picture.notes)
     if not picture.directed:
         warnings.append(
-            "its VIEW has no -vd: glare holds, but whether it looks to azimuth 0 is not known"
+            "its VIEW has no -vd: the glare is right, but the azimuth 0 is an assumption"
         )
     flags = picture.panorama.flags
     clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
@@ -101,9 +101,10 @@ def picture_warnings(picture: Picture) -> list[str]:
 
 
 def plain(value: float) -> float | None:
-    """Return a number, or None for what is not finite."""
+    """Return a number, or None if it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 
 def plain_values(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Return all values by name, None for those that are not finite."""
     return {name: plain(value) for name, value in values.items()}

@@ -1,10 +1,10 @@
-"""Contrast and what else a map says: RAMMG, window to task, uniformity, melanopic illuminance.
+"""Contrast and further figures of a map: RAMMG, window to task, uniformity, melanopic illuminance.
 
 RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and
 Marini 2004). In the paper's form (cd/m2) it is computed as its authors' code does: five levels,
 halved by OpenCV's bilinear resize, eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2),
 border pixels count as no contrast, no solid angles, no wrap at the seam. The L* form is the same on
-CIELAB lightness, which is what Rizzi describes.
+CIELAB lightness, which Rizzi describes.
 """
 
 from __future__ import annotations
@@ -16,15 +16,18 @@ from fieldlum.glare.geometry import view_frame
 from fieldlum.projection import FULLY_SEEN_SHARE, equirect_rays, equirect_solid_angles
 from fieldlum.records import Float
 
-RAMMG_LEVELS = 5
-WHITE_OVER_MEAN = 5.0  # L* needs a white: the mean of the map counts as an 18 to 20 % grey
-TASK_ALTITUDE_DEG, TASK_RADIUS_DEG = -30.0, 15.0  # a desk in front of a level head
+RAMMG_LEVELS = 5  # as the authors' code (Liu, Colburn and Inanici 2020)
+# L* needs a white: the mean of the map counts as a grey of 20 %. Chosen, not measured.
+WHITE_OVER_MEAN = 5.0
+# The task is a cone around a desk in front of a level head. Chosen, not measured.
+TASK_ALTITUDE_DEG = -30.0
+TASK_RADIUS_DEG = 15.0
 BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
-MELANOPIC_DER_D65 = 1.0
+MELANOPIC_DER_D65 = 1.0  # CIE S 026:2018, by definition
 
 
 def local_contrast(image: Float) -> NDArray[np.float64]:
-    """Weighted mean absolute difference to the eight neighbours, 0 on the border, [H, W]."""
+    """Return the weighted mean absolute difference to eight neighbours, 0 on the border, [H, W]."""
     values = np.asarray(image, np.float64)
     out = np.zeros_like(values)
     height, width = values.shape
@@ -42,8 +45,9 @@ def local_contrast(image: Float) -> NDArray[np.float64]:
 
 
 def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.float64]:
-    """Mean local contrast of each pyramid level, full size first, [levels] (the paper's Figure
-    13).
+    """Return the mean local contrast of each pyramid level, full size first, [levels].
+
+    The paper's Figure 13.
     """
     import cv2
 
@@ -58,14 +62,15 @@ def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.floa
 
 
 def rammg(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
-    """RAMMG in cd/m2, as the paper's tables; the sun's disc dominates it where the map holds
-    one.
-    """
+    """Return RAMMG in cd/m2, as in the paper's tables; a sun disc in the map dominates it."""
     return float(contrast_levels(luminance_cdm2, levels).mean())
 
 
 def rammg_lightness(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
-    """RAMMG of CIELAB L*, with white at `WHITE_OVER_MEAN` times the map's solid-angle mean."""
+    """Return RAMMG of CIELAB L*, with white at `WHITE_OVER_MEAN` times the map's mean luminance.
+
+    The mean is weighted by solid angle.
+    """
     image = np.asarray(luminance_cdm2, np.float64)
     omega = equirect_solid_angles(*image.shape)
     white = max(WHITE_OVER_MEAN * float((image * omega).sum() / omega.sum()), 1e-6)
@@ -73,22 +78,21 @@ def rammg_lightness(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
 
 
 def lightness(relative: Float) -> NDArray[np.float64]:
-    """CIE 1976 L* of Y / Yn, at most 100."""
+    """Return CIE 1976 L* of Y / Yn, at most 100, in the shape of `relative`."""
     ratio = np.clip(relative, 0.0, 1.0)
     return np.where(ratio > (6 / 29) ** 3, 116.0 * np.cbrt(ratio) - 16.0, ratio * (29 / 3) ** 3)
 
 
 def melanopic_edi_lx(ev_lx: Float, melanopic_der: float = MELANOPIC_DER_D65) -> NDArray[np.float64]:
-    """An estimate: Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; D65 = 1, a
-    blue sky above).
+    """Estimate the melanopic equivalent daylight illuminance, in lx, in the shape of `ev_lx`.
+
+    Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; D65 = 1, a blue sky above).
     """
     return np.asarray(ev_lx, float) * melanopic_der
 
 
 class ViewRegions:
-    """Where task, band and bright window stand for d view directions; made once, used every
-    hour.
-    """
+    """The pixels of task, band and bright window for d view directions, for use in every hour."""
 
     def __init__(
         self,
@@ -98,7 +102,7 @@ class ViewRegions:
         azimuths_deg: Float,
         seen: NDArray[np.bool_] | None = None,
     ) -> None:
-        """seen [H, W]: pixels that a lens saw; a region that was not seen gives NaN."""
+        """Compute the weights; a region without seen pixels (seen [H, W]) gives NaN."""
         rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
         omega = equirect_solid_angles(height, width).ravel()
         task, band, half = [], [], []
@@ -108,25 +112,26 @@ class ViewRegions:
             task.append(omega * (to_task > np.cos(np.radians(TASK_RADIUS_DEG))))
             band.append(omega * (ahead & (np.abs(rays[:, 2]) < np.sin(np.radians(BAND_DEG)))))
             half.append(omega * ahead)
-        self.task, self.band, self.half = (
-            np.array(part, np.float32).T for part in (task, band, half)
-        )
+        self.task = np.array(task, np.float32).T  # (H W, d)
+        self.band = np.array(band, np.float32).T  # (H W, d)
+        self.half = np.array(half, np.float32).T  # (H W, d)
         self._known = [_region_seen(part, seen) for part in (self.task, self.band, self.half)]
 
     def ratios(
         self, luminance_cdm2: Float, window_cdm2: float = 2000.0
     ) -> dict[str, NDArray[np.float64]]:
-        """Of n maps [n, H, W]: arrays [n, d].
+        """Return the figures of n maps [n, H, W], [n, d] each.
 
-        task_cdm2: mean of a 15-degree cone 30 degrees down; window_to_task: mean of the pixels in
-        view brighter than `window_cdm2` over that (NaN where there is none); uniformity: the
-        40-degree band's harmonic over its arithmetic mean, 1 for a uniform band, falling with dark
+        task_cdm2 : mean of a 15-degree cone 30 degrees down. window_to_task : mean of the pixels in
+        view brighter than `window_cdm2` over that; NaN without such pixels. uniformity : the
+        harmonic over the arithmetic mean of the 40-degree band: 1 if it is uniform, less with dark
         corners.
         """
         flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
         task = flat @ self.task / self.task.sum(axis=0)
         bright = flat > window_cdm2
-        power, area = (flat * bright) @ self.half, bright.astype(np.float32) @ self.half
+        power = (flat * bright) @ self.half
+        area = bright.astype(np.float32) @ self.half
         window = np.divide(power, area, out=np.full_like(power, np.nan), where=area > 0)
         mean = flat @ self.band / self.band.sum(axis=0)
         inverse = (1.0 / np.maximum(flat, 0.1)) @ self.band / self.band.sum(axis=0)
@@ -141,7 +146,7 @@ class ViewRegions:
 
 
 def _region_seen(weights: NDArray[np.float32], seen: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-    """Whether lenses saw the regions with these weights [H * W, d], [d]."""
+    """Return whether lenses saw the regions with these weights [H * W, d], [d]."""
     if seen is None or seen.all():
         return np.ones(weights.shape[1], bool)
     return seen.ravel() @ weights >= FULLY_SEEN_SHARE * weights.sum(axis=0)

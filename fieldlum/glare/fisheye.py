@@ -1,6 +1,4 @@
-"""From a panorama to what a person sees: fisheye pictures, by flux, with the sun put in by
-energy.
-"""
+"""Fisheye pictures of a panorama: resampled by flux, with the sun added by its energy."""
 
 from __future__ import annotations
 
@@ -13,12 +11,13 @@ from fieldlum.records import Float, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
 FISHEYE_VIEW = "-vta -vh 180 -vv 180"
-SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))
+SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))  # of that solid angle
 
 
 def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Rays (right, up, forward) of an equidistant 180-degree picture, [N, N, 3], N = size *
-    samples; and the circle.
+    """Return rays (right, up, forward) of an equidistant 180-degree picture, and its circle.
+
+    Shapes [N, N, 3] and [N, N], N = size * samples.
     """
     n = size * samples
     axis = ((np.arange(n) + 0.5) / n - 0.5) * np.pi
@@ -30,8 +29,9 @@ def fisheye_rays(size: int, samples: int = 1) -> tuple[NDArray[np.float64], NDAr
 
 
 def fisheye_solid_angles(size: int) -> NDArray[np.float64]:
-    """Solid angle of each pixel of an equidistant 180-degree picture, [N, N]; nothing outside
-    the circle. [sr]
+    """Return the solid angle of each pixel of an equidistant 180-degree picture, in sr, [N, N].
+
+    It is 0 outside the circle.
     """
     axis = ((np.arange(size) + 0.5) / size - 0.5) * np.pi
     angle = np.hypot(axis[None, :], axis[:, None])
@@ -47,12 +47,11 @@ def panorama_to_fisheye(
     size: int = 800,
     sun: SunSource | None = None,
 ) -> NDArray[np.float32]:
-    """An equidistant 180-degree picture (VIEW `FISHEYE_VIEW`) of a panorama [H, W], [size, size]; 0
-    outside the circle.
+    """Return an equidistant 180-degree picture (`FISHEYE_VIEW`) of a panorama [H, W], [size, size].
 
-    Each pixel is the mean of samples of the panorama's piecewise constant field, fine enough for
-    both grids, so flux is kept; the sun's energy goes where its disc stands, over the share of each
-    pixel that it covers.
+    Each pixel is the mean of samples of the panorama, which is constant over each of its pixels.
+    The samples are fine enough for both grids, so that flux is kept. The sun's energy is added to
+    the pixels of its disc. Pixels outside the circle are 0.
     """
     height, width = luminance_cdm2.shape
     samples = max(2, int(np.ceil(2.0 * height / size)))
@@ -79,7 +78,7 @@ def panorama_to_fisheye(
 def _with_sun(
     picture: Float, sun: SunSource, azimuth_deg: float, altitude_deg: float
 ) -> NDArray[np.float32]:
-    """Add the disc's energy to the pixels it covers; a sun behind the view changes nothing."""
+    """Return the picture with the disc's energy added; a sun behind the view changes nothing."""
     size = len(picture)
     x, y, z = view_frame(azimuth_deg, altitude_deg) @ direction(sun.altitude_deg, sun.azimuth_deg)
     if z <= 0 or sun.normal_illuminance_lx <= 0:
@@ -97,9 +96,9 @@ def _with_sun(
 
 
 def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:
-    """The most covered pixels that together have the disc's solid angle, [N, N].
+    """Return the most covered pixels that together have the disc's solid angle, [N, N].
 
-    Energy spread over half-covered rim pixels would double the source's solid angle at 800 px, and
+    Energy over half-covered rim pixels would double the solid angle of the source at 800 px, and
     halve its luminance.
     """
     order = np.argsort(share, axis=None)[::-1]
@@ -112,7 +111,7 @@ def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:
 
 
 def _disc_shares(centre: Float, towards: Float, size: int, samples: int = 8) -> NDArray[np.float64]:
-    """How much of each pixel the sun's disc covers, [size, size]."""
+    """Return the share of each pixel that the sun's disc covers, [size, size]."""
     reach = int(np.ceil(2.0 * SUN_RADIUS_RAD / np.pi * size)) + 1
     left, top = (int(np.clip(np.floor(c) - reach, 0, size - 1)) for c in centre)
     right, bottom = (int(np.clip(np.floor(c) + reach + 1, 1, size)) for c in centre)

@@ -1,4 +1,4 @@
-"""Where a pixel stands for a person who looks somewhere: angles, cosine, position index."""
+"""Pixels in the view of a person: angles to the line of sight, cosine, position index."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.records import Float
 
 PAPER_VIEWS = 10  # horizontal, 36 degrees apart (Liu, Colburn and Inanici 2020)
-LARGEST_POSITION_INDEX = 16.0
+LARGEST_POSITION_INDEX = 16.0  # as evalglare limits it (source of evalglare 3)
 
 
 def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> NDArray[np.float64]:
-    """`views` horizontal directions spread evenly, the first one along the heading, [views] in
-    [0, 360).
+    """Return `views` horizontal directions at equal steps, the first along the heading, [views].
+
+    In degrees clockwise from north, in [0, 360).
     """
     return (heading_deg + np.arange(views) * 360.0 / views) % 360.0
 
 
 def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.float64]:
-    """Rows right, up and forward of a level head that looks there, [3, 3] (x east, y north, z
-    up).
+    """Return the axes right, up and forward of a level head as rows, [3, 3].
+
+    World axes: x east, y north, z up.
     """
     forward = direction(altitude_deg, azimuth_deg)
     right = direction(0.0, azimuth_deg + 90.0)
@@ -31,11 +33,10 @@ def view_frame(azimuth_deg: float, altitude_deg: float = 0.0) -> NDArray[np.floa
 
 
 def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
-    """Equidistant coordinates right and up of rays [..., 3], and the cosine to the line of sight.
-    [rad]
+    """Return the coordinates right and up [rad] of rays [..., 3], and the cosine to the view.
 
-    (right, up) point away from the line of sight by the angle between them: the coordinates of a
-    -vta picture.
+    (right, up) points away from the line of sight by the angle between them, in rad: the
+    coordinates of a -vta picture. Each result has the shape [...].
     """
     x, y, z = np.moveaxis(rays @ frame.T, -1, 0)
     off = np.hypot(x, y)
@@ -45,14 +46,15 @@ def angles_from_view(rays: Float, frame: Float) -> tuple[Float, Float, Float]:
 
 
 def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> NDArray[np.float64]:
-    """Guth's position index above the line of sight, Iwata's below it; both at most 16.
+    """Return the position index: Guth's above the line of sight, Iwata's below, at most 16.
 
-    Above: IES Lighting Handbook; below: Iwata and Osterhaus 2010 in CIE coordinates. These are the
-    forms that evalglare has used since its version 3.02.
+    right_rad, up_rad : as of `angles_from_view`, of one shape. Above: IES Lighting Handbook; below:
+    Iwata and Osterhaus 2010 in CIE coordinates. evalglare has used these forms since version 3.02.
     """
     right, up = np.asarray(right_rad, float), np.asarray(up_rad, float)
     angle = np.hypot(right, up)
-    sigma, tau = np.degrees(angle), np.degrees(np.arctan2(np.abs(right), np.abs(up)))
+    sigma = np.degrees(angle)
+    tau = np.degrees(np.arctan2(np.abs(right), np.abs(up)))
     linear = (35.2 - 0.31889 * tau - 1.22 * np.exp(-2.0 * tau / 9.0)) / 1000.0
     square = (21.0 + 0.26667 * tau - 0.002963 * tau**2) / 100_000.0
     above = np.exp(linear * sigma + square * sigma**2)
@@ -66,11 +68,12 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> NDArray[np.float6
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """What each panorama pixel weighs for each of d view directions.
+    """The weights of each panorama pixel for each of d view directions.
 
-    illuminance : [H * W, d] solid angle times cosine, 0 behind [sr]
+    illuminance : [H * W, d] solid angle times cosine, 0 behind, sr.
     moments : [H * W, 3, d] solid angle in the visible hemisphere, and that times the coordinates
-    right and up frames : [d, 3, 3]
+    right and up.
+    frames : [d, 3, 3] axes right, up and forward.
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -81,8 +84,9 @@ class Views:
 
 
 def panorama_views(height: int, width: int, heading_deg: float, azimuths_deg: ArrayLike) -> Views:
-    """The weights of a panorama's pixels, made once and used for every hour. Takes 16 bytes a
-    pixel and direction.
+    """Compute the weights of a panorama's pixels, for use in every hour.
+
+    Takes 16 bytes for each pixel and direction.
     """
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, float))
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
@@ -94,14 +98,17 @@ def panorama_views(height: int, width: int, heading_deg: float, azimuths_deg: Ar
         right, up, cosine = angles_from_view(rays, frame)
         seen = omega * (cosine > 0)
         illuminance[:, i] = seen * cosine
-        moments[:, 0, i], moments[:, 1, i], moments[:, 2, i] = seen, seen * right, seen * up
+        moments[:, 0, i] = seen
+        moments[:, 1, i] = seen * right
+        moments[:, 2, i] = seen * up
     illuminance *= _cosine_closure(height, width)
     return Views(azimuths, frames, illuminance, moments, (height, width))
 
 
 def _cosine_closure(height: int, width: int) -> float:
-    """The factor that makes a uniform sphere give exactly pi: midpoint cosines are a little too
-    large in a pixel.
+    """Return the factor with which a uniform sphere gives exactly pi.
+
+    The cosine in the middle of a pixel is slightly larger than its mean over the pixel.
     """
     rays = equirect_rays(height, width, 180.0).reshape(-1, 3)
     cosine = np.clip(-rays[:, 1], 0.0, None)

@@ -1,8 +1,8 @@
-"""Vertical illuminance, DGP, DGPs, UGR and DGI for every direction around a panorama, at once.
+"""Vertical illuminance, DGP, DGPs, UGR and DGI for all directions around a panorama at once.
 
-Vertical illuminance of all hours and directions is one matrix product with exact solid angles;
-glare sources are grouped once an hour (see `sources`) and summed for all directions by small
-products. The sun is never a pixel: it is a source of its own with its direction, its normal
+Vertical illuminance of all hours and directions is one matrix product with exact solid angles.
+Glare sources are grouped once for each hour (see `sources`) and summed for all directions by small
+products. The sun is never a pixel: it is a separate source with its direction, its normal
 illuminance at the lens and its solid angle.
 """
 
@@ -16,22 +16,25 @@ from fieldlum.glare.sources import sources_of
 from fieldlum.records import Float
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
-METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")  # beside them contrast, sun_contrast, sun_ev_lx
+METRICS = ("ev_lx", "dgp", "dgps", "ugr", "dgi")
 MORE_METRICS = ("ugp", "cgi", "veiling_cdm2", "veiling_age70_cdm2")
 _VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
-YOUNG_AGE, OLD_AGE = 25.0, 70.0  # years, of the two veiling luminances
-_LEAST_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay holds from 1 to 30 degrees
+YOUNG_AGE = 25.0  # years, of the first of the two veiling luminances
+OLD_AGE = 70.0  # years, of the second
+_LEAST_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
 
-# Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16; evalglare computes with these,
-# and so do we.
-DGP_EV, DGP_CONTRAST, DGP_BASE = 5.87e-5, 0.092, 0.159
+# Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with these
+# digits; so does fieldlum, so that both agree.
+DGP_EV = 5.87e-5
+DGP_CONTRAST = 0.092
+DGP_BASE = 0.159
 
 
 def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
-    """Daylight glare probability from vertical illuminance and the sum of L2 omega / P2 over
-    sources; at most 1.
+    """Return daylight glare probability, at most 1 (Wienold and Christoffersen 2006).
 
-    No low-light correction (evalglare's default since 2.14).
+    contrast : the sum of L2 omega / P2 over sources. Without low-light correction (evalglare's
+    default since 2.14).
     """
     ev = np.maximum(np.asarray(ev_lx, float), 1e-6)
     glare = np.log10(1.0 + np.asarray(contrast, float) / ev**1.87)
@@ -39,37 +42,41 @@ def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
 
 
 def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
-    """Simplified DGP, 6.22e-5 Ev + 0.184 (Wienold 2007); at most 1. Not for hours with the sun
-    in view.
+    """Return simplified DGP, 6.22e-5 Ev + 0.184, at most 1 (Wienold 2007).
+
+    It is not valid for hours with the sun in view.
     """
     return np.minimum(6.22e-5 * np.asarray(ev_lx, float) + 0.184, 1.0)
 
 
 def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """8 log10(0.25 / Lb sum L2 omega / P2) (CIE 117); NaN where nothing is a source."""
+    """Return 8 log10(0.25 / Lb sum L2 omega / P2) (CIE 117:1995); NaN without a source."""
     total = np.asarray(contrast, float)
     ratio = 0.25 * total / np.maximum(background_cdm2, 1e-6)
     return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
 
 
 def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
-    """10 log10 of the sum over sources (Hopkinson 1972, with P for the window's place); NaN
-    without a source.
+    """Return 10 log10 of the sum over sources (Hopkinson 1972, with P for windows).
+
+    NaN without a source.
     """
     total = np.asarray(source_sum, float)
     return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
 
 
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014); NaN without a
-    source.
+    """Return 0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014).
+
+    NaN without a source.
     """
     return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
 
 
 def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArray[np.float64]:
-    """CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L2 omega / P2) (Einhorn 1979); NaN without
-    a source. Ed is the illuminance by the sources.
+    """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L2 omega / P2) (Einhorn 1979).
+
+    Ed is the illuminance by the sources. NaN without a source.
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
@@ -77,8 +84,10 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArr
 
 
 def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> NDArray[np.float64]:
-    """Veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, age-adjusted Stiles-Holladay
-    (CIE 146:2002), from the sum [lx / deg2] over sources at least 1 degree off the line of sight.
+    """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2.
+
+    Age-adjusted Stiles-Holladay (CIE 146:2002). veiling_sum : over sources, lx/deg2, with angles of
+    at least 1 degree off the line of sight.
     """
     return 10.0 * (1.0 + (age_years / _VEILING_AGE) ** 4) * np.asarray(veiling_sum, float)
 
@@ -92,14 +101,15 @@ def glare_directions(
     *,
     views: Views | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Glare of n panoramas in d horizontal view directions, each [n, d]: `METRICS`, and the parts
-    that DGP is made of: contrast, the sum of L2 omega / P2 over sources; sun_contrast and
-    sun_ev_lx, what the disc gives to it and to Ev.
+    """Return the glare of n panoramas in d horizontal view directions, [n, d] each.
 
     luminance_cdm2 : [n, H, W] without the sun's disc.
     sun_direction : [n, 3] unit vectors (x east, y north, z up).
-    disc_lx : [n] normal illuminance at the lens from the visible disc; 0 where it is hidden. [lx]
-    views : weights from `panorama_views`, to be made once by callers that stream.
+    disc_lx : [n] normal illuminance at the lens from the visible disc, lx; 0 where it is hidden.
+    views : weights from `panorama_views`; pass them if you call this for many blocks of hours.
+
+    Keys: `METRICS`, `MORE_METRICS`, and the parts of DGP: contrast is the sum of L2 omega / P2 over
+    sources; sun_contrast and sun_ev_lx are the disc's parts of contrast and of Ev.
     """
     maps = np.asarray(luminance_cdm2, np.float32)
     count, height, width = maps.shape
@@ -118,9 +128,10 @@ def glare_directions(
 def sun_per_lx(
     sun_direction: Float, views: Views
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what a disc of 1 lx adds to Ev, and a disc of 1 lx squared to the contrast, [n, d].
+    """Return Ev and contrast of a disc of 1 lx, [n, d] each.
 
-    A disc of E lx adds E times the first and E squared times the second; see `glare_directions`.
+    A disc of E lx adds E times the first to Ev, and E squared times the second to the contrast; see
+    `glare_directions`.
     """
     right, up, cosine = _sun_angles(np.asarray(sun_direction, float), views)
     ahead = cosine > 0
@@ -129,26 +140,26 @@ def sun_per_lx(
 
 
 def dgp_with_disc(
-    found: dict[str, NDArray[np.float64]], per_lx: tuple[Float, Float], disc_lx: Float
+    parts: dict[str, NDArray[np.float64]], per_lx: tuple[Float, Float], disc_lx: Float
 ) -> NDArray[np.float64]:
-    """Return DGP with another disc than the one in `found`, [..., n, d].
+    """Return DGP with another disc than the one in `parts`, [..., n, d].
 
-    found : of `glare_directions`; per_lx : of `sun_per_lx`; disc_lx : [..., n].
+    parts : of `glare_directions`; per_lx : of `sun_per_lx`; disc_lx : [..., n].
     """
     disc = np.asarray(disc_lx, float)[..., None]
-    ev = found["ev_lx"] - found["sun_ev_lx"] + disc * per_lx[0]
-    contrast = np.maximum(found["contrast"] - found["sun_contrast"], 0.0) + disc**2 * per_lx[1]
+    ev = parts["ev_lx"] - parts["sun_ev_lx"] + disc * per_lx[0]
+    contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0) + disc**2 * per_lx[1]
     return dgp(ev, contrast)
 
 
 def _sun_angles(sun: Float, views: Views) -> tuple[Float, Float, Float]:
-    """(right, up, cosine) of n suns in d views, each [n, d]."""
-    found = [angles_from_view(sun, frame) for frame in views.frames]
-    return tuple(np.stack([part[k] for part in found], axis=1) for k in range(3))  # type: ignore[return-value]
+    """Return (right, up, cosine) of n suns in d views, [n, d] each."""
+    angles = [angles_from_view(sun, frame) for frame in views.frames]
+    return tuple(np.stack([part[k] for part in angles], axis=1) for k in range(3))  # type: ignore[return-value]
 
 
 def _source_sums(flat: Float, image: Float, views: Views, ev: Float) -> NDArray[np.float64]:
-    """`sums_of_sources` of the map's sources, for d views, [4, d]."""
+    """Return `sums_of_sources` of the map's sources for d views, [4, d]."""
     groups = sources_of(image)
     if not groups:
         return np.zeros((4, len(views.azimuths_deg)))
@@ -177,10 +188,10 @@ def sums_of_sources(
     source_ev_lx: Float,
     ev: Float,
 ) -> NDArray[np.float64]:
-    """Sums over s sources in d views: L2 omega / P2; illuminance; DGI's terms; E / angle^2
-    [lx/deg2]; [4, d].
+    """Return sums over s sources in d views, [4, d].
 
-    All [s, d] but ev, [d], of the complete view [lx].
+    Rows: L2 omega / P2; illuminance; DGI's terms; E / angle^2 [lx/deg2]. Arguments are [s, d],
+    except ev, [d], of the complete view, lx.
     """
     index = position_index(right_rad, up_rad)
     background = np.maximum(ev - source_ev_lx.sum(axis=0), 0.0) / np.pi
@@ -195,12 +206,12 @@ def sums_of_sources(
 
 
 def _glare_angle_deg(right_rad: Float, up_rad: Float) -> NDArray[np.float64]:
-    """Angle off the line of sight, at least the 1 degree from which Stiles-Holladay holds."""
+    """Return the angle off the line of sight, at least 1 degree (validity of Stiles-Holladay)."""
     return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _LEAST_GLARE_ANGLE_RAD))
 
 
 def _dgi_terms(mean: Float, omega: Float, index: Float, background: Float) -> Float:
-    """0.478 L^1.6 (omega / P2)^0.8 / (Lb + 0.07 omega^0.5 L)."""
+    """Return 0.478 L^1.6 (omega / P2)^0.8 / (Lb + 0.07 omega^0.5 L), DGI's term of a source."""
     share = np.maximum(background + 0.07 * np.sqrt(omega) * mean, 1e-12)
     return 0.478 * mean**1.6 * (omega / index**2) ** 0.8 / share
 
@@ -208,13 +219,16 @@ def _dgi_terms(mean: Float, omega: Float, index: Float, background: Float) -> Fl
 def combine(
     map_ev: Float, sun_ev: Float, sums: Float, sun_cdm2: Float, sun_right: Float, sun_up: Float
 ) -> dict[str, NDArray[np.float64]]:
-    """Add the sun to the other sources; sums: [n, 4, d] of `sums_of_sources`, all others [n, d]."""
+    """Add the sun to the other sources and return all figures, [n, d] each.
+
+    sums : [n, 4, d] of `sums_of_sources`; all other arguments [n, d].
+    """
     ev = map_ev + sun_ev
     omega = np.asarray(SUN_SOLID_ANGLE_SR)
     sun_index = position_index(sun_right, sun_up)
     sun_contrast = sun_cdm2**2 * omega / sun_index**2
     contrast = sums[:, 0] + sun_contrast
-    # CIE 117: what remains of Ev without the sources
+    # CIE 117: the background is the part of Ev that is not from the sources.
     background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
     veiling = sums[:, 3] + sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2
     return {

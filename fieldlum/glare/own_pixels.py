@@ -19,10 +19,10 @@ from fieldlum.sun import SUN_SOLID_ANGLE_SR
 # Rows of the panorama of directions on which bright pixels are grouped: 0.25 degrees, a
 # twentieth of the distance within which they are one source.
 _DIRECTION_ROWS = 720
-_WINDOW_CDM2 = 2000.0
-_LEAST_COVERED_SHARE = 0.95  # of the task cone and of the band; less gives no figure
+_WINDOW_CDM2 = 2000.0  # brighter pixels are a window, as in `contrast.ViewRegions.ratios`
+_LEAST_COVERED_SHARE = 0.95  # of task cone and band; less gives NaN. Chosen, not measured.
 BAND_SR = 2.0 * np.pi * float(np.sin(np.radians(20.0)))  # front half of the 40-degree band
-TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(15.0)))
+TASK_SR = 2.0 * np.pi * float(1.0 - np.cos(np.radians(15.0)))  # of the 15-degree task cone
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def glare_of_pixels(
 
 
 def weighted_sum(values: Float, weights: Float) -> float:
-    """Sum of values times weights, [H, W] each, in double precision without a copy of either."""
+    """Return the sum of values times weights, [H, W] each, in double precision without copies."""
     height, width = values.shape
     return float(
         sum(
@@ -89,7 +89,7 @@ def weighted_sum(values: Float, weights: Float) -> float:
 
 
 def _sun_in_view(view: PictureView, sun: SunSource | None) -> tuple[float, float, float, float]:
-    """Coordinates right and up [rad], cosine, and normal illuminance [lx] of a separate sun."""
+    """Return right and up [rad], cosine, and normal illuminance [lx] of a separate sun."""
     if sun is None:
         return 0.0, 0.0, 1.0, 0.0
     ray = direction(sun.altitude_deg, sun.azimuth_deg)
@@ -119,7 +119,7 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
 
 
 def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
-    """Group the pixels above 2000 cd/m2 (see `sources`), and sum up each source."""
+    """Group the pixels above 2000 cd/m2 (see `sources`) and sum each source."""
     label = np.zeros(luminance_cdm2.shape, np.int32)
     row, column = np.nonzero((luminance_cdm2 > SOURCE_CDM2) & (grid.solid_angle > 0.0))
     if len(row) == 0:
@@ -162,7 +162,7 @@ def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> Gla
 def _numbered(
     right: Float, up: Float, forward: Float, peak: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Source number of each bright pixel, from 0 without gaps, [k]; peaks have their own."""
+    """Return the source number of each bright pixel, from 0, [k]; peaks are separate sources."""
     rows, columns = _DIRECTION_ROWS, 2 * _DIRECTION_ROWS
     altitude = np.arcsin(np.clip(up, -1.0, 1.0))
     row = np.clip(((0.5 - altitude / np.pi) * rows).astype(int), 0, rows - 1)
@@ -181,8 +181,9 @@ def _numbered(
 
 
 def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
-    """Return task_cdm2, window_to_task and uniformity (see `contrast.ViewRegions`); NaN for a
-    region that the picture does not cover.
+    """Return task_cdm2, window_to_task and uniformity (see `contrast.ViewRegions`).
+
+    NaN for a region that the picture does not cover.
     """
     totals = np.zeros(7)
     height, width = luminance_cdm2.shape

@@ -1,4 +1,4 @@
-"""Weights of a single picture's own pixels: nothing is resampled to judge it."""
+"""Weights of a single picture's own pixels, so that it is judged without resampling."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from fieldlum.glare.contrast import BAND_DEG, TASK_ALTITUDE_DEG, TASK_RADIUS_DEG
 from fieldlum.glare.picture_view import PictureView, picture_rays
 from fieldlum.records import Float
 
-_BLOCK_PIXELS = 250_000  # worked on at a time: about 40 MB of temporary arrays
+_BLOCK_PIXELS = 250_000  # pixels in work at a time: about 40 MB of temporary arrays
 # Solid angles are exact to 1e-4 with this many samples along an edge of the picture.
 _FINE_SAMPLES = 400
-_RIM_SAMPLES = 8  # along an edge of a pixel that the edge of the hemisphere crosses
-_GRAZING_COSINE = 0.1  # of -vth: the solid angle of a pixel varies within it
+# Samples along an edge of a pixel at the edge of the hemisphere; chosen, not measured.
+_RIM_SAMPLES = 8
+_GRAZING_COSINE = 0.1  # below, the solid angle of a -vth pixel varies within the pixel
 
 
 @dataclass(frozen=True, slots=True)
 class PictureGrid:
-    """What each pixel of a view weighs, [H, W] each; 0 behind the observer.
+    """The weights of each pixel of a view, [H, W] each; 0 behind the observer.
 
-    solid_angle [sr]; illuminance : solid angle times cosine [sr]; task, band : pixels within the
+    solid_angle : sr; illuminance : solid angle times cosine, sr; task, band : pixels within the
     task cone and the horizontal band (see `contrast`).
     """
 
@@ -35,12 +36,12 @@ class PictureGrid:
 
     @property
     def covered_share(self) -> float:
-        """Share of the hemisphere in front that the picture covers."""
+        """Share of the front hemisphere that the picture covers."""
         return min(1.0, float(self.solid_angle.sum(dtype=float)) / (2.0 * np.pi))
 
 
 def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
-    """Return the weights of a picture's pixels, with 10 bytes a pixel."""
+    """Return the weights of a picture's pixels, 10 bytes for each."""
     solid_angle = np.zeros((height, width), np.float32)
     illuminance = np.zeros((height, width), np.float32)
     task, band = np.zeros((height, width), bool), np.zeros((height, width), bool)
@@ -59,7 +60,7 @@ def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
 
 
 def row_blocks(height: int, width: int) -> Iterator[slice]:
-    """Yield slices of rows that are worked on at a time."""
+    """Yield slices of rows for work in blocks."""
     step = max(1, _BLOCK_PIXELS // width)
     for first in range(0, height, step):
         yield slice(first, min(first + step, height))
@@ -81,7 +82,7 @@ def _weights(
     shape: tuple[int, int],
     samples: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solid angle and that times the cosine, of the part of each pixel in front of the observer."""
+    """Return solid angle, and that times the cosine, of the part of each pixel in front, in sr."""
     height, width = shape
     steps = (np.arange(samples) + 0.5) / samples - 0.5
     solid_angle, illuminance = np.zeros(1), np.zeros(1)
@@ -98,7 +99,7 @@ def _weights(
 def _rim(
     view: PictureView, x: NDArray[np.float64], y: NDArray[np.float64], shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Pixels that the edge of the hemisphere crosses, and the grazing ones of -vth, [k, W]."""
+    """Return the pixels that the edge of the hemisphere crosses, and grazing -vth ones, [k, W]."""
     height, width = shape
     corner_y = np.append(y[:, 0] + 0.5 / height, y[-1, 0] - 0.5 / height)[:, None]  # [k + 1, 1]
     corner_x = np.append(x[0] - 0.5 / width, x[0, -1] + 0.5 / width)[None, :]  # [1, W + 1]
@@ -113,7 +114,7 @@ def _rim(
 
 
 def _regions(up: Float, forward: Float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pixels of the task cone and of the band, relative to the line of sight."""
+    """Return the pixels of the task cone and of the band, relative to the line of sight."""
     below = np.radians(TASK_ALTITUDE_DEG)
     to_task = up * np.sin(below) + forward * np.cos(below)
     task = to_task > np.cos(np.radians(TASK_RADIUS_DEG))

@@ -1,4 +1,4 @@
-"""Radiance's view options: where a picture looks, and the direction and solid angle of its pixels.
+"""Radiance's view options: the view direction of a picture, and its pixels' directions.
 
 The mappings are those of Radiance's viewray (src/common/image.c): x and y run from -1/2 to 1/2
 over the picture, plus shift (-vs) and lift (-vl) in picture widths and heights.
@@ -22,15 +22,18 @@ EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 HOW = f'give --view "{EXAMPLE_VIEW}" (a 180-degree fisheye that looks south)'
 _LARGEST_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 _ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
-# The solid angle of -vth is infinite at its rim; what lies beyond is 0.1 % of the hemisphere.
+# The solid angle of -vth is infinite at its rim; the part beyond this cosine is 0.1 % of the
+# hemisphere.
 _LEAST_COSINE = 1e-3
-_SAME_PROPORTION = 0.02  # -vh and -vv are often written in whole degrees
+_SAME_PROPORTION = 0.02  # -vh and -vv are often rounded to degrees
 
 
 @dataclass(frozen=True, slots=True)
 class PictureView:
-    """A Radiance view: kind a, h, s or v; unit vectors; full angles [deg]; shift and lift [picture
-    widths and heights].
+    """A Radiance view.
+
+    kind : a, h, s or v; forward, up : unit vectors; horizontal_deg, vertical_deg : full angles;
+    shift, lift : in picture widths and heights.
     """
 
     kind: str
@@ -43,10 +46,12 @@ class PictureView:
 
     @property
     def azimuth_deg(self) -> float:
+        """Azimuth of the view direction, clockwise from north."""
         return float(np.degrees(np.arctan2(self.forward[0], self.forward[1])) % 360.0)
 
     @property
     def altitude_deg(self) -> float:
+        """Altitude of the view direction."""
         return float(np.degrees(np.arcsin(np.clip(self.forward[2], -1.0, 1.0))))
 
     @property
@@ -56,7 +61,7 @@ class PictureView:
 
     @property
     def text(self) -> str:
-        """The view in Radiance's words."""
+        """The view as Radiance's options."""
         vectors = [" ".join(f"{v:.9g}" for v in vector) for vector in (self.forward, self.up)]
         return (
             f"-vt{self.kind} -vp 0 0 0 -vd {vectors[0]} -vu {vectors[1]} "
@@ -80,7 +85,7 @@ class PictureRays:
 
 
 def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
-    """Return directions of places of the picture; x right and y up, -1/2 to 1/2 each."""
+    """Return the directions of places of the picture; x right and y up, -1/2 to 1/2 each."""
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
     across = (np.asarray(x, float) + view.shift) * 2.0 * reach[0]
     upwards = (np.asarray(y, float) + view.lift) * 2.0 * reach[1]
@@ -105,7 +110,7 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
 
 
 def _reach(kind: str, angle_deg: float) -> float:
-    """Radius that half an angle takes in a mapping of focal length 1."""
+    """Return the radius of half an angle in a mapping of focal length 1."""
     half = np.radians(angle_deg) / 2.0
     return float(
         {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}[kind]
@@ -115,7 +120,7 @@ def _reach(kind: str, angle_deg: float) -> float:
 def check_proportion(
     view: PictureView, height: int, width: int, pixel_aspect: float, source: Path
 ) -> None:
-    """Raise InputError where the picture's proportion is not that of its angles.
+    """Raise InputError if the picture's proportion is not that of its angles.
 
     pixel_aspect : height over width of a pixel, from the header's PIXASPECT lines.
     """
@@ -126,7 +131,7 @@ def check_proportion(
             source,
             f"{width} x {height} pixels with -vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}",
             f"width over height {expected:.3f}",
-            "the picture was cropped or its VIEW is another one's: give the true one with --view",
+            "the picture was cropped, or its VIEW is wrong: give the true view with --view",
         )
 
 
@@ -135,10 +140,10 @@ def check_proportion(
 
 
 def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView:
-    """Parse Radiance's view options, the last of each; without -vd the view is level and faces
-    `heading_deg` (Radiance's own default is north).
+    """Parse Radiance's view options; of a repeated option the last counts.
 
-    Raises InputError for a type or an angle that is not possible.
+    Without -vd the view is level and faces `heading_deg` (Radiance's own default is north). Raises
+    InputError for an impossible type or angle.
     """
     options = _options(text, source)
     kind = options.get("vt", "")
@@ -171,7 +176,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
 
 
 def _options(text: str, source: Path) -> dict[str, str]:
-    """-vta is vt = a; -vd x y z is vd = "x y z"; other options are ignored."""
+    """Return options by name: vt = "a" for -vta, vd = "x y z" for -vd x y z; ignore others."""
     try:
         words = shlex.split(text)
     except ValueError as error:

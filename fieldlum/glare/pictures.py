@@ -1,8 +1,8 @@
-"""Any luminance picture on disk, with where it looks.
+"""Any luminance picture on disk, with its view direction.
 
-A picture states where it looks: `VIEW=` with Radiance's options in a .hdr, the attribute `view` in
-an .exr, or that it is a panorama. A missing or contradictory statement is refused with the option
-that helps.
+A picture states its view: `VIEW=` with Radiance's options in a .hdr, the attribute `view` in an
+.exr, or that it is a panorama. A missing or contradictory statement is an error that names the
+option that helps.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Picture:
     """Luminance on the picture's own pixels, rows from the top.
 
     panorama : the pixels; its heading_deg is the azimuth of the view for a fisheye. view : None for
-    a panorama. directed : whether the file states where it looks; else the azimuth is Radiance's
-    default, north. notes : what a user must know of how it was read.
+    a panorama. directed : whether the file states a view direction; else the azimuth is Radiance's
+    default, north. notes : warnings of the reader.
     """
 
     panorama: Panorama
@@ -55,7 +55,7 @@ def read_picture(path: Path, view_options: str = "") -> Picture:
     Raises InputError for a missing or contradictory view.
     """
     if not path.is_file():
-        raise InputError(path, "no such file", "a luminance picture .hdr or .exr")
+        raise InputError(path, "no such file", "a luminance picture .hdr or .exr", "check the path")
     with path.open("rb") as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     return _read_exr(path, view_options) if is_exr else _read_hdr(path, view_options)
@@ -77,7 +77,7 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
 
 
 def _check_views(header: RadianceHeader, path: Path) -> None:
-    """Raise InputError for two views of different type, or a panorama that has a view too."""
+    """Raise InputError for views of different types, or for a panorama that has a view too."""
     if header.heading_deg is not None and header.views:
         shown = f"a panorama and VIEW= {header.view[:80]}"
         raise InputError(path, shown, "one of the two", "remove one of the two lines")
@@ -116,5 +116,5 @@ def _notes(panorama: Panorama) -> tuple[str, ...]:
 
 def _stated(text: str, path: Path) -> str:
     if not text:
-        raise InputError(path, "no VIEW", "where the picture looks", f"{HOW}; {HOW_PANORAMA}")
+        raise InputError(path, "no VIEW", "the picture's view", f"{HOW}; {HOW_PANORAMA}")
     return text

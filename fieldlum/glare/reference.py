@@ -1,9 +1,8 @@
-"""The reference that ours is checked against: the evalglare program that pyradiance carries, called
-as a process.
+"""The reference for fieldlum's glare: the program evalglare of pyradiance, run as a process.
 
-evalglare is by J. Wienold, EPFL and Fraunhofer ISE. Its version and flags go with every figure,
-because both change the answer: the threshold in 2.05, the low-light correction in 2.14 and 3.05,
-the position index in 2.12 to 3.02.
+evalglare is by J. Wienold, EPFL and Fraunhofer ISE. Its version and flags are reported with every
+figure, because both change the answer: the threshold in 2.05, the low-light correction in 2.14 and
+3.05, the position index in 2.12 to 3.02.
 """
 
 from __future__ import annotations
@@ -19,14 +18,12 @@ from fieldlum.glare.fisheye import FISHEYE_VIEW
 from fieldlum.images import radiance_program, write_radiance_hdr
 from fieldlum.records import Float
 
-FLAGS = ("-b", "2000", "-C", "l-", "-d")
+FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light correction, detailed
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceGlare:
-    """What evalglare says of one picture; contrast is not among it. sources: how many glare
-    sources it found.
-    """
+    """evalglare's figures of one picture; it prints no contrast. sources : count of sources."""
 
     dgp: float
     ev_lx: float
@@ -43,7 +40,7 @@ class ReferenceGlare:
 
 @lru_cache(maxsize=1)
 def reference_version() -> str:
-    """Such as ``evalglare 3.06 release 25.06.2024 by J.Wienold, EPFL``."""
+    """Return evalglare's own version line."""
     shown = subprocess.run(
         [radiance_program("evalglare"), "-v"],
         capture_output=True,
@@ -57,9 +54,9 @@ def reference_version() -> str:
 def reference_glare(
     picture_cdm2: Float, flags: tuple[str, ...] = FLAGS, *, view: str = FISHEYE_VIEW
 ) -> ReferenceGlare:
-    """Return evalglare's answer for a picture [H, W], by default an equidistant 180-degree one.
+    """Return evalglare's figures for a picture [H, W], by default an equidistant 180-degree one.
 
-    Raises FieldlumError when it gives none.
+    Raises FieldlumError if evalglare prints none.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
@@ -68,7 +65,7 @@ def reference_glare(
 
 
 def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:
-    """As `reference_glare`, of a picture on disk that has a VIEW; flags must hold -d."""
+    """Return evalglare's figures for a picture on disk that has a VIEW; flags must have -d."""
     done = subprocess.run(
         [radiance_program("evalglare"), *flags, str(path)],
         capture_output=True,
@@ -79,14 +76,12 @@ def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> Refer
 
 
 def _parse(text: str, trouble: str, flags: str) -> ReferenceGlare:
-    """The line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` of the detailed output, and the table
-    of sources above it.
-    """
+    """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the count of sources."""
     line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
     names, _, figures = line.partition(":")
     row = dict(zip(names.split(","), figures.split(), strict=False))
     if "dgp" not in row:
-        raise FieldlumError(f"evalglare gave no answer: {trouble}")
+        raise FieldlumError(f"evalglare printed no result: {trouble}")
     head = text.split(maxsplit=1)[0] if text.split() else "0"
     return ReferenceGlare(
         float(row["dgp"]),

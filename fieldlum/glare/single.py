@@ -32,7 +32,7 @@ from fieldlum.sun_disc import find_disc, without_disc
 
 
 def _bounds_verdict(low: float, high: float) -> str:
-    """One grade, or both ends where the unseen part decides."""
+    """Return one grade, or both ends if the unseen part decides."""
     least, most = verdict(low), verdict(high)
     return least if least == most else f"{least} to {most}"
 
@@ -64,14 +64,19 @@ def picture_glare(
 def panorama_glare(
     panorama: Panorama, azimuths_deg: Sequence[float] = (), *, reference: bool = False
 ) -> dict[str, Any]:
-    """Return the same for a panorama in memory; its `file` is "".
+    """Return the same as `picture_glare` for a panorama in memory; its `file` is "".
 
     Raises InputError for a map that is not twice as wide as high, or not finite.
     """
     source = Path("panorama")
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        raise InputError(source, f"{width} x {height} pixels", "a map twice as wide as high")
+        raise InputError(
+            source,
+            f"{width} x {height} pixels",
+            "a map twice as wide as high",
+            "use a map of all directions (equirectangular)",
+        )
     picture = Picture(panorama, None)
     return _panorama_answer(picture, source, azimuths_deg, reference, 1.0) | {"file": ""}
 
@@ -79,7 +84,7 @@ def panorama_glare(
 def _panorama_answer(
     picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
 ) -> dict[str, Any]:
-    """Judge a panorama in the directions asked for, its luminance times `factor`."""
+    """Judge a panorama in the given directions, with its luminance times `factor`."""
     panorama = picture.panorama
     azimuths = np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
     maps, warnings = valid_pixels(panorama, path)
@@ -94,8 +99,8 @@ def _panorama_answer(
             azimuth = row["azimuth_deg"]
             fisheye = panorama_to_fisheye(maps, panorama.heading_deg, azimuth, sun=sun)
             row["reference"] = asdict(reference_glare(fisheye))
-    whole = {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)}
-    return answer_of(path, picture, views, warnings, sun) | {"covered_share": 1.0} | whole
+    contrast = {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)}
+    return answer_of(path, picture, views, warnings, sun) | {"covered_share": 1.0} | contrast
 
 
 def _view_rows(
@@ -105,7 +110,7 @@ def _view_rows(
     sun: SunSource | None,
     seen: np.ndarray | None,
 ) -> list[dict[str, Any]]:
-    """Figures of each direction; seen [H, W], None for every pixel."""
+    """Return the figures of each direction; seen [H, W], None if all pixels were seen."""
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     height, width = maps.shape
@@ -135,7 +140,7 @@ def _view_rows(
 def _unseen_text(seen: np.ndarray) -> str:
     return (
         f"{100 * (~seen).mean():.0f} % of the panorama was seen by no lens: directions that "
-        f"need it have no result or bounds, in which the unseen part has 0 cd/m2 up to the "
+        f"include it have no result, or bounds for an unseen part from 0 cd/m2 up to the "
         f"luminance of the brightest hundredth of the seen part"
     )
 
@@ -145,7 +150,7 @@ def take_out_sun(
 ) -> tuple[Float, SunSource | None]:
     """Return a map without the disc that a rendering left in it, and the disc as a source.
 
-    A sun that the picture records is returned as it is: its map holds no disc.
+    A sun that the picture records is returned unchanged: such a map has no disc.
     """
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:

@@ -26,13 +26,13 @@ from fieldlum.glare.pictures import Picture
 from fieldlum.glare.reference import reference_glare
 from fieldlum.projection import FULLY_SEEN_SHARE, seen_words, signed_angle_deg
 
-SHOWN_SOURCES = 20  # listed one by one; a noisy picture can have thousands
+SHOWN_SOURCES = 20  # listed one by one, because a noisy picture can have thousands
 
 
 def single_picture_glare(
     picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
 ) -> dict[str, Any]:
-    """Judge a picture in the direction in which it looks, its luminance times `factor`.
+    """Judge a picture in its own view direction, with its luminance times `factor`.
 
     Raises InputError for other directions and for pixels that are not finite.
     """
@@ -58,12 +58,14 @@ def single_picture_glare(
         row["reference"] = asdict(reference_glare(shown, view=view.text))
     share = grid.covered_share
     if share < FULLY_SEEN_SHARE:
-        warnings.append(f"covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds")
+        warnings.append(
+            f"the picture covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds"
+        )
     return answer_of(path, picture, [row], warnings, sun) | {"covered_share": share}
 
 
 def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:
-    """Return the weights of the pixels; those that no lens saw weigh nothing."""
+    """Return the weights of the pixels, 0 for those that no lens saw."""
     assert picture.view is not None
     grid = picture_grid(picture.view, height, width)
     seen = seen_pixels(picture.panorama)
@@ -74,18 +76,18 @@ def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:
 
 
 def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:
-    """Raise InputError for other view directions than the picture's own."""
+    """Raise InputError for view directions other than the picture's own."""
     if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
         raise InputError(
             path,
-            f"--view-azimuth on a fisheye that looks to {azimuth_deg:.1f}",
+            f"--view-azimuth for a fisheye with view direction {azimuth_deg:.1f} deg",
             "a panorama",
-            "leave --view-azimuth away",
+            "remove --view-azimuth",
         )
 
 
 def _source_rows(sources: GlareSources) -> list[dict[str, float]]:
-    """The strongest sources, as numbers."""
+    """Return the strongest sources as numbers."""
     return [
         {
             "mean_cdm2": float(sources.mean_cdm2[i]),

@@ -1,12 +1,11 @@
-"""Which bright pixels make one glare source.
+"""Glare sources: groups of bright pixels.
 
-A pixel brighter than 2 000 cd/m2 belongs to a source. Pixels nearer to each other than 0.1 rad (5.7
-degrees) belong to the same one, so the panes of a window are one source; its position is its
-luminance-weighted centre. Pixels from 50 000 cd/m2 up are taken out of their source and make
-sources of their own. These are evalglare's defaults (-b 2000,
--r 0.2 with its own definition of the search angle, -Y 50000): the additive sum over pixels that
-needs no grouping comes out higher for windows with bright and dark panes (docs/results/glare.md,
-"Glare").
+A pixel brighter than 2 000 cd/m2 belongs to a source. Pixels closer to each other than 0.1 rad (5.7
+degrees) belong to the same source, so that the panes of a window are one source; its position is
+its luminance-weighted centre. Pixels from 50 000 cd/m2 on are removed from their source and form
+sources of their own. These are evalglare's defaults (-b 2000, -r 0.2 with its own definition of the
+search angle, -Y 50000). An additive sum over pixels, which needs no grouping, is higher for windows
+with bright and dark panes (docs/results/glare.md, "Glare").
 """
 
 from __future__ import annotations
@@ -16,13 +15,17 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Float
 
+# evalglare's defaults: -b 2000, -Y 50000, -r 0.2 (its search angle is twice this distance).
 SOURCE_CDM2 = 2000.0
 PEAK_CDM2 = 50_000.0
 REACH_RAD = 0.1
 
 
 def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
-    """All pixels of a panorama within an angle of a pixel of `mask`, [H, W], across the seam."""
+    """Return all pixels of a panorama within an angle of a pixel of `mask`, [H, W].
+
+    Continues across the seam of the panorama.
+    """
     height, width = mask.shape
     rows = np.flatnonzero(mask.any(axis=1))
     out = np.zeros_like(mask)
@@ -37,7 +40,7 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
     columns = np.arange(width, 2 * width)
     for row in range(first, last):
         near = np.arange(max(rows[0], row - reach), min(rows[-1], row + reach) + 1)
-        # Haversine: how many columns wide the small circle is where it meets the other row.
+        # Haversine: half the width in columns of the small circle where it meets the other row.
         rest = np.sin(radius_rad / 2) ** 2 - np.sin((altitude[near] - altitude[row]) / 2) ** 2
         near, rest = near[rest >= 0], rest[rest >= 0]
         share = rest / (np.cos(altitude[near]) * np.cos(altitude[row]))
@@ -49,8 +52,9 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
 
 
 def group_pixels(mask: NDArray[np.bool_], reach_rad: float = REACH_RAD) -> NDArray[np.int32]:
-    """Number each pixel of `mask` by its source, 1 up, [H, W]; 0 elsewhere. Sources closer than
-    `reach_rad` are one.
+    """Return the number of each pixel's source, from 1, [H, W]; 0 outside of `mask`.
+
+    Pixels closer than `reach_rad` belong to one source.
     """
     from scipy.ndimage import label
 
@@ -62,7 +66,7 @@ def group_pixels(mask: NDArray[np.bool_], reach_rad: float = REACH_RAD) -> NDArr
 
 
 def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
-    """Sources that meet across the panorama's seam, or at a pole, are one."""
+    """Join sources that meet across the panorama's seam, or at a pole."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -77,8 +81,9 @@ def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
 
 
 def sources_of(luminance_cdm2: Float) -> list[NDArray[np.int64]]:
-    """Flat pixel numbers of each source of a panorama [H, W]: sources without their peaks, then
-    the peaks' own.
+    """Return the flat pixel indices of each source of a panorama [H, W].
+
+    First the sources without their peaks, then the peaks.
     """
     bright = luminance_cdm2 > SOURCE_CDM2
     if not bright.any():

@@ -1,8 +1,8 @@
-"""EN 17037's protection from glare, with the confidence that the model's own uncertainty leaves.
+"""Glare protection by EN 17037, with the confidence that the model's uncertainty allows.
 
-A class is met when DGP exceeds its limit in at most 5 % of the occupied hours (EN 17037:2018, annex
-A.5 and table A.7):
-0.45 minimum, 0.40 medium, 0.35 high. Dark occupied hours count as hours without glare.
+A class is reached if DGP exceeds its limit in at most 5 % of the occupied hours (EN 17037:2018,
+annex A.5 and table A.7): 0.45 minimum, 0.40 medium, 0.35 high. Dark occupied hours count as hours
+without glare.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from fieldlum.glare.metrics import DGP_CONTRAST, DGP_EV
 from fieldlum.projection import NOT_SEEN, SEEN
 from fieldlum.records import Float
 
-CLASSES = (("high", 0.35), ("medium", 0.40), ("minimum", 0.45))  # from the strictest
+CLASSES = (("high", 0.35), ("medium", 0.40), ("minimum", 0.45))  # EN 17037:2018, strictest first
 NO_CLASS = "none"
-NOT_SEEN_CLASS = NOT_SEEN  # no class at all: no lens saw enough of that direction
-EXCEEDED_SHARE = 0.05
-# share of the error's variance that all hours have in common: a model is wrong in the same way
-# often
+NOT_SEEN_CLASS = NOT_SEEN  # no class, because no lens saw enough of that direction
+EXCEEDED_SHARE = 0.05  # EN 17037:2018, annex A.5
+# Share of the error's variance that is common to all hours, because a model is often wrong in the
+# same way. Chosen, not measured; the intervals covered 99.8 % of drawn rooms (docs/accuracy.md).
 COMMON_ERROR = 0.5
-DRAWS = 400
+DRAWS = 400  # years drawn for an interval: its ends are the 10th and the 390th
 
 
 @dataclass(frozen=True, slots=True)
 class Protection:
     """Glare protection in d directions; low and high bound the 95 % interval of dgp_exceeded.
 
-    dgp_exceeded [d] the DGP that 5 % of the occupied hours exceed; hours_over [d, 3] hours above
-    .35, .40, .45; low, high [d] or None where the model gives no uncertainty; classes [d]; certain
-    [d]; seen [d] "seen", "partly seen" or "not seen". A direction that was not seen has NaN figures
-    and the class "not seen".
+    dgp_exceeded [d] : the DGP that 5 % of the occupied hours exceed; hours_over [d, 3] : hours
+    above .35, .40, .45; low, high [d] : None if the model has no uncertainty; classes [d];
+    certain [d] : whether the interval is within one class; seen [d] : "seen", "partly seen" or "not
+    seen". A direction that was not seen has NaN figures and the class "not seen".
     """
 
     azimuths_deg: NDArray[np.float64]
@@ -48,46 +48,43 @@ class Protection:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Directions that have a class, [d]."""
+        """The directions that have a class, [d]."""
         return np.array([name != NOT_SEEN_CLASS for name in self.classes])
 
     def sentence(self, i: int) -> str:
-        """What can be said about one direction, in words."""
+        """Return the result of one direction as a sentence."""
         value, name = self.dgp_exceeded[i], self.classes[i]
         if name == NOT_SEEN_CLASS:
             return "not seen: no lens saw enough of this direction"
-        said = "no class" if name == NO_CLASS else f"class {name}"
+        text = "no class" if name == NO_CLASS else f"class {name}"
         if self.seen and self.seen[i] != SEEN:
-            said = f"{said}, from the seen part of the view"
+            text = f"{text}, from the seen part of the view"
         if self.low is None or self.high is None:
             return (
-                f"{said} (DGP {value:.3f} exceeded in 5 % of occupied hours); the model gives "
-                f"no uncertainty"
+                f"{text} (DGP {value:.3f} exceeded in 5 % of occupied hours); the model has no "
+                f"uncertainty"
             )
         between = (
             f"DGP exceeded in 5 % of occupied hours: {value:.3f}, between {self.low[i]:.3f} "
             f"and {self.high[i]:.3f}"
         )
-        return (
-            f"{said} ({between})"
-            if self.certain[i]
-            else f"cannot tell yet: {said} is likeliest ({between})"
-        )
+        if self.certain[i]:
+            return f"{text} ({between})"
+        return f"cannot tell yet: {text} is the most likely ({between})"
 
 
 def class_of(dgp_exceeded: float) -> str:
-    """The strictest class whose limit is not exceeded."""
+    """Return the strictest class whose limit is not exceeded."""
     return next((name for name, limit in CLASSES if dgp_exceeded <= limit), NO_CLASS)
 
 
 def exceeded_in_share(
     dgp: Float, occupied_hours: int, share: float = EXCEEDED_SHARE
 ) -> NDArray[np.float64]:
-    """The DGP that a share of the occupied hours exceed; dgp [..., n, d] of the lit ones; the rest
-    are dark and count.
+    """Return the DGP that a share of the occupied hours exceed, [..., d].
 
-    The (k + 1)th largest value, k = floor(share * hours): just that many hours may lie above the
-    limit.
+    dgp : [..., n, d] of the lit hours; the other occupied hours are dark and count. The result is
+    the (k + 1)th largest value, k = floor(share * hours): exactly k hours may exceed the limit.
     """
     lit = dgp.shape[-2]
     rank = int(np.floor(share * occupied_hours + 1e-9))
@@ -99,11 +96,11 @@ def exceeded_in_share(
 def dgp_uncertainty(
     ev_lx: Float, contrast: Float, ev_relative: Float, source_relative: Float
 ) -> NDArray[np.float64]:
-    """Standard uncertainty of DGP from the relative ones of Ev and of the sources' luminance, [n,
-    d].
+    """Return the standard uncertainty of DGP, [n, d].
 
-    First order; Ev's part in the Ev term and in the contrast term is one error, the sources' is
-    taken as another, so that the sum is not helped by errors that would cancel.
+    ev_relative, source_relative : relative uncertainties of Ev and of the luminance of sources.
+    First order. Ev's error in the Ev term and in the contrast term is one error. The sources' error
+    is independent of it, so that errors that would cancel do not reduce the result.
     """
     ratio = contrast / np.maximum(ev_lx, 1e-6) ** 1.87
     slope = DGP_CONTRAST / np.log(10.0) * ratio / (1.0 + ratio)
@@ -113,11 +110,11 @@ def dgp_uncertainty(
 
 @dataclass(frozen=True, slots=True)
 class GlareDoubt:
-    """What else than the model's own error makes the DGP of n hours and d directions uncertain.
+    """Further uncertainty of the DGP of n hours and d directions, besides the model's own error.
 
-    seen [d] "seen", "partly seen" or "not seen"; least, most [n, d] DGP with the least and the most
-    that the unseen part of a view may hold; drawn [k, n, d] DGP with the sun's disc as k possible
-    rooms show it, or None where the room is certain.
+    seen [d] : "seen", "partly seen" or "not seen"; least, most [n, d] : DGP with the least and the
+    most light in the unseen part of a view; drawn [k, n, d] : DGP with the sun's disc as k possible
+    rooms show it, or None if the room is certain.
     """
 
     seen: tuple[str, ...]
@@ -126,7 +123,7 @@ class GlareDoubt:
     drawn: Float | None = None
 
     def hours(self, rows: NDArray[np.bool_]) -> GlareDoubt:
-        """The same of some of the hours."""
+        """Return the same for some of the hours."""
         drawn = None if self.drawn is None else self.drawn[:, rows]
         return GlareDoubt(self.seen, self.least[rows], self.most[rows], drawn)
 
@@ -139,13 +136,13 @@ def protection(
     rng: np.random.Generator,
     doubt: GlareDoubt | None = None,
 ) -> Protection:
-    """Classes of d directions from the lit occupied hours' dgp [n, d] and its standard uncertainty
-    u_dgp [n, d] by the model alone.
+    """Return the classes of d directions.
 
-    The interval comes from `DRAWS` years with normal errors that share `COMMON_ERROR` of their
-    variance: a model's answer is its mean belief, and the truth lies around it. Each drawn year
-    takes the sun's disc from one of the drawn rooms; its unseen parts are dark for the lower end,
-    bright for the upper one.
+    dgp, u_dgp : [n, d] of the lit occupied hours, with the model's own standard uncertainty. The
+    interval comes from `DRAWS` years with normal errors that have `COMMON_ERROR` of their variance
+    in common: the model's answer is the mean, and the truth is around it. Each drawn year takes the
+    sun's disc from one of the drawn rooms; its unseen parts are dark for the lower end and bright
+    for the upper end.
     """
     azimuths = np.asarray(azimuths_deg, float)
     doubt = doubt or GlareDoubt((SEEN,) * len(azimuths), dgp, dgp)
@@ -157,10 +154,10 @@ def protection(
         class_of(float(value)) if good else NOT_SEEN_CLASS
         for value, good in zip(point, judged, strict=True)
     )
-    nobody = np.zeros(len(azimuths), bool)
+    none_certain = np.zeros(len(azimuths), bool)
     if u_dgp is None or not np.isfinite(u_dgp[:, judged]).all() or not judged.any():
         return Protection(
-            azimuths, occupied_hours, point, over, None, None, classes, nobody, doubt.seen
+            azimuths, occupied_hours, point, over, None, None, classes, none_certain, doubt.seen
         )
     low, high = _interval(dgp, u_dgp, occupied_hours, rng, doubt)
     low, high = np.minimum(low, point), np.maximum(high, point)
@@ -175,21 +172,21 @@ def protection(
 def _interval(
     dgp: Float, u_dgp: Float, occupied_hours: int, rng: np.random.Generator, doubt: GlareDoubt
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """95 % interval of the exceeded DGP of each direction, [d] each."""
+    """Return the 95 % interval of the exceeded DGP of each direction, [d] each."""
     lows, highs = [], []
-    whole = bool(np.array_equal(doubt.least, doubt.most, equal_nan=True))
+    all_seen = bool(np.array_equal(doubt.least, doubt.most, equal_nan=True))
     for k in range(DRAWS):
         year = dgp if doubt.drawn is None else doubt.drawn[k % len(doubt.drawn)]
         error = u_dgp * _year_error(dgp.shape, rng)
         darkest = np.clip(year + (doubt.least - dgp) + error, 0.0, 1.0)
         lows.append(exceeded_in_share(darkest, occupied_hours))
         brightest = np.clip(year + (doubt.most - dgp) + error, 0.0, 1.0)
-        highs.append(lows[-1] if whole else exceeded_in_share(brightest, occupied_hours))
+        highs.append(lows[-1] if all_seen else exceeded_in_share(brightest, occupied_hours))
     return np.percentile(lows, 2.5, axis=0), np.percentile(highs, 97.5, axis=0)
 
 
 def _year_error(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Standard normal errors [n, d] of one drawn year; hours share `COMMON_ERROR` of them."""
+    """Return standard normal errors [n, d] of one drawn year, partly common to its hours."""
     common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
     own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)
     return common + own
@@ -198,11 +195,10 @@ def _year_error(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.
 def hours_to_capture(
     dgp: Float, u_dgp: Float, undecided: NDArray[np.bool_], limits: Float
 ) -> NDArray[np.float64]:
-    """How much each hour's own uncertainty keeps the undecided directions open, [n]; the largest
-    are worth capturing.
+    """Return how much each hour's uncertainty keeps directions undecided, [n].
 
-    For each undecided direction the variance of "this hour is above the limit", p (1 - p) with
-    normal p.
+    The hours with the largest values are worth capturing. For each undecided direction it is the
+    variance of "this hour is above the limit", p (1 - p) with normal p.
     """
     from scipy.special import ndtr
 
@@ -213,6 +209,6 @@ def hours_to_capture(
 
 
 def nearest_limits(protection: Protection) -> NDArray[np.float64]:
-    """The class limit that each direction's interval lies closest to, [d]."""
+    """Return the class limit that is nearest to each direction's result, [d]."""
     limits = np.array([limit for _, limit in CLASSES])
     return limits[np.abs(limits[None, :] - protection.dgp_exceeded[:, None]).argmin(axis=1)]

@@ -1,8 +1,8 @@
 """Bounds of DGP where a part of the view was seen by no lens.
 
-Unseen is not dark. The unseen part of the view is given one luminance, from 0 up to the brightest
-that it could hold, and the least and the largest DGP of these are the bounds. More light on the eye
-can lower DGP (the contrast term falls with Ev), so the lower bound is not always at 0 cd/m2.
+Unseen is not dark. The unseen part of the view gets one luminance, from 0 up to the brightest that
+is likely; the bounds are the least and the largest DGP of these. More light on the eye can lower
+DGP (the contrast term falls with Ev), so the lower bound is not always at 0 cd/m2.
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from fieldlum.glare.sources import SOURCE_CDM2
 from fieldlum.projection import NOT_SEEN, SEEN, equirect_solid_angles, seen_words
 from fieldlum.records import Float
 
-BRIGHTEST_SHARE = 0.01  # of the seen solid angle: a window pane, but no single pixel of a reflex
+# The brightest likely luminance is exceeded by this share of the seen solid angle: a window pane
+# has more, a single pixel of a reflection less. Chosen, not measured.
+BRIGHTEST_SHARE = 0.01
 _LEVELS = 12  # luminances tried between 1 cd/m2 and the brightest
-_THIN = 4  # every fourth row and column suffices for a percentile
+_THIN = 4  # every fourth row and column suffices for a percentile; speed only
 
 
 @dataclass(frozen=True, slots=True)
 class ViewCoverage:
-    """What the camera saw of d view directions.
+    """The seen and unseen parts of d view directions.
 
-    seen_share [d] of the illuminance of a uniform field; unseen_illuminance [d] solid angle times
-    cosine of the unseen pixels [sr]; unseen_sources [d] their solid angle over the square of the
-    position index [sr].
+    seen_share [d] : of the illuminance of a uniform field; unseen_illuminance [d] : solid angle
+    times cosine of the unseen pixels, sr; unseen_sources [d] : their solid angle over the square of
+    the position index, sr.
     """
 
     seen_share: NDArray[np.float64]
@@ -38,22 +40,22 @@ class ViewCoverage:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """ "seen", "partly seen" or "not seen" of each direction."""
+        """ "seen", "partly seen" or "not seen" for each direction."""
         return seen_words(self.seen_share)
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Directions of which figures may be given, [d]."""
+        """The directions that have figures, [d]."""
         return np.array([word != NOT_SEEN for word in self.words])
 
     @property
     def partly(self) -> NDArray[np.bool_]:
-        """Directions of which only bounds can be given, [d]."""
+        """The directions that have bounds only, [d]."""
         return np.array([word not in (SEEN, NOT_SEEN) for word in self.words])
 
 
 def view_coverage(seen: NDArray[np.bool_] | None, views: Views) -> ViewCoverage:
-    """Return what was seen of each direction of `views`; seen [H, W], None for every pixel."""
+    """Return the coverage of each direction of `views`; seen [H, W], None if all were seen."""
     count = len(views.azimuths_deg)
     if seen is None or seen.all():
         return ViewCoverage(np.ones(count), np.zeros(count), np.zeros(count))
@@ -91,9 +93,9 @@ def brightest_cdm2(luminance_cdm2: Float, seen: NDArray[np.bool_]) -> NDArray[np
 def unseen_dgp_bounds(
     coverage: ViewCoverage, ev_lx: Float, contrast: Float, most_cdm2: Float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the least and the largest DGP over what the unseen part may hold, [n, d] each.
+    """Return the least and the largest DGP over possible unseen luminances, [n, d] each.
 
-    ev_lx, contrast : [n, d] of what was seen; most_cdm2 : [n] the most that the unseen may hold.
+    ev_lx, contrast : [n, d] of the seen part; most_cdm2 : [n] the brightest likely luminance.
     """
     low = high = dgp(ev_lx, contrast)
     if not coverage.unseen_illuminance.any():
