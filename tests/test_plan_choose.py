@@ -170,7 +170,7 @@ def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
         page.count("00:30 <small>CEST Mon 21</small>") == 1
         and page.count("<small>CEST</small>") == 23
     )
-    assert "The sun does not rise or set today." in page
+    assert "The sun neither rises nor sets today." in page
 
 
 # ----------------------------------------------------------------------------------------------
@@ -227,7 +227,7 @@ def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     assert (third.missed, third.recovered, len(third.made_up)) == (9, 4, 9)
     assert (
         makeup.sentences(third)[0]
-        == "9 slots missed, 0 of them with a make-up slot already; 4 more were made up since"
+        == "9 slots missed, 0 of them with a make-up slot already; 4 missed slots were made up since"
     )
 
 
@@ -257,7 +257,7 @@ def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
     session = open_session(_session(tmp_path, daylight_hours([date(2027, 4, 10)], SEATTLE), 0))
     answer = makeup.run(session, datetime(2027, 4, 1, tzinfo=UTC))
     assert answer.missed == 0 and makeup.sentences(answer) == [
-        "nothing was missed: the plan stands"
+        "no slot is missing; the plan is unchanged"
     ]
 
 

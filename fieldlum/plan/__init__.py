@@ -1,6 +1,4 @@
-"""Plan captures: which hours, which exposures, how long, how much storage, and how much of the
-year they cover.
-"""
+"""Capture plans: hours, exposures, time, storage, and the share of the year's light they cover."""
 
 from __future__ import annotations
 
@@ -33,12 +31,14 @@ from fieldlum.records import Exposure, Progress, Site, SiteFile, Slot, quiet
 from fieldlum.session import Session, create_session, replacing
 from fieldlum.weather import Weather
 
-EVEN_COUNT, BEST_COUNT = 200, 50
+# Hours of the sets `even` and `best` (Liu, Colburn and Inanici 2020; docs/planning.md).
+EVEN_COUNT = 200
+BEST_COUNT = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What the person asks for; `today` is the local date that "next" is counted from."""
+    """The options of a plan; `today` is the local date from which "next" is counted."""
 
     set: str
     today: date
@@ -51,8 +51,9 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Months:
-    """Expected error of a capture month, as variance left in the kernel, against the best
-    calendar month.
+    """Expected squared error of a capture month, relative to the best calendar month.
+
+    The error is the kernel's variance that the month's captures leave.
     """
 
     best: str  # its name
@@ -62,31 +63,34 @@ class Months:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
+    """The slots of a set, their cost and coverage, and the warnings."""
+
     slots: tuple[Slot, ...]
-    days: tuple[date, ...]  # asked for, the dark ones too
+    days: tuple[date, ...]  # all days of the set, including days without daylight
     seconds_per_slot: float
     megabytes_per_slot: float
     coverage: Coverage
-    variance_left: (
-        float | None
-    )  # of the model's prior uncertainty over the year; None without weather
+    # Share of the model's prior variance over the year that the captures leave; None without
+    # weather.
+    variance_left: float | None
     months: Months | None  # for a month with weather
     warnings: tuple[str, ...]
 
     @property
     def hours(self) -> DaylightHours:
+        """The moments and suns of the slots."""
         return hours_of(self.slots)
 
     def about(self, request: Request) -> dict[str, Any]:
-        """What session.toml keeps under [plan]."""
-        asked = {
+        """Return the table [plan] of session.toml."""
+        options = {
             "set": request.set,
             "start": request.start,
             "year": request.year,
             "count": request.count,
         }
         return {
-            **{key: value for key, value in asked.items() if value is not None},
+            **{key: value for key, value in options.items() if value is not None},
             "revision": 0,
             "slots": len(self.slots),
             "first": self.days[0],
@@ -98,7 +102,7 @@ class Plan:
 
 
 class PlannedSession(NamedTuple):
-    """What `run` wrote."""
+    """The session and the plan that `run` wrote."""
 
     session: Session
     plan: Plan
@@ -107,10 +111,10 @@ class PlannedSession(NamedTuple):
 def make_plan(
     setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet
 ) -> Plan:
-    """The slots of a set. Pure: nothing is written.
+    """Return the slots of a set, without writing anything.
 
-    Raises NotEnoughDataError when no hour of the window has the sun above the horizon, or when
-    `best` has no weather.
+    Raises NotEnoughDataError if no hour of the set has the sun above the horizon, or if `best` has
+    no weather.
     """
     site = setup.site
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -118,8 +122,8 @@ def make_plan(
     if not len(hours):
         raise NotEnoughDataError(
             f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) "
-            f"from {days[0]} to {days[-1]}, so there is nothing to plan; choose another --start "
-            f"or --set"
+            f"from {days[0]} to {days[-1]}; the plan would be empty; choose another --start or "
+            f"--set"
         )
     task = choose.learning(site, setup.room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)
@@ -160,7 +164,7 @@ def _chosen(
     if request.set == "best":
         if task is None:
             raise NotEnoughDataError(
-                "the best hours depend on the climate: give a weather year with --weather FILE"
+                "the best hours depend on the climate; state a weather year with --weather FILE"
             )
         return hours[choose.best(hours, task, request.count or BEST_COUNT, progress)]
     return hours
@@ -181,8 +185,9 @@ def _months(task: choose.Learning, days: int, year: int, left: float) -> Months:
 def make_slots(
     hours: DaylightHours, setup: SiteFile, exposures: Sequence[Exposure]
 ) -> tuple[Slot, ...]:
-    """Hours to slots, in time order, tagged: season, low-sun, sun-enters (a window), sun-in-view
-    (of the camera).
+    """Return the slots of some hours, in time order, with tags.
+
+    Tags: the season, low-sun, sun-enters (through a window), sun-in-view (of the camera).
     """
     zone = setup.site.timezone
     tags = {
@@ -194,7 +199,7 @@ def make_slots(
     for i, (t, altitude, azimuth) in enumerate(
         zip(hours.t_utc, hours.altitude_deg, hours.azimuth_deg, strict=True)
     ):
-        said = (
+        possible = (
             tags[sun.standard_date(t, zone)],
             "low-sun" if altitude < sun.LOW_SUN_DEG else "",
             "sun-enters" if enters[i] else "",
@@ -206,7 +211,7 @@ def make_slots(
                 float(altitude),
                 float(azimuth),
                 tuple(exposures),
-                tuple(tag for tag in said if tag),
+                tuple(tag for tag in possible if tag),
             )
         )
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
@@ -215,7 +220,7 @@ def make_slots(
 def _at_the_window(
     hours: DaylightHours, setup: SiteFile
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Without a box room nothing is known, and nothing is tagged."""
+    """Return whether the sun enters, and is in view, [n] each; False without a box room."""
     if setup.room is None or setup.room.kind != "box":
         return np.zeros(len(hours), bool), np.zeros(len(hours), bool)
     at = (setup.room, hours.altitude_deg, hours.azimuth_deg)
@@ -223,8 +228,9 @@ def _at_the_window(
 
 
 def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
-    """Seconds and megabytes of one slot: every exposure at every heading, and the time the
-    shutter is open.
+    """Return seconds and megabytes of one slot: every exposure at every heading.
+
+    The time includes the time for which the shutter is open.
     """
     exposures, turns = bracket_exposures(bracket), max(len(setup.camera.headings), 1)
     seconds = sum(bracket.seconds_per_frame + e.shutter_s for e in exposures)
@@ -232,40 +238,39 @@ def cost_of(bracket: Bracket, setup: SiteFile) -> tuple[float, float]:
 
 
 # ----------------------------------------------------------------------------------------------
-# what to say
+# texts
 
 
 def _warnings(
     days: Sequence[date], hours: DaylightHours, site: Site, request: Request
 ) -> list[str]:
-    said, all_year = [], request.set in ("even", "best")
+    texts: list[str] = []
+    all_year = request.set in ("even", "best")
     dark = [] if all_year else dark_days(days, hours, site)
     if dark:
-        said.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
+        texts.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
     if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
-        said.append(
+        texts.append(
             f"midnight sun: a slot every hour of {len(midnight)} of {len(days)} days "
             f"({_from_to(midnight)})"
         )
     if request.count and len(hours) < request.count:
-        said.append(
-            f"{request.count} hours were asked for, the window has {len(hours)} that can be had"
-        )
-    said += clock_texts(days, site)
+        texts.append(f"--count {request.count}: the set has only {len(hours)} daylight hours")
+    texts += clock_texts(days, site)
     if site.timezone == "UTC" and abs(site.longitude_deg) > 30:
-        said.append(
-            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours are UTC's, not "
-            f"the place's"
+        texts.append(
+            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours are those of "
+            f"UTC, not of the site"
         )
     if days[0] < request.today:
-        said.append(
-            f"the plan starts on {days[0]}, which is past: its slots before now can only be missed"
+        texts.append(
+            f"the plan starts on {days[0]}, which is past: its slots before now count as missed"
         )
-    return said
+    return texts
 
 
 def _from_to(days: Sequence[date]) -> str:
-    """Each run of days by its ends."""
+    """Return runs of consecutive days by their first and last day."""
     runs: list[list[date]] = []
     for day in sorted(days):
         if runs and (day - runs[-1][-1]).days == 1:
@@ -284,20 +289,20 @@ def _per_day(hours: DaylightHours, site: Site) -> dict[date, int]:
 
 
 def clock_texts(days: Sequence[date], site: Site) -> list[str]:
-    """One sentence for every daylight-saving change on a planned day."""
-    said, zone = [], ZoneInfo(site.timezone)
+    """Return one sentence for every daylight-saving change on a planned day."""
+    texts, zone = [], ZoneInfo(site.timezone)
     for moment, change in sun.clock_changes(days[0], days[-1], site.timezone):
         if sun.standard_date(moment, site.timezone) in set(days):
             hours = change.total_seconds() / 3600
-            said.append(
+            texts.append(
                 f"clocks go {'forward' if hours > 0 else 'back'} by {abs(hours):g} h on "
                 f"{moment.astimezone(zone):%Y-%m-%d}; slots stay at hh:30 of standard time"
             )
-    return said
+    return texts
 
 
 def summary(session: Session, plan: Plan) -> dict[str, Any]:
-    """For --json: everything a script wants to know about the plan."""
+    """Return the plan for --json."""
     slots = plan.slots
     return {
         "session": str(session.root),
@@ -320,43 +325,43 @@ def summary(session: Session, plan: Plan) -> dict[str, Any]:
 
 
 def sentences(summary: dict[str, Any]) -> list[str]:
-    """The same for a person."""
-    slots, found, tags = summary["slots"], summary["coverage"], summary["tags"]
-    said = [
+    """Return the summary as sentences."""
+    slots, covered, tags = summary["slots"], summary["coverage"], summary["tags"]
+    texts = [
         f"{slots} slots on {summary['days']} days, {summary['first']} to {summary['last']}, in "
         f"{summary['session']}",
         f"{summary['frames']} frames, {summary['seconds_per_slot']:g} s and "
-        f"{summary['megabytes'] / slots:.0f} MB "
-        f"a slot, {summary['megabytes'] / 1000:.1f} GB in all",
-        f"covers {found['sun_band_percent']:.0f} % of the year's sun band"
+        f"{summary['megabytes'] / slots:.0f} MB per slot, "
+        f"{summary['megabytes'] / 1000:.1f} GB in total",
+        f"covers {covered['sun_band_percent']:.0f} % of the year's sun band"
         + (
             ""
-            if found["irradiance_percent"] is None
-            else f", {found['irradiance_percent']:.0f} % of the weather year's skies, "
-            f"{found['both_percent']:.0f} % in both"
+            if covered["irradiance_percent"] is None
+            else f", {covered['irradiance_percent']:.0f} % of the weather year's skies, "
+            f"{covered['both_percent']:.0f} % in both"
         ),
     ]
     if "sun-enters" in tags:
-        said.append(
+        texts.append(
             f"the sun can enter a window in {tags['sun-enters']} slots and is in view in "
             f"{tags.get('sun-in-view', 0)}"
         )
     if summary["variance_left_percent"] is not None:
         left = f"{summary['variance_left_percent']:.2g} %"
-        said.append(
-            f"leaves {left} of the model's uncertainty about the year, if the skies come as in "
-            f"the weather file"
+        texts.append(
+            f"leaves {left} of the model's uncertainty about the year, if the skies are as in the "
+            f"weather file"
         )
     if month := summary["month"]:
-        said.append(
+        texts.append(
             f"expected squared error {month['times_best']:.2f} times that of the best month, "
             f"{month['best']}"
         )
-    return said
+    return texts
 
 
 # ----------------------------------------------------------------------------------------------
-# doing it
+# writing
 
 
 def run(
@@ -366,13 +371,13 @@ def run(
     weather: Weather | None = None,
     progress: Progress = quiet,
 ) -> PlannedSession:
-    """Plan and create the session folder. Raises InputError when `out` is a session already."""
+    """Plan and create the session folder. Raises InputError if `out` is a session already."""
     plan = make_plan(setup, request, weather, progress)
     return PlannedSession(create_session(out, setup, plan.slots, plan.about(request)), plan)
 
 
 def write_calendar(session: Session, made_utc: datetime) -> Path:
-    """plan.ics beside plan.csv, from what stands there."""
+    """Write plan.ics next to plan.csv, from the slots in plan.csv, and return its path."""
     from fieldlum.plan.calendar import ics
 
     about = session.table()["plan"]
@@ -391,7 +396,7 @@ def write_calendar(session: Session, made_utc: datetime) -> Path:
 def write_sheets(
     session: Session, weather: Weather | None = None, notes: Sequence[str] = ()
 ) -> Path:
-    """plan.html beside plan.csv: an overview with the coverage plots, then a sheet a day."""
+    """Write plan.html next to plan.csv: coverage plots, then a sheet for each day."""
     from fieldlum.plan.sheet import Cost, html
 
     about = session.table()["plan"]

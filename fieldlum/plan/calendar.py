@@ -1,5 +1,6 @@
-"""A plan as a calendar: one event a day, in UTC, with stable names so that a phone updates
-instead of doubling.
+"""A plan as a calendar: one event a day, in UTC, with stable names.
+
+Stable names let a phone update its events after a re-plan instead of adding them twice.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from zoneinfo import ZoneInfo
 from fieldlum import sun
 from fieldlum.records import Site, Slot, utc_text
 
-ALARM_BEFORE = timedelta(minutes=20)
+ALARM_BEFORE = timedelta(minutes=20)  # time to set up the camera; chosen, not measured
 
 
 def by_day(slots: Sequence[Slot], site: Site) -> list[tuple[date, list[Slot]]]:
-    """Slots grouped by local standard date, in time order."""
+    """Return the slots grouped by local standard date, in time order."""
     ordered = sorted(slots, key=lambda slot: slot.t_utc)
     groups = groupby(ordered, key=lambda slot: sun.standard_date(slot.t_utc, site.timezone))
     return [(day, list(group)) for day, group in groups]
@@ -30,8 +31,9 @@ def ics(
     made_utc: datetime,
     sequence: int = 0,
 ) -> bytes:
-    """An iCalendar file (RFC 5545). `sequence` counts re-plans: the same day keeps its UID and
-    is updated.
+    """Return an iCalendar file (RFC 5545).
+
+    sequence : count of re-plans; an event of the same day keeps its UID and is updated.
     """
     from icalendar import Calendar
 

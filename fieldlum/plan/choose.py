@@ -1,6 +1,4 @@
-"""Choosing hours: spread evenly over suns and skies, or greedily by what a light-transport model
-would learn.
-"""
+"""The choice of hours: spread evenly over suns and skies, or greedily by a kernel's variance."""
 
 from __future__ import annotations
 
@@ -18,12 +16,14 @@ from fieldlum.records import Progress, Room, Site, quiet
 from fieldlum.weather import Weather
 
 Index = NDArray[np.intp]
-DNI_FULL_WM2, DHI_FULL_WM2 = 1100.0, 700.0  # the paper's normalisation
-YEAR_HOURS, POOL_HOURS = (
-    800,
-    2200,
-)  # enough to rank by; the greedy choice takes the square of the pool in memory
-NOISE = 3e-3  # variance of one capture in the kernel's unit: the study's default
+# The paper's normalisation of irradiances (Liu, Colburn and Inanici 2020). [W/m2]
+DNI_FULL_WM2 = 1100.0
+DHI_FULL_WM2 = 700.0
+# Hours that represent the weather year, and candidates of the greedy choice, whose memory
+# grows with their square. Chosen so that the ranking is stable; not measured.
+YEAR_HOURS = 800
+POOL_HOURS = 2200
+NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions/0003-light-kernel.md)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -31,9 +31,10 @@ NOISE = 3e-3  # variance of one capture in the kernel's unit: the study's defaul
 
 
 def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
-    """Indices [count], ascending, by farthest-point sampling (Gonzalez 1985).
+    """Return indices [count], ascending, of points spread by farthest-point sampling.
 
-    The widest gap is at most twice the smallest possible; the first point is drawn by `rng`.
+    Gonzalez 1985: the widest gap is at most twice the smallest possible. The first point is drawn
+    by `rng`.
     """
     if count >= len(points):
         return np.arange(len(points))
@@ -46,21 +47,23 @@ def space_filling(points: NDArray[np.float64], count: int, rng: np.random.Genera
 
 
 def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -> Index:
-    """Indices [count], ascending: the point nearest to the centre of each of `count` k-means
-    clusters.
+    """Return indices [count], ascending, of the points nearest to the centres of k-means clusters.
+
+    points : [n, k]; one point for each of `count` clusters.
     """
     from scipy.cluster.vq import kmeans2
 
     if count >= len(points):
         return np.arange(len(points))
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="One of the clusters is empty")  # made good below
+        # Empty clusters are filled below.
+        warnings.filterwarnings("ignore", message="One of the clusters is empty")
         centres, label = kmeans2(points, count, iter=30, minit="++", rng=rng)
     away = ((points - centres[label]) ** 2).sum(axis=1)
     order = np.lexsort((away, label))
     first = np.unique(label[order], return_index=True)[1]
     chosen = set(order[first].tolist())
-    for i in np.argsort(-away):  # an empty cluster goes to the point that is worst served
+    for i in np.argsort(-away):  # fill empty clusters with the points furthest from a centre
         if len(chosen) == count:
             break
         chosen.add(int(i))
@@ -70,28 +73,29 @@ def medoids(points: NDArray[np.float64], count: int, rng: np.random.Generator) -
 def even(
     hours: DaylightHours, weather: Weather | None, count: int, rng: np.random.Generator
 ) -> Index:
-    """Hours spread evenly: over sun position and sky by k-means medoids (the paper's way), or
-    over suns alone.
+    """Return indices [count] of hours spread evenly, ascending.
+
+    Over sun position and sky by k-means medoids (the paper's method), or without weather over sun
+    positions only.
     """
     suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     if weather is None:
         return space_filling(suns, count, rng)
-    found = weather.at(hours.t_utc)
-    known = np.flatnonzero(np.isfinite(found.dni_wm2 + found.dhi_wm2))
-    sky = np.stack([found.dni_wm2 / DNI_FULL_WM2, found.dhi_wm2 / DHI_FULL_WM2], axis=-1)
-    # half the direction: each axis then spans one, like the irradiances
-    return known[medoids(np.concatenate([suns / 2, sky], axis=1)[known], count, rng)]
+    sky_now = weather.at(hours.t_utc)
+    known = np.flatnonzero(np.isfinite(sky_now.dni_wm2 + sky_now.dhi_wm2))
+    sky = np.stack([sky_now.dni_wm2 / DNI_FULL_WM2, sky_now.dhi_wm2 / DHI_FULL_WM2], axis=-1)
+    # Half of the direction: each of its axes then has a range of one, as the irradiances have.
+    points = np.concatenate([suns / 2, sky], axis=1)  # (n, 5)
+    return known[medoids(points[known], count, rng)]
 
 
-# ---------------------------------------------------------------------------------------------- by
-# the kernel
+# ----------------------------------------------------------------------------------------------
+# by the kernel
 
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """What there is to learn: a kernel for the room and the features of a weather year's
-    daylight hours.
-    """
+    """A learning task: a kernel for the room, and the features of a weather year's daylight."""
 
     kernel: Kernel
     year: Features
@@ -102,8 +106,9 @@ class Learning:
 def learning(
     site: Site, room: Room | None, weather: Weather, kernel: Kernel | None = None
 ) -> Learning:
-    """Every few hours of the weather year, about YEAR_HOURS of them; the kernel a trained one,
-    else by the facades.
+    """Return the task of about YEAR_HOURS hours, evenly spread over the weather year.
+
+    kernel : of a trained model; by default one for the room's facades.
     """
     lit = weather.daylight()
     year = lit[np.arange(0, len(lit), max(len(lit) // YEAR_HOURS, 1))]
@@ -112,17 +117,17 @@ def learning(
 
 
 def features_at(hours: DaylightHours, task: Learning) -> tuple[Index, Features]:
-    """Features under the weather year's sky, of the hours that it knows; with their indices."""
-    found = task.weather.at(hours.t_utc)
-    known = np.flatnonzero(np.isfinite(found.dni_wm2 + found.dhi_wm2) & (found.dhi_wm2 > 0))
+    """Return the indices [k] of the hours with weather, and their features [k]."""
+    light = task.weather.at(hours.t_utc)
+    known = np.flatnonzero(np.isfinite(light.dni_wm2 + light.dhi_wm2) & (light.dhi_wm2 > 0))
     chosen = hours[known]
     return known, light_features(
-        light_at(chosen.t_utc, task.site, found.dni_wm2[known], found.dhi_wm2[known])
+        light_at(chosen.t_utc, task.site, light.dni_wm2[known], light.dhi_wm2[known])
     )
 
 
 def variance_left(task: Learning, captured: Features) -> float:
-    """Mean predictive variance over the year after these captures, as a share of the prior's."""
+    """Return the mean predictive variance over the year after captures, as a share of the prior."""
     if not len(captured):
         return 1.0
     known = task.kernel(captured, captured) + NOISE * np.eye(len(captured))
@@ -133,19 +138,20 @@ def variance_left(task: Learning, captured: Features) -> float:
 
 
 def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Index:
-    """Indices [count], ascending, of the hours that most lower the year's summed predictive
-    variance, greedily.
+    """Return indices [count], ascending, of the hours that reduce the year's variance most.
+
+    Greedy; the variance is the sum of the predictive variances over the year.
     """
     known, features = features_at(hours, task)
     stride = -(-len(known) // POOL_HOURS)
     pool = np.arange(0, len(known), stride)
-    found = greedy_hours(
+    ranked = greedy_hours(
         task.kernel, task.year, features[pool], count, noise=NOISE, progress=progress
     )
-    return np.sort(known[pool[found.index]])
+    return np.sort(known[pool[ranked.index]])
 
 
 def month_windows(year: int, days: int) -> list[list[date]]:
-    """Twelve windows of `days` days around the middle of each month."""
+    """Return twelve windows of `days` days around the middle of each month."""
     starts = [date(year, month, 16).toordinal() - days // 2 for month in range(1, 13)]
     return [span(date.fromordinal(start), days) for start in starts]

@@ -1,6 +1,4 @@
-"""The most useful coming hours: how much each would lower the model's uncertainty, and whether
-it still pays.
-"""
+"""The most useful coming hours: how much each reduces the model's uncertainty, and if it pays."""
 
 from __future__ import annotations
 
@@ -24,15 +22,21 @@ from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.weather import Weather
 
-AHEAD_DAYS, SHOWN = 14, 12
-SKIES = 7  # the same hour on days around, in the weather year: what the sky may be like
-BATCH = 25  # captures to judge by
-SAME_PLACE_DEG = 0.1
-WORTH = 0.10  # a batch that takes less than this share of what is left no longer pays
+AHEAD_DAYS = 14  # days that are ranked
+SHOWN = 12  # best hours that are printed
+# Skies of an hour: the weather of the same hour on this many days around, three days apart.
+SKIES = 7
+BATCH = 25  # captures by which "pays" is decided
+SAME_PLACE_DEG = 0.1  # a model of a place further away is not used; about 11 km
+# A batch that reduces the remaining variance by a smaller share no longer pays. Chosen, not
+# measured.
+WORTH = 0.10
 
 
 @dataclass(frozen=True, slots=True)
 class ComingHour:
+    """One coming daylight hour and its value."""
+
     t_utc: datetime
     sun_altitude_deg: float
     sun_azimuth_deg: float
@@ -42,20 +46,21 @@ class ComingHour:
 
 @dataclass(frozen=True, slots=True)
 class RankedHours:
-    model: str  # whose kernel it is; empty: of no trained model, by the room's facades
+    """Coming hours by their value."""
+
+    model: str  # the trained model of the kernel; empty: an untrained kernel of the facades
     captured: int
     variance_left_percent: float  # of the prior's, over the year
     hours: tuple[ComingHour, ...]  # best first
-    next_batch_percent: float  # of the variance left, by the best BATCH hours of the whole year
+    next_batch_percent: float  # of the variance left, by the best BATCH hours of the year
     pays: bool
 
 
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
-    """The kernel of the session's newest transport model, and its name; None before training.
+    """Return the kernel and the name of the session's newest transport model; None without one.
 
-    A model that was trained at another place is passed over.
-
-    Raises InputError for a model folder that does not hold what it should.
+    A model that was trained at another place is skipped. Raises InputError for a model folder with
+    wrong content.
     """
     folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     for folder in sorted(
@@ -84,8 +89,9 @@ def _of_this_place(config: ModelConfig, site: Site) -> bool:
 
 
 def captured_features(session: Session, task: choose.Learning) -> Features:
-    """Features of what was captured: by the measured irradiance of pairs.csv, else by the
-    weather year's.
+    """Return the features of the captures, [n].
+
+    By the measured irradiance of pairs.csv, or else by that of the weather year.
     """
     times, dni, dhi = _paired(session)
     known = {slot_id(t) for t in times}
@@ -93,9 +99,10 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
     others = [slot.t_utc for slot in session.slots() if slot.id in captured]
     if others:
         typical = task.weather.at(others)
-        sound = np.isfinite(typical.dni_wm2 + typical.dhi_wm2)
-        times += [t for t, ok in zip(others, sound, strict=True) if ok]
-        dni, dhi = [*dni, *typical.dni_wm2[sound]], [*dhi, *typical.dhi_wm2[sound]]
+        is_known = np.isfinite(typical.dni_wm2 + typical.dhi_wm2)
+        times += [t for t, ok in zip(others, is_known, strict=True) if ok]
+        dni = [*dni, *typical.dni_wm2[is_known]]
+        dhi = [*dhi, *typical.dhi_wm2[is_known]]
     return light_features(light_at(times, task.site, np.array(dni, float), np.array(dhi, float)))
 
 
@@ -107,28 +114,29 @@ def _paired(session: Session) -> tuple[list[datetime], list[float], list[float]]
 def _reductions(
     task: choose.Learning, captured: Features, hours: DaylightHours, progress: Progress
 ) -> NDArray[np.float64]:
-    """Expected drop of the year's variance by each hour [n], as a share of what is left, over
-    its season's skies.
+    """Return the expected reduction of the year's variance by each hour, [n].
+
+    As a share of the remaining variance, the mean over skies of the season.
     """
     base = choose.variance_left(task, captured)
-    total, seen = np.zeros(len(hours)), np.zeros(len(hours))
-    for done, days in enumerate(np.arange(SKIES) * 3 - 3 * (SKIES // 2)):
-        progress(done, SKIES + BATCH, "skies of the season")
-        found = task.weather.at([t + timedelta(days=int(days)) for t in hours.t_utc])
-        sound = np.isfinite(found.dni_wm2 + found.dhi_wm2) & (found.dhi_wm2 > 0)
-        rows = np.flatnonzero(sound)
+    total, count = np.zeros(len(hours)), np.zeros(len(hours))
+    for step, days in enumerate(np.arange(SKIES) * 3 - 3 * (SKIES // 2)):
+        progress(step, SKIES + BATCH, "skies of the season")
+        sky = task.weather.at([t + timedelta(days=int(days)) for t in hours.t_utc])
+        rows = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
         if not len(rows):
             continue
         chosen = hours[rows]
-        light = light_at(chosen.t_utc, task.site, found.dni_wm2[rows], found.dhi_wm2[rows])
+        light = light_at(chosen.t_utc, task.site, sky.dni_wm2[rows], sky.dhi_wm2[rows])
         total[rows] += _single_gains(task, captured, light_features(light)) / base
-        seen[rows] += 1
-    return total / np.maximum(seen, 1)
+        count[rows] += 1
+    return total / np.maximum(count, 1)
 
 
 def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> NDArray[np.float64]:
-    """Drop of the year's mean variance by each hour of the pool alone, as a share of the
-    prior's.
+    """Return the reduction of the year's mean variance by each single hour of the pool, [n].
+
+    As a share of the prior variance.
     """
     kernel = task.kernel
     cross, own = kernel(task.year, pool), kernel.diagonal(pool)
@@ -144,8 +152,9 @@ def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> 
 def run(
     session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
 ) -> RankedHours:
-    """Rank the daylight hours of the coming two weeks. Raises NotEnoughDataError when the sun
-    does not rise in them.
+    """Rank the daylight hours of the coming two weeks.
+
+    Raises NotEnoughDataError if the sun does not rise in them.
     """
     setup, now_utc = session.site_file(), now_utc.astimezone(UTC)
     trained = trained_kernel(session)
@@ -156,7 +165,8 @@ def run(
     hours = hours[[i for i, t in enumerate(hours.t_utc) if t > now_utc]]
     if not len(hours):
         raise NotEnoughDataError(
-            f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days"
+            f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days; run "
+            f"this again later"
         )
     drop = _reductions(task, captured, hours, progress)
     planned = {slot.id for slot in session.slots()}
@@ -187,6 +197,7 @@ def run(
 
 
 def as_table(answer: RankedHours) -> dict[str, Any]:
+    """Return the answer for --json."""
     return {
         "model": answer.model or None,
         "captured": answer.captured,
@@ -211,20 +222,22 @@ def as_table(answer: RankedHours) -> dict[str, Any]:
 
 
 def sentences(answer: RankedHours, site: Site) -> list[str]:
+    """Return the answer as sentences."""
     zone = ZoneInfo(site.timezone)
     left = f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
-    said = [
+    texts = [
         f"{answer.captured} captures leave {left} of the uncertainty about the year"
-        + (f", says {answer.model}" if answer.model else "")
+        + (f" (model {answer.model})" if answer.model else "")
     ]
     for hour in answer.hours:
         when = f"{hour.t_utc.astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
         where = f"sun {hour.sun_altitude_deg:3.0f} deg high at {hour.sun_azimuth_deg:3.0f}"
         planned = "  (planned)" if hour.planned else ""
-        said.append(f"  {when}  {where}  takes {hour.reduction_percent:5.1f} % of it{planned}")
+        share = f"{hour.reduction_percent:5.1f} %"
+        texts.append(f"  {when}  {where}  reduces it by {share}{planned}")
     verdict = "more captures pay" if answer.pays else "more captures no longer pay"
-    said.append(
-        f"the best {BATCH} hours of a year would take {answer.next_batch_percent:.0f} % of it: "
+    texts.append(
+        f"the best {BATCH} hours of a year would reduce it by {answer.next_batch_percent:.0f} %: "
         f"{verdict}"
     )
-    return said
+    return texts

@@ -1,6 +1,4 @@
-"""How much of a year's light a plan sees: the sun's band on the sky, and the joint density of
-direct and diffuse.
-"""
+"""Coverage of a year's light by a plan: the sun's band on the sky, and direct with diffuse."""
 
 from __future__ import annotations
 
@@ -19,29 +17,32 @@ from fieldlum.weather import Weather
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# a sun position is covered when a planned one is at most this far: hourly suns are 15 deg apart
+# A sun position is covered if a planned one is at most this far away: hourly suns are 15 deg apart.
 NEAR_DEG = 10.0
-DNI_CELL_WM2, DHI_CELL_WM2 = 100.0, 50.0
-OBLIQUITY_DEG = 23.44
+# Size of the cells in which direct and diffuse irradiance count as equal. Chosen, not measured.
+DNI_CELL_WM2 = 100.0
+DHI_CELL_WM2 = 50.0
+OBLIQUITY_DEG = 23.44  # of the ecliptic, in this century (IAU)
 INK, PALE, PLANNED, BAND, REACHED = "#1d2733", "#8a96a3", "#c4441c", "#f5e3bf", "#edb95c"
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Percentages of a year; None where it takes a weather file to know."""
+    """Covered percentages of a year; None for those that need a weather file."""
 
     sun_band_percent: float  # area of the band of sun positions within NEAR_DEG of a planned one
-    irradiance_percent: float | None = None  # weather hours whose DNI-DHI cell holds a planned hour
+    irradiance_percent: float | None = None  # weather hours in a DNI-DHI cell of a planned hour
     both_percent: float | None = None  # weather hours covered in both ways
 
 
-# ---------------------------------------------------------------------------------------------- sun
-# band
+# ----------------------------------------------------------------------------------------------
+# sun band
 
 
 def band_directions(site: Site) -> NDArray[np.float64]:
-    """Directions [n, 3] spread evenly over the part of the sky where the sun can stand
-    (declination +-23.44 deg).
+    """Return directions spread evenly over the sky band of the sun, [n, 3].
+
+    The band has the declinations -23.44 to 23.44 deg, above the horizon.
     """
     sine = np.sin(np.radians(OBLIQUITY_DEG)) * (2 * (np.arange(41) + 0.5) / 41 - 1)
     turn = 2 * np.pi * np.arange(360) / 360
@@ -58,6 +59,7 @@ def band_directions(site: Site) -> NDArray[np.float64]:
 
 
 def sun_band_percent(hours: DaylightHours, site: Site) -> float:
+    """Return the share of the sun band within NEAR_DEG of the sun of an hour, in percent."""
     band = band_directions(site)
     if not len(hours) or not len(band):
         return 0.0
@@ -79,7 +81,7 @@ def _cells(dni_wm2: ArrayLike, dhi_wm2: ArrayLike) -> NDArray[np.int64]:
 
 
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
-    """What of the year the hours cover; with a weather file, what of its hours."""
+    """Return the coverage of a year by some hours; with a weather file also of its hours."""
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):
         return Coverage(band)
@@ -101,11 +103,10 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
 
 
 def sun_figure(hours: DaylightHours, site: Site) -> Figure:
-    """The band of sun positions on a sky chart, north up and east right, with the planned suns (the
-    paper's Figure 15).
+    """Draw the band of sun positions on a sky chart, north up and east right, with planned suns.
 
-    A chart and not azimuth against altitude: the sun of the tropics passes the zenith on either
-    side.
+    The paper's Figure 15. A chart of azimuth against altitude would fail in the tropics, where the
+    sun passes the zenith on either side.
     """
     from matplotlib.figure import Figure
 
@@ -174,8 +175,9 @@ def sun_figure(hours: DaylightHours, site: Site) -> Figure:
 
 
 def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Azimuth and altitude of the sun every ten minutes of a local standard day; no numbers
-    while it is down.
+    """Return azimuth and altitude of the sun every ten minutes of a local standard day, [145] each.
+
+    NaN while the sun is down.
     """
     start = sun.standard_midnight(day, site.timezone)
     at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
@@ -184,8 +186,9 @@ def day_arc(day: date, site: Site) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
-    """Joint density of direct normal and diffuse of the weather year, with the planned hours
-    (Figures 16, 17).
+    """Draw the joint density of direct and diffuse over the weather year, with planned hours.
+
+    The paper's Figures 16 and 17.
     """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
@@ -200,7 +203,7 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
     )
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
     bar = figure.colorbar(picture, ax=axes)
-    bar.set_label("hours a year in a cell", fontsize=8)
+    bar.set_label("hours per year in a cell", fontsize=8)
     bar.ax.tick_params(labelsize=8)
     planned = weather.at(hours.t_utc)
     axes.scatter(
@@ -209,13 +212,13 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
         s=9,
         color=INK,
         linewidths=0,
-        label="planned, as the weather year has them",
+        label="planned, with the weather year's light",
     )
     axes.set_xlabel("direct normal [W/m2]", fontsize=8)
     axes.set_ylabel("diffuse horizontal [W/m2]", fontsize=8)
-    found = coverage(hours, site, weather)
+    covered = coverage(hours, site, weather)
     title = (
-        f"{site.name}: skies met by the plan make up {found.irradiance_percent:.0f} % of the "
+        f"{site.name}: skies like those of the plan are {covered.irradiance_percent:.0f} % of the "
         f"year's daylight hours"
     )
     axes.set_title(title, fontsize=10, loc="left")

@@ -1,5 +1,6 @@
-"""Which days and hours a capture set asks for. Slots stand at hh:30 of local standard time while
-the sun is up.
+"""Days and hours of the capture sets.
+
+Slots are at hh:30 of local standard time while the sun is up.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-
 
 @dataclass(frozen=True, slots=True)
 class DaylightHours:
-    """Daylight hours of some days: the candidates of every set. Angles are true ones, [n] deg."""
+    """Daylight hours of some days: the candidates of every set. Angles are true, in deg, [n]."""
 
     t_utc: tuple[datetime, ...]
     altitude_deg: NDArray[np.float64]
@@ -39,18 +40,14 @@ class DaylightHours:
 
 
 def hours_of(slots: Sequence[Slot]) -> DaylightHours:
-    """The moments of slots, and where their suns stand."""
-    altitude, azimuth = (
-        np.array([getattr(s, f"sun_{n}_deg") for s in slots], float)
-        for n in ("altitude", "azimuth")
-    )
+    """Return the moments of slots and their suns."""
+    altitude = np.array([s.sun_altitude_deg for s in slots], float)
+    azimuth = np.array([s.sun_azimuth_deg for s in slots], float)
     return DaylightHours(tuple(slot.t_utc for slot in slots), altitude, azimuth)
 
 
 def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
-    """The hh:30 moments of local standard time on `days` with the centre of the sun above the
-    horizon.
-    """
+    """Return the hh:30 moments of local standard time on `days` with the sun's centre up."""
     midnights = [sun.standard_midnight(day, site.timezone) for day in sorted(set(days))]
     times = [
         midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)
@@ -62,39 +59,40 @@ def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
 
 
 def span(first: date, count: int) -> list[date]:
+    """Return `count` consecutive days."""
     return [first + timedelta(days=i) for i in range(count)]
 
 
 def season_date(year: int, which: int, site: Site) -> date:
-    """Local standard date of an equinox or a solstice."""
+    """Return the local standard date of an equinox or a solstice."""
     return sun.standard_date(sun.season(year, which), site.timezone)
 
 
 def _event_dates(
     seasons: Sequence[int], margin: int, earliest: date, year: int | None, site: Site
 ) -> list[date]:
-    """Each season's date: in `year`, or the first whose margin days before it are not past."""
-    found = []
+    """Return each season's date: in `year`, or the first with all margin days ahead."""
+    dates = []
     for which in seasons:
         if year is not None:
-            found.append(season_date(year, which, site))
+            dates.append(season_date(year, which, site))
             continue
         candidates = (
             season_date(y, which, site)
             for y in (earliest.year, earliest.year + 1, earliest.year + 2)
         )
-        found.append(next(d for d in candidates if d - timedelta(days=margin) >= earliest))
-    return sorted(found)
+        dates.append(next(d for d in candidates if d - timedelta(days=margin) >= earliest))
+    return sorted(dates)
 
 
 def set_days(
     name: str, site: Site, today: date, start: date | None, year: int | None, days: int | None
 ) -> list[date]:
-    """The local standard dates of a set.
+    """Return the local standard dates of a set.
 
-    Event sets: those of `year`, else the next ones from `start` (or `today`). A month: from
-    `start`, else centred on the March equinox of `year`, else on the next equinox whose whole
-    window is still ahead. Others: a year.
+    Event sets: those of `year`, or the next ones from `start` (or `today`). Set `month`: from
+    `start`, or centred on the March equinox of `year`, or on the next equinox whose complete window
+    is ahead. Other sets: a year.
     """
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
@@ -118,7 +116,7 @@ def set_days(
 
 
 def season_tag(day: date, site: Site, within_days: int = 1) -> str:
-    """``march-equinox`` and so on for days next to an event, else nothing."""
+    """Return ``march-equinox`` and so on for days next to an event, else an empty text."""
     for which, tag in enumerate(SEASON_TAGS):
         if abs((day - season_date(day.year, which, site)).days) <= within_days:
             return tag
@@ -126,10 +124,11 @@ def season_tag(day: date, site: Site, within_days: int = 1) -> str:
 
 
 def dark_days(days: Iterable[date], hours: DaylightHours, site: Site) -> list[date]:
-    """Days without a single slot: polar night."""
+    """Return the days without a slot: polar night."""
     lit = {sun.standard_date(t, site.timezone) for t in hours.t_utc}
     return [day for day in sorted(set(days)) if day not in lit]
 
 
 def today_at(site: Site, now_utc: datetime) -> date:
+    """Return the local standard date of a moment."""
     return sun.standard_date(now_utc.astimezone(UTC), site.timezone)

@@ -1,4 +1,4 @@
-"""Make-up slots: a missed hour is taken again on a coming day whose sun runs the same way."""
+"""Make-up slots: a missed hour is repeated on a coming day with the same path of the sun."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ from fieldlum.plan.days import hours_of, span
 from fieldlum.records import Site, SiteFile, Slot, slot_id
 from fieldlum.session import Session, outcomes, replacing, sha256, update_session, write_plan
 
-SAME_DECLINATION_DEG = (
-    0.2  # half of a day's change at the equinoxes, so that every passage holds one such day
-)
+# Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
+SAME_DECLINATION_DEG = 0.2
 MAKEUP = "makeup:"  # tag, followed by the missed slot's id
-# the clock runs up to half an hour off the sun between the two passages: 7.5 deg of hour angle
+# The equation of time differs by up to half an hour between the two passages: 7.5 deg of hour
+# angle.
 MOST_OFF_DEG = 12.0
 
 
 @dataclass(frozen=True, slots=True)
 class MakeUp:
+    """A missed slot and the slot that repeats it."""
+
     missed: str
     slot: str
     sun_off_deg: float  # angle between the two suns
@@ -33,16 +35,19 @@ class MakeUp:
 
 @dataclass(frozen=True, slots=True)
 class MakeUpPlan:
-    missed: int  # planned hours that are over without a capture, of their own or of a make-up
+    """The missed slots of a session and what became of each."""
+
+    missed: int  # slots that are over, without a capture of their own or of a make-up
     made_up: tuple[MakeUp, ...]
-    lost: tuple[str, ...]  # missed slots that no coming hour can make up
-    already: int  # missed slots whose make-up is still to come
+    lost: tuple[str, ...]  # missed slots that no coming hour can repeat
+    already: int  # missed slots whose make-up is ahead
     recovered: int  # missed slots whose make-up was captured
-    sun_band_percent: dict[str, float]  # planned, without (what would be left), with make-ups
+    sun_band_percent: dict[str, float]  # planned; without the missed slots; with make-ups
     revision: int
 
 
 def captured_ids(session: Session) -> set[str]:
+    """Return the ids of the slots that were captured."""
     return {slot for slot, outcome in outcomes(session).items() if outcome == "done"}
 
 
@@ -56,10 +61,11 @@ def missed_slots(
 def make_up(
     missed: Sequence[Slot], planned: Sequence[Slot], setup: SiteFile, now_utc: datetime
 ) -> tuple[list[Slot], list[MakeUp], list[Slot]]:
-    """Make-up slots, what each stands for, and what cannot be made up within a year.
+    """Return make-up slots, their pairs with missed slots, and slots without a make-up.
 
-    The earliest coming day with the missed day's declination (across the solstice), at the same
-    standard hour. A make-up that is itself missed is made up for its original.
+    A make-up is on the earliest coming day within a year with the missed day's declination (also
+    across the solstice), at the same standard hour. A make-up that is itself missed is repeated for
+    its original.
     """
     site, taken = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
@@ -71,11 +77,11 @@ def make_up(
         wanted = sun.declination_deg([_noon(sun.standard_date(slot.t_utc, site.timezone), site)])[0]
         same = np.flatnonzero(np.abs(declination - wanted) <= SAME_DECLINATION_DEG)
         times = [_same_hour(slot.t_utc, days[i], site) for i in same]
-        found = _first_free(slot, times, taken, site)
-        if found is None:
+        free = _first_free(slot, times, taken, site)
+        if free is None:
             lost.append(slot)
             continue
-        new, off = found
+        new, off = free
         taken.add(new.id)
         added.append(new)
         pairs.append(MakeUp(slot.id, new.id, round(off, 1)))
@@ -112,8 +118,9 @@ def _first_free(
 
 
 def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
-    """The make-ups of each missed slot; one of a missed make-up stands for the first of them
-    all.
+    """Return the make-ups of each missed slot.
+
+    The make-up of a missed make-up belongs to the first missed slot.
     """
     of = {
         slot.id: tag.removeprefix(MAKEUP)
@@ -121,42 +128,46 @@ def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
         for tag in slot.tags
         if tag.startswith(MAKEUP)
     }
-    found: dict[str, list[Slot]] = {}
+    makeups: dict[str, list[Slot]] = {}
     for slot in slots:
         if first := of.get(slot.id):
             while first in of:
                 first = of[first]
-            found.setdefault(first, []).append(slot)
-    return found
+            makeups.setdefault(first, []).append(slot)
+    return makeups
 
 
 def run(session: Session, now_utc: datetime) -> MakeUpPlan:
-    """Add make-up slots to plan.csv. Nothing is ever taken out of it; the plan before is kept as
-    plan.N.csv.
+    """Add make-up slots to plan.csv, from which no slot is ever removed.
+
+    The plan before is stored as plan.N.csv.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
     setup, slots, done = session.site_file(), session.slots(), captured_ids(session)
     grace = session.grace
-    stands_in = made_up_for(slots)
-    instead = {made.id for several in stands_in.values() for made in several}
-    missed = [slot for slot in missed_slots(slots, done, now_utc, grace) if slot.id not in instead]
+    makeups = made_up_for(slots)
+    makeup_ids = {makeup.id for several in makeups.values() for makeup in several}
+    missed = [
+        slot for slot in missed_slots(slots, done, now_utc, grace) if slot.id not in makeup_ids
+    ]
     recovered = [
-        slot for slot in missed if any(made.id in done for made in stands_in.get(slot.id, ()))
+        slot for slot in missed if any(makeup.id in done for makeup in makeups.get(slot.id, ()))
     ]
     missed = [slot for slot in missed if slot not in recovered]
     owed = [
         slot
         for slot in missed
-        if all(made.t_utc + grace < now_utc for made in stands_in.get(slot.id, ()))
+        if all(makeup.t_utc + grace < now_utc for makeup in makeups.get(slot.id, ()))
     ]
     added, pairs, lost = make_up(owed, slots, setup, now_utc)
     if added:
-        about = _keep_and_write(session, [*slots, *added], about, setup)
+        about = _store_and_write(session, [*slots, *added], about, setup)
     left = [slot for slot in slots if slot.id in done or slot.t_utc + grace >= now_utc]
+    versions = {"planned": slots, "without": left, "with": [*left, *added]}
     band = {
         name: round(coverage(hours_of(some), setup.site).sun_band_percent, 1)
-        for name, some in (("planned", slots), ("without", left), ("with", [*left, *added]))
+        for name, some in versions.items()
     }
     return MakeUpPlan(
         len(missed),
@@ -169,21 +180,21 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     )
 
 
-def _keep_and_write(
+def _store_and_write(
     session: Session, slots: list[Slot], about: dict[str, Any], setup: SiteFile
 ) -> dict[str, Any]:
-    with replacing(_kept(session, about)) as file:
+    with replacing(_older_plan(session, about)) as file:
         file.write(session.plan.read_bytes())
     write_plan(session.plan, sorted(slots, key=lambda slot: slot.t_utc), setup.site.timezone)
     return _record(session, about)
 
 
-def _kept(session: Session, about: dict[str, Any]) -> Path:
+def _older_plan(session: Session, about: dict[str, Any]) -> Path:
     return session.root / f"plan.{about.get('revision', 0)}.csv"
 
 
 def _record(session: Session, about: dict[str, Any]) -> dict[str, Any]:
-    """The new plan's hash and length into session.toml; the hashes of older ones stay."""
+    """Write the new plan's hash and length into session.toml; hashes of older plans stay."""
     older = [*about.get("older_sha256", []), about.get("sha256", "")]
     new = {
         **about,
@@ -197,44 +208,42 @@ def _record(session: Session, about: dict[str, Any]) -> dict[str, Any]:
 
 
 def _resumed(session: Session) -> dict[str, Any]:
-    """What session.toml says of the plan; a re-plan that was killed before its last write is
-    brought to its end.
-    """
+    """Return the table [plan] of session.toml; finish a re-plan that was killed before its end."""
     about = session.table().get("plan", {})
-    if _kept(session, about).exists() and sha256(session.plan) != about.get("sha256"):
+    if _older_plan(session, about).exists() and sha256(session.plan) != about.get("sha256"):
         return _record(session, about)
     return about
 
 
 def as_table(answer: MakeUpPlan) -> dict[str, Any]:
+    """Return the answer for --json."""
     return asdict(answer)
 
 
 def sentences(answer: MakeUpPlan) -> list[str]:
-    again = f"; {answer.recovered} more were made up since" if answer.recovered else ""
+    """Return the answer as sentences."""
+    again = f"; {answer.recovered} missed slots were made up since" if answer.recovered else ""
     if not answer.missed:
-        return [f"nothing {'is missing' if again else 'was missed'}: the plan stands{again}"]
+        return [f"no slot is missing; the plan is unchanged{again}"]
     band = answer.sun_band_percent
-    said = [
+    texts = [
         f"{answer.missed} slots missed, {answer.already} of them with a make-up slot already{again}"
     ]
     if answer.made_up:
         days = sorted({pair.slot[:8] for pair in answer.made_up})
-        shown = ", ".join(f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6]) + (
-            " ..." if len(days) > 6 else ""
-        )
+        dates = [f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6]]
+        shown = ", ".join(dates) + (" ..." if len(days) > 6 else "")
         off = max(pair.sun_off_deg for pair in answer.made_up)
-        said.append(
-            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; the sun at "
-            f"most {off:g} deg off"
+        texts.append(
+            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; the sun "
+            f"differs by at most {off:g} deg"
         )
     if answer.lost:
-        said.append(
+        texts.append(
             f"{len(answer.lost)} cannot be made up within a year: {', '.join(answer.lost[:4])}"
         )
-    said.append(
+    texts.append(
         f"sun band: {band['planned']:.0f} % as planned, {band['without']:.0f} % without the "
-        f"missed, "
-        f"{band['with']:.0f} % with the make-ups"
+        f"missed slots, {band['with']:.0f} % with the make-ups"
     )
-    return said
+    return texts

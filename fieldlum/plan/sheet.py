@@ -1,4 +1,4 @@
-"""Printable sheets: a page a day with tick boxes, the sun's path and the shutter list."""
+"""Printable sheets: one page a day with boxes to tick, the sun's path and the shutter list."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ from fieldlum.records import SiteFile, Slot
 from fieldlum.session import exposure_text
 from fieldlum.weather import Weather
 
-SIZE_PX, RADIUS_PX = 300.0, 122.0
-LATE_MINUTES = 5
+SIZE_PX = 300.0  # of the sky chart
+RADIUS_PX = 122.0  # of its horizon
+LATE_MINUTES = 5  # after the planned time: a bracket may start within the session's grace
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
+    """Time and storage of one slot."""
+
     seconds_per_slot: float
     megabytes_per_slot: float
 
@@ -37,9 +40,7 @@ def html(
     weather: Weather | None = None,
     notes: Sequence[str] = (),
 ) -> str:
-    """One self-contained page of HTML: an overview with the coverage plots, then a sheet of
-    paper for every day.
-    """
+    """Return one self-contained page of HTML: coverage plots, then a sheet for every day."""
     from jinja2 import Environment, PackageLoader, select_autoescape
 
     days = by_day(slots, setup.site)
@@ -61,7 +62,7 @@ def html(
 
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
-    """The coverage plots as inline SVG."""
+    """Return the coverage plots as inline SVG."""
     hours = hours_of(slots)
     figures = [sun_figure(hours, setup.site)]
     if weather is not None:
@@ -70,9 +71,8 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
     for figure in figures:
         buffer = StringIO()
         with warnings.catch_warnings():
-            warnings.filterwarnings(
-                "ignore", message="Glyph .* missing from font"
-            )  # a name in letters of its own
+            # The site's name may have letters that the font lacks.
+            warnings.filterwarnings("ignore", message="Glyph .* missing from font")
             figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
         texts.append(buffer.getvalue()[buffer.getvalue().index("<svg") :])
     return texts
@@ -123,7 +123,7 @@ def _sheet(
 
 def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
     if not today.rise and not today.set:
-        return "The sun does not rise or set today"
+        return "The sun neither rises nor sets today"
     times = (
         f"{name} {t.astimezone(zone):%H:%M}"
         for name, t in (("Sunrise", today.rise), ("sunset", today.set))
@@ -132,19 +132,19 @@ def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
     return ", ".join(times)
 
 
-# ---------------------------------------------------------------------------------------------- sun
-# path
+# ----------------------------------------------------------------------------------------------
+# sun path
 
 
 def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.float64]:
-    """Sky chart as on a map: north up, east right, zenith in the middle; [n, 2] pixels."""
+    """Return pixels [n, 2] on a sky chart: north up, east right, zenith in the middle."""
     r = RADIUS_PX * (1.0 - np.asarray(altitude_deg, float) / 90.0)
     azimuth = np.radians(azimuth_deg)
     return SIZE_PX / 2 + np.stack([r * np.sin(azimuth), -r * np.cos(azimuth)], axis=-1)
 
 
 def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
-    """A line through the points that are numbers."""
+    """Return an SVG line through the points that are not NaN."""
     known = np.isfinite(altitude_deg)
     begins = known & ~np.concatenate(([False], known[:-1]))
     words = (
@@ -157,7 +157,7 @@ def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
 
 
 def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
-    """Inline SVG: solstice and equinox arcs, today's arc, its slots, and where the camera looks."""
+    """Return an SVG of solstice and equinox arcs, today's arc, its slots, and view directions."""
     site, middle = setup.site, SIZE_PX / 2
     parts = [
         f'<circle cx="{middle}" cy="{middle}" r="{RADIUS_PX:.1f}" fill="#fdf8ec" stroke="#b9c3cd"/>'
@@ -190,13 +190,13 @@ def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
 
 
 def _looking(setup: SiteFile) -> str:
-    """Thin wedges where the camera's headings point."""
+    """Return thin wedges in the directions of the camera's headings."""
     parts = []
     for heading in setup.camera.headings or (setup.camera.heading_deg,):
         tip, left, right = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, left, right))
         parts.append(
-            f'<polygon points="{points}" fill="#1f5fa8"><title>camera looks here</title></polygon>'
+            f'<polygon points="{points}" fill="#1f5fa8"><title>view direction</title></polygon>'
         )
     return "".join(parts)
 

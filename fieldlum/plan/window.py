@@ -1,6 +1,4 @@
-"""Whether the sun can come in: through a box room's windows, past its reveals and its
-neighbours.
-"""
+"""Whether the sun enters: through a box room's windows, past reveals and obstructions."""
 
 from __future__ import annotations
 
@@ -14,11 +12,11 @@ from fieldlum.scene.patches import disc_visibility
 from fieldlum.scene.trace import blocked
 
 Points = NDArray[np.float64]
-GRID = 6  # points across and up a window
+GRID = 6  # test points across and up a window; chosen, not measured
 
 
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """[n]: some ray of the sun passes some window. Frame bars are left out.
+    """Return whether some ray of the sun passes some window, [n]; frame bars are ignored.
 
     Raises InputError for an impossible room.
     """
@@ -35,31 +33,28 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> N
 
 
 def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> NDArray[np.bool_]:
-    """[n]: the camera sees the disc, or a part of it, through a window. Raises InputError for an
-    impossible room.
+    """Return whether the camera sees any part of the sun disc through a window, [n].
+
+    Raises InputError for an impossible room.
     """
     scene = build(room)
     return disc_visibility(scene, scene.to_room(sun.direction(altitude_deg, azimuth_deg)))[0] > 0
 
 
 def _points(opening: Opening) -> Points:
-    """A grid [GRID * GRID, 3] over the window's inner end."""
+    """Return a grid of points over the inner end of the window, [GRID * GRID, 3]."""
     steps = (np.arange(GRID) + 0.5) / GRID
     (u0, u1), (z0, z1) = opening.u_m, opening.z_m
     along, up = np.meshgrid(u0 + (u1 - u0) * steps, z0 + (z1 - z0) * steps)
     points = np.empty((along.size, 3))
-    points[:, opening.axis], points[:, opening.along], points[:, 2] = (
-        opening.inner_m,
-        along.ravel(),
-        up.ravel(),
-    )
+    points[:, opening.axis] = opening.inner_m
+    points[:, opening.along] = along.ravel()
+    points[:, 2] = up.ravel()
     return points
 
 
 def _passes(scene: BoxScene, opening: Opening, points: Points, toward: Points) -> bool:
-    """Whether any point sees the sun: out through the outer end of the reveal, past all
-    obstructions outside.
-    """
+    """Return whether any point sees the sun, through the reveal and past all obstructions."""
     outer = points + toward * abs((opening.outer_m - opening.inner_m) / toward[opening.axis])
     u, z = outer[:, opening.along], outer[:, 2]
     (u0, u1), (z0, z1) = opening.u_m, opening.z_m
