@@ -226,8 +226,8 @@ def test_a_missed_make_up_is_made_up_again(tmp_path: Path) -> None:
     third = makeup.run(session, datetime(2029, 5, 1, tzinfo=UTC))
     assert (third.missed, third.recovered, len(third.made_up)) == (9, 4, 9)
     assert (
-        makeup.sentences(third)[0]
-        == "9 slots missed, 0 of them with a make-up slot already; 4 missed slots were made up since"
+        makeup.sentences(third)[0] == "9 slots missed, 0 of them with a make-up slot already; "
+        "4 missed slots were made up since"
     )
 
 
