@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2
 from scipy.optimize import nnls
 
 from fieldlum.errors import InputError
@@ -39,6 +38,7 @@ _TWO_VIEWS_UNEXPLAINED = 0.65
 _MIN_VIEW_SHARE = 0.04
 _VIEW_ROWS = 24
 _FLOOR_CDM2 = 0.1
+_ROUNDS = 20  # of two means; they settle in about five
 _REMEDY = "nothing was written, and train goes on with the stated [room] or --scene none"
 
 
@@ -140,10 +140,11 @@ def _two_views(data: Dataset) -> tuple[int, int, float] | None:
     pictures = np.log(np.maximum(data.luminance_cdm2[usual, ::step, ::step][:, seen], _FLOOR_CDM2))
     pictures = pictures - np.median(pictures, axis=1, keepdims=True)
     scaled = (pictures * np.sqrt(weights)).astype(float)
-    centres, label = kmeans2(scaled, 2, seed=0, minit="++")
+    label = _two_groups(scaled)
     share = float(label.mean())
     if not _MIN_VIEW_SHARE <= share <= 1.0 - _MIN_VIEW_SHARE:
         return None
+    centres = np.stack([scaled[label == k].mean(axis=0) for k in (0, 1)])
     unexplained = ((scaled - centres[label]) ** 2).sum() / ((scaled - scaled.mean(0)) ** 2).sum()
     medians = np.stack([np.median(pictures[label == k], axis=0) for k in (0, 1)])
     medians = (medians - (medians @ weights)[:, None]) * np.sqrt(weights)
@@ -152,3 +153,18 @@ def _two_views(data: Dataset) -> tuple[int, int, float] | None:
     if correlation > _SAME_VIEW_CORRELATION or unexplained > _TWO_VIEWS_UNEXPLAINED:
         return None
     return int((label == 0).sum()), int((label == 1).sum()), correlation
+
+
+def _two_groups(points: Array) -> NDArray[np.intp]:
+    """Return 0 or 1 for each of the points [n, k]: two means, started across the widest extent."""
+    off = points - points.mean(axis=0)
+    label = (np.linalg.svd(off, full_matrices=False)[0][:, 0] > 0.0).astype(np.intp)
+    for _ in range(_ROUNDS):
+        if len(np.unique(label)) < 2:
+            break
+        centres = np.stack([points[label == k].mean(axis=0) for k in (0, 1)])
+        nearer = ((points[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1)
+        if (nearer == label).all():
+            break
+        label = nearer
+    return label
