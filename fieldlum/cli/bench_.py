@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from fieldlum.cli.options import json_option, out_option, pairs_argument, site_option
+from fieldlum.cli.options import json_option, out_option, pairs_argument, scene_option, site_option
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.model_registry import MODELS
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
 
 
 @click.command()
@@ -50,6 +54,7 @@ from fieldlum.model_registry import MODELS
     type=click.IntRange(min=0),
     help="Hours to render with Radiance for the cost row; needs a [room].",
 )
+@scene_option
 @out_option("Folder of tables and charts", required=True)
 @json_option
 def command(
@@ -62,13 +67,15 @@ def command(
     budget: float,
     stress: bool,
     render: int,
+    scene: str,
     out: Path,
     as_json: bool,
 ) -> None:
     """Chart speed against accuracy of the models.
 
     Writes bench.md, scores.csv and .png, and where the data allow learning_curve, periods and
-    stress.
+    stress. A fitted scene, or a [room] where the csv has no sun patches, holds for --test and
+    --pool too.
 
     \b
     Example:
@@ -77,11 +84,17 @@ def command(
     """
     from fieldlum.bench import run
     from fieldlum.models.data import load_pairs
+    from fieldlum.scene_fit.apply import in_scene
 
     with progress("reading pictures") as show:
-        data = load_pairs(pairs, site, progress=show)
-        asked = load_pairs(test, site, progress=show) if test else None
-        whole = load_pairs(pool, site, progress=show) if pool else None
+
+        def read(where: Path) -> Dataset:
+            captures = load_pairs(where, site, progress=show)
+            return in_scene(captures, pairs, scene, "absolute", progress=show)[0]
+
+        data = read(pairs)
+        asked = read(test) if test else None
+        whole = read(pool) if pool else None
     with progress("benchmark") as show:
         answer = run(
             data,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fieldlum.errors import InputError
 from fieldlum.predict.annual import Annual, read_annual
@@ -16,6 +16,10 @@ from fieldlum.profiles import site_table
 from fieldlum.projection import signed_angle_deg
 from fieldlum.session import open_session, sha256
 from fieldlum.version import __version__
+
+if TYPE_CHECKING:
+    from fieldlum.scene import RoomUncertainty
+    from fieldlum.session.files.model_config import ModelConfig
 
 
 def default_folder(model_folder: Path) -> Path:
@@ -79,6 +83,18 @@ def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | N
             raise InputError(
                 model_folder, found, f"{first.heading_deg:g} as in this session", "train it again"
             )
+
+
+def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty | None:
+    """Return how well the room is known where the model was trained with a fitted scene, else None:
+    a stated room has the uncertainty of a tape measure.
+    """
+    draws = (config.state.get("scene") or {}).get("room_draws")
+    if not draws or room.setup.room is None:
+        return None
+    from fieldlum.scene import uncertainty_of_draws
+
+    return uncertainty_of_draws(room.setup.room, draws)
 
 
 def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> tuple[str, str] | None:

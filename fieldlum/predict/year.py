@@ -38,7 +38,14 @@ from fieldlum.predict.annual import (
     write_pictures,
 )
 from fieldlum.predict.blocks import HourBlock, ModelRoom, blocks, room_of
-from fieldlum.predict.checks import already, begin_anew, check_session, default_folder, inputs_of
+from fieldlum.predict.checks import (
+    already,
+    begin_anew,
+    check_session,
+    default_folder,
+    fitted_uncertainty,
+    inputs_of,
+)
 from fieldlum.predict.glare_summary import about_year, judge, poor
 from fieldlum.predict.maps import MapStore
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
@@ -54,6 +61,7 @@ U_DISC = (
 if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models import Fitted
+    from fieldlum.scene import RoomUncertainty
     from fieldlum.weather import Weather
 
 
@@ -107,7 +115,15 @@ def run(
     fitted = load(model_folder)
     begin_anew(folder)
     annual, doubt, u_of_maps = measure(
-        fitted, room, light, azimuths, folder, maps=maps, seed=seed, progress=progress
+        fitted,
+        room,
+        light,
+        azimuths,
+        folder,
+        uncertainty=fitted_uncertainty(config, room),
+        maps=maps,
+        seed=seed,
+        progress=progress,
     )
     zone = room.setup.site.timezone
     annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
@@ -155,6 +171,7 @@ def measure(
     azimuths_deg: NDArray[np.float64],
     folder: Path,
     *,
+    uncertainty: RoomUncertainty | None = None,
     maps: bool = False,
     seed: int = 0,
     progress: Progress = quiet,
@@ -171,7 +188,7 @@ def measure(
     hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
     figures = {name: np.full((count, d), np.nan) for name in VIEW_COLUMNS}
     rng = np.random.default_rng([seed, 2])
-    discs_lx = drawn_discs_lx(room.setup, light, rng)  # [k, n]
+    discs_lx = drawn_discs_lx(room.setup, light, rng, uncertainty=uncertainty)  # [k, n]
     turns_deg = rng.normal(0.0, EDGE_SD_DEG, (DRAWN_ROOMS, 2))
     drawn = np.empty((DRAWN_ROOMS, count, d), np.float32)
     least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)

@@ -6,6 +6,7 @@ from fieldlum.scene.drawn_rooms import RoomUncertainty as RoomUncertainty
 from fieldlum.scene.drawn_rooms import draw_rooms as draw_rooms
 from fieldlum.scene.drawn_rooms import drawn_disc_shares as drawn_disc_shares
 from fieldlum.scene.drawn_rooms import stated_uncertainty as stated_uncertainty
+from fieldlum.scene.drawn_rooms import uncertainty_of_draws as uncertainty_of_draws
 from fieldlum.scene.geometry import BoxScene as BoxScene
 from fieldlum.scene.geometry import build as build
 from fieldlum.scene.patches import disc_visibility as disc_visibility

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.errors import InputError
+from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene.geometry import BoxScene, Opening, build, glass_optics
 from fieldlum.scene.sun_disc import SUN_RADIUS_DEG
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 
 # Standard uncertainties where none are stated: a tape measure over furniture, a phone's compass.
 STATED_LENGTH_M, STATED_ANGLE_DEG = 0.05, 1.0
+# Of a fitted room at best: bars of the office came out within 1 to 2 cm (docs/scene.md), and the
+# search ends at 4 mm and 0.03 degrees.
+SEARCH_LENGTH_M, SEARCH_ANGLE_DEG = 0.01, 0.05
 _ROOM_LENGTHS = ("camera_x_m", "camera_y_m", "camera_z_m")
 _WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m", "transom_m")
 _OBSTRUCTION_LENGTHS = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
@@ -92,6 +96,29 @@ def stated_uncertainty(
     )
     sd = np.array([angle_deg if name.endswith("_deg") else length_m for name in names])
     return RoomUncertainty(names, np.diag(sd**2))
+
+
+def uncertainty_of_draws(room: Room, draws: Mapping[str, Sequence[float]]) -> RoomUncertainty:
+    """Return the covariance of a fitted room over searches with captures drawn again.
+
+    draws: for each of `room_parameters`, its values in two or more searches. Those that the room
+    does not have are left out. No standard uncertainty is below `SEARCH_LENGTH_M` and
+    `SEARCH_ANGLE_DEG`.
+    """
+    values = room_parameters(room)
+    names = tuple(
+        name
+        for name in draws
+        if name in values and not (name.endswith("transom_m") and values[name] == 0.0)
+    )
+    rows = np.array([draws[name] for name in names], float)  # [p, k]
+    turns = np.array([name.endswith("_deg") for name in names])
+    off = rows - rows[:, :1]
+    off[turns] = signed_angle_deg(off[turns])
+    off = off - off.mean(axis=1, keepdims=True)
+    least = np.where(turns, SEARCH_ANGLE_DEG, SEARCH_LENGTH_M)
+    covariance = off @ off.T / (rows.shape[1] - 1) + np.diag(least**2)
+    return RoomUncertainty(names, covariance)
 
 
 def draw_rooms(

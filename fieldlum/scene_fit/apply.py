@@ -26,9 +26,8 @@ _SAME_HEADING_DEG = 0.05  # of the digits that a panorama's header keeps; north 
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
     """Return a fit as a scene, its room turned to true north."""
-    room = replace(
-        fit.room, wall_azimuth_deg=(fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
-    )
+    azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
+    room = replace(fit.room, wall_azimuth_deg=azimuth_deg)
     return Scene(
         north_deg=fit.guess.north_deg,
         clock_min=fit.guess.clock_min,
@@ -42,6 +41,7 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
         before=fit.before,
         after=fit.after,
         u=fit.u,
+        room_draws=fit.room_draws,
         notes=fit.notes,
     )
 
@@ -69,6 +69,7 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
     camera = replace(
         data.setup.camera, heading_deg=(data.setup.camera.heading_deg + scene.north_deg) % 360.0
     )
+    about |= {"room_draws": {name: list(v) for name, v in scene.room_draws.items()}}
     turned = replace(
         data,
         light=earlier(data.light, scene.clock_min, data),

@@ -6,7 +6,7 @@ the misfit stated for no patch, the stated box and the fitted scene is theirs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,7 @@ from fieldlum.scene_fit.bars import MIN_BAR_M, propose_bars, window_picture
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather, light_below
 from fieldlum.scene_fit.furniture import pixel_depths, propose_solids, solid_parameters
 from fieldlum.scene_fit.guess import Guess, guess_of, room_of
+from fieldlum.scene_fit.posterior import posterior
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
     CLOCK_SD_MIN,
@@ -43,7 +44,6 @@ BAR_GAIN = 0.002  # share of the misfit that a bar must take away
 SOLID_GAIN = 0.004  # likewise a solid; a proposal that explains noise takes less (docs/scene.md)
 KEPT_OUT_GAIN = 0.001  # on the hours kept out
 MAX_SOLIDS = 8
-SEARCHES_AGAIN = 6  # searches from other starts with days drawn again, for the uncertainties
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class SceneFit:
     stated, heading_deg: the room and the captures' heading that the fit started at.
     room: the fitted box in the stated world axes; `north_deg` and `clock_min` say how north and
     clock differ from those stated. u: standard uncertainties by parameter name. before and after:
-    values by parameter name. albedo [6 + solids].
+    values by parameter name. albedo [6 + solids]. room_draws: see `posterior.Posterior`.
     """
 
     stated: Room
@@ -80,6 +80,7 @@ class SceneFit:
     misfits: Misfits
     hours: int
     notes: tuple[str, ...]
+    room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 def fit_scene(
@@ -123,11 +124,11 @@ def fit_scene(
     misfits = search.misfits(guess)
     guess = search.polish(guess, np.arange(len(evidence)))
     progress(88, 100, "uncertainties")
-    u = search.uncertainties(guess, seed)
+    spread = posterior(search.objective(evidence), guess, room, seed)
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
-    notes = tuple(_notes(u, evidence))
+    notes = tuple(_notes(spread.u, evidence))
     progress(100, 100, "")
     return SceneFit(
         room,
@@ -137,10 +138,11 @@ def fit_scene(
         search.albedo,
         before,
         after,
-        u,
+        spread.u,
         misfits,
         len(evidence),
         notes,
+        spread.room_draws,
     )
 
 
@@ -312,37 +314,6 @@ class _Search:
             evidence.misfit(fitted),
             evidence.days,
         )
-
-    def uncertainties(self, guess: Guess, seed: int) -> dict[str, float]:
-        """Standard deviation of each parameter over searches with days and stated values drawn
-        again, each from another start; never below the search's last step.
-
-        Drawing the stated values from their prior leaves a parameter that the captures do not
-        determine with the prior's own uncertainty.
-        """
-        rng = np.random.default_rng(seed)
-        days = self.evidence.days
-        groups = np.unique(days)
-        if len(groups) < 3:
-            groups, days = np.arange(len(days)), np.arange(len(days))
-        thin = self.evidence.thinned(2)
-        found: list[list[float]] = []
-        for _ in range(SEARCHES_AGAIN):
-            drawn = rng.choice(groups, len(groups))
-            hours = np.concatenate([np.flatnonzero(days == g) for g in drawn])
-            start, stated = guess, self.start
-            for p in self.parameters:
-                start = p.change(start, float(rng.normal(0.0, p.first_step)))
-                stated = p.change(stated, float(rng.normal(0.0, p.sd)))
-            pose = self.stated.pose and self.stated.pose.drawn(rng)
-            objective = replace(self.objective(thin.hours(hours)), start=stated, pose=pose)
-            again, _ = pattern_search(objective, start, self.parameters, fine=2.0)
-            found.append([p.read(again) for p in self.parameters])
-        spread = np.std(found, axis=0, ddof=1)
-        return {
-            p.name: float(np.hypot(s, p.last_step))
-            for p, s in zip(self.parameters, spread, strict=True)
-        }
 
 
 def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:

@@ -26,7 +26,8 @@ class Scene:
     and standard uncertainties by parameter. misfit: share of the pixels near sun patches that are
     wrong, on hours kept out of the search. chosen: which geometry the captures support.
     stated_heading_deg, stated_room: what the fit started at. A scene is used only with captures
-    that state the same; else a correction would be applied twice.
+    that state the same; else a correction would be applied twice. room_draws: the numbers of the
+    room in searches with days drawn again, by the names of `scene.drawn_rooms.room_parameters`.
     """
 
     north_deg: float
@@ -43,6 +44,7 @@ class Scene:
     before: dict[str, float] = field(default_factory=dict)
     after: dict[str, float] = field(default_factory=dict)
     u: dict[str, float] = field(default_factory=dict)
+    room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     format: int = FORMAT
 

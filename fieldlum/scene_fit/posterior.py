@@ -1,0 +1,63 @@
+"""How well a scene is known: searches again, with days, stated numbers and starts drawn anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fieldlum.records import Room
+from fieldlum.scene.drawn_rooms import room_parameters
+from fieldlum.scene_fit.guess import Guess, room_of
+from fieldlum.scene_fit.search import Objective, pattern_search
+
+SEARCHES_AGAIN = 6
+_THIN = 2  # every second pixel: a sixth of the fit's time for each search
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """u: standard uncertainty of each parameter of the search. room_draws: the numbers of
+    `fieldlum.scene.drawn_rooms.room_parameters` in each of the searches, against true north.
+    """
+
+    u: dict[str, float]
+    room_draws: dict[str, tuple[float, ...]]
+
+
+def posterior(objective: Objective, guess: Guess, stated: Room, seed: int) -> Posterior:
+    """Return the spread of a fitted guess over searches with days and stated numbers drawn again.
+
+    objective: of all hours. Stated values are drawn from their priors, so that a parameter that the
+    captures do not determine keeps the prior's own uncertainty. No u is below the last step.
+    """
+    rng = np.random.default_rng(seed)
+    parameters = objective.parameters
+    days = objective.evidence.days
+    groups = np.unique(days)
+    if len(groups) < 3:
+        groups, days = np.arange(len(days)), np.arange(len(days))
+    thin = objective.evidence.thinned(_THIN)
+    values: list[list[float]] = []
+    rooms: list[dict[str, float]] = []
+    for _ in range(SEARCHES_AGAIN):
+        drawn = rng.choice(groups, len(groups))
+        hours = np.concatenate([np.flatnonzero(days == g) for g in drawn])
+        start, tape = guess, objective.start
+        for p in parameters:
+            start = p.change(start, float(rng.normal(0.0, p.first_step)))
+            tape = p.change(tape, float(rng.normal(0.0, p.sd)))
+        pose = objective.pose and objective.pose.drawn(rng)
+        again = replace(objective, evidence=thin.hours(hours), start=tape, pose=pose)
+        best, _ = pattern_search(again, start, parameters, fine=2.0)
+        values.append([p.read(best) for p in parameters])
+        rooms.append(room_parameters(true_room(best, stated)))
+    spread = np.std(values, axis=0, ddof=1)
+    u = {p.name: float(np.hypot(s, p.last_step)) for p, s in zip(parameters, spread, strict=True)}
+    return Posterior(u, {name: tuple(room[name] for room in rooms) for name in rooms[0]})
+
+
+def true_room(guess: Guess, stated: Room) -> Room:
+    """Return the guess as a `[room]` against true north."""
+    azimuth_deg = (guess.wall_azimuth_deg + guess.north_deg) % 360.0
+    return replace(room_of(guess, stated), wall_azimuth_deg=azimuth_deg)

@@ -1,0 +1,123 @@
+"""How well a fitted room is known, from the search to the prediction of a year."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from learning_room import SEATTLE, dataset, write_pairs
+
+from fieldlum import models, sun
+from fieldlum.cli import main
+from fieldlum.light import light_at
+from fieldlum.models.baselines import fit_mean
+from fieldlum.models.data import Dataset
+from fieldlum.models.disc_in_view import drawn_discs_lx
+from fieldlum.predict.blocks import room_of
+from fieldlum.predict.checks import fitted_uncertainty
+from fieldlum.records import CameraSetup, Room, SiteFile, Window
+from fieldlum.scene import uncertainty_of_draws
+from fieldlum.scene.drawn_rooms import SEARCH_ANGLE_DEG, SEARCH_LENGTH_M, room_parameters
+from fieldlum.scene_fit.apply import in_scene, with_scene
+from fieldlum.scene_fit.scene_file import Scene, read_scene, write_scene
+
+ROOM = Room(
+    width_m=5.0,
+    depth_m=6.0,
+    height_m=3.0,
+    camera_x_m=2.4,
+    camera_y_m=2.0,
+    camera_z_m=1.3,
+    wall_azimuth_deg=359.9,
+    window=(Window("south", 0.6, 3.6, 0.8, 1.9, 0.85, 1, 0.0, 0.0),),
+)
+SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0), ROOM)
+DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
+
+
+def _draws(room: Room, camera_x_m: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+    rows = [room_parameters(replace(room, camera_x_m=x)) for x in camera_x_m]
+    return {name: tuple(row[name] for row in rows) for name in rows[0]}
+
+
+def _scene(room: Room, draws: dict[str, tuple[float, ...]]) -> Scene:
+    turned = replace(room, camera_x_m=2.5)
+    return Scene(1.0, 0.0, turned, "fitted", "tested", 180.0, room, room_draws=draws)
+
+
+@pytest.mark.analytic
+def test_draws_give_their_covariance_across_north() -> None:
+    draws = _draws(ROOM, (2.3, 2.4, 2.5))
+    draws["wall_azimuth_deg"] = (359.9, 0.1, 0.3)
+    draws["of another room"] = (1.0, 2.0, 3.0)
+    known = uncertainty_of_draws(ROOM, draws)
+    u = dict(zip(known.names, np.sqrt(np.diag(known.covariance)), strict=True))
+    assert u["camera_x_m"] == pytest.approx(np.hypot(0.1, SEARCH_LENGTH_M))
+    assert u["wall_azimuth_deg"] == pytest.approx(np.hypot(0.2, SEARCH_ANGLE_DEG))
+    assert u["window.0.left_m"] == pytest.approx(SEARCH_LENGTH_M)
+    assert "window.0.transom_m" not in known.names and "of another room" not in known.names
+    pair = [known.names.index(name) for name in ("camera_x_m", "wall_azimuth_deg")]
+    assert known.covariance[*pair] == pytest.approx(0.1 * 0.2)
+
+
+@pytest.mark.property
+def test_a_fitted_room_has_narrower_discs_than_a_stated_one() -> None:
+    room = replace(ROOM, wall_azimuth_deg=180.0)
+    setup = replace(SETUP, room=room)
+    hours = dataset(DAYS).light.t_utc
+    clear = sun.clearsky(hours, SEATTLE)
+    light = light_at(hours, SEATTLE, clear.dni_wm2, clear.dhi_wm2)
+    fitted = uncertainty_of_draws(room, _draws(room, (2.39, 2.4, 2.41)))
+    rng = np.random.default_rng(0)
+    narrow = drawn_discs_lx(setup, light, rng, uncertainty=fitted)
+    wide = drawn_discs_lx(setup, light, rng)
+    assert narrow is not None and wide is not None
+    assert narrow.std(axis=0).sum() < 0.5 * wide.std(axis=0).sum()
+
+
+def _captures(room: Room) -> Dataset:
+    data = dataset(DAYS)
+    return replace(data, patch_cdm2=None, setup=replace(SETUP, room=room))
+
+
+@pytest.mark.contract
+def test_the_fitted_room_and_its_uncertainty_reach_the_prediction(tmp_path: Path) -> None:
+    room = replace(ROOM, wall_azimuth_deg=180.0)
+    scene = _scene(room, _draws(room, (2.4, 2.5, 2.6)))
+    write_scene(tmp_path / "scene", scene)
+    assert read_scene(tmp_path / "scene").room_draws == scene.room_draws
+    captures = _captures(room)
+    data, patch = in_scene(captures, tmp_path / "pairs.csv", "", "absolute")
+    assert patch == "absolute" and data.setup.room == scene.room
+    models.save(tmp_path / "model", fit_mean(data), data, patch=patch)
+    config = models.read_config(tmp_path / "model")
+    made_with = room_of(config, tmp_path / "model")
+    assert made_with.setup.room == scene.room
+    known = fitted_uncertainty(config, made_with)
+    assert known is not None and "camera_x_m" in known.names
+    assert made_with.heading_deg == pytest.approx(181.0)
+    # The stated room keeps the uncertainty of a tape measure.
+    stated = with_scene(captures, replace(scene, chosen="stated"))
+    models.save(tmp_path / "stated", fit_mean(stated), stated, patch=patch)
+    config = models.read_config(tmp_path / "stated")
+    assert fitted_uncertainty(config, room_of(config, tmp_path / "stated")) is None
+
+
+@pytest.mark.contract
+def test_bench_takes_a_scene_for_its_test_hours_too(tmp_path: Path) -> None:
+    for name in ("train", "test"):
+        (tmp_path / name).mkdir()
+        write_pairs(tmp_path / name, dataset(DAYS[:2] if name == "train" else DAYS[2:]))
+    asked = ["bench", str(tmp_path / "train/pairs.csv"), "--test", str(tmp_path / "test/pairs.csv")]
+    more = ["--models", "mean", "--render", "0", "--out", str(tmp_path / "out")]
+    ran = CliRunner().invoke(main, [*asked, *more, "--scene", str(tmp_path)])
+    assert ran.exit_code == 3 and "scene fit" in ran.output
+    scene = _scene(ROOM, {})
+    write_scene(tmp_path / "train" / "scene", scene)  # of another [room] than site.toml states
+    ran = CliRunner().invoke(main, [*asked, *more])
+    assert ran.exit_code == 3 and "[room] that differs" in ran.output, ran.output
+    ran = CliRunner().invoke(main, [*asked, *more, "--scene", "none"])
+    assert ran.exit_code == 0, ran.output
