@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import PANORAMA_LINE, read_panorama
+from fieldlum.models.alignment import align, find_turns, shown_place, turn_notes
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Progress, SiteFile, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session import Session, marks, open_session
+from fieldlum.session.files.alignment_csv import alignment_path
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.session.provenance import data_digest
@@ -194,20 +196,31 @@ def _assemble(
 
     check_plausible(path, _stated(path, rows), setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
-    dni = np.array([row.dni_wm2 for row in rows])
-    pictures = _read_pictures(path, rows, altitude, azimuth, setup, progress)
+    pictures = _read_pictures(path, rows, setup, progress)
     if pictures.bounds:
         notes.append(
             f"the sun of {pictures.bounds} maps clipped and is only a lower bound: "
             "run fieldlum pair, and see its cautions"
         )
+    heading = pictures.heading_deg
+    names = [row.panorama for row in rows]
+    turns = find_turns(path, names, pictures.maps, pictures.has_value, heading, progress)
+    dni = np.array([row.dni_wm2 for row in rows])
+    for k in (k for k, row in enumerate(rows) if row.sun_in_map):
+        at = float(altitude[k]), float(azimuth[k])
+        shown = shown_place(*at, heading, turns.angles_deg[k])
+        pictures.take_disc_out(k, at, shown, float(dni[k]))
+    align(pictures.maps, pictures.has_value, heading, turns)
+    days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
+    days = np.array(days, "datetime64[D]")
+    notes += turn_notes(turns, days, alignment_path(path).name)
     seen, filled = _fill_gaps(pictures.maps, pictures.has_value)
     if filled:
         notes.append(f"{filled} single pixels without a value given their own median")
     if not seen.all():
         notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")
     times = [row.t_utc for row in rows]
-    return Dataset(
+    data = Dataset(
         light=Light(
             t_utc=tuple(times),
             dni_wm2=dni,
@@ -219,8 +232,8 @@ def _assemble(
         luminance_cdm2=pictures.maps,
         patch_cdm2=pictures.patches,
         disc_lx=pictures.disc_lx,
-        heading_deg=pictures.heading_deg,
-        days=np.array([sun.standard_date(t, setup.site.timezone) for t in times], "datetime64[D]"),
+        heading_deg=heading,
+        days=days,
         slots=tuple(slot_id(t) for t in times),
         setup=setup,
         seen=seen,
@@ -228,6 +241,7 @@ def _assemble(
         source=str(path),
         notes=tuple(notes),
     )
+    return data if turns.aligned.all() else data.take(turns.aligned)
 
 
 def _stated(path: Path, rows: list[PairRow]) -> Stated:
@@ -277,7 +291,9 @@ def _sun_columns(
 
 @dataclass(frozen=True, slots=True)
 class _Pictures:
-    """Maps, patches and which pixels have a value [n, H, W]; disc_lx [n]; bounds: clipped suns."""
+    """maps, patches and has_value [n, H, W], and disc_lx [n], which later steps change in place;
+    bounds: clipped suns.
+    """
 
     maps: NDArray[np.float32]
     patches: NDArray[np.float32] | None
@@ -286,15 +302,24 @@ class _Pictures:
     heading_deg: float
     bounds: int
 
+    def take_disc_out(
+        self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
+    ) -> None:
+        """Split the disc from map and patch k. at: altitude and azimuth of the sun; shown: where
+        the picture of a turned camera shows it.
+
+        A patch holds the disc alone, without the sky around it: the better measure.
+        """
+        self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
+        if self.patches is not None:
+            patch, self.disc_lx[k] = split_disc(self.patches[k], self.heading_deg, at, dni_wm2)
+            self.patches[k] = patch
+
 
 def _read_pictures(
-    path: Path,
-    rows: list[PairRow],
-    altitude: NDArray[np.float64],
-    azimuth: NDArray[np.float64],
-    setup: SiteFile,
-    progress: Progress,
+    path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
 ) -> _Pictures:
+    """Read maps and patches as they are; the disc where a picture has it apart."""
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
@@ -316,20 +341,13 @@ def _read_pictures(
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
         panorama = _checked(panorama, pictures[k], shape, heading, setup, _MERGE_ALIKE)
         bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
-        sun_at = ((float(altitude[k]), float(azimuth[k])), row.dni_wm2)
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
-        if row.sun_in_map:
-            maps[k], disc[k] = split_disc(maps[k], heading, *sun_at)
         if patches is not None:
             source = path.parent / row.sunpatch
             patch = _checked(read_panorama(source), source, shape, heading, setup, _PAIR_AGAIN)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
-            if (
-                row.sun_in_map
-            ):  # the patch holds the disc alone, without the sky around it: the better measure
-                patches[k], disc[k] = split_disc(patches[k], heading, *sun_at)
-            elif patch.sun and not panorama.sun:
+            if patch.sun and not panorama.sun and not row.sun_in_map:
                 disc[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")
     return _Pictures(maps, patches, disc, masks, heading, bounds)

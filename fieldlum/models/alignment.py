@@ -1,0 +1,130 @@
+"""Captures aligned to the pose that most of them share, when pairs are read.
+
+The turns are stored in a table beside the csv; no picture is rewritten.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.models.camera_turns import (
+    LEAST_CAPTURES,
+    LEAST_ROWS,
+    CameraTurns,
+    camera_turns,
+    turned_back,
+    turned_rays,
+)
+from fieldlum.projection import direction
+from fieldlum.records import Progress
+from fieldlum.session.files.alignment_csv import (
+    AlignmentRow,
+    alignment_path,
+    find_alignment,
+    write_alignment,
+)
+
+_LEAST_SEEN = 0.8  # share of the captures in which a pixel that is compared has a value
+_LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
+
+
+def find_turns(
+    pairs: Path,
+    pictures: Sequence[str],
+    maps: NDArray[np.float32],
+    has_value: NDArray[np.bool_],
+    heading_deg: float,
+    progress: Progress,
+) -> CameraTurns:
+    """Return how each capture's camera was turned, from the table beside `pairs` or by comparison.
+
+    pictures: names as in the csv; maps, has_value [n, H, W], in the order of time. A new table is
+    written where that is possible.
+    """
+    path = alignment_path(pairs)
+    digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
+    rows = find_alignment(path)
+    if [(r.panorama, r.digest) for r in rows] == list(zip(pictures, digests, strict=True)):
+        return CameraTurns(
+            np.array([(r.heading_deg, r.tilt_deg, r.roll_deg) for r in rows]),
+            np.array([(r.u_heading_deg, r.u_tilt_deg, r.u_roll_deg) for r in rows]),
+            np.array([r.aligned for r in rows]),
+        )
+    seen = has_value.mean(axis=0) > _LEAST_SEEN
+    turns = camera_turns(np.nan_to_num(maps), seen, heading_deg, progress=progress)
+    if len(maps) >= LEAST_CAPTURES and maps.shape[1] >= LEAST_ROWS:
+        table = [
+            AlignmentRow(name, digest, *angles, *u, aligned=bool(aligned))
+            for name, digest, angles, u, aligned in zip(
+                pictures,
+                digests,
+                turns.angles_deg.tolist(),
+                turns.u_deg.tolist(),
+                turns.aligned,
+                strict=True,
+            )
+        ]
+        with contextlib.suppress(OSError):  # a folder that can only be read: compared each time
+            write_alignment(path, table)
+    return turns
+
+
+def align(
+    maps: NDArray[np.float32],
+    has_value: NDArray[np.bool_],
+    heading_deg: float,
+    turns: CameraTurns,
+) -> None:
+    """Turn the captures' maps and masks [n, H, W] to the common pose, in place."""
+    for k in np.flatnonzero(turns.turned):
+        angles = turns.angles_deg[k]
+        logs = np.log(np.maximum(np.nan_to_num(maps[k]), _LEAST_CDM2))
+        maps[k] = np.exp(turned_back(logs, heading_deg, angles))
+        share = turned_back(has_value[k].astype(float), heading_deg, angles)
+        has_value[k] = share > 1.0 - 1e-6
+
+
+def shown_place(
+    altitude_deg: float, azimuth_deg: float, heading_deg: float, angles_deg: NDArray[np.floating]
+) -> tuple[float, float]:
+    """Return altitude and azimuth at which a turned camera's picture shows a direction. [deg]"""
+    if not angles_deg.any():
+        return altitude_deg, azimuth_deg
+    x, y, z = turned_rays(direction(altitude_deg, azimuth_deg), heading_deg, angles_deg)
+    altitude = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+    return altitude, float(np.degrees(np.arctan2(x, y)) % 360.0)
+
+
+def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
+    """Return a line for each pose that was turned back, and one for captures that are left out."""
+    notes = []
+    for pose in np.unique(turns.angles_deg[turns.turned], axis=0):
+        rows = turns.turned & (turns.angles_deg == pose).all(axis=1)
+        u = np.median(turns.u_deg[rows], axis=0)
+        parts = [
+            f"{name} {angle:+.2f} +- {error:.2f}"
+            for name, angle, error in zip(("heading", "tilt", "roll"), pose, u, strict=True)
+        ]
+        notes.append(
+            f"the camera was turned in {_captures(rows, days)}: {', '.join(parts)} degrees; "
+            f"aligned to the other captures ({table})"
+        )
+    if not turns.aligned.all():
+        notes.append(
+            f"WARNING: {_captures(~turns.aligned, days)} cannot be aligned with the others and "
+            "are left out: the camera was turned or moved; merge them as a session of their own"
+        )
+    return notes
+
+
+def _captures(rows: NDArray[np.bool_], days: NDArray[np.datetime64]) -> str:
+    names = [str(day) for day in np.unique(days[rows])]
+    shown = ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
+    count = int(rows.sum())
+    return f"{count} capture{'s' if count > 1 else ''} of {shown}"

@@ -1,0 +1,293 @@
+"""How each capture's camera was turned against the majority's: heading, tilt and roll.
+
+Edges that belong to the room are in the same place in every picture; shadows and sun patches move.
+The median over captures of the derivatives of ln L holds the former without the latter (Weiss,
+"Deriving intrinsic images from image sequences", ICCV 2001). Each capture's derivatives are
+compared with it by least squares on the sphere (Lucas and Kanade 1981) with robust weights; the
+captures are turned back and the median is formed again. The pose that most captures share is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial.transform import Rotation
+
+from fieldlum.projection import equirect_pixel, equirect_rays, row_altitudes_deg, signed_angle_deg
+from fieldlum.records import Progress, quiet
+from fieldlum.statistics import MAD_TO_SIGMA
+
+Array = NDArray[Any]
+
+LEAST_CAPTURES = 5  # a majority of fewer is no majority
+LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall
+_WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows, smaller ones stay
+_FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: below it edges are noise
+# Coarse to fine: the first catches turns of five pixels, the last is as wide as an edge in a
+# rendering. Office of Liu et al. with three days rolled by one pixel: the days' medians are right
+# to 0.012 px with it, 0.04 px where 1 px is the last.
+_SMOOTH_PX = (3.0, 1.5, 1.0, 1.0, 0.7, 0.7)
+_ROBUST_ROUNDS = 4
+_TILES = (6, 12)  # parts of the picture that are independent, for the standard errors
+_HIGHEST_DEG = 70.0  # above it columns crowd together, and below it the tripod is in the picture
+_EDGES = 0.6  # share of the pixels, those with the strongest edges, that are compared
+_MOST_PIXELS = 6000
+# Light that falls otherwise moves edges a little: daily medians of the office's clean captures
+# scatter by 0.003 px in heading and roll, 0.05 px (at most 0.10) in tilt.
+_LIGHT_PX = 0.05
+# A pose of n captures is acted upon from LEAST_TURN_PX + SINGLE_TURN_PX / sqrt(n). Single clean
+# captures of the office and of eight simulated rooms are off by up to 0.6 px by their light.
+LEAST_TURN_PX, SINGLE_TURN_PX = 0.25, 0.5
+MOVE_COST = (
+    0.3  # px2: one capture must differ by 0.8 px, twelve by 0.22 px, for a pose of their own
+)
+# Correlation of the edges of a capture that was turned back with the room's. Clean captures have
+# 0.24 (darkest hours) to 1, those of a camera turned by 30 px 0.10 to 0.16.
+LEAST_LIKENESS = 0.2
+MOST_TURN_PX = 10.0  # beyond it the comparison starts too far from the answer
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTurns:
+    """angles_deg [n, 3]: heading (clockwise), tilt (up) and roll (clockwise) of each capture's
+    camera against the majority's, zero where it did not turn; u_deg [n, 3] standard uncertainties;
+    aligned [n]: turning the picture back makes its edges those of the room.
+    """
+
+    angles_deg: Array
+    u_deg: Array
+    aligned: NDArray[np.bool_]
+
+    @property
+    def turned(self) -> NDArray[np.bool_]:
+        """Captures that must be turned back, [n]."""
+        return self.aligned & self.angles_deg.any(axis=1)
+
+
+# ----------------------------------------------------------------------------------------------
+# geometry
+
+
+def _axes(heading_deg: float) -> Array:
+    """Return the axes about which the camera's view turns clockwise, up and clockwise, [3, 3]."""
+    a = np.radians(heading_deg)
+    right = np.array([np.cos(a), -np.sin(a), 0.0])
+    forward = np.array([np.sin(a), np.cos(a), 0.0])
+    return np.stack((np.array([0.0, 0.0, -1.0]), right, forward))
+
+
+def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
+    """Return where the picture of a turned camera shows the directions `rays`, [..., 3]."""
+    vector = -np.radians(angles_deg) @ _axes(heading_deg)
+    return rays @ Rotation.from_rotvec(vector).as_matrix().T
+
+
+def _angles_deg(rays: Array) -> tuple[Array, Array]:
+    """Return altitude and azimuth of directions."""
+    altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
+    return altitude, np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
+
+
+def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
+    """Return a map [H, W] of a turned camera as the majority's camera shows it, linear between
+    pixels. Give ln L: then a bright window does not spread over its frame.
+    """
+    height, width = maps.shape
+    rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
+    row, column = equirect_pixel(*_angles_deg(rays), height, width, heading_deg)
+    wide = np.concatenate((maps[:, -1:], maps, maps[:, :1]), axis=1)
+    at = np.stack((row - 0.5, column - 0.5 + 1.0))
+    return map_coordinates(wide, at, order=1, mode="nearest")
+
+
+def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
+    """Return how many pixels (row, column) a turn of one degree moves a picture, [3, 2, H, W]."""
+    height, width = shape
+    rays = equirect_rays(height, width, heading_deg)
+    moves = []
+    for axis in np.eye(3):
+        low, high = (
+            _angles_deg(turned_rays(rays, heading_deg, half * axis)) for half in (-0.5, 0.5)
+        )
+        rows = (low[0] - high[0]) * height / 180.0
+        columns = signed_angle_deg(high[1] - low[1]) * width / 360.0
+        moves.append((rows, columns))
+    return np.array(moves)
+
+
+# ----------------------------------------------------------------------------------------------
+# comparison with the room's edges
+
+
+def _edges_of(logs: Array, smooth_px: float) -> NDArray[np.float32]:
+    """Return the derivatives of a smoothed map by row and by column, [2, H, W]."""
+    margin = int(np.ceil(3.0 * smooth_px))
+    wide = np.concatenate((logs[:, -margin:], logs, logs[:, :margin]), axis=1)
+    smooth = gaussian_filter(wide, smooth_px, mode="nearest", truncate=3.0)[:, margin:-margin]
+    across = (np.roll(smooth, -1, axis=1) - np.roll(smooth, 1, axis=1)) / 2.0
+    return np.stack((np.gradient(smooth, axis=0), across)).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """turn [3]; rest, weights [2 m]; columns [2 m, 3]; inverse [3, 3] of the normal matrix."""
+
+    turn: Array
+    rest: Array
+    weights: Array
+    columns: Array
+    inverse: Array
+
+
+class _RoomEdges:
+    """Edges that the captures share, at the pixels with the strongest ones, and what a turn changes
+    of them.
+    """
+
+    def __init__(self, edges: Array, seen: NDArray[np.bool_], motion_px: Array) -> None:
+        height, width = seen.shape
+        strength = np.hypot(edges[0], edges[1])
+        inside = seen & (np.abs(row_altitudes_deg(height))[:, None] < _HIGHEST_DEG)
+        pixels = np.flatnonzero(inside & (strength >= np.quantile(strength[inside], 1.0 - _EDGES)))
+        self.pixels = pixels[:: -(-len(pixels) // _MOST_PIXELS)]  # [m]
+        self.values = self.at_pixels(edges)  # [2 m]
+        row, column = np.divmod(self.pixels, width)
+        tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
+        both = np.concatenate((tile, tile + tile.max() + 1))  # each derivative has its contrast
+        self.tiles = np.unique(both, return_inverse=True)[1]  # [2 m]
+        self.count = int(self.tiles.max()) + 1
+        slopes = [np.stack(np.gradient(edge)) for edge in edges]  # [2, H, W] each
+        changes = [[-(slope * move).sum(axis=0) for slope in slopes] for move in motion_px]
+        self.changes = np.stack([self.at_pixels(np.stack(c)) for c in changes], axis=1)  # [2 m, 3]
+        # Edges of high contrast move with the light (a bright window spreads over its frame).
+        usual = np.median(np.abs(self.values))
+        self.weights = 1.0 / (self.values**2 + 4.0 * usual**2)
+
+    def at_pixels(self, edges: Array) -> Array:
+        """Return [2 m] of maps [2, H, W]."""
+        return edges.reshape(2, -1)[:, self.pixels].ravel().astype(float)
+
+    def turn(self, edges: Array) -> tuple[Array, Array, float]:
+        """Return the turn that makes the room's edges a capture's [3] deg, its standard errors,
+        and the correlation of the two.
+        """
+        values = self.at_pixels(edges)
+        fit = self._solved(values, self.weights)
+        for _ in range(_ROBUST_ROUNDS - 1):
+            size = fit.rest * np.sqrt(self.weights)
+            sigma = MAD_TO_SIGMA * float(np.median(np.abs(size))) + 1e-9
+            fit = self._solved(values, self.weights / (1.0 + (size / (2.0 * sigma)) ** 2))
+        scores = [
+            np.bincount(self.tiles, fit.weights * fit.rest * c, self.count) for c in fit.columns.T
+        ]
+        half = fit.inverse @ np.stack(scores)  # sandwich: tiles are what is independent
+        norm = np.sqrt((self.weights * values**2).sum() * (self.weights * self.values**2).sum())
+        likeness = (self.weights * values * self.values).sum() / max(float(norm), 1e-12)
+        return fit.turn, np.sqrt(np.diag(half @ half.T)), float(likeness)
+
+    def _solved(self, values: Array, weights: Array) -> _Solved:
+        columns = np.stack([self._without_contrast(c, weights) for c in self.changes.T], axis=1)
+        target = self._without_contrast(values, weights)
+        inverse = np.linalg.inv(columns.T @ (weights[:, None] * columns) + 1e-9 * np.eye(3))
+        turn = inverse @ (columns.T @ (weights * target))
+        return _Solved(turn, target - columns @ turn, weights, columns, inverse)
+
+    def _without_contrast(self, values: Array, weights: Array) -> Array:
+        """Return what is left of `values` when each tile's edges may be stronger or weaker."""
+        along = np.bincount(self.tiles, weights * self.values * values, self.count)
+        norm = np.bincount(self.tiles, weights * self.values**2, self.count)
+        return values - self.values * (along / np.maximum(norm, 1e-12))[self.tiles]
+
+
+def _smaller(
+    logs: NDArray[np.float32], seen: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return maps [n, h, w] and seen pixels [h, w] at the working size."""
+    step = max(1, logs.shape[1] // _WORKING_ROWS)
+    if step == 1:
+        return logs, seen
+    height, width = logs.shape[1] // step, logs.shape[2] // step
+    if logs.shape[1] % step or logs.shape[2] % step:
+        return logs, seen
+    blocks = logs.reshape(len(logs), height, step, width, step).mean(axis=(2, 4))
+    return blocks, np.asarray(seen.reshape(height, step, width, step).all(axis=(1, 3)))
+
+
+def camera_turns(
+    luminance_cdm2: NDArray[np.floating],
+    seen: NDArray[np.bool_],
+    heading_deg: float,
+    *,
+    progress: Progress = quiet,
+) -> CameraTurns:
+    """Return how the camera of each capture [n, H, W], in the order of time, was turned.
+
+    seen [H, W]: pixels with a value. Captures of one pose that follow each other get its median.
+    None is turned where there are fewer than LEAST_CAPTURES or LEAST_ROWS.
+    """
+    count, height = luminance_cdm2.shape[:2]
+    still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))
+    if count < LEAST_CAPTURES or height < LEAST_ROWS or not seen.any():
+        return still
+    logs = np.log(np.maximum(luminance_cdm2, _FLOOR_CDM2)).astype(np.float32)
+    logs, seen = _smaller(logs, seen)
+    motion_px = _motion_px(seen.shape, heading_deg)
+    angles, u_deg, likeness = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+    for k, smooth_px in enumerate(_SMOOTH_PX):
+        progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
+        edges = [
+            _edges_of(turned_back(m, heading_deg, a) if a.any() else m, smooth_px)
+            for m, a in zip(logs, angles, strict=True)
+        ]
+        room = _RoomEdges(np.median(np.stack(edges), axis=0), seen, motion_px)
+        for i, edge in enumerate(edges):
+            turn, u_deg[i], likeness[i] = room.turn(edge)
+            angles[i] += turn
+        angles -= np.median(angles, axis=0)
+    pixel_deg = 180.0 / seen.shape[0]
+    u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
+    aligned = (likeness >= LEAST_LIKENESS) & (np.abs(angles).max(axis=1) < MOST_TURN_PX * pixel_deg)
+    poses = _poses(angles, aligned, pixel_deg)
+    # Four decimals, as the table has them: reading it gives the same maps, bit by bit.
+    return CameraTurns(np.round(poses, 4), np.round(u_deg, 4), aligned)
+
+
+def _poses(angles: Array, aligned: NDArray[np.bool_], pixel_deg: float) -> Array:
+    """Return one turn for all captures of a pose, [n, 3]; zero for one that is not sure.
+
+    A camera that was put down stays until it is moved: the order of time is cut into poses by the
+    least sum of squares plus MOVE_COST for each cut (Potts model, by dynamic programming).
+    """
+    out = np.zeros_like(angles)
+    rows = np.flatnonzero(aligned)
+    for start, stop in _pieces(angles[rows] / pixel_deg):
+        pose = np.median(angles[rows[start:stop]], axis=0)
+        least_px = LEAST_TURN_PX + SINGLE_TURN_PX / np.sqrt(stop - start)
+        if np.abs(pose).max() >= least_px * pixel_deg:
+            out[rows[start:stop]] = np.where(np.abs(pose) < LEAST_TURN_PX * pixel_deg, 0.0, pose)
+    return out
+
+
+def _pieces(values: Array) -> list[tuple[int, int]]:
+    """Return the first row and the row after the last of each piece of `values`, [n, k]."""
+    count = len(values)
+    sums = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
+    squares = np.concatenate(((0.0,), np.cumsum((values**2).sum(axis=1))))
+    best, before = np.zeros(count + 1), np.zeros(count + 1, int)
+    for stop in range(1, count + 1):
+        length = stop - np.arange(stop)
+        spread = squares[stop] - squares[:stop]
+        spread = spread - ((sums[stop] - sums[:stop]) ** 2).sum(axis=1) / length
+        costs = best[:stop] + spread + MOVE_COST
+        before[stop] = int(np.argmin(costs))
+        best[stop] = costs[before[stop]]
+    pieces, stop = [], count
+    while stop > 0:
+        pieces.append((int(before[stop]), stop))
+        stop = int(before[stop])
+    return pieces[::-1]

@@ -1,0 +1,66 @@
+"""NAME.alignment.csv beside NAME.csv of pairs: how the camera of each picture was turned."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+from fieldlum.session.writing import replacing
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentRow:
+    """One picture; the fields are the columns. digest: of its pixels, so that another picture of
+    the same name is compared again. Turns against the pose of most pictures: heading clockwise,
+    tilt up, roll clockwise. aligned: 0 for a picture that is left out.
+    """
+
+    panorama: str
+    digest: str
+    heading_deg: float = 0.0
+    tilt_deg: float = 0.0
+    roll_deg: float = 0.0
+    u_heading_deg: float = 0.0
+    u_tilt_deg: float = 0.0
+    u_roll_deg: float = 0.0
+    aligned: bool = True
+
+
+_COLUMNS = tuple(field.name for field in fields(AlignmentRow))
+
+
+def alignment_path(pairs: Path) -> Path:
+    """Return where the table of a csv of pairs is."""
+    return pairs.with_name(f"{pairs.stem}.alignment.csv")
+
+
+def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
+    """Return the rows of a table; none of one that is missing or cannot be read."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return tuple(_row(cells) for cells in csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, KeyError, ValueError, TypeError, csv.Error):
+        return ()
+
+
+def _row(cells: dict[str, str]) -> AlignmentRow:
+    """Raises KeyError, TypeError or ValueError for a missing or wrong cell."""
+    numbers = [float(cells[name]) for name in _COLUMNS[2:8]]
+    if not all(math.isfinite(number) for number in numbers):
+        raise ValueError("a number that is not finite")
+    return AlignmentRow(
+        cells["panorama"], cells["digest"], *numbers, aligned=bool(int(cells["aligned"]))
+    )
+
+
+def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
+    """Write all rows. Raises OSError where the folder cannot be written to."""
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for row in rows:
+            name, digest, *numbers, aligned = astuple(row)
+            writer.writerow((name, digest, *(f"{v:.4f}" for v in numbers), int(aligned)))
