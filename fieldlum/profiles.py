@@ -212,6 +212,7 @@ class CameraBody:
     model: str = ""
     date: str = ""  # of the calibration, ISO
     note: str = ""
+    fixed_f_number: float = 0.0  # of a lens that no frame states; 0: the EXIF has it
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,7 +108,7 @@ def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
 
 
 def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
-    mosaic, sensor = read_mosaic(path), profile.sensor
+    mosaic, sensor = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number), profile.sensor
     check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     black = black_dn(mosaic, profile)
     at = channel_positions(mosaic.cfa)

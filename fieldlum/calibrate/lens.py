@@ -323,7 +323,7 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
         return np.asarray(picture, np.uint8)
     from fieldlum.raw import read_mosaic
 
-    counts = read_mosaic(path).counts.astype(np.float32)
+    counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
     rows, columns = (n // 2 * 2 for n in counts.shape)
     cell = counts[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
     cell = cv2.resize(cell, (columns, rows), interpolation=cv2.INTER_LINEAR)

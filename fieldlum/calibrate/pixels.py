@@ -159,7 +159,7 @@ def _frames_of(source: Path) -> list[Path]:
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     if path.suffix.lower() in JPEG_SUFFIXES:
         raise InputError(path, "a JPEG frame", f"raw frames, as {profile.camera.name} takes")
-    mosaic = read_mosaic(path)
+    mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
     check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     return mosaic
 

@@ -17,7 +17,7 @@ from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.state import Frame, SlotState, frame_fields
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
-from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter
+from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter, ReportingCamera
 from fieldlum.errors import DeviceError
 from fieldlum.records import CameraSetup, Exposure, Slot
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
@@ -243,6 +243,9 @@ class BracketCapture:
 
     def _judged(self, written: Path, asked: Exposure) -> tuple[str, Exposure]:
         """What looks wrong with a new frame, and the exposure to write down for it."""
+        camera = self.camera.get()
+        if isinstance(camera, ReportingCamera):
+            asked = camera.exposure_taken(written) or asked
         doubt = self.check(written, asked)
         return doubt, as_taken(written, asked) if doubt else asked
 

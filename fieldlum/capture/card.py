@@ -80,15 +80,17 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def read_card(
-    files: Sequence[Path], progress: Progress = quiet
+    files: Sequence[Path], progress: Progress = quiet, *, lens_f_number: float = 0.0
 ) -> tuple[list[CardFrame], list[str]]:
-    """Frames with their EXIF, and a line for each file that cannot be used."""
+    """Frames with their EXIF, and a line for each file that cannot be used. lens_f_number: of a
+    lens that no frame states.
+    """
     frames: list[CardFrame] = []
     left_out: list[str] = []
     for done, path in enumerate(files, start=1):
         progress(done, len(files), path.name)
         try:
-            info = read_exif(path)
+            info = read_exif(path, lens_f_number=lens_f_number)
         except InputError as error:
             left_out.append(str(error))
             continue

@@ -26,6 +26,7 @@ from fieldlum.capture.match_card import (
 from fieldlum.capture.reassign_slots import withdraw
 from fieldlum.capture.state import Frame, SlotState, fold, frame_fields
 from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.profiles import load_camera_profile
 from fieldlum.records import CameraSetup, Exposure, Progress, Slot, quiet, shutter_text, utc_text
 from fieldlum.session import (
     Journal,
@@ -99,7 +100,8 @@ def _adopt_card(
 ) -> Report:
     setup, slots = session.site_file(), session.slots()
     files, others = card_files(folder)
-    frames, unread = read_card(files, progress)
+    profile = load_camera_profile(setup.camera.profile)
+    frames, unread = read_card(files, progress, lens_f_number=profile.camera.fixed_f_number)
     frames, strangers = of_the_session(frames, setup)
     frames, copies = without_copies(frames)
     groups = group_frames(

@@ -21,7 +21,7 @@ ALL_CLIPPED = 0.5  # share of clipped pixels from which even the shortest frame 
 def doubts(path: Path, asked: Exposure) -> str:
     """What is wrong with a new frame, or nothing."""
     try:
-        info = read_exif(path)
+        info = read_exif(path, lens_f_number=asked.f_number)
     except InputError as error:
         return error.found
     return wrong_settings(info, asked)
@@ -32,7 +32,7 @@ def as_taken(path: Path, asked: Exposure) -> Exposure:
     request, else as asked.
     """
     try:
-        info = read_exif(path)
+        info = read_exif(path, lens_f_number=asked.f_number)
     except InputError:
         return asked
     found = info.exposure
@@ -62,7 +62,7 @@ def clipped_share(path: Path) -> float:
     """
     if path.suffix.lower() in JPEG_SUFFIXES:
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
-    mosaic = read_mosaic(path)
+    mosaic = read_mosaic(path, lens_f_number=1.0)  # counts alone are looked at
     plateau = min(float(mosaic.white_dn), float(mosaic.counts.max()))
     near_white = plateau >= 0.8 * mosaic.white_dn
     return float(np.mean(mosaic.counts >= plateau)) if near_white else 0.0

@@ -42,6 +42,8 @@ COMMANDS = (
 
 INTERRUPTED = 130  # as a shell says it of Ctrl-C
 BAD_FILE = 3
+# Left out where a small computer only captures; see pyproject.toml.
+COMPUTE_PACKAGES = ("torch", "pyradiance")
 
 # What a folder or a disk can do to any command: no defect of the tool, and nothing that a stage
 # could mend.
@@ -94,6 +96,15 @@ class _CommandGroup(click.Group):
                 raise
             place = f"{error.filename}: " if error.filename else ""
             said = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
+            click.echo(f"fieldlum {ctx.invoked_subcommand}: {said}", err=True)
+            sys.exit(BAD_FILE)
+        except ModuleNotFoundError as error:
+            if error.name not in COMPUTE_PACKAGES:
+                raise
+            said = (
+                f"the package {error.name} is not installed: this computer captures only; "
+                f"install it with: pip install 'fieldlum[compute]'"
+            )
             click.echo(f"fieldlum {ctx.invoked_subcommand}: {said}", err=True)
             sys.exit(BAD_FILE)
         except KeyboardInterrupt:

@@ -104,6 +104,15 @@ class BracketingCamera(Protocol):
 
 
 @runtime_checkable
+class ReportingCamera(Protocol):
+    """A camera that states the exposure it took, which may differ from the one asked for."""
+
+    def exposure_taken(self, written: Path) -> Exposure | None:
+        """Return the exposure of the frame just written; None where it is not known."""
+        ...
+
+
+@runtime_checkable
 class Choosing(Protocol):
     """A camera whose settings have fixed steps."""
 
@@ -188,6 +197,7 @@ CAMERAS = {
     "sim": ("fieldlum.devices.simulated", "open_camera"),
     "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
     "theta": ("fieldlum.devices.theta", "open_camera"),
+    "rpicam": ("fieldlum.devices.rpicam", "open_camera"),
     "replay": ("fieldlum.devices.replay", "open_camera"),
 }
 METERS = {

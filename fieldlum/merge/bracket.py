@@ -313,7 +313,9 @@ def merge_frames(
     shots: the same frames with what is known beside their EXIF (headings, times, filters).
     Raises InputError, naming the file, for anything that cannot be merged.
     """
-    known = list(shots) if shots is not None else shots_of_files(files)
+    known = (
+        list(shots) if shots is not None else shots_of_files(files, profile.camera.fixed_f_number)
+    )
     return merge_shots(
         known,
         profile,

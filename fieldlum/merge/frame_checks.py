@@ -43,7 +43,7 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
     for shot in shots:
         if shot.exposure.iso in found:
             continue
-        mosaic = read_mosaic(shot.path)
+        mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
         step = 2 * max(1, mosaic.counts.size // _LOOKED_AT)
         planes = (
             mosaic.counts[row::step, column::2] for row, column in channel_positions(mosaic.cfa)

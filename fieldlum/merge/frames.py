@@ -204,7 +204,7 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -
     """plateau: of R, G1, G2, B as found in the frames. Raises InputError for a frame that is
     none of this camera's.
     """
-    mosaic = read_mosaic(shot.path)
+    mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
     sensor, body = profile.sensor, profile.camera
     check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:

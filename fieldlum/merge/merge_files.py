@@ -58,7 +58,7 @@ def files_to_picture(
         Equirect(pixels) if projection == "equirect" else fisheye_target(profile, pixels)
     )
     result = merge_shots(
-        shots_of_files(files),
+        shots_of_files(files, profile.camera.fixed_f_number),
         profile,
         target=target,
         heading_deg=heading_deg,

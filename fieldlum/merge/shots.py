@@ -67,8 +67,10 @@ def frame_files(folder: Path) -> list[Path]:
     return files
 
 
-def shots_of_files(files: Sequence[Path]) -> list[Shot]:
-    """By EXIF. Raises InputError for a file without exposure time, or named twice."""
+def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Shot]:
+    """By EXIF; lens_f_number: where no frame states it. Raises InputError for a file without
+    exposure time, or named twice.
+    """
     if not files:
         raise InputError("merge", "no frames", "at least one raw or JPEG file")
     found, known = [], set()
@@ -80,7 +82,7 @@ def shots_of_files(files: Sequence[Path]) -> list[Shot]:
                 path, "the same frame twice: it would count for two", "each frame once"
             )
         known.add(real)
-        found.append(Shot(path, read_exif(path).exposure))
+        found.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
     return found
 
 

@@ -95,15 +95,20 @@ def _nd_name(tags: dict[str, Any]) -> str:
 
 
 def info_of(
-    path: Path, tags: dict[str, Any], fallback: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    path: Path,
+    tags: dict[str, Any],
+    fallback: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    lens_f_number: float = 0.0,
 ) -> FrameInfo:
     """Return the exposure, time and camera of the tags.
 
     fallback : shutter [s], f-number and ISO of LibRaw, 0 where it has none; used where the tags
-    lack a value. Raises InputError for a value that is missing or impossible.
+    lack a value. lens_f_number : of a lens without electronics, where both lack it. Raises
+    InputError for a value that is missing or impossible.
     """
     shutter = numbers(tags, "EXIF ExposureTime", "Image ExposureTime") or [fallback[0]]
-    f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1]]
+    f_number = numbers(tags, "EXIF FNumber", "Image FNumber") or [fallback[1] or lens_f_number]
     iso = numbers(
         tags, "EXIF ISOSpeedRatings", "EXIF PhotographicSensitivity", "Image ISOSpeedRatings"
     ) or [fallback[2]]

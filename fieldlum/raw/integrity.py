@@ -17,7 +17,9 @@ def unreadable(path: Path) -> str:
     Decodes the frame, which takes some seconds for a large raw file.
     """
     try:
-        read_jpeg(path) if path.suffix.lower() in JPEG_SUFFIXES else read_mosaic(path)
+        read_jpeg(path) if path.suffix.lower() in JPEG_SUFFIXES else read_mosaic(
+            path, lens_f_number=1.0
+        )  # a lens without electronics is no fault of the file
     except InputError as error:
         return error.found
     except OSError as error:

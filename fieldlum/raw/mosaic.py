@@ -255,8 +255,11 @@ def _colour_matrix(raw: Any, tags: dict[str, Any]) -> NDArray[np.float64] | None
     return np.reshape(values, (3, 3)) if len(values) == 9 and np.any(values) else None
 
 
-def read_mosaic(path: Path) -> Mosaic:
-    """Read the visible mosaic of a raw frame. Raises InputError for everything else."""
+def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
+    """Read the visible mosaic of a raw frame. Raises InputError for everything else.
+
+    lens_f_number : of a lens that the frame does not state; 0: the frame must.
+    """
     tags = tags_of(path)
     with opened(path) as raw:
         cfa, index = _pattern(path, raw)
@@ -270,7 +273,7 @@ def read_mosaic(path: Path) -> Mosaic:
             )
         black = raw.black_level_per_channel
         black_dn = tuple(float(black[index[at]]) for at in channel_positions(cfa))
-        info = info_of(path, tags, libraw_exposure(raw))
+        info = info_of(path, tags, libraw_exposure(raw), lens_f_number=lens_f_number)
         white_dn = float(raw.white_level or 0)
         if not 0 <= max(black_dn) < white_dn:
             raise InputError(
@@ -292,13 +295,16 @@ def read_mosaic(path: Path) -> Mosaic:
         )
 
 
-def read_exif(path: Path) -> FrameInfo:
-    """Read the EXIF of a JPEG or raw frame. Raises InputError if it has no exposure time."""
+def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
+    """Read the EXIF of a JPEG or raw frame. Raises InputError if it has no exposure time.
+
+    lens_f_number : of a lens that the frame does not state; 0: the frame must.
+    """
     tags = tags_of(path)
     with suppress(InputError):
-        return info_of(path, tags)
+        return info_of(path, tags, lens_f_number=lens_f_number)
     fallback = (0.0, 0.0, 0.0)
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         with opened(path) as raw:
             fallback = libraw_exposure(raw)
-    return info_of(path, tags, fallback)
+    return info_of(path, tags, fallback, lens_f_number=lens_f_number)

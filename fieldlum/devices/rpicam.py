@@ -1,0 +1,257 @@
+"""A Raspberry Pi camera through the program rpicam-still: ``rpicam:``, ``rpicam:1``.
+
+The place is the camera's number (0 without one). Options: ``f_number`` of the lens, which no frame
+states, and ``program`` for another path of rpicam-still. Each frame is a raw DNG with fixed
+shutter, gain and white balance; its exposure is taken from the metadata that the program writes,
+since the sensor works in whole lines: 60 us gives 114 us on one module.
+
+Source: rpicam-apps (options, the metadata's keys, the list of cameras). Untried on hardware.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fieldlum.devices import CameraInfo
+from fieldlum.devices.settings import LARGEST_STEP_EV
+from fieldlum.devices.uri import DeviceUri, number
+from fieldlum.errors import DeviceError
+from fieldlum.records import Exposure, shutter_text
+
+if TYPE_CHECKING:
+    from fieldlum.devices.clock import Clock
+    from fieldlum.session import Session
+
+PROGRAM = "rpicam-still"
+LIST_S = 20.0
+# Start of the camera stack, and frames that it discards before the one that is kept: long exposures
+# take several times their length (rpicam-apps and its predecessor report up to 7).
+START_S = 20.0
+DISCARDED_FRAMES = 7.0
+# Analogue gain has steps of some percent; DigitalGain above 1 means that the sensor could not
+# expose so long (an OV5647 asked for 6 s gives 1.06 s and a digital gain of 4).
+GAIN_TOLERANCE = 0.03
+ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
+_SMALLEST_FILE = 100_000  # bytes: a raw frame of the smallest module has over a million
+_CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameMetadata:
+    """What the program states about a frame. [s]"""
+
+    shutter_s: float
+    analogue_gain: float
+    digital_gain: float
+
+    def exposure(self, asked: Exposure) -> Exposure:
+        """Return the exposure that was taken; aperture and filter are the ones asked for."""
+        iso = asked.iso if self._gain_is(asked) else ISO_OF_GAIN_1 * self.analogue_gain
+        return Exposure(self.shutter_s, asked.f_number, iso, asked.nd)
+
+    def _gain_is(self, asked: Exposure) -> bool:
+        return abs(self.analogue_gain * ISO_OF_GAIN_1 / asked.iso - 1.0) <= GAIN_TOLERANCE
+
+
+def parse_metadata(text: str) -> FrameMetadata:
+    """Read the JSON of --metadata. Raises DeviceError for anything else."""
+    try:
+        table = json.loads(text)
+        values = [float(table[key]) for key in ("ExposureTime", "AnalogueGain")]
+        digital = float(table.get("DigitalGain", 1.0))
+    except (ValueError, KeyError, TypeError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else str(error)[:120]
+        raise DeviceError(f"rpicam: metadata that cannot be used: {what}") from None
+    if not all(math.isfinite(v) and v > 0 for v in (*values, digital)):
+        raise DeviceError(
+            f"rpicam: metadata state an exposure of {values[0]:g} us at gain {values[1]:g}"
+        )
+    return FrameMetadata(values[0] * 1e-6, values[1], digital)
+
+
+def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
+    """Return number, sensor and format of each camera that --list-cameras names."""
+    return {int(m[1]): (m[2], m[3]) for m in _CAMERA_LINE.finditer(text)}
+
+
+class RpicamCamera:
+    """Implements `Camera` and `ReportingCamera`. Raises DeviceError without program or camera."""
+
+    def __init__(
+        self, place: str, f_number: float, *, program: str = PROGRAM, start_s: float = START_S
+    ) -> None:
+        self._program, self._f_number, self._start_s = program, f_number, start_s
+        if not (place == "" or place.isdigit()):
+            raise DeviceError(f"rpicam:{place}: name the camera by its number, such as rpicam:0")
+        self._number = int(place or 0)
+        cameras = parse_cameras(self._run(["--list-cameras"], LIST_S))
+        if self._number not in cameras:
+            there = ", ".join(f"{n} ({name})" for n, (name, _) in cameras.items())
+            raise DeviceError(
+                f"rpicam:{place}: {PROGRAM} --list-cameras does not name camera {self._number}; "
+                f"it names {there or 'none: check the ribbon cable, then restart'}"
+            )
+        self._sensor = cameras[self._number][0]
+        self._taken: dict[Path, Exposure] = {}
+
+    @property
+    def info(self) -> CameraInfo:
+        """What the program states about the camera; its clock is the computer's."""
+        return CameraInfo("rpicam", make="Raspberry Pi", model=self._sensor, clock_offset_s=0.0)
+
+    def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
+        """Take one DNG. Raises DeviceError for a frame that has another exposure than could be
+        merged, and OSError if the disk is full.
+        """
+        if heading_deg is not None:
+            raise DeviceError(
+                "rpicam: this camera has no turning head; remove headings from the site file"
+            )
+        self.check_offered(exposure)
+        picture, about = (target.with_name(f"{target.name}{end}") for end in (".jpg", ".json"))
+        written = target.with_name(f"{target.name}.dng")
+        try:
+            self._run(self._arguments(exposure, picture, about), self._seconds(exposure))
+            metadata = self._metadata(about)
+            self._check(metadata, exposure)
+            if not written.is_file() or written.stat().st_size < _SMALLEST_FILE:
+                size = written.stat().st_size if written.is_file() else 0
+                raise DeviceError(f"rpicam: the raw frame has {size} bytes")
+        except BaseException:
+            written.unlink(missing_ok=True)
+            raise
+        finally:
+            picture.unlink(missing_ok=True)
+            about.unlink(missing_ok=True)
+        self._taken = {written: metadata.exposure(exposure)}
+        return written
+
+    def exposure_taken(self, written: Path) -> Exposure | None:
+        """Return the exposure that the metadata state for the newest frame."""
+        return self._taken.get(written)
+
+    def check_offered(self, exposure: Exposure) -> None:
+        """Raise DeviceError for another aperture than the lens has, or a gain below 1."""
+        if abs(exposure.f_number / self._f_number - 1.0) > 0.02:
+            raise DeviceError(
+                f"rpicam: f/{exposure.f_number:g} is planned, and the lens has "
+                f"f/{self._f_number:g}; give f_number=... in the URI, or correct the plan"
+            )
+        if exposure.iso < ISO_OF_GAIN_1 * (1.0 - GAIN_TOLERANCE):
+            raise DeviceError(f"rpicam: ISO {exposure.iso:g} is a gain below 1; plan ISO 100")
+
+    def close(self) -> None:
+        """Nothing is held between frames."""
+
+    def _arguments(self, exposure: Exposure, picture: Path, about: Path) -> list[str]:
+        return [
+            *("--camera", str(self._number), "--nopreview", "--immediate", "--raw"),
+            *("--shutter", str(max(1, round(exposure.shutter_s * 1e6)))),
+            *("--gain", f"{exposure.iso / ISO_OF_GAIN_1:g}", "--awbgains", "1,1"),
+            *("--denoise", "off", "--metadata", str(about), "--metadata-format", "json"),
+            *("--output", str(picture)),
+        ]
+
+    def _seconds(self, exposure: Exposure) -> float:
+        return self._start_s + DISCARDED_FRAMES * exposure.shutter_s
+
+    def _metadata(self, about: Path) -> FrameMetadata:
+        try:
+            return parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
+        except OSError:
+            raise DeviceError("rpicam: no metadata were written; the exposure is unknown") from None
+
+    def _check(self, metadata: FrameMetadata, asked: Exposure) -> None:
+        """Refuse what the sensor cannot do: the next try would give the same."""
+        off_ev = abs(math.log2(metadata.shutter_s / asked.shutter_s))
+        stretched = metadata.digital_gain > 1.0 + 10 * GAIN_TOLERANCE
+        if off_ev > LARGEST_STEP_EV and stretched:
+            raise DeviceError(
+                f"rpicam: {shutter_text(asked.shutter_s)} s was asked for, the sensor exposed "
+                f"{metadata.shutter_s:.4g} s and multiplied by {metadata.digital_gain:g}: longer "
+                f"than this module can; take the long exposures out of [bracket] and plan anew"
+            )
+        gain = asked.iso / ISO_OF_GAIN_1
+        if abs(math.log2(metadata.analogue_gain / gain)) > LARGEST_STEP_EV:
+            raise DeviceError(
+                f"rpicam: gain {gain:g} was asked for, the sensor used {metadata.analogue_gain:g}"
+            )
+
+    def _run(self, arguments: list[str], timeout_s: float) -> str:
+        """Return what the program prints. Raises DeviceError; a program that hangs is killed with
+        all that it started.
+        """
+        try:
+            process = subprocess.Popen(
+                [self._program, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise DeviceError(
+                f"rpicam: {self._program} does not start ({error.strerror}); "
+                f"install it with: sudo apt install rpicam-apps"
+            ) from None
+        try:
+            said = process.communicate(timeout=timeout_s)[0].decode("utf-8", "replace")
+        except subprocess.TimeoutExpired:
+            _kill(process)
+            raise DeviceError(
+                f"rpicam: {PROGRAM} did not end within {timeout_s:.0f} s and was killed"
+            ) from None
+        except BaseException:
+            _kill(process)
+            raise
+        if "No space left on device" in said:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        if process.returncode != 0 or "ERROR: ***" in said:
+            raise DeviceError(f"rpicam: {_reason(said, process.returncode)}")
+        return said
+
+
+def _reason(said: str, code: int) -> str:
+    """Return the line that names the fault."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    errors = [line for line in lines if "ERROR" in line]
+    if any("in use by another process" in line for line in lines):
+        return "the camera is used by another program; end that one"
+    return f"{(errors or lines or ['nothing printed'])[-1][:200]} (exit code {code})"
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    with suppress(OSError):
+        if sys.platform == "win32":
+            process.kill()
+        else:
+            os.killpg(process.pid, signal.SIGKILL)
+    with suppress(subprocess.TimeoutExpired):
+        process.communicate(timeout=5.0)
+
+
+def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> RpicamCamera:
+    """Open the camera; the lens's f-number is the plan's unless the URI states it."""
+    options = uri.read(f_number=number(0.5, 64.0), program=str)
+    f_number = options.get("f_number") or _planned_f_number(session)
+    return RpicamCamera(uri.place, f_number, program=options.get("program", PROGRAM))
+
+
+def _planned_f_number(session: Session | None) -> float:
+    """Return the aperture of the plan. Raises DeviceError without a session or with two."""
+    slots = session.slots() if session is not None else []
+    planned = {exposure.f_number for slot in slots for exposure in slot.exposures}
+    if len(planned) != 1:
+        raise DeviceError("rpicam: state the lens's aperture, such as rpicam:0?f_number=2.0")
+    return planned.pop()

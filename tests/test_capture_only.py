@@ -1,0 +1,90 @@
+"""A computer that only captures: its commands run where torch and pyradiance are not installed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.contract
+
+ROOT = Path(__file__).parents[1]
+# An entry of None makes the import fail as if the package were not there.
+BLOCKED = """
+import sys
+for name in ("torch", "pyradiance"):
+    sys.modules[name] = None
+sys.argv[0] = "fieldlum"
+from fieldlum.cli import main
+main()
+"""
+
+
+def _run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", BLOCKED, *words],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        env=dict(os.environ),
+    )
+
+
+@pytest.mark.slow
+def test_plan_to_status_without_torch_and_pyradiance(tmp_path: Path) -> None:
+    """A midwinter day of few hours, and its card imported into a second session."""
+    site = tmp_path / "site.toml"
+    site.write_text(
+        '[site]\nname = "north"\nlatitude_deg = 65.5\nlongitude_deg = 25.0\n'
+        'timezone = "Europe/Helsinki"\n',
+        encoding="utf-8",
+    )
+    day = ("--set", "month", "--start", "2027-12-21", "--days", "1")
+    sim = "sim:office?seed=1"
+    for words, code in (
+        (("plan", str(site), *day, "--out", "s", "--ics"), 0),
+        (("plan", str(site), *day, "--out", "other"), 0),
+        (("doctor", "s", "--camera", sim, "--pyranometer", sim), None),
+        (("capture", "s", "--camera", sim, "--pyranometer", sim, "--clock", "fast"), 0),
+        (("import", "other", "s/raw"), 0),
+        (("plan", "s", "--replan"), 0),
+        (("status", "s", "--json"), 0),
+        (("status", "other"), 0),
+        (("log", "--help"), 0),
+        (("watch", "nowhere"), 3),
+    ):
+        shown = _run(tmp_path, *words)
+        assert code is None or shown.returncode == code, (words, shown.stderr)
+        assert "Traceback" not in shown.stderr, (words, shown.stderr)
+    assert ", 0 owed" in _run(tmp_path, "status", "other").stdout
+
+
+def test_a_command_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
+    site = ROOT / "capture_plans" / "seattle-office.toml"
+    shown = _run(tmp_path, "simulate", str(site), "--out", "s", "--set", "4-day")
+    assert shown.returncode == 3
+    assert "pip install 'fieldlum[compute]'" in shown.stderr
+    assert "Traceback" not in shown.stderr
+
+
+def test_modules_of_the_page_import_without_them() -> None:
+    code = (
+        "import sys\nfor n in ('torch', 'pyradiance'): sys.modules[n] = None\n"
+        "import fieldlum.web.server, fieldlum.devices.rpicam, fieldlum.capture.runner\n"
+        "import fieldlum.capture.remote, fieldlum.capture.logger, fieldlum.doctor, fieldlum.plan\n"
+        "import fieldlum.capture.import_card, fieldlum.cli.watch_, fieldlum.cli.log_"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+@pytest.mark.skipif(shutil.which("dpkg") is None, reason="a check of the marker's word")
+def test_the_marker_names_the_small_computer() -> None:
+    declared = (ROOT / "pyproject.toml").read_text("utf-8")
+    for name in ("torch>=2.6", "pyradiance>=1.2"):
+        assert f"\"{name}; platform_machine != 'aarch64'\"" in declared
