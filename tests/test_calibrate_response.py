@@ -114,3 +114,22 @@ def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no JPEG"):
         response.brackets_in([tmp_path / "empty"])
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+@pytest.mark.parametrize("law", ["third-stops", "exact"])
+def test_the_codes_tell_the_shutter_law(
+    tmp_path: Path, law: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """1/15 to 1/60 s as decimals or as powers of two, 6.7 % apart."""
+    if law == "exact":
+        monkeypatch.setitem(globals(), "snap_shutter_s", float)
+    code = np.arange(256) / 255
+    folder = _bracket(tmp_path / "b", 0.6 * code**2.6 + 0.4 * code**1.5, 5, SHUTTERS)
+    brackets = response.brackets_in([folder])
+    places = response.sample(brackets, JPEG_PROFILE, np.random.default_rng(0))
+    assert places.law.law == law
+    assert places.law.misfit_percent[law] == min(places.law.misfit_percent.values())
+    stated = replace(JPEG_PROFILE, shutter_law="half-stops")
+    assert response.sample(brackets, stated, np.random.default_rng(0)).law.law == "half-stops"

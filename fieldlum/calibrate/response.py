@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import check_frame, true_shutter_s
-from fieldlum.photometry import dark_floor, fit_response, response_table
+from fieldlum.photometry import (
+    AUTO,
+    EXACT,
+    LAWS,
+    ShutterLaw,
+    dark_floor,
+    fit_response,
+    law_of_labels,
+    response_table,
+)
 from fieldlum.profiles import CameraProfile, Response
 from fieldlum.raw import JPEG_SUFFIXES, read_jpeg
 from fieldlum.records import Exposure
@@ -23,6 +32,8 @@ LOW, HIGH = 27, 228  # codes that count for the residual, and later carry weight
 FLAT = 3.0  # codes: a place's neighbours differ by at most this in a frame that holds it
 NEGLIGIBLE = 0.002  # of light
 DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
+_LAW_GAIN = 0.8  # of the residual under the labels' law: another law must leave less
+_LAW_SIGMA = 4.0  # standard errors of the difference between two laws, place by place
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)
 TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 
@@ -30,13 +41,14 @@ TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 @dataclass(frozen=True, slots=True)
 class Places:
     """codes [places, frames, 3], 0 where a bracket has no such exposure; log_exposure [frames];
-    bracket [places].
+    bracket [places]; law: of the shutter, under which log_exposure holds.
     """
 
     codes: NDArray[np.uint8]
     log_exposure: NDArray[np.float64]
     bracket: NDArray[np.intp]
     frames: tuple[Path, ...]
+    law: ShutterLaw
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,34 +72,80 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Flat places of one bracket, codes [places, frames, 3], and the exposures as recorded."""
+
+    codes: NDArray[np.uint8]
+    exposures: tuple[Exposure, ...]
+    folder: Path
+
+
 def sample(
     brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.random.Generator
 ) -> Places:
     """The same flat places of every frame of a bracket, spread over its brightnesses, pooled over
-    the brackets.
+    the brackets; with the shutter law that the codes support, where the profile has "auto".
 
     Raises InputError for a bracket of mixed apertures or fewer than three exposures.
     """
-    parts, exposures = [], []
+    parts: list[_Part] = []
     for paths in brackets:
-        blocks, found = _blocks_of(paths, profile)
-        log_e = [
-            np.log(true_shutter_s(exposure.shutter_s, profile)[0] * exposure.iso)
-            for exposure in found
-        ]
+        blocks, exposures = _blocks_of(paths, profile)
+        codes = _flat_places(blocks, profile, rng, paths[0].parent)
+        parts.append(_Part(codes, tuple(exposures), paths[0].parent))
+    files = tuple(path for paths in brackets for path in paths)
+    if profile.shutter_law != AUTO:
+        return _pool(parts, files, profile, ShutterLaw(profile.shutter_law, "profile"))
+    nominal_s = [e.shutter_s for part in parts for e in part.exposures]
+    labels = law_of_labels(nominal_s, profile.camera.model)
+    pooled = {law: _pool(parts, files, profile, ShutterLaw(law, "labels")) for law in LAWS}
+    return pooled[labels.law] if labels.law == EXACT else _supported(pooled, labels)
+
+
+def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
+    """Return the places under the law whose response leaves the least; that of the labels unless
+    another is better by more than chance, place by place.
+    """
+    errors = {law: _left_by(places) for law, places in pooled.items()}
+    misfit = {law: round(100.0 * float(np.sqrt(np.nanmean(e))), 2) for law, e in errors.items()}
+    best = min(LAWS, key=lambda law: (misfit[law], law != labels.law))
+    gain = errors[labels.law] - errors[best]
+    gain = gain[np.isfinite(gain)]
+    chance = float(gain.std()) / np.sqrt(max(len(gain), 1))
+    smaller = misfit[best] < _LAW_GAIN * misfit[labels.law]
+    clear = smaller and float(gain.mean()) > _LAW_SIGMA * chance
+    law = ShutterLaw(best if clear else labels.law, "frames" if clear else "labels", misfit)
+    return replace(pooled[law.law], law=law)
+
+
+def _left_by(places: Places) -> NDArray[np.float64]:
+    """Squared residuals of ln z of each place's green codes about a response fitted to them."""
+    codes = places.codes[..., 1]
+    table, _ = fit_response(codes, places.log_exposure, smooth=SMOOTH[-1])
+    return residuals(table, codes, places.log_exposure)
+
+
+def _pool(
+    parts: Sequence[_Part], files: tuple[Path, ...], profile: CameraProfile, law: ShutterLaw
+) -> Places:
+    """Return the places of all brackets on one axis of exposures, under one shutter law."""
+    known = replace(profile, shutter_law=law.law)
+    exposures: list[NDArray[np.float64]] = []
+    for part in parts:
+        log_e = [np.log(true_shutter_s(e.shutter_s, known)[0] * e.iso) for e in part.exposures]
         if len({round(e, 3) for e in log_e}) < 3:
-            raise InputError(
-                paths[0].parent, f"{len(paths)} frames", "a bracket of at least three exposures"
-            )
+            found = f"{len(part.exposures)} frames"
+            raise InputError(part.folder, found, "a bracket of at least three exposures")
         exposures.append(np.array(log_e))
-        parts.append(_flat_places(blocks, profile, rng, paths[0].parent))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
-    pooled = np.zeros((sum(len(part) for part in parts), len(grid), 3), np.uint8)
-    bracket, row = np.repeat(np.arange(len(parts)), [len(part) for part in parts]), 0
+    codes = np.zeros((sum(len(part.codes) for part in parts), len(grid), 3), np.uint8)
+    bracket, row = np.repeat(np.arange(len(parts)), [len(part.codes) for part in parts]), 0
     for part, log_e in zip(parts, exposures, strict=True):
-        pooled[row : row + len(part), np.searchsorted(grid, np.round(log_e, 4))] = part
-        row += len(part)
-    return Places(pooled, grid, bracket, tuple(path for paths in brackets for path in paths))
+        at = np.searchsorted(grid, np.round(log_e, 4))
+        codes[row : row + len(part.codes), at] = part.codes
+        row += len(part.codes)
+    return Places(codes, grid, bracket, files, law)
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,18 @@ def command(
         "kind": found.response.kind,
         "u_rel": found.response.u_rel,
         "residual_rgb": list(found.residual),
+        "shutter_law": places.law.law,
+        "shutter_law_by": places.law.decided_by,
+        "shutter_law_misfit_percent": places.law.misfit_percent,
     }
+    known = places.law.decided_by == "frames" or profile.shutter_law != "auto"
     write_profile(
-        out, profile, places.frames, [found.choice.line], figures, as_json, response=found.response
+        out,
+        profile,
+        places.frames,
+        [found.choice.line],
+        figures,
+        as_json,
+        response=found.response,
+        shutter_law=places.law.law if known else profile.shutter_law,
     )

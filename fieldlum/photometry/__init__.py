@@ -23,6 +23,7 @@ from fieldlum.photometry.response import (
 )
 from fieldlum.photometry.shutter_law import (
     AUTO,
+    EXACT,
     LAWS,
     ShutterLaw,
     law_of_frames,
@@ -34,6 +35,7 @@ from fieldlum.photometry.vignetting import check_vignetting, vignetting_at
 
 __all__ = [
     "AUTO",
+    "EXACT",
     "LAWS",
     "STONITS",
     "PairRatio",
