@@ -28,10 +28,13 @@ from fieldlum.glare import (
     reference_version,
     view_azimuths_deg,
 )
+from fieldlum.glare.contrast import ViewRegions
+from fieldlum.glare.geometry import panorama_views
 from fieldlum.light import Light
 from fieldlum.models.data import load_pairs
+from fieldlum.predict.block_figures import view_figures
 from fieldlum.predict.blocks import ModelRoom, blocks
-from fieldlum.predict.year import ViewRegions, light_of, panorama_views, view_figures
+from fieldlum.predict.year import light_of
 from fieldlum.scene import sun_patches
 from fieldlum.weather import read_weather, shipped_seattle
 

@@ -276,8 +276,8 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     """A map known exactly leaves only the disc's share."""
     from fieldlum.glare import panorama_views
     from fieldlum.models import Prediction
+    from fieldlum.predict.block_figures import U_DISC, relative_uncertainty
     from fieldlum.predict.blocks import HourBlock
-    from fieldlum.predict.year import U_DISC, _relative
 
     light = DATA.light[[3]]
     maps = np.full((1, *DATA.shape), 50.0, np.float32)
@@ -290,7 +290,7 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     views = panorama_views(*DATA.shape, 180.0, [180.0])
     one = np.ones((1, 1))
     found = {"ev_lx": 4 * one, "sun_ev_lx": one, "contrast": 10 * one, "sun_contrast": 10 * one}
-    ev, source = _relative(block, views, found)
+    ev, source = relative_uncertainty(block, views, found)
     assert (ev.item(), source.item()) == pytest.approx((U_DISC / 4, U_DISC))
 
 

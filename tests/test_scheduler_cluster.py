@@ -4,15 +4,25 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import scheduler_units as units
 from dask_cluster import SOURCE, Cluster, cluster
 from test_merge_stage import START, profile, take
 
-from fieldlum import merge
-from fieldlum.profiles import save_profile
-from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot
-from fieldlum.scheduler import SHARED_VARIABLE, Scheduler, WorkUnit, parse_scheduler, run_units
+from fieldlum import merge, models, predict, simulate
+from fieldlum.models.data import load_pairs
+from fieldlum.pair.patches import seen_and_patches
+from fieldlum.profiles import load_site, save_profile, shipped
+from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, quiet
+from fieldlum.scheduler import (
+    LOCAL,
+    SHARED_VARIABLE,
+    Scheduler,
+    WorkUnit,
+    parse_scheduler,
+    run_units,
+)
 from fieldlum.session import Session, create_session, remove_scraps
 
 pytestmark = [pytest.mark.contract, pytest.mark.slow]
@@ -60,6 +70,58 @@ def test_workers_write_the_files_of_one_process(running: Cluster, scheduler: Sch
     assert files(session) == expected
     kept = merge.run(session, height=16, scheduler=scheduler)
     assert [v.state for v in kept] == ["kept", "kept", "merged"], "a lost frame may come back"
+
+
+def test_a_year_a_room_and_its_patches_are_those_of_one_process(
+    running: Cluster, scheduler: Scheduler
+) -> None:
+    """Simulate, pair's patches and predict with maps: every file has the same bytes."""
+    root = running.shared
+    alone, spread = (
+        simulated_year(root / name, how) for name, how in (("a", LOCAL), ("b", scheduler))
+    )
+    assert len(alone) > 20
+    assert {name for name in alone if alone[name] != spread.get(name)} == set()
+    assert alone.keys() == spread.keys()
+
+
+def simulated_year(root: Path, scheduler: Scheduler) -> dict[str, bytes]:
+    """Return the files of a small simulated session with a predicted month."""
+    setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    weather = simulate.weather_for(setup)
+    slots = simulate.sample_slots(setup, weather, 18, 1)
+    session = create_session(root, setup, slots, {"set": "test"})
+    simulate.run(session, weather, height=8, quality="draft", scheduler=scheduler, workers=1)
+    pictures = [(s.id, session.truth_panorama(s.id), s.t_utc) for s in slots]
+    items = [item for item in pictures if item[1].is_file()]
+    lx = np.full(len(items), 50_000.0)
+    seen_and_patches(session, setup, items, lx, force=True, scheduler=scheduler, progress=quiet)
+    model = root.parent / "nearest"  # one model for both: its config.json has its time
+    if not model.is_dir():
+        data = load_pairs(session)
+        models.save(model, models.fit("nearest", data, patch="none"), data)
+    shutil.copytree(model, session.models / "nearest")
+    shutil.copy(root.parent / "weather.csv", root / "weather.csv")
+    year = root / "annual" / "nearest"
+    predict.run(
+        session.models / "nearest", root / "weather.csv", out=year, maps=True, scheduler=scheduler
+    )
+    parts = ("truth", "sunpatches", "annual")
+    paths = [p for part in parts for p in [root / part, *(root / part).rglob("*")] if p.is_file()]
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in paths}
+
+
+@pytest.fixture(autouse=True)
+def weather_file(running: Cluster) -> None:
+    """Ten days of March with sun: two units of hours."""
+    rng = np.random.default_rng(0)
+    lines = ["month,day,hour,dni_wm2,dhi_wm2"]
+    for day in range(10, 20):
+        for hour in range(24):
+            dni, dhi = rng.uniform(0, 800), rng.uniform(60, 250)
+            light = (dni, dhi) if 7 <= hour < 17 else (0.0, 0.0)
+            lines.append(f"3,{day},{hour + 0.5},{light[0]:.0f},{light[1]:.0f}")
+    (running.shared / "weather.csv").write_text("\n".join(lines) + "\n")
 
 
 def test_killed_hanging_full_and_other_workers_cost_their_units_alone(

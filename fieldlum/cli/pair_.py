@@ -8,13 +8,19 @@ from pathlib import Path
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import force_option, session_argument
+from fieldlum.cli.options import (
+    force_option,
+    scheduler_of,
+    scheduler_option,
+    session_argument,
+)
 
 
 @click.command("pair")
 @session_argument
+@scheduler_option
 @force_option
-def command(session_folder: Path, force: bool) -> None:
+def command(session_folder: Path, scheduler_text: str, force: bool) -> None:
     """Match panoramas with irradiance, sun and sun patches.
 
     \b
@@ -24,13 +30,14 @@ def command(session_folder: Path, force: bool) -> None:
     from fieldlum import irradiance, pair
     from fieldlum.session import open_session
 
+    scheduler = scheduler_of(scheduler_text)
     session = open_session(session_folder)
     with terminal.progress("irradiance") as progress:
         health = irradiance.run(session, force=force, progress=progress)
     for warning in health.warnings:
         terminal.say(f"note: {warning}")
     with terminal.progress("pair") as progress:
-        pairs = pair.run(session, force=force, progress=progress)
+        pairs = pair.run(session, force=force, scheduler=scheduler, progress=progress)
     usable = sum(p.ok for p in pairs)
     click.echo(
         f"{session.pairs}: {usable} of {len(pairs)} panoramas paired, {health.rows} rows of "

@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.options import force_option, json_option, out_option
+from fieldlum.cli.options import (
+    force_option,
+    json_option,
+    out_option,
+    scheduler_of,
+    scheduler_option,
+)
 from fieldlum.cli.terminal import emit_json, progress, say
 
 
@@ -55,6 +61,7 @@ from fieldlum.cli.terminal import emit_json, progress, say
     help="When lamps that were marked in the captures are on: a csv as for --occupancy, or off. "
     "[default: as in the captures without a mark]",
 )
+@scheduler_option
 @force_option
 @json_option
 def command(
@@ -66,6 +73,7 @@ def command(
     views: int,
     occupancy_path: Path | None,
     lamps: str,
+    scheduler_text: str,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -91,6 +99,7 @@ def command(
             lamps=lamps,
             force=force,
             label_shift_min=label_shift_min,
+            scheduler=scheduler_of(scheduler_text),
             progress=show,
         )
     about = annual.about

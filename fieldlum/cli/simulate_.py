@@ -15,6 +15,8 @@ from fieldlum.cli.options import (
     json_option,
     out_option,
     panorama_height,
+    scheduler_of,
+    scheduler_option,
 )
 
 if TYPE_CHECKING:
@@ -78,6 +80,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     show_default=True,
     help="Of random hours and of synthetic weather.",
 )
+@scheduler_option
 @force_option
 @json_option
 def command(
@@ -94,6 +97,7 @@ def command(
     drift: bool,
     troubles_file: Path | None,
     seed: int,
+    scheduler_text: str,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -136,6 +140,7 @@ def command(
             drift=drift,
             troubles=troubles,
             force=force,
+            scheduler=scheduler_of(scheduler_text),
             progress=progress,
         )
     answer = {

@@ -26,6 +26,7 @@ from fieldlum.records import (
     quiet,
     utc_text,
 )
+from fieldlum.scheduler import LOCAL, Scheduler
 from fieldlum.session import Session
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
@@ -163,7 +164,13 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
         )
 
 
-def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> list[Pair]:
+def run(
+    session: Session,
+    *,
+    force: bool = False,
+    scheduler: Scheduler = LOCAL,
+    progress: Progress = quiet,
+) -> list[Pair]:
     """Write pairs.csv, suns.csv and sunpatches/; panoramas stay as merge wrote them.
 
     Needs irradiance/clean.csv. A simulated session's own pairs are kept in truth/pairs.csv. Raises
@@ -183,14 +190,19 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
             brackets, places.altitude_deg, places.azimuth_deg, strict=True
         )
     ]
-    pairs = _with_suns(session, setup, pairs, force, progress)
+    pairs = _with_suns(session, setup, pairs, force, scheduler, progress)
     keep_simulated_pairs(session)
     write_pairs(session.pairs, pairs)
     return pairs
 
 
 def _with_suns(
-    session: Session, setup: SiteFile, pairs: Sequence[Pair], force: bool, progress: Progress
+    session: Session,
+    setup: SiteFile,
+    pairs: Sequence[Pair],
+    force: bool,
+    scheduler: Scheduler,
+    progress: Progress,
 ) -> list[Pair]:
     """Write suns.csv, and the patches of the usable rows where a room is given."""
     usable = [p for p in pairs if p.ok]
@@ -206,6 +218,7 @@ def _with_suns(
         [(p.taken.slot, p.taken.panorama, p.taken.t_utc) for p in usable],
         full_lx,
         force=force,
+        scheduler=scheduler,
         progress=progress,
     )
     completed: dict[str, Pair] = {}

@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,10 @@ from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
 from fieldlum.profiles import plain
 from fieldlum.records import Float, Panorama, Progress, Room, SiteFile, utc_text
+from fieldlum.scheduler import LOCAL, Scheduler, WorkUnit, run_units
 from fieldlum.session import Session, replacing, replacing_path
 
+SLOTS_A_UNIT = 16  # rays of the room are traced once a process, so a few slots are enough
 Item = tuple[str, Path, datetime]  # slot, its panorama, its time
 
 
@@ -30,6 +33,7 @@ def seen_and_patches(
     full_normal_lx: Float,
     *,
     force: bool,
+    scheduler: Scheduler = LOCAL,
     progress: Progress,
 ) -> list[tuple[Seen, str]]:
     """What each slot's lens sees of the sun, and its patch's path relative to the session (""
@@ -52,18 +56,21 @@ def seen_and_patches(
         for item, r in zip(items, recipes, strict=True)
     ]
     owed = [i for i, seen in enumerate(known) if seen is None]
-    if owed:
-        _make(
-            session,
-            setup,
-            [items[i] for i in owed],
-            [angles[i] for i in owed],
-            np.asarray(full_normal_lx)[owed],
-            [recipes[i] for i in owed],
+    jobs = [
+        _PatchJob(
+            tuple(items[i][0] for i in rows),
+            tuple(items[i][2] for i in rows),
+            tuple(angles[i] for i in rows),
+            tuple(float(full_normal_lx[i]) for i in rows),
+            tuple(recipes[i] for i in rows),
             height,
             heading,
-            progress,
         )
+        for rows in (owed[k : k + SLOTS_A_UNIT] for k in range(0, len(owed), SLOTS_A_UNIT))
+    ]
+    units = [_unit(session, job) for job in jobs]
+    for outcome in run_units(units, scheduler, progress=progress):
+        outcome.result()
     seen = [
         s or _known(session, item[0], r) or Seen()
         for s, item, r in zip(known, items, recipes, strict=True)
@@ -106,45 +113,57 @@ def _known(session: Session, slot: str, recipe: str) -> Seen | None:
         return None
 
 
-def _make(
-    session: Session,
-    setup: SiteFile,
-    items: Sequence[Item],
-    angles: Sequence[tuple[float, float]],
-    full_normal_lx: Float,
-    recipes: Sequence[str],
-    height: int,
-    heading: float,
-    progress: Progress,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class _PatchJob:
+    """Some slots of one session; the room comes from the session.toml that the worker reads."""
+
+    slots: tuple[str, ...]
+    t_utc: tuple[datetime, ...]
+    angles_deg: tuple[tuple[float, float], ...]  # apparent altitude, azimuth
+    full_normal_lx: tuple[float, ...]
+    recipes: tuple[str, ...]
+    height: int
+    heading_deg: float
+
+
+def trace_patches(root: Path, job: _PatchJob) -> None:
+    """Write the sun patches of a unit's slots. Raises InputError for an impossible room."""
     from fieldlum.scene import iter_sun_patches
 
+    session = Session(root)
+    setup = session.site_file()
     assert setup.room is not None
-    altitude, azimuth = np.array(angles).T
+    altitude_deg, azimuth_deg = np.array(job.angles_deg).T
     done = 0
     for part in iter_sun_patches(
         setup.room,
         setup,
-        sun.direction(altitude, azimuth),
-        np.asarray(full_normal_lx, float),
-        height=height,
-        heading_deg=heading,
+        sun.direction(altitude_deg, azimuth_deg),
+        np.array(job.full_normal_lx),
+        height=job.height,
+        heading_deg=job.heading_deg,
     ):
         for k in range(len(part.luminance_cdm2)):
-            slot, _, t_utc = items[done]
             sight = {
                 "visible_fraction": float(part.visible_fraction[k]),
                 "disc_transmittance": float(part.disc_transmittance[k]),
             }
-            _write(
-                session,
-                slot,
-                Panorama(part.luminance_cdm2[k], heading, t_utc=t_utc),
-                recipes[done],
-                sight,
-            )
+            patch = Panorama(part.luminance_cdm2[k], job.heading_deg, t_utc=job.t_utc[done])
+            _write(session, job.slots[done], patch, job.recipes[done], sight)
             done += 1
-            progress(done, len(items), f"sun patch {slot}")
+
+
+def _unit(session: Session, job: _PatchJob) -> WorkUnit:
+    pictures = [session.sunpatch(slot) for slot in job.slots]
+    notes = [session.sunpatch_sidecar(slot) for slot in job.slots]
+    return WorkUnit(
+        f"sun-patches-{job.slots[0]}",
+        trace_patches,
+        session.root,
+        job,
+        files=(session.toml.name,),
+        outputs=tuple(p.relative_to(session.root).as_posix() for p in (*pictures, *notes)),
+    )
 
 
 def _write(

@@ -166,4 +166,5 @@ def begin_anew(folder: Path) -> None:
     Else a kill in between leaves the figures of one weather beside the classes of another.
     """
     (folder / "predict.json").unlink(missing_ok=True)
-    shutil.rmtree(folder / "maps.zarr", ignore_errors=True)
+    for name in ("maps.zarr", ".maps.zarr.tmp"):
+        shutil.rmtree(folder / name, ignore_errors=True)

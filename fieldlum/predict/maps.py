@@ -1,94 +1,91 @@
-"""All maps of a year as one Zarr v3 store, written a block at a time through xarray."""
+"""All maps of a year as one Zarr v3 store. Each unit of work writes one shard of it."""
 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.predict.annual import rounded
-from fieldlum.predict.blocks import HourBlock
+from fieldlum.predict.blocks import BLOCK, ModelRoom
 from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
+
+CHUNK = 8  # hours; what a reader of one hour decompresses
+MAPS = "luminance_cdm2"
 
 
 class MapStore:
-    """`maps.zarr` with luminance_cdm2 (time, y, x) and disc_lx (time); it gets its name when it is
-    whole.
+    """`maps.zarr` with luminance_cdm2 (time, y, x), disc_lx and trusted (time).
 
-    Use as a context manager; on an error what was written goes away, and an older store stays.
+    Units write into `work`; the store gets its name when all of them have ended.
     """
 
-    def __init__(
-        self, path: Path, height: int, width: int, heading_deg: float, about: dict[str, Any]
-    ) -> None:
-        self._path, self._work = path, path.with_name(f".{path.name}.tmp")
-        self._heading, self._about = heading_deg, about
-        self._size = (height, width)
-        self._started = False
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.work = path.with_name(f".{path.name}.tmp")
 
-    def __enter__(self) -> MapStore:
-        shutil.rmtree(self._work, ignore_errors=True)
-        return self
-
-    def append(self, block: HourBlock) -> None:
-        dataset = self._dataset(block)
-        options: dict[str, Any] = {"append_dim": "time"}
-        if not self._started:
-            height, width = self._size
-            chunk = {"luminance_cdm2": {"chunks": (8, height, width)}}
-            time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
-            options = {"mode": "w", "encoding": {**chunk, **time}}
-        dataset.to_zarr(self._work, zarr_format=3, consolidated=False, **options)
-        self._started = True
-
-    def _dataset(self, block: HourBlock) -> Any:
+    def create(self, t_utc: Sequence[datetime], room: ModelRoom, about: dict[str, Any]) -> None:
+        """Write the coordinates and the description of the maps; remove what was left before."""
         import xarray as xr
+        import zarr
 
-        height, width = self._size
-        times = np.array([t.replace(tzinfo=None) for t in block.light.t_utc], "datetime64[ns]")
-        maps: NDArray[np.float32] = rounded(block.prediction.luminance_cdm2)
-        return xr.Dataset(
-            {
-                "luminance_cdm2": (
-                    ("time", "y", "x"),
-                    maps,
-                    {"units": "cd m-2", "long_name": "luminance without the sun's disc"},
-                ),
-                "disc_lx": (
-                    ("time",),
-                    block.disc_lx,
-                    {
-                        "units": "lx",
-                        "long_name": "illuminance of the visible disc on a plane normal to it",
-                    },
-                ),
-                "trusted": (
-                    ("time",),
-                    block.prediction.trusted.astype(np.int8),
-                    {"long_name": "such light was seen"},
-                ),
-            },
+        shutil.rmtree(self.work, ignore_errors=True)
+        times = np.array([t.replace(tzinfo=None) for t in t_utc], "datetime64[ns]")
+        height, width = room.height, room.width
+        altitudes, azimuths = (
+            row_altitudes_deg(height),
+            column_azimuths_deg(width, room.heading_deg),
+        )
+        frame = xr.Dataset(
             coords={
                 "time": ("time", times, {"long_name": "UTC, middle of the hour"}),
-                "y": ("y", row_altitudes_deg(height), {"units": "degree", "long_name": "altitude"}),
-                "x": (
-                    "x",
-                    column_azimuths_deg(width, self._heading),
-                    {"units": "degree", "long_name": "azimuth"},
-                ),
+                "y": ("y", altitudes, {"units": "degree", "long_name": "altitude"}),
+                "x": ("x", azimuths, {"units": "degree", "long_name": "azimuth"}),
             },
-            attrs={"heading_deg": self._heading, **self._about},
+            attrs={"heading_deg": room.heading_deg, **about},
+        )
+        time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
+        frame.to_zarr(self.work, mode="w", zarr_format=3, consolidated=False, encoding=time)
+        group: Any = zarr.open_group(self.work, mode="r+", zarr_format=3)
+        group.create_array(
+            MAPS,
+            shape=(len(times), height, width),
+            dtype="float32",
+            chunks=(CHUNK, height, width),
+            shards=(BLOCK, height, width),  # one file, or one object of a bucket, for each unit
+            fill_value=float("nan"),
+            dimension_names=("time", "y", "x"),
+            attributes={"units": "cd m-2", "long_name": "luminance without the sun's disc"},
         )
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: object, trace: TracebackType | None
-    ) -> None:
-        if kind is None and self._started:
-            shutil.rmtree(self._path, ignore_errors=True)
-            self._work.rename(self._path)
-        else:
-            shutil.rmtree(self._work, ignore_errors=True)
+    def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
+        """Write the discs [n] and what is trusted [n], and give the store its name."""
+        import xarray as xr
+
+        disc = {
+            "units": "lx",
+            "long_name": "illuminance of the visible disc on a plane normal to it",
+        }
+        flag = {"long_name": "such light was seen"}
+        hours = xr.Dataset(
+            {
+                "disc_lx": (("time",), disc_lx, disc),
+                "trusted": (("time",), trusted.astype(np.int8), flag),
+            }
+        )
+        hours.to_zarr(self.work, mode="a", zarr_format=3, consolidated=False)
+        shutil.rmtree(self._path, ignore_errors=True)
+        self.work.rename(self._path)
+
+
+def write_maps(store: Path, start: int, maps: NDArray[np.float32]) -> None:
+    """Write the maps [n, H, W] of the hours from `start`: a whole shard, which appears at once."""
+    import zarr
+
+    array: Any = zarr.open_array(store / MAPS, mode="r+", zarr_format=3)
+    array[start : start + len(maps)] = rounded(maps)

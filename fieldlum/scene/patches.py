@@ -7,12 +7,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.records import Progress, Room, SiteFile, quiet
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
+from fieldlum.scene.points import SunPoints
 from fieldlum.scene.sun_disc import SunPatches, disc_rays
 from fieldlum.scene.trace import blocked
 from fieldlum.scene.view import look
@@ -44,7 +46,7 @@ def iter_sun_patches(
             room, suns, normal, height=height, heading_deg=heading, chunk=chunk, progress=progress
         )
         return
-    points = look(room, height, heading, sub).sun_points()
+    points = _sun_points(room, height, heading, sub)
     toward = points.scene.to_room(suns)
     visible, through = disc_visibility(points.scene, toward)
     with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, 8)) as pool:
@@ -63,6 +65,11 @@ def iter_sun_patches(
             disc = normal[part] * visible[part] * through[part]
             yield SunPatches(maps, visible[part], through[part], disc)
     progress(len(suns), len(suns), "")
+
+
+@lru_cache(maxsize=1)  # units of one year ask for the same points again and again
+def _sun_points(room: Room, height: int, heading_deg: float, sub: int) -> SunPoints:
+    return look(room, height, heading_deg, sub).sun_points()
 
 
 def sun_patches(

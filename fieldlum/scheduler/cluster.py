@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -251,5 +252,6 @@ def _await_files(unit: WorkUnit) -> str:
             if time.monotonic() > end_s:
                 return name
             time.sleep(0.2)
-            list(path.parent.iterdir())  # lists the folder anew on a share that caches names
+            with suppress(OSError):
+                list(path.parent.iterdir())  # makes a share that caches names look again
     return ""

@@ -19,24 +19,28 @@ import numpy as np
 
 from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.images import write_panorama
 from fieldlum.light import Light, light_at
-from fieldlum.records import Panorama, Progress, SiteFile, Slot, quiet
-from fieldlum.session import Session, create_session, replacing, replacing_path, update_session
+from fieldlum.records import Progress, SiteFile, Slot, quiet
+from fieldlum.scheduler import LOCAL, Scheduler, run_units
+from fieldlum.session import (
+    Session,
+    create_session,
+    replacing,
+    update_session,
+)
 from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.simulated_pairs import write_simulated_pairs
+from fieldlum.simulate.slot_units import truth_units
 from fieldlum.simulate.troubles import Troubles as Troubles
 from fieldlum.simulate.troubles import load_troubles as load_troubles
-from fieldlum.simulate.troubles import measured_irradiance, troubled_pictures, true_light
+from fieldlum.simulate.troubles import measured_irradiance, true_light
 from fieldlum.simulate.truth import QUALITIES as QUALITIES
 from fieldlum.simulate.truth import GroundTruth as GroundTruth
 from fieldlum.simulate.truth import Rendering as Rendering
 from fieldlum.simulate.truth import ground_truth as ground_truth
 from fieldlum.weather import Weather, read_weather, shipped_seattle, synthetic_weather
 from fieldlum.weather.files import NEAR_KM, distance_km
-
-_CHUNK = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,7 @@ def run(
     force: bool = False,
     cache: Path | None = None,
     workers: int | None = None,
+    scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
@@ -114,18 +119,11 @@ def run(
     wrong = troubles or Troubles()
     shining = true_light(light, wrong, setup.site) if wrong.names else light
     _forget_other(session, slots, truth, weather, wrong.key)
-    owed = [k for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
-    for start in range(0, len(owed), _CHUNK):
-        progress(start, len(owed), "truth")
-        rows = owed[start : start + _CHUNK]
-        made = truth.render(shining[np.array(rows)])
-        if wrong.names:
-            # Patches are computed from what is stated, as `pair` does.
-            stated = truth.render(light[np.array(rows)])
-            made = replace(made, patch_cdm2=stated.patch_cdm2)
-            times = [slot.t_utc for slot in slots]
-            made = troubled_pictures(made, truth, [times[k] for k in rows], times, wrong)
-        _write(session, truth, made, [slots[k] for k in rows])
+    owed = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
+    asked = (height, quality, wrong)
+    units = truth_units(session, cache or session.truth, slots, owed, light, shining, asked)
+    for outcome in run_units(units, scheduler, progress=progress):
+        outcome.result()
     _write_irradiance(session, weather, slots, drift, wrong)
     dni, dhi = measured_irradiance(
         light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, wrong
@@ -182,21 +180,6 @@ def _forget_other(
 
 def _done(session: Session, slot: Slot) -> bool:
     return session.truth_panorama(slot.id).is_file() and session.truth_sunpatch(slot.id).is_file()
-
-
-def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequence[Slot]) -> None:
-    for k, slot in enumerate(slots):
-        panorama = truth.as_panorama(made, k)
-        with replacing_path(session.truth_panorama(slot.id)) as path:
-            write_panorama(path, panorama)
-        patch = Panorama(
-            made.patch_cdm2[k],
-            panorama.heading_deg,
-            t_utc=panorama.t_utc,
-            attributes={"direct": "only"},
-        )
-        with replacing_path(session.truth_sunpatch(slot.id)) as path:
-            write_panorama(path, replace(patch, sun=panorama.sun))
 
 
 def _write_irradiance(

@@ -1,0 +1,115 @@
+"""Glare and uncertainty of a block of predicted hours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare.contrast import ViewRegions, melanopic_edi_lx
+from fieldlum.glare.geometry import Views
+from fieldlum.glare.metrics import glare_directions
+from fieldlum.glare.sources import SOURCE_CDM2
+from fieldlum.glare.standards import dgp_uncertainty
+from fieldlum.glare.unseen import ViewCoverage, brightest_cdm2, unseen_dgp_bounds
+from fieldlum.models import trusted_hours
+from fieldlum.predict.blocks import HourBlock, ModelRoom
+
+U_DISC = (
+    0.05  # relative standard uncertainty of the disc's illuminance: luminous efficacy and glass
+)
+
+
+def unseen_bounds(
+    block: HourBlock,
+    room: ModelRoom,
+    coverage: ViewCoverage,
+    found: dict[str, NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """DGP with the least and the most light in the unseen part of each view, [k, d] each.
+
+    The most is the mean luminance of the sky, as a window there would show it, or the brightest
+    hundredth of what was seen.
+    """
+    most = block.light.diffuse_lx / np.pi
+    if room.seen is not None and coverage.partly.any():
+        most = np.maximum(most, brightest_cdm2(block.prediction.luminance_cdm2, room.seen))
+    return unseen_dgp_bounds(coverage, found["ev_lx"], found["contrast"], most)
+
+
+def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
+    light, told = block.light, block.prediction
+    return {
+        "dni_wm2": light.dni_wm2,
+        "dhi_wm2": light.dhi_wm2,
+        "sun_altitude_deg": light.sun_altitude_deg,
+        "sun_azimuth_deg": light.sun_azimuth_deg,
+        "disc_lx": block.disc_lx,
+        "occupied": np.zeros(len(light)),
+        "trusted": trusted_hours(told).astype(float),
+        "expected_log10_mse": told.expected_mse,
+    }
+
+
+def view_figures(
+    block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
+) -> dict[str, NDArray[np.float64]]:
+    """`VIEW_COLUMNS` of a block and the contrast sums behind DGP, [k, d] each."""
+    maps = block.prediction.luminance_cdm2
+    found = glare_directions(
+        maps,
+        room.heading_deg,
+        views.azimuths_deg,
+        block.light.sun_direction,
+        block.disc_lx,
+        views=views,
+    )
+    found["u_dgp"] = dgp_uncertainty(
+        found["ev_lx"], found["contrast"], *relative_uncertainty(block, views, found)
+    )
+    found["melanopic_edi_lx_estimate"] = melanopic_edi_lx(found["ev_lx"])
+    return found | regions.ratios(maps)
+
+
+def relative_uncertainty(
+    block: HourBlock, views: Views, found: dict[str, NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Relative standard uncertainty of Ev and of the sources' luminance, [k, d]; NaN where the
+    model says nothing.
+
+    Pixels of one picture are taken to err together: a model is too bright or too dark in all of a
+    wall. The disc has an uncertainty of its own.
+    """
+    map_ev, map_source = _relative_of_map(block, views)
+    share_ev = found["sun_ev_lx"] / np.maximum(found["ev_lx"], 1e-6)
+    share = np.divide(
+        found["sun_contrast"],
+        found["contrast"],
+        out=np.zeros_like(share_ev),
+        where=found["contrast"] > 0,
+    )
+    return (
+        np.hypot((1.0 - share_ev) * map_ev, share_ev * U_DISC),
+        np.hypot((1.0 - share) * map_source, share * U_DISC),
+    )
+
+
+def _relative_of_map(
+    block: HourBlock, views: Views
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    told = block.prediction
+    shape = (len(told.trusted), len(views.azimuths_deg))
+    if told.log10_sd is None:
+        same = np.log(10.0) * np.sqrt(np.asarray(told.expected_mse, float))[:, None]
+        return np.broadcast_to(same, shape), np.broadcast_to(same, shape)
+    flat = told.luminance_cdm2.reshape(shape[0], -1)
+    spread = np.float32(np.log(10.0)) * told.log10_sd.reshape(shape[0], -1)
+    ev = flat @ views.illuminance
+    ev_off = (flat * spread) @ views.illuminance
+    power = np.where(flat > SOURCE_CDM2, flat, np.float32(0.0)) ** 2
+    source, source_off = power @ views.illuminance, (power * spread) @ views.illuminance
+    return (
+        (ev_off / np.maximum(ev, 1e-6)).astype(float),
+        np.divide(source_off, source, out=np.zeros_like(source), where=source > 0).astype(float),
+    )

@@ -1,0 +1,130 @@
+"""Some hours of a year as a unit of work: predicted and judged in one process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.glare.contrast import ViewRegions
+from fieldlum.glare.geometry import Views, panorama_views
+from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
+from fieldlum.glare.unseen import ViewCoverage, view_coverage
+from fieldlum.models.disc_in_view import guessed_disc_lx
+from fieldlum.predict.block_figures import hour_figures, unseen_bounds, view_figures
+from fieldlum.predict.blocks import BLOCK, ModelRoom, blocks, room_of
+from fieldlum.predict.maps import write_maps
+from fieldlum.scheduler import WorkUnit
+from fieldlum.session import sha256
+
+if TYPE_CHECKING:
+    from fieldlum.light import Light
+    from fieldlum.models import Fitted
+
+
+@dataclass(frozen=True, slots=True)
+class _HoursJob:
+    """What goes to a worker. Folders are relative to the unit's; `maps` is "" for none."""
+
+    model: str
+    digest: str  # of the model's files
+    start: int
+    light: Light  # of the block
+    azimuths_deg: tuple[float, ...]
+    discs_lx: NDArray[np.float64] | None  # [k, n]
+    turns_deg: NDArray[np.float64]  # [k, 2]
+    maps: str
+
+
+@dataclass(frozen=True, slots=True)
+class HourFigures:
+    """Figures of the hours `rows` (first, end): hours [n], views, least and most [n, d], drawn
+    [k, n, d].
+    """
+
+    rows: tuple[int, int]
+    hours: dict[str, NDArray[Any]]
+    views: dict[str, NDArray[np.float64]]
+    least: NDArray[np.float64]
+    most: NDArray[np.float64]
+    drawn: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    fitted: Fitted
+    room: ModelRoom
+    views: Views
+    coverage: ViewCoverage
+    regions: ViewRegions
+
+
+def hour_units(
+    model_folder: Path,
+    light: Light,
+    azimuths_deg: Sequence[float] | NDArray[np.float64],
+    discs_lx: NDArray[np.float64] | None,
+    turns_deg: NDArray[np.float64],
+    maps: Path | None,
+) -> list[WorkUnit]:
+    """Return the units of a year's hours, `BLOCK` hours each; the last may be shorter."""
+    model = model_folder.resolve()
+    folder = model if maps is None else Path(os.path.commonpath([model, maps.resolve()]))
+    name = model.relative_to(folder).as_posix()
+    inputs = tuple(
+        (f"{name}/{file}", sha256(model / file))
+        for file in ("config.json", "weights.npz")
+        if (model / file).is_file()
+    )
+    digest = " ".join(text for _, text in inputs)
+    where = "" if maps is None else maps.resolve().relative_to(folder).as_posix()
+    azimuths = tuple(float(a) for a in azimuths_deg)
+    units = []
+    for start in range(0, len(light), BLOCK):
+        rows = slice(start, min(start + BLOCK, len(light)))
+        discs = None if discs_lx is None else discs_lx[:, rows]
+        job = _HoursJob(name, digest, start, light[rows], azimuths, discs, turns_deg, where)
+        text = f"hours-{rows.start}-{rows.stop}"
+        units.append(WorkUnit(text, predict_hours, folder, job, recorded=inputs))
+    return units
+
+
+def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
+    """Predict the hours of a unit and judge their glare; write the maps where they are wanted."""
+    ready = _prepared(folder / job.model, job.digest, job.azimuths_deg)
+    room = ready.room
+    (block,) = blocks(ready.fitted, room, job.light)
+    found = view_figures(block, room, ready.views, ready.regions)
+    least, most = unseen_bounds(block, room, ready.coverage, found)
+    maps = block.prediction.luminance_cdm2
+    discs = job.discs_lx
+    if discs is None:
+        discs = guessed_disc_lx(maps, block.light, room.heading_deg, job.turns_deg)
+    drawn = dgp_with_disc(found, sun_per_lx(block.light.sun_direction, ready.views), discs)
+    if job.maps:
+        write_maps(folder / job.maps, job.start, maps)
+    rows = (job.start, job.start + len(job.light))
+    return HourFigures(rows, hour_figures(block), found, least, most, drawn.astype(np.float32))
+
+
+@lru_cache(maxsize=1)
+def _prepared(model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]) -> _Prepared:
+    """Load a model and its views once a process; `digest` tells models of one folder apart."""
+    from fieldlum.models import load, read_config
+
+    room = room_of(read_config(model_folder), model_folder)
+    azimuths = np.array(azimuths_deg)
+    views = panorama_views(room.height, room.width, room.heading_deg, azimuths)
+    return _Prepared(
+        load(model_folder),
+        room,
+        views,
+        view_coverage(room.seen, views),
+        ViewRegions(room.height, room.width, room.heading_deg, azimuths, room.seen),
+    )

@@ -1,0 +1,121 @@
+"""Slots of a simulated session as units of work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum.images import write_panorama
+from fieldlum.light import Light
+from fieldlum.records import Panorama, Slot
+from fieldlum.scheduler import WorkUnit
+from fieldlum.session import Session, replacing_path, sha256
+from fieldlum.simulate.troubles import Troubles, troubled_pictures
+from fieldlum.simulate.truth import GroundTruth, Rendering, ground_truth
+
+SLOTS_A_UNIT = 16  # rendered together: more would need more memory, fewer more multiplications
+
+
+@dataclass(frozen=True, slots=True)
+class _TruthJob:
+    """Some slots to render. Folders are relative to the unit's; shining: the true light."""
+
+    session: str
+    cache: str
+    key: str  # sha256 of session.toml
+    height: int
+    quality: str
+    slots: tuple[Slot, ...]
+    light: Light
+    shining: Light
+    planned_utc: tuple[datetime, ...]  # of all slots: troubles depend on them
+    troubles: Troubles
+
+
+def truth_units(
+    session: Session,
+    cache: Path,
+    slots: Sequence[Slot],
+    owed: Sequence[int],
+    light: Light,
+    shining: Light,
+    asked: tuple[int, str, Troubles],
+) -> list[WorkUnit]:
+    """Return the units of the slots `owed`, `SLOTS_A_UNIT` each."""
+    root, coefficients = session.root.resolve(), cache.resolve()
+    folder = Path(os.path.commonpath([root, coefficients]))
+    name = root.relative_to(folder).as_posix()
+    height, quality, troubles = asked
+    units = []
+    for start in range(0, len(owed), SLOTS_A_UNIT):
+        rows = np.array(owed[start : start + SLOTS_A_UNIT])
+        some = tuple(slots[k] for k in rows)
+        job = _TruthJob(
+            name,
+            coefficients.relative_to(folder).as_posix(),
+            sha256(session.toml),
+            height,
+            quality,
+            some,
+            light[rows],
+            shining[rows],
+            tuple(slot.t_utc for slot in slots),
+            troubles,
+        )
+        files = tuple(
+            path.relative_to(session.root).as_posix()
+            for slot in some
+            for path in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
+        )
+        units.append(
+            WorkUnit(
+                f"truth-{some[0].id}",
+                render_slots,
+                folder,
+                job,
+                files=(f"{name}/{session.toml.name}",),
+                outputs=tuple(f"{name}/{file}" for file in files),
+            )
+        )
+    return units
+
+
+def render_slots(folder: Path, job: _TruthJob) -> None:
+    """Render a unit's slots from the stored coefficients: truth/ and sunpatches/."""
+    session, wrong = Session(folder / job.session), job.troubles
+    truth = _stored_truth(session.root, folder / job.cache, job.key, job.height, job.quality)
+    made = truth.render(job.shining)
+    if wrong.names:
+        # Patches are computed from what is stated, as `pair` does.
+        stated = truth.render(job.light)
+        made = replace(made, patch_cdm2=stated.patch_cdm2)
+        times = [slot.t_utc for slot in job.slots]
+        made = troubled_pictures(made, truth, times, list(job.planned_utc), wrong)
+    _write(session, truth, made, job.slots)
+
+
+@lru_cache(maxsize=1)
+def _stored_truth(root: Path, cache: Path, key: str, height: int, quality: str) -> GroundTruth:
+    """Load the coefficients once a process; `key` tells sessions of one folder apart."""
+    return ground_truth(Session(root).site_file(), height=height, quality=quality, cache=cache)
+
+
+def _write(session: Session, truth: GroundTruth, made: Rendering, slots: Sequence[Slot]) -> None:
+    for k, slot in enumerate(slots):
+        panorama = truth.as_panorama(made, k)
+        with replacing_path(session.truth_panorama(slot.id)) as path:
+            write_panorama(path, panorama)
+        patch = Panorama(
+            made.patch_cdm2[k],
+            panorama.heading_deg,
+            t_utc=panorama.t_utc,
+            attributes={"direct": "only"},
+        )
+        with replacing_path(session.truth_sunpatch(slot.id)) as path:
+            write_panorama(path, replace(patch, sun=panorama.sun))
