@@ -130,7 +130,9 @@ class ProcessCrew:
             pool.shutdown(cancel_futures=True)
 
     def free(self) -> int:
-        return len(self._idle)
+        """Return the processes that have started: starting one is no part of a unit's time."""
+        self._idle.sort(key=lambda pool: self._pids[pool].done())
+        return sum(self._pids[pool].done() for pool in self._idle)
 
     def submit(self, key: int, unit: WorkUnit) -> None:
         pool = self._idle.pop()
@@ -147,6 +149,10 @@ class ProcessCrew:
         return self._pool()
 
     def ended(self) -> list[Ended]:
+        if not self._running:  # every process is still starting
+            starting = [self._pids[pool] for pool in self._idle]
+            wait(starting, timeout=POLL_S, return_when=FIRST_COMPLETED)
+            return []
         done, _ = wait(self._running, timeout=POLL_S, return_when=FIRST_COMPLETED)
         return [self._outcome(future) for future in done]
 
