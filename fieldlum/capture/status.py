@@ -20,7 +20,7 @@ def status(session: Session) -> dict[str, Any]:
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
     paired = {Path(row.panorama).stem for row in pairs.rows}
-    return {
+    answer = {
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan(session, slots),
@@ -32,6 +32,30 @@ def status(session: Session) -> dict[str, Any]:
         "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
         "report": {"done": (session.report / "index.html").is_file()},
     }
+    return answer | {"next_step": next_step(answer)}
+
+
+def next_step(answer: dict[str, Any]) -> str:
+    """Return what to do next, as a command line where one does it."""
+    root = answer["session"]
+    capture, merge, pair = (answer[name] for name in ("capture", "merge", "pair"))
+    models = [row["name"] for row in answer["train"]["models"]]
+    if merge["owed"]:
+        return f"fieldlum merge {root}"
+    if pair["owed"]:
+        return f"fieldlum pair {root}"
+    if capture["owed"]:
+        during = "doctor" if capture["frames"] == 0 else "capture"
+        return f"fieldlum {during} {root}" + ("" if during == "capture" else ", then capture")
+    if capture["done"] == 0 and not pair["done"]:
+        return f"no bracket was taken: fieldlum plan {root} --replan"
+    if not models:
+        return f"fieldlum train {root}"
+    if not answer["predict"]["years"]:
+        return f"fieldlum predict {root}/models/{models[0]} --weather FILE"
+    if not answer["report"]["done"]:
+        return f"fieldlum report {root}"
+    return f"open {root}/report/index.html"
 
 
 def _of(ledger: Ledger, slot: Slot) -> SlotState:

@@ -19,6 +19,7 @@ from fieldlum.version import __version__
 # command `command`.
 COMMANDS = (
     "demo",
+    "new",
     "plan",
     "doctor",
     "capture",
@@ -137,5 +138,5 @@ def main() -> None:
 
     \b
     See the whole job on simulated captures:   fieldlum demo
-    Start your own:                            fieldlum plan SITE.toml --set 9-day --out my-session
+    Start your own:                            fieldlum new SITE.toml
     """

@@ -61,4 +61,5 @@ def _lines(s: dict[str, Any]) -> list[str]:
         f"train       {models}",
         f"predict     {', '.join(s['predict']['years']) or 'none'}",
         f"report      {'done' if s['report']['done'] else 'none'}",
+        f"next        {s['next_step']}",
     ]

@@ -17,6 +17,7 @@ from fieldlum.plan.calendar import by_day
 from fieldlum.plan.coverage import day_arc, irradiance_figure, sun_figure
 from fieldlum.plan.days import SEASON_TAGS, hours_of
 from fieldlum.records import SiteFile, Slot
+from fieldlum.scene.drawing import room_svg
 from fieldlum.session import exposure_text
 from fieldlum.weather import Weather
 
@@ -62,7 +63,7 @@ def html(
 
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
-    """Return the coverage plots as inline SVG."""
+    """Return the plan of the room and the coverage plots as inline SVG."""
     hours = hours_of(slots)
     figures = [sun_figure(hours, setup.site)]
     if weather is not None:
@@ -75,7 +76,8 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
             warnings.filterwarnings("ignore", message="Glyph .* missing from font")
             figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
         texts.append(buffer.getvalue()[buffer.getvalue().index("<svg") :])
-    return texts
+    drawing = room_svg(setup)
+    return [drawing, *texts] if drawing else texts
 
 
 def _sheet(

@@ -1,0 +1,72 @@
+"""The text of a SITE.toml with comments, from answers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+from fieldlum.records import Room, SiteFile, Window
+
+
+def site_text(setup: SiteFile) -> str:
+    """Return a SITE.toml that `load_site` reads back as `setup`: site, camera and box room."""
+    site, camera, room = setup.site, setup.camera, setup.room
+    lines = [
+        "# Written by fieldlum new. Edit what is wrong; fieldlum plan checks every key.",
+        "",
+        "[site]",
+        f"name = {_quoted(site.name)}",
+        f"latitude_deg = {site.latitude_deg:.6g} # north positive",
+        f"longitude_deg = {site.longitude_deg:.7g} # east positive",
+        f"altitude_m = {site.altitude_m:g}",
+        f"timezone = {_quoted(site.timezone)} # IANA name",
+        "",
+        "[camera]",
+        f"profile = {_quoted(camera.profile)} # a name in calibration/, or a path",
+        f"heading_deg = {camera.heading_deg:g} # the panorama's middle, from true north clockwise",
+    ]
+    if camera.headings:
+        headings = ", ".join(f"{heading:g}" for heading in camera.headings)
+        lines.append(f"headings = [{headings}] # one fisheye, turned between brackets")
+    lines.append(f"height_m = {camera.height_m:g} # of the lens above the floor")
+    if room is not None:
+        lines += _room_lines(room)
+    return "\n".join(lines) + "\n"
+
+
+def _room_lines(room: Room) -> Sequence[str]:
+    lines = [
+        "",
+        "# By tape measure, along the floor. For sun patches, the sun in view, simulation.",
+        "[room]",
+        'kind = "box"',
+        f"width_m = {room.width_m:g} # along the main window wall, called south",
+        f"depth_m = {room.depth_m:g} # away from it",
+        f"height_m = {room.height_m:g}",
+        f"camera_x_m = {room.camera_x_m:g} # from that wall's RIGHT end as seen from inside",
+        f"camera_y_m = {room.camera_y_m:g} # from the inside of that wall",
+        f"camera_z_m = {room.camera_z_m:g}",
+        f"wall_azimuth_deg = {room.wall_azimuth_deg:g} # where that wall looks",
+    ]
+    for window in room.window:
+        lines += _window_lines(window)
+    return lines
+
+
+def _window_lines(window: Window) -> Sequence[str]:
+    return [
+        "",
+        "[[room.window]]",
+        f"wall = {_quoted(window.wall)}",
+        f"left_m = {window.left_m:g} # from the wall's LEFT end as seen from inside",
+        f"width_m = {window.width_m:g}",
+        f"sill_m = {window.sill_m:g} # above the floor",
+        f"height_m = {window.height_m:g}",
+        f"transmittance = {window.transmittance:g} # 0.8: clear double glazing",
+        f"panes = {window.panes} # side by side, with bars between them",
+    ]
+
+
+def _quoted(text: str) -> str:
+    """Return a TOML basic string: JSON's escapes are TOML's, but for the delete character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,139 @@
+"""A plan view of a box room: walls, windows, camera, and north, as SVG.
+
+A wrong `left_m` or azimuth is seen at a glance in a drawing, and not in a table.
+"""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from fieldlum.records import Room, SiteFile
+from fieldlum.scene.geometry import build
+
+_SIZE_PX, _MARGIN_PX = 460.0, 78.0
+_WINDS = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE")
+_WINDS += ("S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
+# Turn of each wall's outward normal from the "south" wall, clockwise [deg].
+_WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
+
+
+def wind(azimuth_deg: float) -> str:
+    """Return a compass direction with its angle, such as "SSW 203°"."""
+    turn = azimuth_deg % 360.0
+    return f"{_WINDS[round(turn / 22.5) % 16]} {round(turn) % 360}°"
+
+
+def room_svg(setup: SiteFile) -> str:
+    """Return the drawing, seen from above with the "south" wall at the bottom; empty without a
+    box room.
+
+    Raises InputError for a room that cannot be built.
+    """
+    room = setup.room
+    if room is None or room.kind != "box":
+        return ""
+    scene = build(room)
+    scale = (_SIZE_PX - 2 * _MARGIN_PX) / max(room.width_m, room.depth_m)
+    width, height = room.width_m * scale, room.depth_m * scale
+
+    def at(x_m: float, y_m: float) -> tuple[float, float]:
+        return _MARGIN_PX + x_m * scale, _MARGIN_PX + height - y_m * scale
+
+    left, top = at(0.0, room.depth_m)
+    parts = [
+        f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" '
+        f'fill="none" stroke="currentColor" stroke-width="3"/>'
+    ]
+    for number, (opening, window) in enumerate(
+        zip(scene.openings, room.window, strict=True), start=1
+    ):
+        ends = [
+            (opening.inner_m, u) if opening.axis == 0 else (u, opening.inner_m) for u in opening.u_m
+        ]
+        (x1, y1), (x2, y2) = (at(*end) for end in ends)
+        parts.append(
+            f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="#3b9ae1" '
+            f'stroke-width="8"/>'
+        )
+        inwards = 16.0 * opening.outward
+        dx, dy = (-inwards, 4.0) if opening.axis == 0 else (0.0, inwards + 4.0)
+        label = f"window {number}, {window.width_m:g} m"
+        parts.append(_text((x1 + x2) / 2 + dx, (y1 + y2) / 2 + dy, label, _anchor(opening)))
+    for wall, turn in _WALL_TURN_DEG.items():
+        parts.append(
+            _wall_label(wall, wind(room.wall_azimuth_deg + turn), left, top, width, height)
+        )
+    place = at(room.camera_x_m, room.camera_y_m)
+    share = room.camera_x_m / room.width_m
+    parts += _camera(room, setup.camera.heading_deg, place, share)
+    parts.append(_north(room.wall_azimuth_deg))
+    total = height + 2 * _MARGIN_PX, width + 2 * _MARGIN_PX
+    about = f"Plan of {setup.site.name}: {room.width_m:g} x {room.depth_m:g} m, from above"
+    return (
+        f'<svg viewBox="0 0 {total[1]:.0f} {total[0]:.0f}" role="img" '
+        f'aria-label="{escape(about, quote=True)}" xmlns="http://www.w3.org/2000/svg" '
+        f'font-family="sans-serif" font-size="12" fill="currentColor">{"".join(parts)}</svg>'
+    )
+
+
+def _anchor(opening: object) -> str:
+    axis, outward = getattr(opening, "axis", 1), getattr(opening, "outward", 1)
+    return "middle" if axis == 1 else ("end" if outward > 0 else "start")
+
+
+def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+
+
+def _wall_label(
+    wall: str, azimuth: str, left: float, top: float, width: float, height: float
+) -> str:
+    """Return the room's own word for a wall, and where it looks, outside of it."""
+    x, y = {
+        "south": (left + width / 2, top + height + 22),
+        "north": (left + width / 2, top - 12),
+        "west": (left - 12, top + height / 2),
+        "east": (left + width + 12, top + height / 2),
+    }[wall]
+    label = f'"{wall}" faces {azimuth}'
+    if wall in ("south", "north"):
+        return _text(x, y, label)
+    turn = -90 if wall == "west" else 90
+    return (
+        f'<text text-anchor="middle" transform="translate({x:.1f} {y:.1f}) rotate({turn})">'
+        f"{escape(label)}</text>"
+    )
+
+
+def _camera(room: Room, heading_deg: float, at: tuple[float, float], share: float) -> list[str]:
+    """Return the camera as a dot with an arrow to its heading; the text grows away from a wall that
+    is near.
+    """
+    # The drawing's downwards direction is the "south" wall's azimuth; angles run clockwise.
+    turn = np.radians(heading_deg - room.wall_azimuth_deg + 180.0)
+    x, y = at
+    tip = x + 34 * np.sin(turn), y - 34 * np.cos(turn)
+    label = f"camera to {wind(heading_deg)}, {room.camera_z_m:g} m high"
+    below = y - 12 if tip[1] > y else y + 20
+    return [
+        f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{tip[0]:.1f}" y2="{tip[1]:.1f}" stroke="#c4441c" '
+        f'stroke-width="3"/>',
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="6" fill="#c4441c"/>',
+        _text(x, below, label, "start" if share < 0.35 else "end" if share > 0.65 else "middle"),
+    ]
+
+
+def _north(wall_azimuth_deg: float) -> str:
+    """Return an arrow to true north in the upper left corner."""
+    turn = 180.0 - wall_azimuth_deg
+    return (
+        f'<g transform="translate(36 36) rotate({turn:.1f})"><line x1="0" y1="20" x2="0" y2="-16" '
+        f'stroke="currentColor" stroke-width="2"/><path d="M0 -24 L6 -10 L-6 -10 Z"/></g>'
+        + _text(
+            36 + 32 * float(np.sin(np.radians(turn))),
+            40 - 32 * float(np.cos(np.radians(turn))),
+            "N",
+        )
+    )

@@ -1,0 +1,180 @@
+"""`fieldlum new` at a pseudo-terminal, and the drawing of a room."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import sys
+import time
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from places import SEATTLE
+
+from fieldlum.capture.status import next_step
+from fieldlum.cli import main
+from fieldlum.cli.site_text import site_text
+from fieldlum.profiles import load_site
+from fieldlum.records import CameraSetup, Room, SiteFile, Window
+from fieldlum.scene.drawing import room_svg, wind
+
+MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
+ROOM = Room(
+    width_m=5.0,
+    depth_m=6.0,
+    height_m=3.0,
+    camera_x_m=1.0,
+    camera_y_m=2.0,
+    camera_z_m=1.2,
+    wall_azimuth_deg=215.0,
+    window=(Window("south", 0.5, 3.0, 0.9, 1.5, 0.8, 2), Window("east", 1.0, 1.0, 0.9, 1.2)),
+)
+
+
+@pytest.mark.contract
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
+def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
+    """Each wrong answer is named and asked again; the file reads back; the next command is said."""
+    import pty
+
+    dialogue = [
+        ("Name", 'Büro "2"'),
+        ("Latitude", "147"),
+        ("expected -90 to 90", "45.07 N"),
+        ("Longitude", "7,69"),
+        ("decimal degrees", "7.69 E"),
+        ("Time zone", "Europe/Rom"),
+        ("is it Europe/Rome", "America/New_York"),
+        ("off the sun", "Europe/Rome"),
+        ("Altitude", ""),
+        ("Camera: a number", "nothing"),
+        ("nothing", "sim-fisheye"),
+        ("Azimuth", "215"),
+        ("Height of the lens", "1.2"),
+        ("Headings", "-"),
+        ("Describe the room", "y"),
+        ("Width", "5"),
+        ("Depth", "6"),
+        ("Height", "3"),
+        ("Azimuth", "215"),
+        ("left end", "4"),
+        ("distance from that wall", "2"),
+        ("How many windows", "1"),
+        ("wall", "front"),
+        ("own words", "south"),
+        ("left edge", "0.5"),
+        ("width", "9"),
+        ("expected 0.05 to 4.5", "3"),
+        ("sill", ""),
+        ("height", "1.5"),
+        ("transmittance", ""),
+        ("panes", "2"),
+    ]
+    path = tmp_path / "site.toml"
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, "-c", MAIN, "new", str(path)])
+    said, whole = "", ""
+    for prompt, answer in dialogue:
+        end = time.monotonic() + 60
+        while not re.search(re.escape(prompt) + r"[^\n]*: $", said, re.DOTALL) and not (
+            prompt in said and re.search(r"(: |\]: )$", said)
+        ):
+            assert time.monotonic() < end, (prompt, said)
+            if select.select([terminal], [], [], 0.2)[0]:
+                said += os.read(terminal, 4096).decode("utf-8", "replace")
+        whole += said
+        said = ""
+        os.write(terminal, f"{answer}\n".encode())
+    while True:
+        try:
+            data = os.read(terminal, 4096)
+        except OSError:
+            break
+        if not data:
+            break
+        whole += data.decode("utf-8", "replace")
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0, whole[-2000:]
+    os.close(terminal)
+    setup = load_site(path)
+    assert (setup.site.name, setup.site.latitude_deg) == ('Büro "2"', 45.07)
+    assert setup.room is not None and setup.room.camera_x_m == 1.0
+    assert "42" in whole or "sees" in whole  # one fisheye does not see everything
+    assert "next: fieldlum plan" in whole
+    ET.fromstring((tmp_path / "site.svg").read_text("utf-8"))
+
+
+@pytest.mark.property
+def test_the_text_reads_back_as_the_same_site(tmp_path: Path) -> None:
+    names = ('a "b" \\ c', "ü\u202e", "tab\there")
+    for name in names:
+        camera = CameraSetup("sim-fisheye", 215.0, (35.0, 215.0), 1.2)
+        setup = SiteFile(replace(SEATTLE, name=name), camera, ROOM)
+        path = tmp_path / "s.toml"
+        path.write_text(site_text(setup), encoding="utf-8")
+        assert load_site(path) == setup
+
+
+@pytest.mark.contract
+def test_a_file_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text("mine", encoding="utf-8")
+    shown = CliRunner().invoke(main, ["new", str(path)])
+    assert shown.exit_code == 3 and path.read_text("utf-8") == "mine"
+
+
+@pytest.mark.analytic
+def test_the_drawing_has_windows_camera_and_north_in_their_places() -> None:
+    """Scale 304 px for 6 m. The wall at the bottom looks to 215; a window 0.5 m from its left end
+    seen from inside is 0.5 m from the drawing's right wall.
+    """
+    setup = SiteFile(replace(SEATTLE, name="<b>"), CameraSetup("", 215.0), ROOM)
+    svg = room_svg(setup)
+    assert "<b>" not in svg
+    root = ET.fromstring(svg)
+    spaces = {"s": "http://www.w3.org/2000/svg"}
+    scale, left, bottom = 304 / 6, 78.0, 78.0 + 304.0
+    windows = root.findall("s:line[@stroke='#3b9ae1']", spaces)
+    xs = sorted(float(windows[0].get(key, 0)) for key in ("x1", "x2"))
+    assert xs == pytest.approx([left + 1.5 * scale, left + 4.5 * scale], abs=0.1)
+    assert float(windows[1].get("x1", 0)) == pytest.approx(left + 5 * scale, abs=0.1)
+    arrow = root.find("s:line[@stroke='#c4441c']", spaces)
+    assert arrow is not None
+    x1, y1, x2, y2 = (float(arrow.get(key, 0)) for key in ("x1", "y1", "x2", "y2"))
+    assert (x1, y1) == pytest.approx((left + scale, bottom - 2 * scale), abs=0.1)
+    assert (x2 - x1, y2 - y1) == pytest.approx((0.0, 34.0), abs=0.1)  # at the wall it faces
+    texts = " ".join("".join(node.itertext()) for node in root.iter())
+    assert '"south" faces SW 215°' in texts and '"east" faces SE 125°' in texts
+    assert wind(359.0) == "N 359°" and wind(359.9) == "N 0°"
+    assert room_svg(SiteFile(SEATTLE)) == ""
+
+
+@pytest.mark.contract
+def test_each_stage_is_followed_by_its_next_command() -> None:
+    answer = {
+        "session": "s",
+        "capture": {"owed": 3, "frames": 0, "done": 0},
+        "merge": {"owed": 0},
+        "pair": {"owed": 0, "done": 0},
+        "train": {"models": []},
+        "predict": {"years": []},
+        "report": {"done": False},
+    }
+    steps = [next_step(answer)]
+    for change in (
+        {"capture": {"owed": 3, "frames": 9, "done": 3}},
+        {"merge": {"owed": 3}},
+        {"merge": {"owed": 0}, "pair": {"owed": 3, "done": 0}},
+        {"pair": {"owed": 0, "done": 3}, "capture": {"owed": 0, "frames": 9, "done": 3}},
+        {"train": {"models": [{"name": "auto"}]}},
+        {"predict": {"years": ["auto"]}},
+        {"report": {"done": True}},
+    ):
+        answer = answer | change
+        steps.append(next_step(answer))
+    words = ["doctor", "capture", "merge", "pair", "train", "predict", "report", "open"]
+    assert [word in step for word, step in zip(words, steps, strict=True)] == [True] * 8
