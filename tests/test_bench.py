@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
 from fieldlum import models
@@ -39,6 +40,9 @@ def test_the_command_writes_table_charts_and_curve(tmp_path: Path) -> None:
         "transport:none",
     ]
     assert answer["chosen"] in {row["name"] for row in answer["models"]}
+    train_keys = json.loads(KEPT.read_text(encoding="utf-8"))["train"]
+    rows = {key for key in train_keys if key.startswith("models[].")}
+    assert rows - {"models[].folds", "models[].not_judged_because"} <= set(keys_of(answer))
     with (out / "scores.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 4
     assert (out / "scores.png").stat().st_size > 10_000

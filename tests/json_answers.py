@@ -1,0 +1,109 @@
+"""What each command prints with --json on small inputs, as a list of keys.
+
+`tests/test_contract_json.py` compares it with the kept list, tests/fixtures/json_keys.json: keys
+may be added, never lost. After an addition: python tests/json_answers.py
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from click.testing import CliRunner
+
+from fieldlum.cli import main
+from fieldlum.photometry import z_per_cdm2
+from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
+from fieldlum.raw import write_dng
+from fieldlum.records import Exposure
+
+KEPT = Path(__file__).parent / "fixtures" / "json_keys.json"
+SESSION = Path(__file__).parent / "fixtures" / "session-0.1.0"
+WEATHER = "month,day,hour,dni_wm2,dhi_wm2\n" + "".join(
+    f"{month},20,{hour}.5,{600 * (9 < hour < 15)},{100 * (9 < hour < 15)}\n"
+    for month in (3, 12)
+    for hour in range(24)
+)
+
+
+def answers(root: Path) -> dict[str, list[str]]:
+    """Run each command in `root` and return the keys of its answer. A list's items are joined."""
+    session = root / "session"
+    shutil.copytree(SESSION, session)
+    (root / "weather.csv").write_text(WEATHER, encoding="ascii")
+    (root / "site.toml").write_text(
+        '[site]\nname = "x"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\n', encoding="utf-8"
+    )
+    frames, profile = _frames(root)
+    model, picture = session / "models" / "nearest", session / "panoramas"
+    picture /= "20271221T193000Z.exr"
+    commands: dict[str, list[str | Path]] = {
+        "plan": ["plan", root / "site.toml", "--set", "4-day", "--out", root / "planned"],
+        "status": ["status", session],
+        "merge --frames": [
+            *("merge", "--frames", *frames, "--camera", profile),
+            *("--out", root / "out.exr", "--size", "32x16"),
+        ],
+        "train": ["train", session, "--model", "nearest"],
+        "predict": ["predict", model, "--weather", root / "weather.csv"],
+        "glare": ["glare", picture],
+        "info panorama": ["info", picture],
+        "info frame": ["info", frames[0]],
+    }
+    return {name: keys_of(_answer(arguments)) for name, arguments in commands.items()}
+
+
+def _answer(arguments: list[str | Path]) -> Any:
+    result = CliRunner().invoke(main, [*map(str, arguments), "--json"])
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def keys_of(value: Any) -> list[str]:
+    """Return ``a.b[].c`` for each key of nested objects and lists, sorted."""
+    if isinstance(value, dict):
+        keys = set(value)
+        for key, item in value.items():
+            joint = "" if isinstance(item, list) else "."
+            keys |= {f"{key}{joint}{rest}" for rest in keys_of(item)}
+        return sorted(keys)
+    if isinstance(value, list):
+        inner = {key for item in value for key in keys_of(item)}
+        return sorted(f"[].{key}" for key in inner)
+    return []
+
+
+def _frames(root: Path) -> tuple[list[Path], Path]:
+    """Three frames of a uniform room of 200 cd/m2, and their camera's profile."""
+    times_s = (0.5, 1 / 16, 1 / 128)
+    camera = CameraProfile(
+        CameraBody("small", "raw", 128, 64),
+        (Lens((64.0, 32.0), 31.0, 180.0),),
+        Bracket(4.0, 100.0, times_s),
+        Sensor("RGGB", (256.0,) * 4, (4000.0,) * 4, 4095.0, 2.0, 5.0, 100.0),
+    )
+    save_profile(root / "small.toml", camera)
+    rng, frames = np.random.default_rng(1), []
+    for i, time_s in enumerate(times_s):
+        mean = 200.0 * z_per_cdm2(time_s, 4.0, 100.0) * (4095 - 256)
+        noise = np.sqrt(mean / 2 + (5 / 2) ** 2)
+        counts = np.clip(256 + mean + noise * rng.standard_normal((64, 128)), 0, 4000)
+        frames.append(root / f"{i}.dng")
+        write_dng(
+            frames[-1],
+            np.round(counts).astype(np.uint16),
+            Exposure(time_s, 4.0),
+            black_dn=(256,) * 4,
+            white_dn=4095,
+        )
+    return frames, root / "small.toml"
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        found = answers(Path(folder))
+    KEPT.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
