@@ -260,7 +260,7 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
         ({"camera_y_m": 6.0}, "camera at"),
         ({"reflectance_walls": 1.2}, "reflectance_walls"),
         ({"window": (Window("south", 1, 2, 1, 1, transmittance=0.99),)}, "transmittance"),
-        ({"obstruction": (Obstruction(1, 2, 1, 2, 2, 2),)}, "camera stands inside"),
+        ({"obstruction": (Obstruction(1, 2, 1, 2, 2, 2),)}, "camera is inside"),
         ({"obstruction": (Obstruction(1, 2, 1, 2, 0, 2),)}, "size of zero"),
         ({"kind": "radiance", "file": "nowhere.rad", "viewpoint_m": (1, 1, 1)}, "no such file"),
         ({"kind": "radiance", "file": "nowhere.rad"}, "viewpoint_m"),

@@ -1,4 +1,4 @@
-"""Room geometry to sun patches, to the window's share of each pixel, and to Radiance."""
+"""From room geometry to sun patches, to the window's share of each pixel, and to Radiance."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Rooms that the stated one could be: draws from the uncertainty of its pose and measures.
+"""Rooms that are possible within the uncertainty of a stated room, drawn at random.
 
-A tape measure is off by centimetres and a compass by a degree. Near bars, jambs and obstructions
-that decides whether the sun's disc is seen, and so the glare of an hour.
+A tape measure is wrong by centimetres and a compass by a degree. Near bars, jambs and obstructions
+that decides whether the sun disc is seen, and therefore the glare of an hour.
 """
 
 from __future__ import annotations
@@ -20,26 +20,29 @@ from fieldlum.scene.sun_disc import SUN_RADIUS_DEG
 
 Array = NDArray[np.float64]
 
-# Standard uncertainties where none are stated: a tape measure over furniture, a phone's compass.
-STATED_LENGTH_M, STATED_ANGLE_DEG = 0.05, 1.0
-# Of a fitted room at best: bars of the office came out within 1 to 2 cm (docs/scene.md), and the
-# search ends at 4 mm and 0.03 degrees.
-SEARCH_LENGTH_M, SEARCH_ANGLE_DEG = 0.01, 0.05
+# Standard uncertainties if none are stated: a tape measure over furniture, a phone's compass.
+# Chosen, not measured.
+STATED_LENGTH_M = 0.05
+STATED_ANGLE_DEG = 1.0
+# Standard uncertainties of a fitted room at best: bars of the office were found within 1 to 2 cm
+# (docs/scene.md), and the search ends at 4 mm and 0.03 degrees.
+SEARCH_LENGTH_M = 0.01
+SEARCH_ANGLE_DEG = 0.05
 _ROOM_LENGTHS = ("camera_x_m", "camera_y_m", "camera_z_m")
 _WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m", "transom_m")
 _OBSTRUCTION_LENGTHS = ("x_m", "y_m", "z_m", "width_m", "depth_m", "height_m")
 _LEAST_SIZE_M = 0.02  # of a drawn window or obstruction
 _CAMERA_GAP_M = 0.05  # between the camera and a wall
-_TRIES = 20  # draws of one room before the stated one is taken; overlapping windows are rare
-_RING = 6  # rays on the rim of the disc, and one at its centre
+_TRIES = 20  # draws of a room before the stated one is used; overlapping windows are rare
+_RING = 6  # rays near the rim of the disc, in addition to one at its centre; chosen for speed
 
 
 @dataclass(frozen=True, slots=True)
 class RoomUncertainty:
     """A normal distribution of a room's parameters around their values in the room.
 
-    names [p] are keys of `room_parameters`; covariance [p, p] in their units (m, deg). A fitted
-    posterior has the same form: the fitted room, and the covariance of what was fitted.
+    names [p] are keys of `room_parameters`; covariance [p, p] is in their units (m, deg). A fitted
+    posterior has the same form: the fitted room, and the covariance of the fitted parameters.
     """
 
     names: tuple[str, ...]
@@ -47,8 +50,9 @@ class RoomUncertainty:
 
 
 def room_parameters(room: Room) -> dict[str, float]:
-    """Return what can be uncertain about a box room by name: camera_x_m, wall_azimuth_deg,
-    window.0.left_m, obstruction.0.x_m ... [m, deg]
+    """Return the parameters of a box room that can be uncertain, by name, in m and deg.
+
+    Names are camera_x_m, wall_azimuth_deg, window.0.left_m, obstruction.0.x_m and so on.
     """
     values = {name: float(getattr(room, name)) for name in (*_ROOM_LENGTHS, "wall_azimuth_deg")}
     for k, window in enumerate(room.window):
@@ -61,8 +65,9 @@ def room_parameters(room: Room) -> dict[str, float]:
 
 
 def with_parameters(room: Room, values: Mapping[str, float]) -> Room:
-    """Return the room with some of its `room_parameters` replaced. Raises KeyError for a name that
-    it does not have.
+    """Return the room with some of its `room_parameters` replaced.
+
+    Raises KeyError for a name that the room does not have.
     """
     if unknown := set(values) - set(room_parameters(room)):
         raise KeyError(f"the room has no {', '.join(sorted(unknown))}")
@@ -87,7 +92,7 @@ def stated_uncertainty(
 ) -> RoomUncertainty:
     """Return independent standard uncertainties of every parameter of the room.
 
-    A transom that the window does not have (0) stays so.
+    A window without a transom (0) keeps none.
     """
     names = tuple(
         name
@@ -151,7 +156,7 @@ def _drawn(
 
 
 def _within_walls(room: Room) -> Room:
-    """The nearest room whose camera is inside and whose windows fit their walls."""
+    """Return the nearest room whose camera is inside and whose windows fit their walls."""
 
     def fitted(window: Window) -> Window:
         length = room.width_m if window.wall in ("south", "north") else room.depth_m
@@ -185,10 +190,9 @@ def _within_walls(room: Room) -> Room:
 
 
 def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArray[np.float32]:
-    """Return the share of the sun's normal illuminance that reaches the camera from the disc, in
-    each of k rooms and n moments, [k, n].
+    """Return the share of the sun's normal illuminance that the disc gives the camera, [k, n].
 
-    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up).
+    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up). k rooms, n moments.
     """
     suns = np.asarray(sun_direction, float)
     out = np.zeros((len(rooms), len(suns)), np.float32)
@@ -201,7 +205,7 @@ def drawn_disc_shares(rooms: Sequence[Room], sun_direction: ArrayLike) -> NDArra
 
 
 def _share_through(scene: BoxScene, o: Opening, toward: Array) -> Array:
-    """Share of the disc seen through one opening times its glass, [n]."""
+    """Return the seen share of the disc through one opening times its glass, [n]."""
     share = np.zeros(len(toward))
     rows = np.flatnonzero((toward[:, o.axis] * o.outward > 1e-6) & (toward[:, 2] > 0))
     eye = np.array(scene.camera_m)
@@ -219,7 +223,7 @@ def _share_through(scene: BoxScene, o: Opening, toward: Array) -> Array:
 
 
 def _passes(o: Opening, eye: Array, rays: Array, margin_rad: float) -> NDArray[np.bool_]:
-    """Which rays [m, 3] from the eye pass both ends of the opening, widened by an angle."""
+    """Return which rays [m, 3] from the eye pass both ends of the opening, widened by an angle."""
     inside = np.ones(len(rays), bool)
     for plane in (o.inner_m, o.outer_m):
         at = (plane - eye[o.axis]) / rays[:, o.axis]  # [m]
@@ -231,7 +235,7 @@ def _passes(o: Opening, eye: Array, rays: Array, margin_rad: float) -> NDArray[n
 
 
 def _disc_rays(toward: Array) -> Array:
-    """Centre of the disc and points at 0.75 of its radius, [m, 7, 3]."""
+    """Return rays to the centre of the disc and to points at 0.75 of its radius, [m, 7, 3]."""
     side = np.cross(toward, (0.0, 0.0, 1.0))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     other = np.cross(toward, side)
@@ -244,7 +248,7 @@ def _disc_rays(toward: Array) -> Array:
 
 
 def _meets(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np.bool_]:
-    """Which rays [m, 3] from the eye meet the box from `low` to `high` (slab test)."""
+    """Return which rays [m, 3] from the eye meet the box from `low` to `high` (slab test)."""
     d = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     a, b = (low - eye) / d, (high - eye) / d
     enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)

@@ -1,5 +1,6 @@
-"""A box room as axis-aligned boxes and panes of glass, in room coordinates: x right, y away from
-"south", z up.
+"""A box room as axis-aligned boxes and glass panes, in room coordinates.
+
+x is right and y away from the "south" wall, as seen from inside facing "north"; z is up.
 """
 
 from __future__ import annotations
@@ -18,18 +19,19 @@ from fieldlum.rowwise import turned
 
 Array = NDArray[np.float64]
 
-SLAB_M = 0.05  # the floor's thickness: the ground lies that much lower
-ROOF_M = 0.3
-GROUND_REACH_M = 60.0  # the ground is modelled this far around the room; beyond it is an open plain
-INDEX = 1.52  # of glass
+SLAB_M = 0.05  # thickness of the floor: the ground is this much lower. Chosen, not measured.
+ROOF_M = 0.3  # thickness of the roof. Chosen, not measured.
+GROUND_REACH_M = 60.0  # the ground is modelled this far around the room, with an open plain beyond
+INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
 
 # name: (axis of the wall's normal, side: 0 at the low end or 1 at the high end)
 WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
 
 
 def transmissivity(transmittance: float) -> float:
-    """Radiance's glass parameter from transmittance at normal incidence (materials manual,
-    "glass").
+    """Return Radiance's glass parameter from transmittance at normal incidence.
+
+    Source: Radiance's materials manual, "glass".
     """
     if transmittance <= 0.0:
         return 0.0
@@ -38,8 +40,9 @@ def transmissivity(transmittance: float) -> float:
 
 
 def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Array, Array]:
-    """Transmittance and reflectance of a pane at angles of incidence given by their cosine
-    (Radiance's m_glass.c).
+    """Return transmittance and reflectance of a pane, each in the shape of `cosine`.
+
+    cosine : of the angle of incidence. Source: Radiance's m_glass.c.
     """
     cos1 = np.maximum(np.abs(np.asarray(cosine, float)), 1e-6)
     cos2 = np.sqrt((1 - 1 / INDEX**2) + (cos1 / INDEX) ** 2)
@@ -64,8 +67,9 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A window's hole through its wall and the pane in it; u runs along the wall in x or y,
-    whichever is free.
+    """The hole of a window through its wall, and the pane in it.
+
+    u is the horizontal coordinate along the wall: x or y.
     """
 
     axis: int  # of the wall's normal
@@ -78,15 +82,19 @@ class Opening:
 
     @property
     def pane_m(self) -> float:
+        """Coordinate of the pane, in the middle of the wall."""
         return (self.inner_m + self.outer_m) / 2
 
     @property
     def along(self) -> int:
+        """Index of the horizontal axis along the wall."""
         return 1 - self.axis
 
 
 @dataclass(frozen=True)
 class BoxScene:
+    """The boxes, openings and camera of a box room."""
+
     boxes: tuple[Box, ...]
     openings: tuple[Opening, ...]
     camera_m: tuple[float, float, float]
@@ -95,29 +103,33 @@ class BoxScene:
 
     @cached_property
     def low(self) -> Array:
+        """Lower corners of the boxes, [b, 3]."""
         return np.array([box.low for box in self.boxes], float)
 
     @cached_property
     def high(self) -> Array:
+        """Upper corners of the boxes, [b, 3]."""
         return np.array([box.high for box in self.boxes], float)
 
     @cached_property
     def reflectance(self) -> Array:
+        """Reflectances of the boxes, [b]."""
         return np.array([box.reflectance for box in self.boxes])
 
     @cached_property
     def turn(self) -> Array:
-        """Rows are the room's axes in world coordinates: room = turn @ world, [3, 3]."""
+        """The room's axes as rows in world coordinates, [3, 3]: room = turn @ world."""
         azimuth = np.radians(self.wall_azimuth_deg)
         x = (-np.cos(azimuth), np.sin(azimuth), 0.0)  # azimuth - 90 degrees
         y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)  # azimuth - 180 degrees
         return np.array([x, y, (0.0, 0.0, 1.0)])
 
     def to_room(self, world: ArrayLike) -> Array:
-        """Directions [..., 3] (x east, y north) in room axes."""
+        """Return directions [..., 3] (x east, y north) in room axes."""
         return turned(self.turn, world)
 
     def of_kind(self, *kinds: str) -> list[int]:
+        """Return the indices of the boxes of some kinds."""
         return [k for k, box in enumerate(self.boxes) if box.kind in kinds]
 
 
@@ -126,8 +138,10 @@ class BoxScene:
 
 
 def build(room: Room, where: str = "[room]") -> BoxScene:
-    """Raises InputError for a room that cannot be: a window outside its wall, overlapping
-    windows, a camera outside.
+    """Build the boxes and openings of a box room.
+
+    Raises InputError for an impossible room: a window outside its wall, overlapping windows, a
+    camera outside.
     """
     if room.kind != "box":
         raise InputError(where, f"kind '{room.kind}'", "kind 'box'", "this needs a box room")
@@ -135,11 +149,17 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     if not (size > 0).all() or room.wall_thickness_m <= 0:
         raise InputError(
-            where, "a size of zero or less", "width, depth, height and wall thickness above 0"
+            where,
+            "a size of zero or less",
+            "width, depth, height and wall thickness above 0",
+            "correct the sizes",
         )
     if not ((eye > 0) & (eye < size)).all():
         raise InputError(
-            where, f"camera at {tuple(eye.tolist())}", f"inside 0 to {tuple(size.tolist())}"
+            where,
+            f"camera at {tuple(eye.tolist())} m",
+            f"a camera inside 0 to {tuple(size.tolist())} m",
+            "correct camera_x_m, camera_y_m or camera_z_m",
         )
     _check_values(room, where)
     openings = tuple(_opening(room, window, where) for window in room.window)
@@ -164,10 +184,14 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
                 f"{where} obstruction {k}",
                 "a size of zero or less",
                 "width, depth and height above 0",
+                "correct the sizes",
             )
         if all(a < e < b for a, e, b in zip(corner, eye, far, strict=True)):
             raise InputError(
-                f"{where} obstruction {k}", "the camera stands inside it", "a free camera"
+                f"{where} obstruction {k}",
+                "the camera is inside it",
+                "a camera outside of all obstructions",
+                "correct the obstruction or the camera",
             )
         boxes.append(Box(corner, far, o.reflectance, "obstruction"))
     r = GROUND_REACH_M
@@ -186,11 +210,16 @@ def _check_values(room: Room, where: str) -> None:
     for name in ("walls", "ceiling", "floor", "ground", "frame"):
         value = getattr(room, f"reflectance_{name}")
         if not 0 <= value < 1:
-            raise InputError(where, f"reflectance_{name} = {value:g}", "0 to below 1")
+            raise InputError(
+                where, f"reflectance_{name} = {value:g}", "0 to below 1", "correct the value"
+            )
     for k, o in enumerate(room.obstruction, start=1):
         if not 0 <= o.reflectance < 1:
             raise InputError(
-                f"{where} obstruction {k}", f"reflectance = {o.reflectance:g}", "0 to below 1"
+                f"{where} obstruction {k}",
+                f"reflectance = {o.reflectance:g}",
+                "0 to below 1",
+                "correct the value",
             )
     for k, w in enumerate(room.window, start=1):
         if not 0 < w.transmittance <= 0.92 or w.panes < 1:
@@ -199,6 +228,7 @@ def _check_values(room: Room, where: str) -> None:
                 f"{where} window {k}",
                 f"transmittance {w.transmittance:g}, panes {w.panes}",
                 expected,
+                "correct the window",
             )
 
 
@@ -217,10 +247,13 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
             f"{window.sill_m:g} to {top:g} m high"
         )
         raise InputError(
-            where, found, f"inside the {window.wall} wall of {length:g} x {room.height_m:g} m"
+            where,
+            found,
+            f"a window inside the {window.wall} wall of {length:g} x {room.height_m:g} m",
+            "correct the window",
         )
-    # left_m runs from the left end as seen from inside: for south and east that is the high end of
-    # x or y.
+    # left_m is measured from the left end as seen from inside: for the south and east walls that is
+    # the high end of x or y.
     start = (
         length - window.left_m - window.width_m
         if window.wall in ("south", "east")
@@ -243,20 +276,21 @@ def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
                 raise InputError(
                     where,
                     "two windows of one wall overlap",
-                    "windows side by side",
-                    "mend left_m, width_m",
+                    "windows without a common part",
+                    "correct left_m or width_m",
                 )
 
 
 def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:
-    """The wall minus its windows, as upright strips between the windows' edges; their ends are
-    the reveals.
+    """Yield the wall without its windows, as upright strips between the windows' edges.
+
+    The ends of the strips are the reveals.
     """
     axis, side = WALLS[wall]
     outward = 1 if side else -1
     holes = [o for o in openings if (o.axis, o.outward) == (axis, outward)]
     t = room.wall_thickness_m
-    # South and north run through the corners, west and east stand between them.
+    # South and north walls include the corners; west and east walls are between them.
     first, last = (-t, room.width_m + t) if axis == 1 else (0.0, room.depth_m)
     inner = 0.0 if side == 0 else (room.depth_m if axis == 1 else room.width_m)
     n0, n1 = sorted((inner, inner + outward * t))
@@ -277,14 +311,14 @@ def _upright(
     reflectance: float,
     kind: str,
 ) -> Box:
-    """A box given by its extent across the wall, along it, and in height."""
+    """Return a box by its extent across the wall, along it, and in height."""
     if axis == 1:
         return Box((u[0], n[0], z[0]), (u[1], n[1], z[1]), reflectance, kind)
     return Box((n[0], u[0], z[0]), (n[1], u[1], z[1]), reflectance, kind)
 
 
 def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
-    """Outer frame, bars between panes and a transom, as deep as they are wide, around the pane."""
+    """Yield outer frame, bars between panes and transom, as deep as wide, around the pane."""
     f = window.frame_m
     if f <= 0:
         return

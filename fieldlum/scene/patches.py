@@ -1,5 +1,6 @@
-"""Direct sun on a box room's surfaces, hour by hour: only shadow rays, the primary rays are
-traced once.
+"""Direct sun on a box room's surfaces, hour by hour.
+
+The primary rays are traced once; each hour needs only shadow rays.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def iter_sun_patches(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
-    """`sun_patches` in chunks of hours, so that a year does not fill the memory."""
+    """Yield `sun_patches` in chunks of hours, so that a year does not fill the memory."""
     heading = _heading(setup, heading_deg)
     suns = np.atleast_2d(np.asarray(sun_direction, float))
     normal = np.broadcast_to(np.asarray(normal_illuminance_lx, float), len(suns))
@@ -83,13 +84,13 @@ def sun_patches(
     sub: int = 3,
     progress: Progress = quiet,
 ) -> SunPatches:
-    """Luminance of the room's sunlit surfaces by direct sun alone (Radiance's -ab 0), without the
-    disc.
+    """Return the luminance of sunlit surfaces by direct sun only (Radiance's -ab 0), without disc.
 
-    sun_direction [n, 3] unit vectors in world axes (x east, y north, z up), normal_illuminance_lx
-    [n] of the sun outside, on its normal. A box room is traced exactly (hard shadows, sub x sub
-    rays a pixel, one mirror image in the panes); a room of kind "radiance" goes through rtrace.
-    heading_deg: by default the setup's. Raises InputError for an impossible room.
+    sun_direction : [n, 3] unit vectors in world axes (x east, y north, z up);
+    normal_illuminance_lx : [n] of the sun outside, on its normal. A box room is traced exactly
+    (hard shadows, sub x sub rays for each pixel, one mirror image in the panes); a room of kind
+    "radiance" is traced by rtrace. heading_deg : by default the setup's. Raises InputError for an
+    impossible room.
     """
     parts = list(
         iter_sun_patches(
@@ -119,10 +120,10 @@ def window_fraction(
     *,
     sub: int = 3,
 ) -> NDArray[np.float32]:
-    """Share of each pixel that sees the sky, times the transmittance of the glass there, [H, W].
+    """Return the share of each pixel that sees the sky, times the transmittance there, [H, W].
 
-    The sky's luminance in a pixel's direction times this is what the pixel owes to the sky seen
-    directly.
+    The sky's luminance in a pixel's direction times this is the luminance that the pixel gets
+    directly from the sky.
     """
     heading = _heading(setup, heading_deg)
     if room.kind != "box":
@@ -136,17 +137,18 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
     if heading_deg is not None:
         return heading_deg
     if setup is None:
-        raise ValueError("give heading_deg or a setup")
+        raise ValueError("heading_deg or a setup is needed")
     return setup.camera.heading_deg
 
 
-# ---------------------------------------------------------------------------------------------- the
-# disc
+# ----------------------------------------------------------------------------------------------
+# the disc
 
 
 def disc_visibility(scene: BoxScene, toward: Array) -> tuple[Array, Array]:
-    """Visible share of the sun's disc from the camera and the glass before it, [n], for suns [n,
-    3] in room axes.
+    """Return the visible share of the sun disc from the camera, and the glass in front, [n] each.
+
+    toward : [n, 3] suns in room axes.
     """
     visible, through = np.zeros(len(toward)), np.zeros(len(toward))
     eye = np.array(scene.camera_m)
@@ -170,9 +172,7 @@ def _may_see(o: Opening, eye: Array, sun: Array) -> bool:
 
 
 def _free(scene: BoxScene, o: Opening, eye: Array, rays: Array) -> NDArray[np.bool_]:
-    """Which rays [r, 3] from the eye leave through opening `o` and meet no frame and no
-    obstruction.
-    """
+    """Return which rays [r, 3] from the eye leave through `o` past frames and obstructions."""
     free = np.ones(len(rays), bool)
     for plane in (o.inner_m, o.outer_m):
         at = (plane - eye[o.axis]) / rays[:, o.axis]

@@ -1,4 +1,4 @@
-"""Surface points that the sun may reach: sorted into tiles once, then tested hour by hour."""
+"""Surface points that the sun may reach: sorted into tiles once, then tested for each hour."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.scene.trace import EPSILON_M, blocked, may_block
 
 Array = NDArray[np.float64]
-_TILE = 64  # points in a tile; a tile is culled as a whole by its bounding box
+_TILE = 64  # points in a tile, which is skipped by its bounding box; decides speed only
 
 
 @dataclass(frozen=True)
 class SunPoints:
     """Points on matt surfaces, ready for shadow tests.
 
-    `direct(toward)` gives, per target, the sum over its points of weight x cosine x glass x
+    `direct(toward)` returns, for each target, the sum over its points of weight x cosine x glass x
     visibility: a luminance for weights of reflectance / pi, an irradiance for weights of 1 / count,
-    both per lx on the sun's normal. Points inside the pane see the sun only through an opening;
+    both per lx on the sun's normal. Points inside the panes see the sun only through an opening;
     points outside see it past the building.
     """
 
     scene: BoxScene
-    position: NDArray[np.float32]  # [m, 3], a hair above the surface
+    position: NDArray[np.float32]  # [m, 3], slightly above the surface
     axis: NDArray[np.int8]
     sign: NDArray[np.int8]
     weight: NDArray[np.float32]
@@ -36,7 +36,7 @@ class SunPoints:
     targets: int
 
     def direct(self, toward: Array) -> NDArray[np.float32]:
-        """toward [3]: unit vector to the sun in room axes. [targets]"""
+        """Return the sums for a sun in direction `toward`, [3] in room axes, [targets]."""
         total = np.zeros(self.targets)
         if toward[2] <= 0.0:
             return total.astype(np.float32)
@@ -47,7 +47,7 @@ class SunPoints:
         return total.astype(np.float32)
 
     def _lit(self, toward: Array) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-        """Indices of the points in the sun, and the glass between them and it."""
+        """Return the indices of the points in the sun, and their glass towards it, [k] each."""
         parts: list[tuple[NDArray[np.intp], float]] = []
         for o in self.scene.openings:
             if toward[o.axis] * o.outward > 1e-6:
@@ -63,8 +63,9 @@ class SunPoints:
         return rows[self.sign[rows] * toward[self.axis[rows]] > 1e-6]
 
     def _through(self, o: Opening, toward: Array) -> NDArray[np.intp]:
-        """Inside points whose way to the sun leads through this opening and past frames and
-        furniture.
+        """Return the inside points that see the sun through this opening.
+
+        Their ray to the sun meets no frame and no furniture.
         """
         rows = self._facing(self._near(o, toward), toward)
         rows = rows[self.inside[rows]]
@@ -73,24 +74,19 @@ class SunPoints:
 
         def passes(plane_m: float) -> NDArray[np.bool_]:
             across = np.float32(plane_m) - p[:, o.axis]
-            u, z = (
-                p[:, o.along] + across * np.float32(slope_u),
-                p[:, 2] + across * np.float32(slope_z),
-            )
+            u = p[:, o.along] + across * np.float32(slope_u)
+            z = p[:, 2] + across * np.float32(slope_z)
             return (u > o.u_m[0]) & (u < o.u_m[1]) & (z > o.z_m[0]) & (z < o.z_m[1])
 
-        behind = (
-            p[:, o.axis] - o.inner_m
-        ) * o.outward > -2 * EPSILON_M  # within the wall: the opening is convex
+        # A point within the wall need not pass the inner end: the opening is convex.
+        behind = (p[:, o.axis] - o.inner_m) * o.outward > -2 * EPSILON_M
         ahead = (o.pane_m - p[:, o.axis]) * o.outward > 0  # not beyond the pane
         good = ahead & passes(o.outer_m) & (behind | passes(o.inner_m))
         rows = rows[good]
         return rows[~self._shaded(rows, toward, "frame", "obstruction")]
 
     def _near(self, o: Opening, toward: Array) -> NDArray[np.intp]:
-        """Points of all tiles whose bounding box can see the opening's outer end along the sun's
-        direction.
-        """
+        """Return the points of tiles whose bounding box may see the opening's outer end."""
         axis, reach = o.axis, np.float32(o.outward)
         near = (np.float32(o.outer_m) - self.tile_high[:, axis]) * reach
         far = (np.float32(o.outer_m) - self.tile_low[:, axis]) * reach
@@ -106,23 +102,23 @@ class SunPoints:
         return _rows_of(keep, len(self.position))
 
     def _outside(self, toward: Array) -> NDArray[np.intp]:
-        """Points beyond the panes, past obstructions and past the building's own shell."""
+        """Return the points beyond the panes that the sun reaches past all boxes outside."""
         rows = self._facing(np.flatnonzero(~self.inside), toward)
         if not len(rows):
             return rows
         p = self.position[rows]
         low, high = np.array(self.scene.shell)
-        own = ((p > low) & (p < high)).all(
-            axis=1
-        )  # outer reveals and frames: the walls themselves shade them
+        # Points of outer reveals and frames are inside the shell: the walls themselves shade them.
+        own = ((p > low) & (p < high)).all(axis=1)
         dark = self._shaded(rows, toward, "obstruction")
         dark[~own] |= blocked(low[None], high[None], p[~own], toward)
         dark[own] |= self._shaded(rows[own], toward, "wall", "ceiling", "floor", "frame")
         return rows[~dark]
 
     def _shaded(self, rows: NDArray[np.intp], toward: Array, *kinds: str) -> NDArray[np.bool_]:
-        """Which of the points some box of these kinds hides from the sun; whole tiles are ruled
-        out first.
+        """Return which points are hidden from the sun by a box of these kinds.
+
+        Tiles that no box can hide are skipped.
         """
         out = np.zeros(len(rows), bool)
         which = self.scene.of_kind(*kinds)
@@ -152,8 +148,9 @@ def sun_points(
     target: NDArray[np.integer],
     targets: int,
 ) -> SunPoints:
-    """Sort points so that tiles are compact: by inside or outside, by face, then along a
-    Z-shaped curve.
+    """Sort points into compact tiles: by inside or outside, by face, then along a Z-shaped curve.
+
+    position : [m, 3]; axis, sign, weight, target : [m].
     """
     inside = _inside(scene, position)
     low, high = position.min(axis=0), position.max(axis=0)
@@ -189,7 +186,7 @@ def _extent(scene: BoxScene) -> Array:
 
 
 def _inside(scene: BoxScene, p: Array) -> NDArray[np.bool_]:
-    """Within the building and on the room's side of every pane."""
+    """Return which points are within the building and on the room's side of every pane, [n]."""
     low, high = np.array(scene.shell)
     inside = ((p > low - EPSILON_M) & (p < high + EPSILON_M)).all(axis=1)
     for o in scene.openings:
@@ -198,7 +195,7 @@ def _inside(scene: BoxScene, p: Array) -> NDArray[np.bool_]:
 
 
 def _interleave(grid: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Morton code of 8-bit coordinates [n, 3]."""
+    """Return the Morton code of 8-bit coordinates [n, 3], [n]."""
     code = np.zeros(len(grid), np.int64)
     for bit in range(8):
         for k in range(3):

@@ -1,6 +1,4 @@
-"""Rooms to Radiance: a box room as .rad text, and rooms given as .rad or .oct files traced by
-rtrace.
-"""
+"""Rooms in Radiance: a box room as .rad text; rooms of .rad or .oct files traced by rtrace."""
 
 from __future__ import annotations
 
@@ -22,6 +20,7 @@ from fieldlum.scene.view import pixel_rays
 
 Array = NDArray[np.float64]
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
+# Direct light only, with all sources tested, and at most four reflections or transmissions.
 _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
 
@@ -31,7 +30,9 @@ _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """A visible rectangle of a box: axis and sign of its normal, where it lies, its extent in
+    """A visible rectangle of a box.
+
+    axis, sign : of its normal; at_m : its coordinate on that axis; low_m, high_m : its extent on
     the other two axes.
     """
 
@@ -44,11 +45,12 @@ class Face:
 
     @property
     def others(self) -> tuple[int, int]:
+        """The two axes in the plane of the face."""
         a, b = (k for k in range(3) if k != self.axis)
         return a, b
 
     def corners(self) -> Array:
-        """Counter-clockwise as seen from where the normal points, [4, 3]."""
+        """Return the corners counter-clockwise, as seen from the side of the normal, [4, 3]."""
         a, b = self.others
         out = np.empty((4, 3))
         out[:, self.axis] = self.at_m
@@ -59,8 +61,8 @@ class Face:
 
 
 def faces(scene: BoxScene) -> list[Face]:
-    """All faces that are not wholly inside or against other boxes."""
-    found = []
+    """Return all faces that are not completely inside or against other boxes."""
+    visible = []
     for k in range(len(scene.boxes)):
         for axis in range(3):
             for sign in (-1, 1):
@@ -68,19 +70,19 @@ def faces(scene: BoxScene) -> list[Face]:
                 a, b = (i for i in range(3) if i != axis)
                 low, high = scene.low[k], scene.high[k]
                 face = Face(k, axis, sign, float(at), (low[a], low[b]), (high[a], high[b]))
-                if not (_nobody_sees(scene, face) or _covered(scene, face)):
-                    found.append(face)
-    return found
+                if not (_is_never_seen(scene, face) or _is_covered(scene, face)):
+                    visible.append(face)
+    return visible
 
 
-def _nobody_sees(scene: BoxScene, face: Face) -> bool:
-    """The ground's sides and underside, and the roof."""
+def _is_never_seen(scene: BoxScene, face: Face) -> bool:
+    """Return whether a face is a side or the underside of the ground, or the top of the roof."""
     kind, up = scene.boxes[face.box].kind, face.axis == 2 and face.sign > 0
     return (kind == "ground" and not up) or (kind == "ceiling" and up)
 
 
-def _covered(scene: BoxScene, face: Face) -> bool:
-    """No sample point a hair before the face is in free air."""
+def _is_covered(scene: BoxScene, face: Face) -> bool:
+    """Return whether no sample point just in front of the face is in free air."""
     n = 15
     share = (np.arange(n) + 0.5) / n
     a, b = face.others
@@ -108,8 +110,9 @@ def _polygon(name: str, material: str, corners: Array) -> str:
 
 
 def rad_text(scene: BoxScene, visible: Sequence[Face] | None = None) -> str:
-    """The room as Radiance text in room axes; face k carries material ``f<k>``, panes carry
-    ``g<k>``.
+    """Return the room as Radiance text in room axes.
+
+    Face k has the material ``f<k>``, pane k the material ``g<k>``.
     """
     parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
     for k, face in enumerate(visible if visible is not None else faces(scene)):
@@ -130,7 +133,7 @@ PLAIN_TEXT = "void glow plainglow\n0\n0\n4 1 1 1 0\nplainglow source plain\n0\n0
 
 
 def sun_text(direction: Array, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
-    """A sun whose illuminance on its normal is given; 179 lx make an irradiance of one."""
+    """Return a sun of a normal illuminance as Radiance text; 179 lx are an irradiance of one."""
     radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
     x, y, z = direction
     light = f"void light solar\n0\n0\n3 {radiance:.8g} {radiance:.8g} {radiance:.8g}\n"
@@ -139,7 +142,7 @@ def sun_text(direction: Array, normal_illuminance_lx: float = RADIANCE_LM_PER_W)
 
 @contextmanager
 def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
-    """A temporary octree of Radiance text, on top of an octree `base` if given."""
+    """Yield a temporary octree of Radiance text, on top of an octree `base` if there is one."""
     import pyradiance
 
     with tempfile.TemporaryDirectory(prefix="fieldlum-") as folder:
@@ -150,8 +153,9 @@ def octree(*texts: str, base: Path | None = None) -> Iterator[Path]:
 
 
 def trace(octree_path: Path, origins: Array, directions: Array, extra: Sequence[str] = ()) -> Array:
-    """Radiance of rays [n, 3] through rtrace, grey by Radiance's own luminance weights, [n]
-    W/sr/m2.
+    """Return the radiance of rays [n, 3] by rtrace in W/sr/m2, [n].
+
+    Colours are weighted by Radiance's own luminance weights.
     """
     import pyradiance
 
@@ -172,13 +176,16 @@ def trace(octree_path: Path, origins: Array, directions: Array, extra: Sequence[
 
 @contextmanager
 def _room_octree(room: Room) -> Iterator[Path]:
-    """The file as an octree. Raises InputError when it is missing or Radiance refuses it."""
+    """Yield the room's file as an octree. Raises InputError if it is missing or invalid."""
     import pyradiance
 
     path = Path(room.file)
     if not path.is_file():
         raise InputError(
-            path, "no such file", "a Radiance .rad or .oct file of the room", "mend [room] file"
+            path,
+            "no such file",
+            "a Radiance .rad or .oct file of the room",
+            "correct file in [room]",
         )
     if path.suffix.lower() == ".oct":
         yield path
@@ -188,15 +195,20 @@ def _room_octree(room: Room) -> Iterator[Path]:
         try:
             out.write_bytes(pyradiance.oconv(path.resolve(), warning=False, frozen=True))
         except RuntimeError as error:
-            said = str(error).splitlines()[-1]
-            raise InputError(path, said, "a scene that oconv accepts", "try: oconv FILE") from None
+            reason = str(error).splitlines()[-1]
+            raise InputError(
+                path, reason, "a scene that oconv accepts", f"correct it; check with: oconv {path}"
+            ) from None
         yield out
 
 
 def _viewpoint(room: Room) -> Array:
     if len(room.viewpoint_m) != 3:
         raise InputError(
-            "[room]", f"viewpoint_m {room.viewpoint_m}", "three numbers: x east, y north, z up"
+            "[room]",
+            f"viewpoint_m {room.viewpoint_m}",
+            "three numbers: x east, y north, z up",
+            "correct viewpoint_m",
         )
     return np.array(room.viewpoint_m)
 
@@ -212,8 +224,9 @@ def iter_traced(
     sub: int = 2,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
-    """`iter_sun_patches` of a room of kind "radiance": one rtrace -ab 0 an hour (world axes, x
-    east, y north).
+    """Yield `iter_sun_patches` of a room of kind "radiance", by one rtrace -ab 0 for each hour.
+
+    World axes: x east, y north.
     """
     eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
     with _room_octree(room) as base:
@@ -239,8 +252,9 @@ def iter_traced(
 
 
 def traced_sky_share(room: Room, rays: Array) -> Array:
-    """Return the share of light that each ray [m, 3] (world axes) from the viewpoint gets from the
-    open sky, [m]: 0 where something opaque is in the way, else the glass.
+    """Return the share of light that rays [m, 3] from the viewpoint get from the open sky, [m].
+
+    World axes. 0 where something opaque is in the way, else the transmittance of the glass.
     """
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         return np.asarray(trace(lit, _viewpoint(room), rays), float)
@@ -255,10 +269,11 @@ def _pixel_mean(pixel: NDArray[np.int32], values: Array, height: int) -> NDArray
 def traced_window_fraction(
     room: Room, height: int, heading_deg: float, sub: int = 3
 ) -> NDArray[np.float32]:
-    """Share of each pixel that sees the sky, times the glass, [H, W]: the room under a sky of
-    one, all else dark.
+    """Return the share of each pixel that sees the sky, times the glass, [H, W].
+
+    The room is traced under a sky of radiance one; everything else is dark.
     """
     eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
-        # Ambient light is off and the sky is a glow of no reach: only what is seen directly counts.
+        # Ambient light is off and the sky is a glow without reach: only direct view counts.
         return _pixel_mean(pixel, trace(lit, eye, rays), height)

@@ -1,4 +1,4 @@
-"""The sun's disc as rays, and what direct sun gives: shared by shadow rays and Radiance."""
+"""The sun disc as rays, and the results of direct sun, for shadow rays and for Radiance."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc se
 
 @dataclass(frozen=True, slots=True)
 class SunPatches:
-    """Direct sun only, n moments.
+    """Results of direct sun only, at n moments.
 
-    luminance_cdm2 [n, H, W] of surfaces in the sun, without the disc; visible_fraction [n] of the
-    disc that the camera sees; disc_transmittance [n] of the glass before it (0 where nothing is
-    seen); disc_lx [n] illuminance that the disc gives at the camera, on a plane normal to it.
+    luminance_cdm2 : [n, H, W] of sunlit surfaces, without the disc; visible_fraction : [n] of the
+    disc that the camera sees; disc_transmittance : [n] of the glass in front of it (0 if the disc
+    is not seen); disc_lx : [n] illuminance by the disc at the camera, on a plane normal to it.
     """
 
     luminance_cdm2: NDArray[np.float32]
@@ -30,7 +30,7 @@ class SunPatches:
 
 
 def disc_rays(toward: Array, rings: int = 4) -> Array:
-    """Directions over the sun's disc, equal areas, [61, 3] for four rings."""
+    """Return directions over the sun disc, of equal areas, [61, 3] for four rings."""
     radius, angle = [0.0], [0.0]
     for ring in range(1, rings + 1):
         count = 6 * ring

@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 
 Array = NDArray[np.float64]
-EPSILON_M = 1e-4
-_CHUNK = 150_000
+EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it
+_CHUNK = 150_000  # rays in work at a time; limits memory only
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """Per ray: distance [m] (inf: none), box index (-1: none), face normal's axis 0..2 and its
-    sign, [n].
+    """The first box on each of n rays.
+
+    distance_m [n] : inf without a box; box [n] : its index, -1 without a box; axis [n], sign [n] :
+    axis 0..2 and sign of the face's normal.
     """
 
     distance_m: Array
@@ -28,7 +30,7 @@ class Hits:
 
 
 def first_hits(scene: BoxScene, origins: Array, directions: Array) -> Hits:
-    """Nearest box of each ray [n, 3]; a ray that starts inside a box does not see it."""
+    """Return the nearest box of each ray [n, 3]; a ray does not see the box that it starts in."""
     n = len(directions)
     distance, box = np.full(n, np.inf), np.full(n, -1, np.int32)
     axis, sign = np.zeros(n, np.int8), np.zeros(n, np.int8)
@@ -60,8 +62,10 @@ def _first(scene: BoxScene, origins: Array, directions: Array) -> tuple[NDArray[
 
 @dataclass(frozen=True, slots=True)
 class Panes:
-    """Per ray: index of the pane it crosses first (-1: none), the distance, and the pane's
-    optics there.
+    """The first pane on each of n rays.
+
+    opening [n] : its index, -1 without a pane; distance_m [n]; through, back [n] : transmittance
+    and reflectance at the ray's angle.
     """
 
     opening: NDArray[np.int32]
@@ -71,7 +75,7 @@ class Panes:
 
 
 def pane_crossings(scene: BoxScene, origins: Array, directions: Array, limit_m: Array) -> Panes:
-    """First pane that each ray crosses within `limit_m`."""
+    """Return the first pane that each ray crosses within `limit_m` [n]."""
     n = len(directions)
     index, best = np.full(n, -1, np.int32), np.array(limit_m, float)
     through, back = np.ones(n), np.zeros(n)
@@ -86,7 +90,7 @@ def pane_crossings(scene: BoxScene, origins: Array, directions: Array, limit_m: 
 def _cross(
     o: Opening, origins: Array, directions: Array, plane_m: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Distance to a plane across the opening, and whether the ray passes within its rectangle."""
+    """Return the distance to a plane across the opening, and whether a ray passes inside it."""
     d = directions[:, o.axis]
     at = (plane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
     u = origins[:, o.along] + at * directions[:, o.along]
@@ -97,8 +101,9 @@ def _cross(
 def blocked(
     low: Array, high: Array, points: NDArray[np.floating], toward: Array
 ) -> NDArray[np.bool_]:
-    """Whether any box [b, 3] stands between points [m, 3] and a far light in one direction
-    `toward` [3].
+    """Return whether a box hides a far light from points [m, 3], [m].
+
+    low, high : [b, 3] corners of the boxes; toward : [3] direction of the light.
     """
     out = np.zeros(len(points), bool)
     kind = points.dtype
@@ -122,8 +127,9 @@ def may_block(
     tile_high: NDArray[np.floating],
     toward: Array,
 ) -> NDArray[np.bool_]:
-    """Which boxes [b, 3] could stand between any point of which tiles [t, 3] and the light: [t,
-    b], never too few.
+    """Return which boxes [b, 3] may be between a point of a tile [t, 3] and the light, [t, b].
+
+    It may be too many boxes, never too few.
     """
     d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
     near, far = np.where(d > 0, low, high) / d, np.where(d > 0, high, low) / d

@@ -1,6 +1,4 @@
-"""What each pixel of a panorama sees in a box room: matt surfaces straight on, through glass and
-mirrored in it.
-"""
+"""The view of each panorama pixel in a box room: matt surfaces, through glass, mirrored in it."""
 
 from __future__ import annotations
 
@@ -25,9 +23,9 @@ class SceneView:
     """The panorama's rays, traced once.
 
     Surface samples [m]: position [m, 3], axis and sign of the face's normal, box index, pixel, and
-    weight: the share of the pixel times the glass between (or its mirror), so that luminance = sum
-    weight x reflectance x E / pi. sky [H, W]: share of the pixel that sees the sky, times the
-    glass. plain [H, W]: the same for open ground beyond the modelled one.
+    weight: the share of the pixel times the glass in between (or its mirror), so that luminance =
+    sum of weight x reflectance x E / pi. sky [H, W] : share of the pixel that sees the sky, times
+    the glass. plain [H, W] : the same for the open plain beyond the modelled ground.
     """
 
     scene: BoxScene
@@ -44,7 +42,7 @@ class SceneView:
     plain: NDArray[np.float32]
 
     def sun_points(self, pixels: NDArray[np.intp] | None = None) -> SunPoints:
-        """What takes the sun of all pixels, or of some flat `pixels` alone."""
+        """Return the points that take the sun, of all pixels or of some flat `pixels`."""
         weight = self.weight * self.scene.reflectance[self.box] / np.pi
         count = 2 * self.height**2
         if pixels is None:
@@ -60,8 +58,9 @@ class SceneView:
 
 
 def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.int32], Array]:
-    """sub x sub rays in each pixel, of equal solid angle within it: pixel index [m], world
-    directions [m, 3].
+    """Return pixel index [m] and world direction [m, 3] of sub x sub rays in each pixel.
+
+    The rays of a pixel have equal solid angles.
     """
     width = 2 * height
     fine = (np.arange(height * sub) + 0.5) / sub
@@ -77,8 +76,9 @@ def pixel_rays(height: int, heading_deg: float, sub: int) -> tuple[NDArray[np.in
 
 @lru_cache(maxsize=2)
 def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView:
-    """Trace the panorama of a box room from its camera. Raises InputError for an impossible
-    room.
+    """Trace the panorama of a box room from its camera.
+
+    Raises InputError for an impossible room.
     """
     scene = build(room)
     pixel, world = pixel_rays(height, heading_deg, sub)
@@ -129,7 +129,7 @@ def _surfaces(
 def _mirrored(
     scene: BoxScene, pixel: NDArray[np.int32], eye: Array, rays: Array, panes: Panes, share: Array
 ) -> _Samples:
-    """The room's reflection in the panes: one bounce off the pane that a ray crosses."""
+    """Return the room's reflection in the panes: one bounce off the pane that a ray crosses."""
     rows = np.flatnonzero(panes.opening >= 0)
     axis = np.array([o.axis for o in scene.openings], np.intp)[panes.opening[rows]]
     back = rays[rows].copy()
