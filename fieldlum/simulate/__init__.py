@@ -1,8 +1,8 @@
-"""A session whose truth is known: a box room rendered by Radiance at every planned slot.
+"""Sessions whose truth is known: a box room rendered by Radiance at every planned slot.
 
-truth/<slot>.exr (panorama with its sun beside it) and truth/irradiance.csv are what the simulated
-camera and pyranometer look at; truth/pairs.csv names the same panoramas, so that `train` and
-`bench` can work on the truth itself, and so does pairs.csv until `pair` writes that of captures.
+The simulated camera and pyranometer read truth/<slot>.exr (a panorama and its separate sun) and
+truth/irradiance.csv. truth/pairs.csv lists the same panoramas, so that `train` and `bench` can use
+the truth itself; pairs.csv does the same until `pair` writes the pairs of the captures.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ from fieldlum.weather.files import NEAR_KM, distance_km
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """What a run made. dark: slots without any light in the weather, which are in pairs.csv with
-    ok = 0.
+    """Counts of a run, and the weather.
+
+    dark : slots without light in the weather; they are in pairs.csv with ok = 0.
     """
 
     rendered: int
@@ -56,7 +57,7 @@ class Simulated:
 
 
 def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
-    """The file given; else the paper's year near Seattle; else a synthetic year, which says so."""
+    """Return the weather of a file, or the paper's year near Seattle, or a synthetic year."""
     if path is not None:
         return read_weather(path, setup.site)
     seattle = shipped_seattle()
@@ -68,14 +69,17 @@ def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Wea
 def sample_slots(
     setup: SiteFile, weather: Weather, count: int, seed: int, without: Sequence[datetime] = ()
 ) -> list[Slot]:
-    """`count` daylight hours of a weather year drawn at random, in time order, none of those in
-    `without`.
+    """Draw `count` daylight hours of a weather year at random, in time order.
+
+    without : hours that are not drawn. Raises NotEnoughDataError if the year has fewer hours.
     """
     day = weather.daylight()
     taken = set(without)
     free = np.array([k for k, t in enumerate(day.t_utc) if t not in taken])
     if count > len(free):
-        raise NotEnoughDataError(f"{count} hours asked for, the year has {len(free)} with light")
+        raise NotEnoughDataError(
+            f"{count} hours requested; the year has {len(free)} with light; request fewer"
+        )
     rows = np.sort(np.random.default_rng(seed).permutation(free)[:count])
     times = [day.t_utc[k] for k in rows]
     at = sun.position(times, setup.site)
@@ -101,10 +105,10 @@ def run(
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
 
-    Slots that are rendered already, in the same way, are kept. drift: irradiance changes within the
-    hour instead of holding its mean. troubles: what differs from what is stated. cache: where the
-    Radiance coefficients are kept, by default the session's truth/. Raises InputError for a room
-    that cannot be rendered.
+    Slots that were rendered before in the same way are kept. drift : irradiance changes within the
+    hour instead of having its mean; troubles : differences from the stated session; cache : folder
+    of the Radiance coefficients, by default the session's truth/. Raises InputError for a room that
+    cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     truth = ground_truth(
@@ -143,7 +147,7 @@ def run(
 def make_session(
     out: Path, setup: SiteFile, slots: Sequence[Slot], about: dict[str, Any]
 ) -> Session:
-    """A session of given slots. Raises InputError when `out` is one already."""
+    """Create a session of given slots. Raises InputError if `out` is a session already."""
     return create_session(
         out, setup, sorted(slots, key=lambda slot: slot.t_utc), {**about, "slots": len(slots)}
     )
@@ -151,8 +155,9 @@ def make_session(
 
 def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple[Light, np.ndarray]:
     times = [slot.t_utc for slot in slots]
-    found = weather.at(times)
-    dni, dhi = np.nan_to_num(found.dni_wm2), np.nan_to_num(found.dhi_wm2)
+    weather_then = weather.at(times)
+    dni = np.nan_to_num(weather_then.dni_wm2)
+    dhi = np.nan_to_num(weather_then.dhi_wm2)
     light = light_at(times, setup.site, dni, dhi)
     return light, (dni + dhi > 0) & (light.sun_altitude_deg > 0)
 
@@ -160,8 +165,9 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
 def _forget_other(
     session: Session, slots: Sequence[Slot], truth: GroundTruth, weather: Weather, troubles: str
 ) -> None:
-    """Take away pictures of another room, size, quality or weather, so that a cut run cannot mix
-    them with new ones.
+    """Delete pictures of another room, size, quality or weather.
+
+    Otherwise an interrupted run could mix them with new ones.
     """
     path = session.truth / "made.json"
     light = hashlib.sha256(
@@ -185,8 +191,9 @@ def _done(session: Session, slot: Slot) -> bool:
 def _write_irradiance(
     session: Session, weather: Weather, slots: Sequence[Slot], drift: bool, troubles: Troubles
 ) -> None:
-    """truth/irradiance.csv over the planned days: readers interpolate between its rows, so a
-    steady hour has two.
+    """Write truth/irradiance.csv over the planned days.
+
+    Readers interpolate between its rows: a steady hour has two.
     """
     days = sorted({sun.standard_date(slot.t_utc, weather.site.timezone) for slot in slots})
     times: list[datetime] = []

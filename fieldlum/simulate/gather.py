@@ -1,10 +1,9 @@
-"""How much each point of a room owes to each part of the sky and to each piece of surface:
-Radiance's rcontrib.
+"""Coefficients of a room's points for each part of the sky and each surface piece, by rcontrib.
 
-Every surface is cut into pieces. One rcontrib run from the pieces' middles and one from the points
-that the pixels see (irradiance mode, one bounce) give sparse coefficients over the same columns:
-2305 Reinhart patches of the sky, the open plain below the horizon, then the pieces. Interreflection
-is a sparse fixed point over the pieces, so no bounce is lost.
+Every surface is cut into pieces. One rcontrib run from the middles of the pieces and one from the
+points that the pixels see (irradiance mode, one bounce) give sparse coefficients for the same
+columns: 2305 Reinhart patches of the sky, the open plain below the horizon, then the pieces.
+Interreflection is a sparse fixed point over the pieces, so that no bounce is lost.
 """
 
 from __future__ import annotations
@@ -26,27 +25,27 @@ from fieldlum.scene.radiance import PLAIN_TEXT, SKY_TEXT, Face, faces, octree, r
 from fieldlum.sky import reinhart_patches
 
 Array = NDArray[np.float64]
-SKY_MF = 4
+SKY_MF = 4  # 4 x 4 Reinhart patches for each Tregenza patch: 2305 in total
 SKY = len(reinhart_patches(SKY_MF))
 PLAIN = SKY  # column of the open plain
 FIRST_PIECE = SKY + 1
-_POINTS_A_RUN = 1200
+_POINTS_A_RUN = 1200  # and _RAYS_A_RUN: size of one rcontrib run; decide memory and speed only
 _RAYS_A_RUN = 600_000
-_OFFSET_M = 1e-3
-_SUB = 4  # squared: sample points of direct sun in a piece
-# m2: members of a set that are equally far from its middle, as in a symmetric room, are taken by
-# their order. Their distances differ in the last bit, and otherwise on every processor.
+_OFFSET_M = 1e-3  # points are this far above their surface, so that rays do not hit it
+_SUB = 4  # squared: sample points of direct sun in a piece; chosen, not measured
+# Distances are rounded to this many decimals [m2], so that members of a set that are equally far
+# from its middle, as in a symmetric room, are taken by their order. Their last bit differs between
+# processors (docs/results/processors.md).
 _TIE_DECIMALS = 9
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """All surfaces cut into rectangles, numbered by `first` and `counts` [faces] within their
-    faces.
+    """All surfaces, cut into rectangles; `first` and `counts` [faces] number them in their faces.
 
-    Arrays over pieces [p]: face; reflectance; middle [p, 3] of what is not buried in another box
-    (NaN: all is). Sample points for direct sun: position [q, 3], piece [q] and share [q] of the
-    piece's open part.
+    Arrays over pieces [p]: face; reflectance; middle [p, 3] of the part that is not inside another
+    box (NaN if all is). Sample points for direct sun: position [q, 3], piece [q], and share [q] of
+    the piece's open part.
     """
 
     faces: tuple[Face, ...]
@@ -64,26 +63,29 @@ class Pieces:
 
     @property
     def free(self) -> NDArray[np.intp]:
-        """Pieces of which anything is seen."""
+        """The pieces of which some part is visible."""
         return np.flatnonzero(np.isfinite(self.middle[:, 0]))
 
     @cached_property
     def axis(self) -> NDArray[np.int8]:
+        """Axis of the normal of each piece, [p]."""
         return np.array([f.axis for f in self.faces], np.int8)[self.face]
 
     @cached_property
     def sign(self) -> NDArray[np.int8]:
+        """Sign of the normal of each piece, [p]."""
         return np.array([f.sign for f in self.faces], np.int8)[self.face]
 
     @cached_property
     def normals(self) -> Array:
+        """Normal of each piece, [p, 3]."""
         out = np.zeros((len(self), 3))
         out[np.arange(len(self)), self.axis] = self.sign
         return out
 
 
 def cut(scene: BoxScene, piece_m: float) -> Pieces:
-    """Pieces of about `piece_m` in the room, coarser outside, where they are seen from afar."""
+    """Cut the faces into pieces of about `piece_m` in the room, and larger ones outside."""
     visible = tuple(faces(scene))
     counts = np.array([_count(scene, f, piece_m) for f in visible], np.int32)
     first = np.concatenate([[0], np.cumsum(counts.prod(axis=1))]).astype(np.int32)
@@ -111,7 +113,7 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
 
 
 def _grid(face: Face, na: int, nb: int) -> Array:
-    """_SUB x _SUB points in each piece of a face, piece by piece, [na nb _SUB _SUB, 3]."""
+    """Return _SUB x _SUB points in each piece of a face, by piece, [na nb _SUB _SUB, 3]."""
     step = (np.arange(_SUB) + 0.5) / _SUB
     jb, ja, sb, sa = (
         m.ravel() for m in np.meshgrid(np.arange(nb), np.arange(na), step, step, indexing="ij")
@@ -148,7 +150,7 @@ def _in_room(scene: BoxScene, face: Face) -> bool:
 
 
 def _bin_file(pieces: Pieces) -> str:
-    """A .cal file with the bin of each face from the hit point."""
+    """Return a .cal file with the bin of each face from the point of the hit."""
     lines = ["keep(n,x):if(x,if(n-1-x,floor(x),n-1),0);"]
     names = "Px", "Py", "Pz"
     for k, (f, (na, nb)) in enumerate(zip(pieces.faces, pieces.counts, strict=True)):
@@ -163,11 +165,11 @@ def _bin_file(pieces: Pieces) -> str:
 def _hemispheres(
     position: Array, normal: Array, rays: int, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Origins and directions of cosine-weighted rays into each point's hemisphere, [m, rays, 6].
+    """Return cosine-weighted rays into each point's hemisphere, origin and direction, [m, rays, 6].
 
     Roberts' R2 sequence, which fills the square evenly at any count, shifted at random for each
-    point (Cranley and Patterson 1976), on the disc, then lifted to the sphere (Malley). rcontrib's
-    own sampling takes its seed from the clock; with these a room comes out the same every time.
+    point (Cranley and Patterson 1976), mapped to the disc, then to the sphere (Malley). rcontrib's
+    own sampling takes its seed from the clock; with these rays a room has the same result always.
     """
     steps = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g^2 with g^3 = g + 1
     square = (np.arange(rays)[None, :, None] * steps + rng.random((len(position), 1, 2))) % 1.0
@@ -209,11 +211,10 @@ def gather(
     progress: Progress = quiet,
     text: str = "",
 ) -> Any:
-    """Irradiance at points [m, 3] per luminance of each column: a scipy CSR matrix [m, 2306 +
-    pieces], sums up to pi.
+    """Return the irradiance at points [m, 3] per luminance of each column, CSR [m, 2306 + pieces].
 
-    rays: directions sampled from each point, the same ones in every run. Raises RuntimeError with
-    Radiance's own words when rcontrib fails.
+    Rows sum to at most pi. rays : directions sampled from each point, the same in every run. Raises
+    RuntimeError with Radiance's message if rcontrib fails.
     """
     from scipy.sparse import vstack
 
@@ -225,7 +226,7 @@ def gather(
         cal = built.with_suffix(".cal")
         cal.write_text(_bin_file(pieces), encoding="ascii")
 
-        def one(start: int) -> Any:
+        def gathered(start: int) -> Any:
             part = slice(start, start + points_a_run)
             stream = _hemispheres(lifted[part], normal[part], rays, np.random.default_rng(start))
             answer = _command(scene, pieces, cal, built, stream.tobytes(), rays)()
@@ -233,14 +234,14 @@ def gather(
 
         parts = []
         with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, 8)) as pool:
-            for k, part in enumerate(pool.map(one, starts)):
+            for k, part in enumerate(pool.map(gathered, starts)):
                 parts.append(part)
                 progress(min((k + 1) * points_a_run, len(lifted)), len(lifted), text)
     return vstack(parts, format="csr", dtype=np.float32) if parts else _sparse(b"", 0, columns)
 
 
 def _sparse(answer: bytes, rows: int, columns: int) -> Any:
-    """rcontrib's R G B floats, row by row, to CSR; all surfaces are grey, so red stands for all."""
+    """Convert rcontrib's R G B floats to CSR; all surfaces are grey, so that red is enough."""
     from scipy.sparse import csr_matrix
 
     values = np.frombuffer(answer, "<f4").reshape(rows, columns, 3)[:, :, 0]
@@ -250,8 +251,9 @@ def _sparse(answer: bytes, rows: int, columns: int) -> Any:
 def representatives(
     keys: Sequence[NDArray[np.integer]], position: Array, weight: Array
 ) -> tuple[NDArray[np.intp], Array]:
-    """One point for each set of equal keys: the row of the member nearest to the set's middle,
-    and the set's weight.
+    """Return one row for each set of equal keys, and the weight of the set.
+
+    The row is that of the member nearest to the middle of the set.
     """
     code = np.zeros(len(position), np.int64)
     for key in keys:

@@ -1,8 +1,8 @@
-"""Troubles of a real campaign, put into a simulated one: each with a size and a seed from a file.
+"""Troubles of a real campaign in a simulated one: each has a size and a seed, from a file.
 
-A trouble changes what the room shows (truth/<slot>.exr, the pictures that cameras take) or what the
-instrument measures (truth/irradiance.csv, pairs.csv). What is stated stays as it was: the site, the
-room, the slots' times and the sun patches computed from them.
+A trouble changes the room (truth/<slot>.exr, the pictures that cameras take) or the instrument's
+readings (truth/irradiance.csv, pairs.csv). The stated session is unchanged: the site, the room, the
+times of the slots and the sun patches computed from them.
 """
 
 from __future__ import annotations
@@ -33,20 +33,24 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-_CLOUD_WAVES = 12  # plane waves of the cloud field; their sum is nearly normal
-_CLOUD_SCALE_RAD = 0.5  # correlation length, about 30 degrees as in the learning review's probe
-_FAR_M, _FAR_SD = 500.0, 0.3  # DNI under broken cloud decorrelates within some hundred metres
+# Sizes of the disturbances. Where no source is stated they are chosen to look like a campaign, not
+# measured.
+_CLOUD_WAVES = 12  # plane waves of the cloud field: their sum is nearly normal
+_CLOUD_SCALE_RAD = 0.5  # correlation length, about 30 degrees
+# DNI under broken clouds decorrelates within some hundred metres, with this sd of its logarithm.
+_FAR_M = 500.0
+_FAR_SD = 0.3
 _KNOCKED_DAYS = (3, 6)  # first day of the knock and first day after it, counted from 0
 _EVENING_H = 15.0  # local standard time from which lamps may be on
-_LAMP_SPOTS = 20.0  # a luminaire is so many times brighter than the wall that it lights
-_PERSON_DEG = (12.0, 50.0)  # width and height of somebody 2 m away, from the feet up
-_CHAIR_DEG = (18.0, 14.0)
-_CLIP_CDM2 = 1500.0  # what a bracket without its shortest frames still holds
+_LAMP_SPOTS = 20.0  # luminance of a luminaire over that of the wall that it lights
+_PERSON_DEG = (12.0, 50.0)  # width and height of a person 2 m away, from the feet
+_CHAIR_DEG = (18.0, 14.0)  # width and height of a chair's shadow on the floor
+_CLIP_CDM2 = 1500.0  # largest luminance of a bracket without its shortest frames
 
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """How large, in the unit of the trouble, and the seed of what is random about it."""
+    """The size of a trouble, in its own unit, and the seed of its random part."""
 
     size: float
     seed: int = 1
@@ -54,21 +58,21 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Troubles:
-    """What goes wrong; None: it does not.
+    """The troubles of a campaign; None: not present.
 
-    clouds : sd of ln luminance of a smooth field over the sky, another each hour; DHI is kept.
-    distant_instrument : distance of the instrument [m]; its DNI is that of other clouds.
-    instrument_drift : relative change of what it measures from the first to the last slot.
-    horizon : altitude below which the instrument is in shade [deg].
-    north : room and camera are so much further clockwise than stated [deg].
-    clock_drift : the stated times fall behind the true ones by this much in a week [min].
-    knock : turn of the camera from the 4th to the 6th day [deg].
-    lamps : luminance that lamps add to walls in some evenings [cd/m2].
-    blind : share of light that a half-lowered blind takes away on one day.
+    clouds : sd of ln luminance of a smooth field over the sky, another in each hour; DHI is kept.
+    distant_instrument : distance of the instrument, m; its DNI is that of other clouds.
+    instrument_drift : relative change of its readings from the first to the last slot.
+    horizon : altitude below which the instrument is in shade, deg.
+    north : turn of room and camera, clockwise from the stated one, deg.
+    clock_drift : delay of the stated times after a week, min.
+    knock : turn of the camera from the 4th to the 6th day, deg.
+    lamps : luminance that lamps add to walls in some evenings, cd/m2.
+    blind : share of light that a half-lowered blind removes on one day.
     people : share of the pictures with a person in them.
-    chair : share of light that a moved chair takes from a part of the floor, from the middle day.
+    chair : share of light that a moved chair removes from a part of the floor, from the middle day.
     exposures : relative sd of a picture's level by wrong exposure times.
-    clipped : number of pictures without their shortest exposures.
+    clipped : count of pictures without their shortest exposures.
     """
 
     clouds: Trouble | None = None
@@ -87,23 +91,23 @@ class Troubles:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Troubles that are there."""
+        """The troubles that are present."""
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
     @property
     def key(self) -> str:
-        """Changes with any size or seed."""
+        """A hash that changes with any size or seed."""
         text = json.dumps(asdict(self), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
 
     def only(self, name: str) -> Troubles:
-        """The same with one trouble alone. Raises KeyError for one that is not there."""
+        """Return a single trouble. Raises KeyError for one that is not present."""
         if name not in self.names:
             raise KeyError(name)
         return Troubles(**{name: getattr(self, name)})
 
     def seeded(self, seed: int) -> Troubles:
-        """The same sizes with other seeds."""
+        """Return the same sizes with other seeds."""
         changed = {
             n: replace(getattr(self, n), seed=getattr(self, n).seed + seed) for n in self.names
         }
@@ -135,13 +139,14 @@ def load_troubles(path: Path) -> Troubles:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(path, str(error), "a TOML file of troubles") from None
+        raise InputError(path, str(error), "a TOML file of troubles", "correct the file") from None
     troubles = build(Troubles, table, str(path))
     for name in troubles.names:
         size = getattr(troubles, name).size
         if not abs(size) <= LIMITS[name] or (size < 0 and name not in _SIGNED):
             least = -LIMITS[name] if name in _SIGNED else 0
-            raise InputError(path, f"[{name}] size = {size:g}", f"{least:g} to {LIMITS[name]:g}")
+            limits = f"{least:g} to {LIMITS[name]:g}"
+            raise InputError(path, f"[{name}] size = {size:g}", limits, "correct the size")
     return troubles
 
 
@@ -154,7 +159,7 @@ _SIGNED = ("instrument_drift", "north", "clock_drift", "knock")
 
 @dataclass(frozen=True)
 class CloudyLight(Light):
-    """Light whose sky is Perez's times a smooth log-normal field, another one each moment."""
+    """Light whose sky is Perez's times a smooth log-normal field, another one at each moment."""
 
     cloud_sd: float = 0.0
     cloud_seed: int = 0
@@ -165,8 +170,10 @@ class CloudyLight(Light):
         return CloudyLight(**values, cloud_sd=self.cloud_sd, cloud_seed=self.cloud_seed)
 
     def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Luminance of the clouded sky, [n, m]; the diffuse illuminance is that of the clear
-        Perez sky, and the ground below the horizon is unchanged.
+        """Return the luminance of the clouded sky, [n, m], cd/m2.
+
+        The diffuse illuminance is that of the sky without the field; the ground below the horizon
+        is unchanged.
         """
         plain = super().sky_at(directions)
         patches = reinhart_patches()
@@ -177,15 +184,16 @@ class CloudyLight(Light):
         for k, t in enumerate(self.t_utc):
             rng = np.random.default_rng([self.cloud_seed, int(t.timestamp())])
             field, everywhere = _cloud_field(rng, self.cloud_sd, directions, patches.directions)
-            kept = float(base[k] @ weights) / max(float((base[k] * everywhere) @ weights), 1e-9)
-            out[k, up] *= (kept * field[up]).astype(np.float32)
+            unclouded = float(base[k] @ weights)
+            factor = unclouded / max(float((base[k] * everywhere) @ weights), 1e-9)
+            out[k, up] *= (factor * field[up]).astype(np.float32)
         return out
 
 
 def _cloud_field(
     rng: np.random.Generator, sd: float, *directions: NDArray[np.floating]
 ) -> list[NDArray[np.float64]]:
-    """exp of a smooth normal field at each set of directions [m, 3], [m] each."""
+    """Return exp of a smooth normal field at each set of directions [m, 3], [m] each."""
     waves = rng.normal(0.0, 1.0 / _CLOUD_SCALE_RAD, (_CLOUD_WAVES, 3))
     phases = rng.uniform(0.0, 2.0 * np.pi, _CLOUD_WAVES)
     scale = sd * np.sqrt(2.0 / _CLOUD_WAVES)
@@ -193,7 +201,7 @@ def _cloud_field(
 
 
 def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
-    """Return the light that the room really gets, in the stated frame of room and camera."""
+    """Return the light that the room really has, in the stated frame of room and camera."""
     altitude, azimuth = light.sun_altitude_deg, light.sun_azimuth_deg
     if troubles.clock_drift is not None:
         start = min(light.t_utc)
@@ -219,14 +227,14 @@ def measured_irradiance(
     altitude_deg: Array,
     troubles: Troubles,
 ) -> tuple[Array, Array]:
-    """Return DNI and DHI [n] as the troubled instrument gives them. [W/m2]"""
+    """Return DNI and DHI of the troubled instrument, [n] each, in W/m2."""
     dni, dhi = np.array(dni_wm2, float), np.array(dhi_wm2, float)
     rise = np.maximum(np.sin(np.radians(altitude_deg)), 0.02)
     if troubles.distant_instrument is not None:
-        apart = troubles.distant_instrument
-        sd = _FAR_SD * (1.0 - np.exp(-apart.size / _FAR_M))
+        far = troubles.distant_instrument
+        sd = _FAR_SD * (1.0 - np.exp(-far.size / _FAR_M))
         total = dni * rise + dhi
-        factor = [np.exp(sd * _normal(apart.seed, t)) for t in times_utc]
+        factor = [np.exp(sd * _normal(far.seed, t)) for t in times_utc]
         dni = np.minimum(dni * factor, 0.97 * total / rise)
         dhi = np.maximum(total - dni * rise, 0.0)
     if troubles.horizon is not None:
@@ -239,7 +247,7 @@ def measured_irradiance(
 
 
 def _normal(seed: int, t_utc: datetime) -> float:
-    """A normal number of an hour: the same at all its seconds."""
+    """Return a normal random number of an hour, the same at all its seconds."""
     hour = int(t_utc.timestamp() // 3600)
     return float(np.random.default_rng([seed, hour]).standard_normal())
 
@@ -255,9 +263,9 @@ def troubled_pictures(
     all_slots: Sequence[datetime],
     troubles: Troubles,
 ) -> Rendering:
-    """Return the rendering of `slots` with what was different in the room and the camera.
+    """Return the rendering of `slots` with the troubles of room and camera.
 
-    all_slots : of the complete plan: days are counted by it.
+    all_slots : of the complete plan, by which days are counted.
     """
     zone = truth.setup.site.timezone
     days = sorted({sun.standard_date(t, zone) for t in all_slots})
@@ -274,7 +282,7 @@ def troubled_pictures(
 def _changed_room(
     image: Array, truth: GroundTruth, day: int, days: int, hour: float, troubles: Troubles
 ) -> Array:
-    """Lamps, a blind and a chair, [H, W]."""
+    """Return the picture with lamps, a blind and a chair, [H, W]."""
     out = image.copy()
     height, width = out.shape
     if troubles.lamps is not None and hour >= _EVENING_H:
@@ -287,8 +295,8 @@ def _changed_room(
         window = truth.view.sky > 0
         rows = np.flatnonzero(window.any(axis=1))
         upper = window & (np.arange(height)[:, None] <= np.median(rows))
-        left = 1.0 - troubles.blind.size
-        out = np.where(upper, out * left, out * (0.5 + 0.5 * left)).astype(np.float32)
+        passed = 1.0 - troubles.blind.size
+        out = np.where(upper, out * passed, out * (0.5 + 0.5 * passed)).astype(np.float32)
     if troubles.chair is not None and day >= days // 2:
         azimuth = float(np.random.default_rng(troubles.chair.seed).uniform(0.0, 360.0))
         where = _block(height, width, azimuth, -35.0, *_CHAIR_DEG)
@@ -303,7 +311,7 @@ def _blind_day(blind: Trouble, days: int) -> int:
 def _changed_picture(
     image: Array, t_utc: datetime, all_slots: Sequence[datetime], day: int, troubles: Troubles
 ) -> Array:
-    """A person, a turned camera, wrong exposure times and clipping, [H, W]."""
+    """Return the picture with a person, a turn, wrong exposure times and clipping, [H, W]."""
     out = image
     height, width = out.shape
     if troubles.people is not None:
@@ -313,9 +321,10 @@ def _changed_picture(
             out = np.where(body, np.float32(0.3 * np.median(out)), out)
     if troubles.knock is not None and _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]:
         shift = troubles.knock.size / 360.0 * width
-        whole = int(np.floor(shift))
-        near, far = np.roll(out, -whole, axis=1), np.roll(out, -whole - 1, axis=1)
-        out = (near * (1.0 - (shift - whole)) + far * (shift - whole)).astype(np.float32)
+        columns = int(np.floor(shift))
+        near, far = np.roll(out, -columns, axis=1), np.roll(out, -columns - 1, axis=1)
+        part = shift - columns
+        out = (near * (1.0 - part) + far * part).astype(np.float32)
     if troubles.exposures is not None:
         rng = np.random.default_rng([troubles.exposures.seed, int(t_utc.timestamp())])
         out = out * np.float32(np.exp(troubles.exposures.size * rng.standard_normal()))
@@ -327,7 +336,7 @@ def _changed_picture(
 
 
 def _draw(trouble: Trouble | None, t_utc: datetime) -> int:
-    """A number that orders slots at random."""
+    """Return a number that orders slots at random."""
     return zlib.crc32(f"{trouble.seed if trouble else 0} {t_utc.timestamp():.0f}".encode())
 
 
@@ -339,9 +348,9 @@ def _block(
     wide_deg: float,
     high_deg: float,
 ) -> NDArray[np.bool_]:
-    """Pixels of an upright rectangle on the sphere, azimuth counted from the heading, [H, W]."""
+    """Return the pixels of an upright rectangle; its azimuth counts from the heading, [H, W]."""
     rays = equirect_rays(height, width, 0.0)
     altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
     azimuth = np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
-    beside = np.abs((azimuth - azimuth_deg + 180.0) % 360.0 - 180.0)
-    return (beside < wide_deg / 2) & (np.abs(altitude - altitude_deg) < high_deg / 2)
+    away = np.abs((azimuth - azimuth_deg + 180.0) % 360.0 - 180.0)
+    return (away < wide_deg / 2) & (np.abs(altitude - altitude_deg) < high_deg / 2)

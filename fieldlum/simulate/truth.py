@@ -26,14 +26,16 @@ from fieldlum.session import replacing_path
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
 
 Array = NDArray[np.float64]
-VERSION = 3  # of the coefficients; a new one makes old caches stale
+VERSION = 3  # of the coefficients; increase it to recompute all stored ones
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """piece_m: size of the surface pieces in the room; rays: directions from each pixel's point
-    and from each piece; smooth_px: radius over which neighbours on one face share their gathered
-    light.
+    """Sizes that decide accuracy and time.
+
+    piece_m : size of the surface pieces in the room; pixel_rays, piece_rays : directions from each
+    pixel's point and from each piece; smooth_px : radius within which neighbours on one face share
+    their gathered light.
     """
 
     piece_m: float
@@ -42,6 +44,7 @@ class Quality:
     smooth_px: int = 2
 
 
+# Accuracy of "quick" against Radiance: docs/results/simulation.md; the others are chosen around it.
 QUALITIES = {
     "draft": Quality(0.8, 64, 128),
     "quick": Quality(0.4, 400, 1024),
@@ -51,9 +54,10 @@ QUALITIES = {
 
 @dataclass(frozen=True)
 class Rendering:
-    """n moments, without the sun's disc: luminance_cdm2 and patch_cdm2 (direct sun only) [n, H,
-    W]; disc_lx [n] on a plane normal to the sun at the camera; visible_fraction [n] of the disc;
-    light as it was asked for.
+    """Pictures of n moments, without the sun disc.
+
+    luminance_cdm2, patch_cdm2 (direct sun only) : [n, H, W]; disc_lx : [n] on a plane normal to the
+    sun at the camera; visible_fraction : [n] of the disc; light : as requested.
     """
 
     luminance_cdm2: NDArray[np.float32]
@@ -66,7 +70,7 @@ class Rendering:
         return len(self.luminance_cdm2)
 
     def source(self, k: int) -> SunSource | None:
-        """The sun as the lens sees it; None where it is hidden or down."""
+        """Return the sun as the lens sees it; None if it is hidden or down."""
         if self.disc_lx[k] <= 0:
             return None
         angles = float(self.light.sun_altitude_deg[k]), float(self.light.sun_azimuth_deg[k])
@@ -77,11 +81,11 @@ class Rendering:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """A room ready to be shown in any light. Made by `ground_truth`.
+    """A room that can be rendered in any light; `ground_truth` creates it.
 
-    points, pixels: CSR [m, columns] gathered irradiance of the pixels' points, and [H W, m] their
-    part in each pixel (reflectance / pi, glass, smoothing); pieces: CSR [p, columns] of the surface
-    pieces.
+    from_points : CSR [m, columns] gathered irradiance of the pixels' points; to_pixels : CSR
+    [H W, m] their part in each pixel (reflectance / pi, glass, smoothing); from_pieces : CSR [p,
+    columns] of the surface pieces.
     """
 
     setup: SiteFile
@@ -94,6 +98,7 @@ class GroundTruth:
 
     @property
     def height(self) -> int:
+        """Rows of the panorama."""
         return self.view.height
 
     @cached_property
@@ -115,7 +120,7 @@ class GroundTruth:
         return np.flatnonzero(self.view.sky.ravel() > 0)
 
     def render(self, light: Light) -> Rendering:
-        """Maps of all moments of `light` at once; use `maps` for many."""
+        """Render all moments of `light` at once; use `maps` for many moments."""
         n, pixels = len(light), 2 * self.height**2
         toward = self.view.scene.to_room(light.sun_direction)
         direct_lx = light.direct_lx
@@ -137,9 +142,7 @@ class GroundTruth:
         )
 
     def _columns(self, light: Light, sunlit: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Luminance of every column, [columns, n]: the sky, the plain, and the pieces after all
-        bounces.
-        """
+        """Return the luminance of sky, plain, and pieces after all bounces, [columns, n]."""
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)[:, None]
         columns = np.zeros((FIRST_PIECE + len(self.pieces), len(light)), np.float32)
         columns[:SKY] = light.sky_cdm2.T
@@ -153,8 +156,9 @@ class GroundTruth:
 
     @cached_property
     def _passes(self) -> int:
-        """Bounces after which an evenly lit room changes by less than 1e-4: the same for every
-        hour, so that an hour does not depend on its company.
+        """The count of bounces after which an evenly lit room changes by less than 1e-4.
+
+        It is the same for every hour, so that an hour does not depend on the others of its block.
         """
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)
         pieces = reflect
@@ -182,9 +186,7 @@ class GroundTruth:
         chunk: int = 32,
         progress: Progress = quiet,
     ) -> Iterator[Rendering]:
-        """Renderings of many moments in chunks; the sun stands where SPA puts it at the setup's
-        site.
-        """
+        """Yield the renderings of many moments in chunks; the sun is SPA's at the setup's site."""
         yield from self.chunks(
             light_at(times_utc, self.setup.site, dni_wm2, dhi_wm2), chunk=chunk, progress=progress
         )
@@ -192,19 +194,21 @@ class GroundTruth:
     def chunks(
         self, light: Light, *, chunk: int = 32, progress: Progress = quiet
     ) -> Iterator[Rendering]:
+        """Yield the renderings of `light` in chunks."""
         for start in range(0, len(light), chunk):
             progress(start, len(light), "maps")
             yield self.render(light[slice(start, start + chunk)])
         progress(len(light), len(light), "maps")
 
     def panorama(self, t_utc: datetime, dni_wm2: float, dhi_wm2: float) -> Panorama:
-        """One moment as a panorama, the visible sun beside it."""
+        """Render one moment as a panorama with its separate visible sun."""
         made = self.render(
             light_at([t_utc], self.setup.site, np.array([dni_wm2]), np.array([dhi_wm2]))
         )
         return self.as_panorama(made, 0)
 
     def as_panorama(self, made: Rendering, k: int) -> Panorama:
+        """Return one moment of a rendering as a panorama."""
         about = {"made_by": "fieldlum simulate", "room": self.setup.site.name}
         return Panorama(
             made.luminance_cdm2[k],
@@ -216,7 +220,7 @@ class GroundTruth:
 
 
 # ----------------------------------------------------------------------------------------------
-# making and caching
+# computing and storing
 
 
 def ground_truth(
@@ -228,10 +232,10 @@ def ground_truth(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> GroundTruth:
-    """Radiance coefficients of a box room, made once and kept under `cache` (a folder), found again
-    by their content.
+    """Compute the Radiance coefficients of a box room, or read them from `cache` (a folder).
 
-    Raises InputError for a setup without a box room.
+    They are stored under a hash of room, size and quality. Raises InputError for a setup without a
+    box room.
     """
     room = setup.room
     if room is None or room.kind != "box":
@@ -239,7 +243,7 @@ def ground_truth(
             setup.site.name,
             "no box room",
             '[room] with kind = "box"',
-            "simulation needs its geometry",
+            "state the geometry of the room",
         )
     how = QUALITIES[quality]
     heading = setup.camera.heading_deg % 360.0
@@ -287,11 +291,11 @@ def ground_truth(
 def _gather_pieces(
     scene: Any, pieces: Pieces, how: Quality, workers: int | None, progress: Progress
 ) -> Any:
-    """Rows of buried pieces stay empty."""
+    """Gather at the pieces, CSR [p, columns]; rows of pieces inside other boxes stay empty."""
     from scipy.sparse import csr_matrix
 
     free = pieces.free
-    found = gather(
+    gathered = gather(
         scene,
         pieces,
         pieces.middle[free],
@@ -304,13 +308,14 @@ def _gather_pieces(
     spread = csr_matrix(
         (np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free))
     )
-    return (spread @ found).tocsr()
+    return (spread @ gathered).tocsr()
 
 
 def _pixel_points(view: SceneView, smooth_px: int) -> tuple[NDArray[np.intp], Any, Array]:
-    """Points to gather light at: one for each face in each pixel (and its mirror image). Rows of
-    the view's samples, the matrix [H W, m] that turns their irradiance into luminance, and their
-    normals.
+    """Choose the points to gather light at: one for each face in each pixel, and for its mirror.
+
+    Returns rows [m] of the view's samples, the matrix [H W, m] from their irradiance to luminance,
+    and their normals [m, 3].
     """
     from scipy.sparse import csr_matrix
 
@@ -334,8 +339,9 @@ def _pixel_points(view: SceneView, smooth_px: int) -> tuple[NDArray[np.intp], An
 def _neighbours(
     pixel: NDArray[np.int32], face: NDArray[np.int64], position: Array, view: SceneView, radius: int
 ) -> Any:
-    """Averaging [m, m] over points of the same face in pixels within `radius`, less for those
-    further off in space.
+    """Return the averaging matrix [m, m] over points of one face in pixels within `radius`.
+
+    Points further away in space have less weight.
     """
     from scipy.sparse import coo_matrix, diags
 
@@ -372,7 +378,7 @@ def _save(folder: Path, name: str, matrix: Any) -> None:
 
 
 def _load(folder: Path, name: str, columns: int) -> Any:
-    """Memory-mapped, so that opening a truth is quick and many processes share it."""
+    """Read a matrix as memory maps, so that many processes share it and opening is quick."""
     from scipy.sparse import csr_matrix
 
     data, indices, indptr = (
