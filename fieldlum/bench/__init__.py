@@ -1,6 +1,4 @@
-"""Speed against accuracy, how many captures, which days, and where it breaks: one command for
-any pairs.csv.
-"""
+"""Benchmarks of any pairs.csv: speed, accuracy, count of captures, choice of days, disturbances."""
 
 from __future__ import annotations
 
@@ -79,14 +77,14 @@ STRESS = {
     "expected_mse": "expected",
     "untrusted_share": "not trusted",
     "warned": "warned",
-    "told": "told",
-    "wild": "wild maps",
-    "wild_unflagged": "wild unflagged",
+    "told": "reported",
+    "wild": "gross errors",
+    "wild_unflagged": "gross errors unflagged",
 }
 
 
 def machine() -> str:
-    """As the tables name it."""
+    """Return the machine's cores and architecture, as tables state them."""
     return f"{os.cpu_count()} cores, {platform.machine()}"
 
 
@@ -95,7 +93,7 @@ def machine() -> str:
 
 
 def shown(value: Any) -> str:
-    """A cell of a Markdown table."""
+    """Return a value as a cell of a Markdown table."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -110,7 +108,7 @@ def shown(value: Any) -> str:
 
 
 def markdown(rows: Sequence[dict[str, Any]], columns: dict[str, str]) -> str:
-    """A table of the columns that have any value."""
+    """Return a Markdown table of the columns that have a value in some row."""
     used = [key for key in columns if any(row.get(key) is not None for row in rows)]
     lines = ["| " + " | ".join(columns[key] for key in used) + " |", "|" + "---|" * len(used)]
     lines += ["| " + " | ".join(shown(row.get(key)) for key in used) + " |" for row in rows]
@@ -125,14 +123,15 @@ def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def _keep(out: Path, name: str, rows: Sequence[dict[str, Any]], chart: Any, *more: Any) -> None:
-    """NAME.csv and NAME.png."""
+def _store(out: Path, name: str, rows: Sequence[dict[str, Any]], chart: Any, *more: Any) -> None:
+    """Write NAME.csv and NAME.png."""
     _write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
         chart(path, rows, *more)
 
 
-# ---------------------------------------------------------------------------------------------- run
+# ----------------------------------------------------------------------------------------------
+# run
 
 
 def run(
@@ -148,11 +147,11 @@ def run(
     out: Path,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Score table, chart, learning curves, collection periods (where a year is at hand) and stress,
-    into `out`.
+    """Write score table, chart, learning curves, collection periods and stress tests into `out`.
 
-    test: hours to ask about; without it held-out days of `data`. Hours that any model was trained
-    on are never asked. whole: all hours at hand, to draw seasons from.
+    Collection periods need a year of data. test : hours to predict, by default held-out days of
+    `data`; hours that any model was trained on are never used. whole : all available hours, from
+    which seasons are drawn.
     """
     from fieldlum.bench import charts, stress
     from fieldlum.bench.cost import radiance_row
@@ -174,16 +173,18 @@ def run(
     if rendering:
         table.append(rendering)
         rows.append(rendering)
-    _keep(out, "scores", table, charts.speed_accuracy, machine())
+    _store(out, "scores", table, charts.speed_accuracy, machine())
     _write_csv(out / "scores_by_seed.csv", rows)
     parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     parts += _curves(data, test, specs, out, progress)
     if with_stress:
         spec = next((s for s in specs if s.name == "transport"), specs[0])
-        teach, check = (data, test) if test is not None else _parted(data)
-        found = stress.run(spec, teach, check, _apart(whole, data, check), progress=progress)
-        _keep(out, "stress", found, charts.stress)
-        parts.append(f"## Stress\n\n{markdown(found, STRESS)}")
+        teach, check = (data, test) if test is not None else _split(data)
+        regimes = stress.run(
+            spec, teach, check, _without_test(whole, data, check), progress=progress
+        )
+        _store(out, "stress", regimes, charts.stress)
+        parts.append(f"## Stress\n\n{markdown(regimes, STRESS)}")
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
     head += (
         f"; test {len(test)} hours of {test.source}.\n\n" if test else "; test: held-out days.\n\n"
@@ -193,23 +194,21 @@ def run(
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
 
 
-def _parted(data: Dataset) -> tuple[Dataset, Dataset]:
-    """Data to train on and held-out days (hours, where there is one day only) to ask about, a
-    fifth of all.
-    """
+def _split(data: Dataset) -> tuple[Dataset, Dataset]:
+    """Return training data and held-out days, a fifth of all (hours, if there is only one day)."""
     from fieldlum.errors import NotEnoughDataError
     from fieldlum.train.folds import day_folds
 
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
-            f"{data.source}: {len(data)} usable hour, at least 2 are needed to train and to check"
+            f"{data.source}: {len(data)} usable hour; expected at least 2, to train and to test"
         )
     return data.take(folds[0].teach), data.take(folds[0].check)
 
 
-def _apart(whole: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
-    """All hours at hand but the test's."""
+def _without_test(whole: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
+    """Return all available hours except those of the test."""
     import numpy as np
 
     everything, asked = data if whole is None else whole, set(test.slots)
@@ -219,7 +218,7 @@ def _apart(whole: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
 def _curves(
     data: Dataset, test: Dataset | None, specs: Sequence[Any], out: Path, progress: Progress
 ) -> list[str]:
-    """Learning curve and collection periods of the quick models."""
+    """Return learning curve and collection periods of the quick models, as Markdown."""
     import numpy as np
 
     from fieldlum.bench import charts, year
@@ -230,10 +229,8 @@ def _curves(
         return parts
     if test is None and year.is_year(data):
         order = np.random.default_rng(0).permutation(len(data))
-        held, pool = (
-            data.take(np.sort(order[: year.TEST_HOURS])),
-            data.take(np.sort(order[year.TEST_HOURS :])),
-        )
+        held = data.take(np.sort(order[: year.TEST_HOURS]))
+        pool = data.take(np.sort(order[year.TEST_HOURS :]))
     else:
         held, pool = test, data
     if held is not None and len(pool) >= 2 * year.COUNTS[0]:
@@ -242,12 +239,12 @@ def _curves(
             for spec in quick
             for row in year.learning_curve(spec, pool, held, progress=progress)
         ]
-        _keep(out, "learning_curve", rows, charts.learning_curves)
+        _store(out, "learning_curve", rows, charts.learning_curves)
         parts.append(f"## Captures\n\n{markdown(rows, CURVE)}")
     if year.is_year(data):
         rows = [
             row for spec in quick for row in year.compare_periods(spec, data, progress=progress)
         ]
-        _keep(out, "periods", rows, charts.collection_periods)
+        _store(out, "periods", rows, charts.collection_periods)
         parts.append(f"## Collection periods\n\n{markdown(rows, PERIODS)}")
     return parts

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-# Liu et al. 2020, Table 1 and section 5: 30 min, 0.1 s a map, log10 MSE
+# Liu et al. 2020, Table 1 and section 5: training 30 min, 0.1 s for a map, log10 MSE 9.54e-3.
 PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"
 PAPER = {"fit_cpu_s": 1800.0, "predict_cpu_s_per_map": 0.1, "error": 9.54e-3}
 COLOURS = {
@@ -42,7 +42,7 @@ def _known(value: float | None) -> bool:
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Numbers of the points that none beats in both, from left to right."""
+    """Return the indices of the points on the Pareto front, from left to right."""
     order = sorted(range(len(points)), key=lambda k: points[k])
     front: list[int] = []
     for k in order:
@@ -52,8 +52,9 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> None:
-    """Two panels: seconds of training, and of one map, against the error (paper mode, as the
-    published point is).
+    """Draw two panels: seconds of training, and of one map, against the error.
+
+    The error is in paper mode, as that of the published point.
     """
     figure, axes = _figure(11.0, 4.8, 2)
     for axis, key, label in zip(
@@ -83,7 +84,7 @@ def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> 
                 color=_colour(row["name"]),
                 markerfacecolor="white" if hollow else _colour(row["name"]),
             )
-            below = row["name"].startswith("dense")  # clear of the published point
+            below = row["name"].startswith("dense")  # so that it does not cover the published point
             axis.annotate(
                 row["name"],
                 point,
@@ -117,7 +118,7 @@ def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> 
 
 
 def learning_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Error against captures, random and greedy, per model."""
+    """Draw the error against the count of captures, random and greedy, for each model."""
     figure, axis = _figure(6.5, 4.5)
     for name in dict.fromkeys(row["name"] for row in rows):
         for way, style in (("random", "o--"), ("greedy", "o-")):
@@ -138,7 +139,7 @@ def learning_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def collection_periods(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Error of each collection period (the paper's Figures 18 to 22)."""
+    """Draw the error of each collection period (the paper's Figures 18 to 22)."""
     figure, axis = _figure(9.0, 4.2)
     names = list(dict.fromkeys(row["period"] for row in rows))
     models = list(dict.fromkeys(row["name"] for row in rows))
@@ -159,7 +160,7 @@ def collection_periods(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def stress(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """How many times the normal error each regime has; filled where the model said so itself."""
+    """Draw each regime's error over the normal error; blue if the tool itself reported it."""
     figure, axis = _figure(9.0, 0.32 * len(rows) + 1.2)
     for k, row in enumerate(reversed(rows)):
         colour = "#0b6e99" if row["told"] else "#c2410c"
@@ -169,6 +170,6 @@ def stress(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     axis.set_yticks(range(len(rows)), [row["regime"] for row in reversed(rows)], fontsize=8)
     axis.set(
         xscale="log",
-        xlabel="error over the normal case (blue: the model expected it; red: it did not)",
+        xlabel="error over the normal case (blue: the tool reported it; red: it did not)",
     )
     figure.savefig(path)

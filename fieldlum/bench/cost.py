@@ -1,4 +1,4 @@
-"""What the same maps cost as Radiance renderings, measured."""
+"""Measured cost of the same maps as Radiance renderings."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Progress, quiet
 
+# The options of the paper's rpict (Liu, Colburn and Inanici 2020).
 PAPER_OPTIONS = (
     "-ab",
     "4",
@@ -23,15 +24,14 @@ PAPER_OPTIONS = (
     "2048",
     "-as",
     "1024",
-)  # of the paper's rpict
+)
 
 
 def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> dict[str, Any] | None:
-    """Seconds for one map of the data's size by rtrace with the paper's options, mean of a few
-    hours on one core.
+    """Measure the time of one map of the data's size by rtrace with the paper's options.
 
-    The room is [room]'s box; its sky is even and of the hour's illuminance, which costs what a
-    Perez sky costs. None without a box room.
+    The mean of a few hours on one core. The room is the box of [room]; its sky is uniform with the
+    hour's illuminance, which costs as much as a Perez sky. Returns None without a box room.
     """
     from fieldlum.scene.geometry import build
     from fieldlum.scene.radiance import octree, rad_text, sun_text, trace

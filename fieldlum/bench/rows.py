@@ -1,4 +1,4 @@
-"""Rows of the score table: which model, fitted on what, asked about what."""
+"""Rows of the score table: one model, its training data and its test."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SPREAD = (
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """``NAME``, ``NAME:PATCH`` or the folder of a model trained before."""
+    """A model: ``NAME``, ``NAME:PATCH`` or the folder of a trained model."""
 
     label: str
     name: str
@@ -44,7 +44,7 @@ class Spec:
 
 
 def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
-    """Raises InputError for what is neither a model's name nor a model folder."""
+    """Parse models. Raises InputError for a text that is neither a model nor a model folder."""
     return tuple(_parse_spec(text.strip()) for text in texts if text.strip())
 
 
@@ -63,20 +63,22 @@ def _parse_spec(text: str) -> Spec:
             folder,
         )
     wanted = f"{', '.join(MODELS)}, each with :absolute, :gain or :none, or a model folder"
-    raise InputError("--models", f"'{text}'", wanted)
+    raise InputError("--models", f"'{text}'", wanted, "correct the name")
 
 
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:
-    """The test hours that neither `train` nor the models kept in `folders` hold.
+    """Return the test hours that are neither in `train` nor in the training of the stored models.
 
-    Raises NotEnoughDataError when none is left.
+    Raises NotEnoughDataError if no hour remains.
     """
     known = set(train.slots).union(
         *(models.read_config(folder).training.slots for folder in folders)
     )
     fresh = np.array([slot not in known for slot in test.slots])
     if not fresh.any():
-        raise NotEnoughDataError(f"{test.source}: every test hour is a training hour")
+        raise NotEnoughDataError(
+            f"{test.source}: every test hour is a training hour; use other test hours"
+        )
     return test.take(fresh)
 
 
@@ -89,14 +91,12 @@ def score_row(
     budget_s: float,
     progress: Progress = quiet,
 ) -> tuple[dict[str, Any], Trial]:
-    """One model, one seed: fitted on `data` and asked about `test`, or about held-out days when
-    there is none.
-    """
+    """Fit one model with one seed on `data` and score it on `test`, or on held-out days."""
     patch = patch_mode(data, spec.patch)
     if test is None:
         if spec.folder is not None:
             raise InputError(
-                "--models", f"the trained model {spec.label}", "--test TEST.csv beside it"
+                "--models", f"the trained model {spec.label}", "test hours", "add --test TEST.csv"
             )
         folds = day_folds(data)
         trial = evaluate_folds(
@@ -140,11 +140,10 @@ def score_table(
     budget_s: float = 300.0,
     progress: Progress = quiet,
 ) -> tuple[list[dict[str, Any]], dict[str, Trial]]:
-    """Rows of all models and seeds, and each model's first trial. Models without chance in them run
-    once.
+    """Return the rows of all models and seeds, and each model's first trial.
 
-    test: hours that no model was trained on (`without_training_hours`); None: held-out days of
-    `data`.
+    Models without randomness run once. test : hours that no model was trained on
+    (`without_training_hours`); None: held-out days of `data`.
     """
     asked = None if test is None else truth(test)
     rows: list[dict[str, Any]] = []
@@ -162,9 +161,7 @@ def score_table(
 
 
 def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row a model: the first seed's, with mean and standard deviation over seeds where there
-    are several.
-    """
+    """Return one row for each model: its first seed's, with mean and sd over several seeds."""
     out = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]

@@ -1,11 +1,10 @@
-"""The regimes where methods fail: each one's error beside the normal case, and whether the tool
-itself said so.
+"""Regimes in which methods fail: error relative to a normal case, and whether the tool reports it.
 
 A regime changes the training data, the test data, or both, from a normal case of its own kind.
 "Reported" means that the training warned (`train.consistency_warnings`), or that the model expected
-at least a third of the error, or that it did not trust most of the hours that went wrong. A gross
-error is a map off by more than a factor of 1.6 (log10 MSE over 0.04); none may be trusted and
-expected to be good.
+at least a third of the error, or that it did not trust most of the hours with a large error. A
+gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04); none may be
+both trusted and expected to be good.
 """
 
 from __future__ import annotations
@@ -29,20 +28,19 @@ from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import settle
 from fieldlum.train.trials import fit_timed
 
-FEWEST = 8  # hours on either side that a regime needs
-# regimes are made at full size, then every few pixels are kept: thirty fits in a minute or two
+FEWEST = 8  # hours of training and of test that a regime needs
+# Maps are reduced to this many rows after a regime was applied at full size: thirty fits then take
+# a minute or two.
 HEIGHT = 20
-WILD_MSE = 0.04
-TOLD_SHARE = 1.0 / 3.0
+GROSS_MSE = 0.04  # log10 MSE of a gross error: a factor of 1.6
+REPORTED_SHARE = 1.0 / 3.0  # of the error that the model must expect; chosen, not measured
 SUNNY_WM2 = 120.0
 OVERCAST_SHARE = 0.2  # of the sun in DNI + DHI
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A regime made of data: what is trained on, what is asked; and the normal case it stands
-    beside.
-    """
+    """A regime: its training data, its test data, and the name of its normal case."""
 
     name: str
     train: Dataset
@@ -56,19 +54,19 @@ class Case:
 
 
 def with_light(data: Dataset, **columns: NDArray[np.float64]) -> Dataset:
-    """The same maps under other irradiance or another sun; a sky known otherwise is forgotten."""
+    """Return the same maps with another irradiance or sun; a measured sky is removed."""
     return replace(data, light=replace(data.light, perez=None, **columns))
 
 
 def turned(data: Dataset, degrees: float) -> Dataset:
-    """As if north were off by so much."""
+    """Return the data as if north were wrong by some degrees."""
     return _patched(
         with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0)
     )
 
 
 def late(data: Dataset, minutes: float) -> Dataset:
-    """As if the clock were off by so much: the sun moves on by what SPA says."""
+    """Return the data as if the clock were wrong: the sun moves as SPA computes."""
     site, step = data.setup.site, timedelta(minutes=minutes)
     now = sun.position(data.light.t_utc, site)
     then = sun.position([t + step for t in data.light.t_utc], site)
@@ -83,12 +81,12 @@ def late(data: Dataset, minutes: float) -> Dataset:
 
 
 def _patched(data: Dataset) -> Dataset:
-    """Sun patches made anew from [room] for the sun that is believed in."""
+    """Compute sun patches again from [room], for the assumed sun."""
     from fieldlum.scene import sun_patches
 
     if data.setup.room is None or data.patch_cdm2 is None:
         return data
-    made = sun_patches(
+    patches = sun_patches(
         data.setup.room,
         data.setup,
         data.light.sun_direction,
@@ -96,16 +94,17 @@ def _patched(data: Dataset) -> Dataset:
         height=data.shape[0],
         heading_deg=data.heading_deg,
     )
-    return replace(data, patch_cdm2=made.luminance_cdm2)
+    return replace(data, patch_cdm2=patches.luminance_cdm2)
 
 
 def shifted(data: Dataset, pixels: int) -> Dataset:
-    """Sun patches off by so many pixels to the right."""
+    """Return the data with sun patches moved by some pixels to the right."""
     assert data.patch_cdm2 is not None
     return replace(data, patch_cdm2=np.roll(data.patch_cdm2, pixels, axis=2))
 
 
 def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
+    """Return the data with log-normal noise of each pixel."""
     factor = np.exp(
         share * np.random.default_rng(seed).standard_normal(data.luminance_cdm2.shape, np.float32)
     )
@@ -113,16 +112,15 @@ def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
+    """Return the data with log-normal noise of DNI and DHI."""
     rng, light = np.random.default_rng(seed), data.light
-    dni, dhi = (
-        values * np.exp(share * rng.standard_normal(len(data)))
-        for values in (light.dni_wm2, light.dhi_wm2)
-    )
+    dni = light.dni_wm2 * np.exp(share * rng.standard_normal(len(data)))
+    dhi = light.dhi_wm2 * np.exp(share * rng.standard_normal(len(data)))
     return with_light(data, dni_wm2=dni, dhi_wm2=dhi)
 
 
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
-    """Broken clouds: the DNI of the moment is off by so much, the global horizontal is kept."""
+    """Return the data under broken clouds: DNI is wrong, global horizontal is kept."""
     light = data.light
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
     total = light.dni_wm2 * rise + light.dhi_wm2
@@ -132,8 +130,9 @@ def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def from_global(data: Dataset) -> Dataset:
-    """DNI and DHI derived from the global horizontal alone, by Erbs (lone hours: DIRINT wants a
-    series).
+    """Return the data with DNI and DHI derived from global horizontal irradiance, by Erbs.
+
+    The hours are isolated, and DIRINT needs a series.
     """
     from pvlib.irradiance import erbs
 
@@ -141,14 +140,15 @@ def from_global(data: Dataset) -> Dataset:
     zenith = 90.0 - light.sun_altitude_deg
     total = light.dni_wm2 * np.maximum(np.cos(np.radians(zenith)), 0.0) + light.dhi_wm2
     day = np.array([t.timetuple().tm_yday for t in light.t_utc])
-    found = erbs(total, np.minimum(zenith, 88.0), day)
-    dni, dhi = (np.nan_to_num(np.asarray(found[name], float)) for name in ("dni", "dhi"))
+    derived = erbs(total, np.minimum(zenith, 88.0), day)
+    dni, dhi = (np.nan_to_num(np.asarray(derived[name], float)) for name in ("dni", "dhi"))
     return with_light(data, dni_wm2=np.clip(dni, 0.0, 1100.0), dhi_wm2=np.maximum(dhi, 1.0))
 
 
 def blind_moved(data: Dataset, share: float, seed: int) -> Dataset:
-    """In whole days of about that share a blind was down: two fifths of the light, and no sun
-    patch in the picture.
+    """Return the data with a blind down on about that share of the days.
+
+    Then the room has two fifths of the light, and no sun patch.
     """
     days = np.unique(data.days)
     down = np.random.default_rng(seed).permutation(days)[: max(1, round(share * len(days)))]
@@ -173,9 +173,7 @@ def _months(data: Dataset) -> NDArray[np.int64]:
 
 
 def cases(data: Dataset, test: Dataset, whole: Dataset, *, seeds: int = 5) -> Iterator[Case]:
-    """All regimes that the data can show; `whole` is everything at hand to draw seasons from,
-    without the test.
-    """
+    """Yield all regimes that the data allow; seasons are drawn from `whole`, without the test."""
     yield Case("normal", data, test)
     for seed in range(1, seeds):
         yield Case(f"another seed ({seed})", data, test, seed=seed)
@@ -222,8 +220,9 @@ def _seasons(whole: Dataset, test: Dataset) -> Iterator[Case]:
 
 
 def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
-    """North and clock, with patches made from [room]: beside a normal case whose patches are
-    made so too.
+    """Yield wrong north and clock, with patches computed from [room].
+
+    Their normal case has patches computed from [room] too.
     """
     base = "normal, patches from [room]"
     yield Case(base, _patched(data), _patched(test), base)
@@ -236,7 +235,7 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 
 
 # ----------------------------------------------------------------------------------------------
-# answers
+# results
 
 
 def run(
@@ -248,7 +247,7 @@ def run(
     budget_s: float = 60.0,
     progress: Progress = quiet,
 ) -> list[dict[str, Any]]:
-    """One row a regime, with the ratio to its normal case."""
+    """Return one row for each regime, with the ratio to its normal case."""
     rows: list[dict[str, Any]] = []
     normal: dict[str, float] = {}
     for case in cases(data, test, whole):
@@ -268,11 +267,11 @@ def run(
 
 def _row(case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> dict[str, Any]:
     error, expected = scores.mse_weighted, scores.expected_mse
-    bad = error > max(WILD_MSE, 4.0 * float(np.median(error)))
-    wild = error > WILD_MSE
-    feared = warned | ~scores.trusted | (np.nan_to_num(expected) > TOLD_SHARE * error)
+    bad = error > max(GROSS_MSE, 4.0 * float(np.median(error)))
+    wild = error > GROSS_MSE
+    feared = warned | ~scores.trusted | (np.nan_to_num(expected) > REPORTED_SHARE * error)
     known = np.isfinite(expected).all()
-    told = float(expected.mean()) > TOLD_SHARE * float(error.mean()) if known else False
+    told = float(expected.mean()) > REPORTED_SHARE * float(error.mean()) if known else False
     told = (
         told
         or warned

@@ -1,6 +1,4 @@
-"""What a number of captures, and a choice of days, is worth: learning curves and collection
-periods.
-"""
+"""The value of a count of captures and of a choice of days: learning curves, collection periods."""
 
 from __future__ import annotations
 
@@ -19,15 +17,16 @@ from fieldlum.train import patch_mode
 from fieldlum.train.captures import order_of_use
 from fieldlum.train.trials import fit_timed
 
-COUNTS = (25, 50, 100, 200, 500, 1000)
-TEST_HOURS = 300
+COUNTS = (25, 50, 100, 200, 500, 1000)  # captures of the learning curve
+TEST_HOURS = 300  # held-out hours of a year
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-FEWEST_HOURS = 20
-YEAR_HOURS = 1000  # from so many hours on, spread over so many months, a year is at hand
+FEWEST_HOURS = 20  # of a collection period
+YEAR_HOURS = 1000  # data with this many hours in YEAR_MONTHS months count as a year
 YEAR_MONTHS = 10
 
 
 def is_year(data: Dataset) -> bool:
+    """Return whether the data have enough hours and months to count as a year."""
     months = data.days.astype("datetime64[M]").astype(int) % 12
     return len(data) >= YEAR_HOURS and len(np.unique(months)) >= YEAR_MONTHS
 
@@ -35,8 +34,9 @@ def is_year(data: Dataset) -> bool:
 def learning_curve(
     spec: Spec, data: Dataset, test: Dataset, *, seed: int = 0, progress: Progress = quiet
 ) -> list[dict[str, Any]]:
-    """Error on `test` of a model trained on N captures: drawn at random, and in the order of use
-    (greedy).
+    """Return the error on `test` of models trained on N captures.
+
+    Captures are drawn at random, or taken in the order of use (greedy).
     """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = [n for n in COUNTS if n < len(data)] + [len(data)] * (len(data) <= COUNTS[-1])
@@ -48,15 +48,15 @@ def learning_curve(
             fitted, spent = fit_timed(
                 spec.name, data.take(np.sort(order[:count])), patch=patch, seed=seed, budget_s=None
             )
-            found = summary(evaluate(fitted, asked))
+            scores = summary(evaluate(fitted, asked))
             rows.append(
                 {"name": spec.label, "way": way, "captures": count, "fit_cpu_s": spent.cpu_s}
-                | _figures(found)
+                | _figures(scores)
             )
     return rows
 
 
-def _figures(found: dict[str, Any]) -> dict[str, Any]:
+def _figures(scores: dict[str, Any]) -> dict[str, Any]:
     keys = (
         "log10_mse_weighted",
         "rer_weighted",
@@ -67,9 +67,9 @@ def _figures(found: dict[str, Any]) -> dict[str, Any]:
         "rammg_mse",
         "worst",
     )
-    return {key: found[key] for key in keys} | {
-        "n_test": found["n_test"],
-        "untrusted_share": found["untrusted_share"],
+    return {key: scores[key] for key in keys} | {
+        "n_test": scores["n_test"],
+        "untrusted_share": scores["untrusted_share"],
     }
 
 
@@ -82,7 +82,7 @@ def _dates(data: Dataset) -> list[date]:
 
 
 def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDArray[np.bool_]:
-    """Hours within `days` days of (month, day) of any year."""
+    """Return the hours within `days` days of a (month, day) of any year."""
     inside = np.zeros(len(data), bool)
     for k, day in enumerate(_dates(data)):
         inside[k] = any(abs((day - date(day.year, month, d)).days) <= days for month, d in events)
@@ -90,8 +90,9 @@ def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDAr
 
 
 def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
-    """The paper's collection periods that the data hold: months, weeks in March, 9, 12 and 4
-    days.
+    """Return the paper's collection periods that are in the data, by name.
+
+    Months; one and two weeks in March; 9, 12 and 4 days at equinoxes and solstices.
     """
     march, june, september, december = (3, 20), (6, 21), (9, 22), (12, 21)
     months = np.array([day.month for day in _dates(data)])
@@ -109,9 +110,7 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
 def compare_periods(
     spec: Spec, data: Dataset, *, seed: int = 0, progress: Progress = quiet
 ) -> list[dict[str, Any]]:
-    """Train on each period, ask about hours drawn once from the whole year and left out of every
-    training.
-    """
+    """Train on each period and test on hours of the year that are left out of every training."""
     order = np.random.default_rng(seed).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True
@@ -123,15 +122,15 @@ def compare_periods(
         progress(k, len(chosen), name)
         train = data.take(inside & ~in_test)
         fitted, spent = fit_timed(spec.name, train, patch=patch, seed=seed, budget_s=None)
-        found = summary(evaluate(fitted, asked))
+        scores = summary(evaluate(fitted, asked))
         rows.append(
             {
                 "period": name,
                 "name": spec.label,
                 "captures": len(train),
                 "fit_cpu_s": spent.cpu_s,
-                "dgp_r2": found["dgp_r2"],
+                "dgp_r2": scores["dgp_r2"],
             }
-            | _figures(found)
+            | _figures(scores)
         )
     return rows
