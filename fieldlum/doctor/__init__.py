@@ -1,6 +1,4 @@
-"""Preflight: everything that would ruin a month of captures, one plain verdict a line, before
-anybody leaves.
-"""
+"""Checks before a campaign of all that could ruin a month of captures, one verdict a line."""
 
 from __future__ import annotations
 
@@ -36,20 +34,23 @@ from fieldlum.records import IrradianceSample, Progress, Site, SiteFile, Slot, q
 from fieldlum.session import Session, outcomes, sha256
 
 Verdict = Literal["ok", "warn", "fail"]
-DISK_MARGIN = 1.3
-CALIBRATION_YEARS = 2.0
-CAMERA_CLOCK_WARN_S, CAMERA_CLOCK_FAIL_S = (
-    5.0,
-    300.0,
-)  # import matches by time with a measured offset; slots are 1 h apart
-SLOW_FSYNC_S = 0.5
+DISK_MARGIN = 1.3  # free space over planned size; chosen, not measured
+CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Zonen, Delta-T)
+# Difference of the camera's clock. Import matches frames by time with a measured offset, and slots
+# are an hour apart: above the second limit a wrong slot is possible. Chosen, not measured.
+CAMERA_CLOCK_WARN_S = 5.0
+CAMERA_CLOCK_FAIL_S = 300.0
+SLOW_FSYNC_S = 0.5  # for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
 SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
+# State of adjtimex for a clock that is not synchronised (TIME_ERROR, <sys/timex.h>).
+_TIME_ERROR = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the verdict. exit_code counts when it failed: 4 devices and this computer, 3
-    files.
+    """One line of the verdict.
+
+    exit_code is used if the check failed: 4 for devices and this computer, 3 for files.
     """
 
     what: str
@@ -67,7 +68,7 @@ def run(
     *,
     meter_uri: str = "",
 ) -> list[Finding]:
-    """All checks. A check that breaks is a failed finding, never an exception."""
+    """Run all checks. A check that raises an error is a failed finding, never an exception."""
     checks: list[tuple[str, Callable[[], list[Finding]]]] = [
         ("plan", lambda: check_plan(session, now_utc)),
         ("profile", lambda: check_profile(session, now_utc.date())),
@@ -80,27 +81,28 @@ def run(
         ("sleep", lambda: [check_sleep(inhibitors(), has_lid(), lock_to_be_had())]),
         ("calendar", lambda: check_calendar(session, now_utc)),
     ]
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for number, (name, check) in enumerate(checks):
         progress(number, len(checks), name)
         try:
-            found += check()
+            findings += check()
         except (FieldlumError, OSError, ValueError, KeyError) as error:
-            found.append(
-                Finding(name, "fail", str(error), 3 if isinstance(error, InputError) else 4)
-            )
-    return found
+            code = 3 if isinstance(error, InputError) else 4
+            findings.append(Finding(name, "fail", str(error), code))
+    return findings
 
 
 def exit_code(findings: Sequence[Finding]) -> int:
-    """0 when nothing failed; a bad file (3) comes before a device (4), for without files nothing
-    else counts.
+    """Return 0 if no check failed, or the exit code of the failure.
+
+    A bad file (3) precedes a device (4): without files the other checks mean nothing.
     """
     codes = [finding.exit_code for finding in findings if finding.verdict == "fail"]
     return min(codes, default=0)
 
 
 def as_table(findings: Sequence[Finding]) -> dict[str, Any]:
+    """Return the findings for --json."""
     return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}
 
 
@@ -109,7 +111,7 @@ def as_table(findings: Sequence[Finding]) -> dict[str, Any]:
 
 
 def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
-    """Slots that can still be taken."""
+    """Return the slots that can still be captured."""
     settled, grace = outcomes(session), session.grace
     return [
         slot for slot in session.slots() if slot.id not in settled and slot.t_utc + grace >= now_utc
@@ -117,26 +119,27 @@ def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
 
 
 def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
-    """The plan is the one that was made, and something of it is still ahead."""
+    """Check that plan.csv is the planned file, and that some of its slots are ahead."""
     about = session.table().get("plan", {})
     slots, ahead = session.slots(), owed_slots(session, now_utc)
-    found = []
+    findings = []
     if about.get("sha256", "") != sha256(session.plan):
         text = (
-            "plan.csv is not the file that session.toml was written for: restore it, or run "
+            "plan.csv differs from the plan that session.toml records: restore it, or run "
             "fieldlum plan --replan"
         )
-        found.append(Finding("plan", "fail", text, 3))
+        findings.append(Finding("plan", "fail", text, 3))
     if not ahead:
-        return [*found, Finding("plan", "warn", f"none of its {len(slots)} slots is still ahead")]
+        text = f"none of its {len(slots)} slots is ahead: plan again"
+        return [*findings, Finding("plan", "warn", text)]
     zone = ZoneInfo(session.site_file().site.timezone)
     first = ahead[0].t_utc.astimezone(zone)
     text = f"{len(ahead)} of {len(slots)} slots ahead, the next on {first:%a %Y-%m-%d at %H:%M %Z}"
-    return [*found, Finding("plan", "ok", text)]
+    return [*findings, Finding("plan", "ok", text)]
 
 
 def check_profile(session: Session, today: date) -> list[Finding]:
-    """The camera profile reads, is not out of date, and fits the planned exposures."""
+    """Check that the camera profile is readable, up to date, and fits the planned exposures."""
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
     blind = coverage_text(profile, setup.camera)
@@ -146,55 +149,40 @@ def check_profile(session: Session, today: date) -> list[Finding]:
 
 def _age(profile: CameraProfile, today: date) -> Finding:
     name = profile.camera.name
-    expires, made = _date(profile.expires), _date(profile.camera.date)
+    expires, calibrated = _date(profile.expires), _date(profile.camera.date)
     if expires and expires < today:
-        return Finding(
-            "profile",
-            "fail",
-            f"{name} expired on {expires}: calibrate again, or move its date on",
-            3,
-        )
-    if made and (today - made).days > CALIBRATION_YEARS * 365.25:
-        return Finding(
-            "profile",
-            "warn",
-            f"{name} was calibrated on {made}, over {CALIBRATION_YEARS:g} years ago",
-        )
-    return Finding(
-        "profile",
-        "ok",
-        f"{name}" + (f", calibrated {made}" if made else ", no date of calibration"),
-    )
+        text = f"{name} expired on {expires}: calibrate again, or change its expiry date"
+        return Finding("profile", "fail", text, 3)
+    if calibrated and (today - calibrated).days > CALIBRATION_YEARS * 365.25:
+        text = f"{name} was calibrated on {calibrated}, over {CALIBRATION_YEARS:g} years ago"
+        return Finding("profile", "warn", f"{text}: calibrate again")
+    text = f", calibrated {calibrated}" if calibrated else ", no date of calibration"
+    return Finding("profile", "ok", f"{name}{text}")
 
 
 def _date(text: str) -> date | None:
-    """Raises InputError for what is no ISO date."""
+    """Return an ISO date, None for an empty text. Raises InputError for another text."""
     try:
         return date.fromisoformat(text) if text else None
     except ValueError:
-        raise InputError("camera profile", f"date '{text}'", "like 2027-03-20") from None
+        raise InputError(
+            "camera profile", f"date '{text}'", "a date such as 2027-03-20", "correct the date"
+        ) from None
 
 
 def _fit(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:
-    """Exposures that the profile holds no calibration for."""
+    """Return a finding for each kind of planned exposure without a calibration in the profile."""
     planned = {exposure for slot in slots for exposure in slot.exposures}
-    found = []
+    findings = []
     apertures = {e.f_number for e in planned}
     if profile.scale.f_numbers and (other := sorted(apertures - set(profile.scale.f_numbers))):
-        said = ", ".join(f"f/{f:g}" for f in other)
-        found.append(
-            Finding("profile", "fail", f"{profile.camera.name} has no scale for {said}", 3)
-        )
+        shown = ", ".join(f"f/{f:g}" for f in other)
+        text = f"{profile.camera.name} has no scale for {shown}: calibrate it, or plan again"
+        findings.append(Finding("profile", "fail", text, 3))
     if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
-        found.append(
-            Finding(
-                "profile",
-                "fail",
-                f"{profile.camera.name} does not know filter {sorted(missing)[0]}",
-                3,
-            )
-        )
-    return found
+        text = f"{profile.camera.name} has no filter {sorted(missing)[0]}: add it, or plan again"
+        findings.append(Finding("profile", "fail", text, 3))
+    return findings
 
 
 # ----------------------------------------------------------------------------------------------
@@ -202,15 +190,10 @@ def _fit(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:
 
 
 def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]:
-    """The camera opens and says who it is, what time it has, and how many frames fit on its
-    card.
-    """
+    """Check that the camera opens; report its name, its clock and the free frames on its card."""
     if not uri:
-        return [
-            Finding(
-                "camera", "warn", "none named: give --camera URI, or import its card afterwards"
-            )
-        ]
+        text = "no camera stated: add --camera URI, or import its card afterwards"
+        return [Finding("camera", "warn", text)]
     camera = open_camera(uri, clock=RealClock(), session=session)
     try:
         ahead, setup = owed_slots(session, now_utc), session.site_file()
@@ -225,19 +208,21 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]
 
 
 def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
+    """Return a finding if the camera cannot set some planned exposures."""
     if not refused:
         return []
     shown = "; ".join(refused[:3]) + (f"; {len(refused) - 3} more" if len(refused) > 3 else "")
     text = (
-        f"of {planned} planned exposures not all can be set: {shown}: write [bracket] of the "
-        f"profile so, and plan anew"
+        f"the camera cannot set all of the {planned} planned exposures: {shown}; edit "
+        f"[bracket] in the profile and run fieldlum plan again"
     )
     return [Finding("camera", "fail", text)]
 
 
 def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
-    """Frames of another camera than the profile's cannot be merged; its exposures and sizes are
-    not this one's.
+    """Return a warning if the camera is not the profile's.
+
+    Frames of another camera cannot be merged, and the planned exposures may not be possible.
     """
     wanted = profile.camera.model
     if (
@@ -248,63 +233,53 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
     ):
         return []
     text = (
-        f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), by which "
-        f"exposures are planned"
+        f"{info.model} is not the camera of profile {profile.camera.name} ({wanted}), with which "
+        f"the exposures were planned: use its own profile"
     )
     return [Finding("profile", "warn", text)]
 
 
 def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
+    """Return the count of frames of some slots, over all headings."""
     return sum(len(slot.exposures) for slot in slots) * max(len(setup.camera.headings), 1)
 
 
 def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
+    """Return the findings about a camera's name, clock and card."""
     who = " ".join(part for part in (info.make, info.model, info.serial) if part) or info.kind
-    found = [
-        Finding(
-            "camera",
-            "ok",
-            f"{who} answers at {uri}" + (f", battery {info.battery}" if info.battery else ""),
-        )
-    ]
+    battery = f", battery {info.battery}" if info.battery else ""
+    findings = [Finding("camera", "ok", f"{who} answers at {uri}{battery}")]
     if info.clock_offset_s is None:
-        found.append(
-            Finding(
-                "camera clock",
-                "warn",
-                "the camera does not tell its time: photograph this clock once",
-            )
-        )
+        text = "the camera does not report its time: photograph this computer's clock once"
+        findings.append(Finding("camera clock", "warn", text))
     else:
-        off = abs(info.clock_offset_s)
-        verdict = (
-            "fail" if off > CAMERA_CLOCK_FAIL_S else "warn" if off > CAMERA_CLOCK_WARN_S else "ok"
-        )
-        hours = round(info.clock_offset_s / 3600.0)
-        civil = hours and abs(info.clock_offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S
-        hint = ": by whole hours, so a time zone or daylight saving" if civil else ""
-        found.append(
-            Finding(
-                "camera clock", verdict, f"{info.clock_offset_s:+.1f} s against this computer{hint}"
-            )
-        )
+        findings.append(_judge_camera_clock(info.clock_offset_s))
     if info.frames_left is not None:
         enough = info.frames_left >= frames
-        text = f"room for {info.frames_left} frames, {frames} still to come"
-        found.append(Finding("camera card", "ok" if enough else "warn", text))
-    return found
+        text = f"space for {info.frames_left} frames, {frames} are planned"
+        findings.append(Finding("camera card", "ok" if enough else "warn", text))
+    return findings
+
+
+def _judge_camera_clock(offset_s: float) -> Finding:
+    difference = abs(offset_s)
+    verdict: Verdict = "ok"
+    if difference > CAMERA_CLOCK_WARN_S:
+        verdict = "warn"
+    if difference > CAMERA_CLOCK_FAIL_S:
+        verdict = "fail"
+    hours = round(offset_s / 3600.0)
+    is_time_zone = hours and abs(offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S
+    hint = ": full hours, so a time zone or daylight saving is likely" if is_time_zone else ""
+    text = f"{offset_s:+.1f} s compared with this computer{hint}"
+    return Finding("camera clock", verdict, text)
 
 
 def check_pyranometer(session: Session, uri: str) -> list[Finding]:
-    """The instrument opens, answers with a plausible reading, and is within its calibration."""
+    """Check that the instrument opens, gives a plausible reading, and is calibrated."""
     if not uri:
-        return [
-            Finding(
-                "pyranometer",
-                "warn",
-                "none named: give --pyranometer URI, or import a logger's file",
-            )
-        ]
+        text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
+        return [Finding("pyranometer", "warn", text)]
     instrument = open_pyranometer(uri, clock=RealClock(), session=session)
     try:
         return judge_pyranometer(instrument.info, instrument.read(), session.site_file().site)
@@ -313,26 +288,24 @@ def check_pyranometer(session: Session, uri: str) -> list[Finding]:
 
 
 def check_meter(uri: str) -> list[Finding]:
-    """The illuminance meter beside the lens, where there is one, answers."""
+    """Check that the illuminance meter next to the lens answers, if one is stated."""
     if not uri:
         return []
     meter = open_meter(uri, clock=RealClock())
     try:
-        who, reading = (
-            " ".join(part for part in (meter.info.model, meter.info.serial) if part),
-            meter.read(),
-        )
+        who = " ".join(part for part in (meter.info.model, meter.info.serial) if part)
+        reading = meter.read()
     finally:
         meter.close()
-    found = [
-        Finding("meter", "ok", f"{who or meter.info.kind} answers: {reading.illuminance_lx:.4g} lx")
-    ]
-    return (
-        [*found, Finding("meter", "warn", "its battery is low")] if reading.low_battery else found
-    )
+    text = f"{who or meter.info.kind} answers: {reading.illuminance_lx:.4g} lx"
+    findings = [Finding("meter", "ok", text)]
+    if reading.low_battery:
+        findings.append(Finding("meter", "warn", "its battery is low: change it"))
+    return findings
 
 
 def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
+    """Return the findings about an instrument's reading, status, guard and calibration."""
     who = " ".join(part for part in (info.model or info.kind, info.serial) if part)
     reading = ", ".join(
         f"{name} {value:.0f}"
@@ -343,13 +316,10 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
         )
         if value is not None
     )
-    found = [Finding("pyranometer", "ok", f"{who} answers: {reading} W/m2")]
-    if sample.status or info.status:
-        found.append(
-            Finding(
-                "pyranometer", "warn", f"its status is not clean: {sample.status or info.status}"
-            )
-        )
+    findings = [Finding("pyranometer", "ok", f"{who} answers: {reading} W/m2")]
+    if status := sample.status or info.status:
+        text = f"it reports a fault: {status}: see its manual"
+        findings.append(Finding("pyranometer", "warn", text))
     altitude = sun.position([sample.t_utc], site).altitude_deg
     limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2([sample.t_utc]))
     for name, value in (
@@ -361,34 +331,31 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
         if value is not None and not low <= value <= high[0]:
             possible = f"{low:g} to {high[0]:.0f}"
             text = (
-                f"{name[:3]} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is "
-                f"impossible ({possible})"
+                f"{name[:3]} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is impossible "
+                f"(limits {possible} W/m2): check mounting, wiring and time"
             )
-            found.append(Finding("pyranometer", "fail", text))
+            findings.append(Finding("pyranometer", "fail", text))
     if info.gives == ("ghi",):
         text = (
-            "gives global only: direct and diffuse will be derived, with an error of about 30 "
-            "% of direct"
+            "it measures global only: direct and diffuse will be derived, with an error of about "
+            "30 % of direct"
         )
-        found.append(Finding("pyranometer", "warn", text))
+        findings.append(Finding("pyranometer", "warn", text))
     if info.guard == FORM_ALONE:
         text = (
-            "its lines have no checksum: under moving clouds up to 2 in 100 damaged ones pass "
+            "its lines have no checksum: under moving clouds up to 2 in 100 damaged lines are read "
             "as another number"
         )
         remedy = (
             "let the sketch print a CRC-16 (profile arduino-crc), or at least a line a "
             "second, three for each row"
         )
-        found.append(Finding("pyranometer", "warn", f"{text}; {remedy}"))
-    made = _date(info.calibration_date)
-    if made and (sample.t_utc.date() - made).days > CALIBRATION_YEARS * 365.25:
-        found.append(
-            Finding(
-                "pyranometer", "warn", f"calibrated on {made}, over {CALIBRATION_YEARS:g} years ago"
-            )
-        )
-    return found
+        findings.append(Finding("pyranometer", "warn", f"{text}; {remedy}"))
+    calibrated = _date(info.calibration_date)
+    if calibrated and (sample.t_utc.date() - calibrated).days > CALIBRATION_YEARS * 365.25:
+        text = f"calibrated on {calibrated}, over {CALIBRATION_YEARS:g} years ago: calibrate again"
+        findings.append(Finding("pyranometer", "warn", text))
+    return findings
 
 
 # ----------------------------------------------------------------------------------------------
@@ -396,9 +363,7 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
 
 
 def kernel_clock() -> bool | None:
-    """Whether the kernel holds the clock to be synchronised (Linux, adjtimex); None: it does not
-    tell.
-    """
+    """Return whether the kernel reports a synchronised clock (Linux, adjtimex), None if unknown."""
     if not sys.platform.startswith("linux"):
         return None
     timex = ctypes.create_string_buffer(512)  # struct timex, all zero: modes 0 only reads
@@ -406,41 +371,37 @@ def kernel_clock() -> bool | None:
         state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
     except (OSError, AttributeError):
         return None
-    return None if state < 0 else state != 5  # TIME_ERROR: not synchronised
+    return None if state < 0 else state != _TIME_ERROR
 
 
 def check_clock(synchronised: bool | None) -> Finding:
+    """Return the finding about this computer's clock."""
     now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
     if synchronised is None:
-        return Finding(
-            "clock",
-            "warn",
-            f"{now}, and does not tell whether a time server holds it: compare it with one",
-        )
+        text = f"{now}, and does not report whether it is synchronised: compare it with a server"
+        return Finding("clock", "warn", text)
     if not synchronised:
-        return Finding(
-            "clock",
-            "warn",
-            f"{now}, held by no time server: switch network time on, or set it by hand today",
-        )
-    return Finding("clock", "ok", f"{now}, held by a time server")
+        text = f"{now}, not synchronised: switch network time on, or set it by hand today"
+        return Finding("clock", "warn", text)
+    return Finding("clock", "ok", f"{now}, synchronised by a time server")
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
-    """Room for the frames of all that is owed, with a margin."""
+    """Check the space for the frames of all slots ahead, with a margin."""
     ahead = owed_slots(session, now_utc)
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
     text = (
-        f"{free_bytes / 1e9:.1f} GB free, {wanted / 1e9:.1f} GB wanted for {len(ahead)} slots "
-        f"(with a third to spare)"
+        f"{free_bytes / 1e9:.1f} GB free, {wanted / 1e9:.1f} GB needed for {len(ahead)} slots "
+        f"(with {100 * (DISK_MARGIN - 1):.0f} % in reserve)"
     )
     return Finding("disk", "ok" if free_bytes >= wanted else "fail", text)
 
 
 def _largest_bracket_bytes(session: Session) -> int:
-    """Of the last brackets taken: what the camera really writes may be far from the profile's
-    estimate.
+    """Return the size of the largest of the last five brackets.
+
+    The files that the camera writes may differ much from the profile's estimate.
     """
     taken = [
         folder
@@ -454,16 +415,16 @@ def _largest_bracket_bytes(session: Session) -> int:
 
 
 def check_writing(folder: Path) -> list[Finding]:
-    """A file is written, flushed to the disk, renamed and read back."""
+    """Check that a file can be written, flushed to the disk, renamed and read back."""
     path = folder / f".doctor.{os.getpid()}.tmp"
     payload = os.urandom(1 << 20)
-    began = time.perf_counter()
+    start = time.perf_counter()
     try:
         with path.open("wb") as file:
             file.write(payload)
             file.flush()
             os.fsync(file.fileno())
-        took = time.perf_counter() - began
+        took = time.perf_counter() - start
         renamed = path.replace(path.with_suffix(".renamed"))
         same = renamed.read_bytes() == payload
     except OSError as error:
@@ -472,31 +433,31 @@ def check_writing(folder: Path) -> list[Finding]:
         path.unlink(missing_ok=True)
         path.with_suffix(".renamed").unlink(missing_ok=True)
     if not same:
-        return [Finding("writing", "fail", f"{folder}: what was read is not what was written")]
+        text = f"{folder}: the bytes read differ from those written: use another disk"
+        return [Finding("writing", "fail", text)]
     verdict: Verdict = "warn" if took > SLOW_FSYNC_S else "ok"
-    found = [Finding("writing", verdict, f"1 MB written and flushed in {took * 1000:.0f} ms")]
+    findings = [Finding("writing", verdict, f"1 MB written and flushed in {took * 1000:.0f} ms")]
     if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
         text = (
             "the folder is synchronised by a cloud service, which can lock files: move it to a "
-            "plain disk"
+            "local disk"
         )
-        found.append(Finding("writing", "warn", text))
-    return found
+        findings.append(Finding("writing", "warn", text))
+    return findings
 
 
 def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> Finding:
-    """Whether something keeps this computer awake for the whole time: a lock that is held, or
-    `own`, `capture`'s.
+    """Check that something keeps this computer awake: a lock, or `own`, the lock of `capture`.
 
-    A closed lid is another matter: by logind's default it overrides a lock on sleep, and only one
-    on handle-lid-switch holds.
+    By logind's default a closed lid overrides a lock on sleep; only a lock on handle-lid-switch
+    prevents that.
     """
     how = {
         "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
         "darwin": "caffeinate -dims fieldlum capture ...",
     }.get(sys.platform, "switch sleep off in the power settings")
     if locks is None and not own:
-        return Finding("sleep", "warn", f"cannot tell whether this computer will sleep: {how}")
+        return Finding("sleep", "warn", f"it is unknown whether this computer will sleep: {how}")
     held = [lock for lock in locks or () if lock.mode == "block"]
     if own:
         held.append(Lock("capture itself while it runs", frozenset(own.split(":")), "block"))
@@ -504,12 +465,9 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
     if not by:
         return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
     if lid and not any("handle-lid-switch" in lock.what for lock in held):
-        return Finding(
-            "sleep",
-            "warn",
-            f"held off by {by}, but closing the lid would still send it to sleep: {how}",
-        )
-    return Finding("sleep", "ok", f"held off by {by}")
+        text = f"prevented by {by}, but a closed lid would still send it to sleep: {how}"
+        return Finding("sleep", "warn", text)
+    return Finding("sleep", "ok", f"prevented by {by}")
 
 
 # ----------------------------------------------------------------------------------------------
@@ -517,34 +475,30 @@ def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> F
 
 
 def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
-    """Clock changes ahead, and how often the sun looks into the lens."""
+    """Report clock changes ahead, and in how many slots the sun is in view of the lens."""
     ahead, site = owed_slots(session, now_utc), session.site_file().site
     if not ahead:
         return []
     first, last = (sun.standard_date(slot.t_utc, site.timezone) for slot in (ahead[0], ahead[-1]))
     changes = sun.clock_changes(first, last, site.timezone)
     zone = ZoneInfo(site.timezone)
-    text = "; ".join(
-        f"{'forward' if change > timedelta() else 'back'} {abs(change.total_seconds()) / 3600:g} "
-        f"h on "
-        f"{moment.astimezone(zone):%Y-%m-%d}"
-        for moment, change in changes
-    )
-    found = [
-        Finding(
-            "calendar",
-            "ok",
-            f"clocks go {text}: the plan is in UTC and stays" if text else "no clock changes",
-        )
-    ]
+    parts = []
+    for moment, change in changes:
+        way = "forward" if change > timedelta() else "back"
+        hours = abs(change.total_seconds()) / 3600
+        parts.append(f"{way} {hours:g} h on {moment.astimezone(zone):%Y-%m-%d}")
+    text = "no clock changes"
+    if parts:
+        text = f"clocks go {'; '.join(parts)}: the plan is in UTC and does not change"
+    findings = [Finding("calendar", "ok", text)]
     in_view = [slot for slot in ahead if "sun-in-view" in slot.tags]
     if in_view:
         filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
-        said = f"the sun looks into the lens in {len(in_view)} slots"
+        text = f"the sun is in view of the lens in {len(in_view)} slots"
         remedy = (
             "the bracket has a filter for it"
             if filtered
             else "without a filter its energy must come from DNI"
         )
-        found.append(Finding("sun", "ok" if filtered else "warn", f"{said}: {remedy}"))
-    return found
+        findings.append(Finding("sun", "ok" if filtered else "warn", f"{text}: {remedy}"))
+    return findings

@@ -1,4 +1,4 @@
-"""Who keeps this computer awake: the locks that systemd knows of."""
+"""The programs that keep this computer awake: the locks of systemd."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fieldlum.devices.awake import kept_awake
 
-# One lock a line: who (may hold spaces), uid, user, pid, command, what, why (may hold spaces),
+# One lock a line: who (may have spaces), uid, user, pid, command, what, why (may have spaces),
 # mode.
 _LOCK = re.compile(
     r"(?P<who>.*?) +\d+ +\S+ +\d+ +\S+ "
@@ -24,19 +24,17 @@ _LOCK_BEFORE_240 = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Lock:
-    """What somebody forbids the computer to do by itself: sleep, idle, handle-lid-switch ..."""
+    """A lock that keeps the computer from an action of its own: sleep, idle, handle-lid-switch."""
 
     who: str
     what: frozenset[str]
-    mode: str  # block; delay only holds it up for some seconds; block-weak yields to the user
+    mode: str  # block; delay postpones by some seconds only; block-weak yields to the user
 
 
 def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
-    """What `systemd-inhibit --list` says; None where it is not there, has no bus, hangs or
-    fails.
-    """
-    # A wide terminal: cells are cut to its width otherwise. English: words are looked for.
-    surroundings = {
+    """Return the locks of `systemd-inhibit --list`; None if it is missing, hangs or fails."""
+    # A wide terminal, because cells are cut to its width; English, because words are searched.
+    environment = {
         **os.environ,
         "LC_ALL": "C",
         "COLUMNS": "500",
@@ -44,34 +42,38 @@ def inhibitors(timeout_s: float = 10.0) -> list[Lock] | None:
         "SYSTEMD_COLORS": "0",
     }
     try:
-        said = subprocess.run(
+        listed = subprocess.run(
             ["systemd-inhibit", "--list"],
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=timeout_s,
-            env=surroundings,
+            env=environment,
             check=False,
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    return parse_locks(said.stdout.decode("utf-8", "replace")) if said.returncode == 0 else None
+    if listed.returncode != 0:
+        return None
+    return parse_locks(listed.stdout.decode("utf-8", "replace"))
 
 
 def parse_locks(listed: str) -> list[Lock]:
-    """Both forms: the table of systemd 240 and later (with or without its heading), and the
-    blocks of before.
+    """Parse both forms: the table of systemd 240 and later, and the blocks of older versions.
+
+    The table may lack its heading.
     """
-    found = [_LOCK.fullmatch(line) for line in listed.splitlines()] + list(
-        _LOCK_BEFORE_240.finditer(listed)
-    )
-    return [Lock(m["who"].strip(), frozenset(m["what"].split(":")), m["mode"]) for m in found if m]
+    rows = [_LOCK.fullmatch(line) for line in listed.splitlines()]
+    blocks = list(_LOCK_BEFORE_240.finditer(listed))
+    locks = [match for match in (*rows, *blocks) if match]
+    return [Lock(m["who"].strip(), frozenset(m["what"].split(":")), m["mode"]) for m in locks]
 
 
 def has_lid() -> bool:
+    """Return whether this computer has a lid."""
     return any(Path("/proc/acpi/button/lid").glob("*"))
 
 
 def lock_to_be_had() -> str:
-    """What `capture` will hold by itself while it runs."""
+    """Return the locks that `capture` will have while it runs."""
     with kept_awake() as what:
         return what
