@@ -47,7 +47,7 @@ def test_colour_leaves_out_a_slip_and_refuses_a_muddle() -> None:
     clean = colour.fit(colours, replace(PROFILE, colour=Colour((0.25, 0.68, 0.07))))
     assert found.y_from_rgb == pytest.approx(clean.y_from_rgb, rel=0.05) and found.u_rel < 0.02
     assert f"left out: {colours.labels[4]}, 9." in found.choice.line and len(found.residual) == 12
-    with pytest.raises(InputError, match="do not go together"):
+    with pytest.raises(InputError, match="readings and colours do not fit"):
         colour.fit(replace(colours, y=np.roll(colours.y, 1) * np.geomspace(0.2, 5, 12)), PROFILE)
 
 

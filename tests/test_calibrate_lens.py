@@ -97,7 +97,7 @@ def test_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: float) -> 
     found = lens.fit(_targets(truth, 30, 0.3), Lens((400.0, 350.0), 320.0, 184.0))
     assert found.lens.roll_deg == pytest.approx(roll, abs=0.3)
     assert abs((found.lens.azimuth_deg - azimuth + 180) % 360 - 180) < 0.3
-    assert any("stands turned by" in doubt for doubt in found.doubts)
+    assert any("is turned by" in doubt for doubt in found.doubts)
 
 
 @pytest.mark.slow

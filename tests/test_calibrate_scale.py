@@ -74,7 +74,7 @@ def test_scale_asked_twice_gives_k_once(tmp_path: Path) -> None:
     ):
         scale.from_table(table, other)
     write_panorama(tmp_path / "p.exr", Panorama(np.full((60, 120), 100.0, np.float32), 180.0))
-    assert "does not say with which k" in scale.from_table(table, PROFILE)[2][0]
+    assert "states no k" in scale.from_table(table, PROFILE)[2][0]
 
 
 def _readings(meter: list[float], image: list[float]) -> list[scale.LuminanceReading]:
@@ -93,7 +93,7 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
         and "fL typed" in said[1]
         and len(said) == 2
     )
-    with pytest.raises(InputError, match=r"t.csv: 3 of 6 readings are far.*one unit"):
+    with pytest.raises(InputError, match=r"t.csv: 3 of 6 readings differ.*one unit"):
         scale.fit(_readings([80.0, 20.0, 300.0, 9.0, 4000.0, 60.0], picture), source="t.csv")
     right = scale.fit(_readings(picture, picture))
     assert scale.check_level(right, PROFILE, tmp_path) == ""

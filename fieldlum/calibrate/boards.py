@@ -1,10 +1,9 @@
-"""A lens from pictures of a chessboard: OpenCV's omnidirectional model for a start, then our own
-lens on the corners.
+"""A lens from pictures of a chessboard: OpenCV's omnidirectional model, then fieldlum's own lens.
 
-OpenCV's figures (Mei and Rives 2007) are not unique, but its rays and its boards' poses are a good
-start. Its model is not our lens, though: corners are then fitted by our mapping itself, all poses
-with it (a bundle adjustment, Triggs et al. 1999), so that what is left is what corners miss by, and
-the centre comes with its uncertainty.
+OpenCV's parameters (Mei and Rives 2007) are not unique, but its rays and its poses of the boards
+are a good start. Its model is not fieldlum's lens: the corners are then fitted by fieldlum's
+mapping, together with all poses (bundle adjustment, Triggs et al. 1999). The residual is then that
+of the corners, and the centre has an uncertainty.
 """
 
 from __future__ import annotations
@@ -24,14 +23,16 @@ from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, lens_pixels
 
 Array = NDArray[Any]
-LEAST = 4
+LEAST = 4  # boards; chosen so that poses and lens can be separated, not measured
+_MOST_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Boards:
-    """Corners [boards, points, 2] on the sensor, the board's own points [points, 3], poses
-    [boards, 6] (rotation vector and place in OpenCV's camera frame), and the model's rays as
-    targets.
+    """Corners [boards, points, 2] on the sensor, board points [points, 3], and a start.
+
+    poses [boards, 6] : rotation vector and position in OpenCV's camera frame; targets : the rays of
+    OpenCV's model.
     """
 
     corners: Array
@@ -41,17 +42,15 @@ class Boards:
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Inner corners [rows * columns, 2] in sensor coordinates; None where the board is not
-    found.
-    """
+    """Return the inner corners [rows * columns, 2] on the sensor, or None without a board."""
     import cv2
 
     found, corners = cv2.findChessboardCornersSB(
         grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    return (
-        np.asarray(corners, float).reshape(-1, 2) + 0.5 if found else None
-    )  # OpenCV's zero is a pixel's middle
+    if not found:
+        return None
+    return np.asarray(corners, float).reshape(-1, 2) + 0.5  # OpenCV counts from a pixel's middle
 
 
 def from_boards(
@@ -61,37 +60,41 @@ def from_boards(
     size_px: tuple[int, int],
     paths: Sequence[Path] = (),
 ) -> Boards:
-    """Rays and poses from boards [rows * columns, 2] by OpenCV's omnidirectional model.
+    """Return rays and poses from boards [rows * columns, 2], by OpenCV's omnidirectional model.
 
-    size_px: width, height. Raises NotEnoughDataError under four boards, InputError where the fit
-    does not converge.
+    size_px : width, height. Raises NotEnoughDataError under four boards, InputError if the fit does
+    not converge.
     """
     import cv2
 
     if len(corners) < LEAST:
-        found = f"the board was found in {len(corners)} pictures"
         raise NotEnoughDataError(
-            f"{found}: take at least four, sharp, up to the edge; count its inner corners"
+            f"the board was found in {len(corners)} pictures; expected at least {LEAST}, sharp and "
+            f"up to the edge; check the counts of its inner corners"
         )
     board = np.zeros((1, rows * columns, 3))
     board[0, :, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    # (1, N, C): the one shape that OpenCV 4 and 5 both take
+    # (1, N, C) is the one shape that OpenCV 4 and 5 both accept.
     places = [np.asarray(c - 0.5, np.float64).reshape(1, -1, 2) for c in corners]
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-9)
     omnidir: Any = cv2.omnidir
     flags = omnidir.CALIB_FIX_SKEW
     try:
-        asked = [board] * len(corners), places, size_px, None, None, None, flags, stop
-        rms, k, xi, d, turns, shifts, used = omnidir.calibrate(*asked)
+        arguments = [board] * len(corners), places, size_px, None, None, None, flags, stop
+        rms, k, xi, d, turns, shifts, used = omnidir.calibrate(*arguments)
     except cv2.error as error:
         raise InputError(
-            "chessboard", str(error).splitlines()[0], "boards in many places, none edge-on"
+            "chessboard",
+            str(error).splitlines()[0],
+            "boards in many places, none edge-on",
+            "take more pictures",
         ) from None
-    if not np.isfinite(rms) or rms > 3:
+    if not np.isfinite(rms) or rms > _MOST_MISS_PX:
         raise InputError(
             "chessboard",
-            f"a fit that misses by {rms:.1f} px",
-            "at most 3 px: sharper, more varied boards",
+            f"a fit with a residual of {rms:.1f} px",
+            f"at most {_MOST_MISS_PX:g} px",
+            "take sharper, more varied pictures",
         )
     seen = np.concatenate([np.asarray(c, float) for c in corners])
     targets = _model_rays(seen, np.asarray(k), np.asarray(d), float(np.ravel(xi)[0]), tuple(paths))
@@ -101,14 +104,14 @@ def from_boards(
 
 
 def fit(boards: Boards, lens: Lens) -> LensFit:
-    """Mapping by the model's rays, then its figures by the corners themselves; rms_px is what
-    corners miss by.
+    """Fit the mapping to the model's rays, then all parameters to the corners.
+
+    rms_px is the residual of the corners.
     """
     from scipy.optimize import least_squares
 
-    level = replace(
-        lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0
-    )  # boards know the lens's own axis only
+    # Boards determine the lens's own axis only, not its pose.
+    level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
     start = lenses.fit(boards.targets, lens)
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
     found = start.lens
@@ -139,16 +142,14 @@ def fit(boards: Boards, lens: Lens) -> LensFit:
         radius_px=round(geometry.radius_px, 3),
         coefficients=tuple(round(c, 7) for c in geometry.coefficients),
     )
-    said = f"corners miss by {rms:.2f} px rms, the centre is known to {u_px:.2f} px"
-    choice = replace(start.choice, line=f"{start.choice.line}; {said}")
+    text = f"corners miss by {rms:.2f} px rms, the centre has u = {u_px:.2f} px"
+    choice = replace(start.choice, line=f"{start.choice.line}; {text}")
     per_px = lens.full_angle_deg / 2 / geometry.radius_px
     return replace(start, lens=new, rms_px=rms, rms_deg=rms * per_px, choice=choice)
 
 
 def _directions(points: Array, pose: Array) -> Array:
-    """Unit vectors [points, 3] of a board's points in our camera frame (x right, y forward, z
-    up).
-    """
+    """Return unit vectors [points, 3] of a board's points (x right, y forward, z up)."""
     from scipy.spatial.transform import Rotation
 
     at = Rotation.from_rotvec(pose[:3]).apply(points) + pose[3:]
@@ -157,17 +158,17 @@ def _directions(points: Array, pose: Array) -> Array:
 
 
 def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, ...]) -> Targets:
-    """Directions over the part of the picture where corners were: the model's projection of a
-    fan of rays.
+    """Return directions over the part of the picture that has corners.
+
+    They are a fan of rays, projected by OpenCV's model.
     """
     import cv2
 
     angle = np.radians(np.arange(1.0, 110.0, 2.0))
     turn = np.radians(np.arange(0.0, 360.0, 15.0))
     a, t = (grid.ravel() for grid in np.meshgrid(angle, turn))
-    away = np.stack(
-        [np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1
-    )  # OpenCV: x right, y down
+    # OpenCV's axes: x right, y down, z forward.
+    away = np.stack([np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1)
     zero = np.zeros((3, 1))
     shown, *_ = cv2.omnidir.projectPoints(away.reshape(1, -1, 3), zero, zero, k, xi, d)
     at = np.asarray(shown).reshape(-1, 2) + 0.5
@@ -175,7 +176,6 @@ def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, .
     reach = np.percentile(np.linalg.norm(seen - centre, axis=1), 99.5)
     radius = np.linalg.norm(at - centre, axis=1)
     near = radius <= reach
-    rays = np.stack(
-        [away[:, 0], away[:, 2], -away[:, 1]], axis=1
-    )  # ours: x right (east), y forward (north), z up
+    # fieldlum's axes: x right (east), y forward (north), z up.
+    rays = np.stack([away[:, 0], away[:, 2], -away[:, 1]], axis=1)
     return Targets(at[near, 0], at[near, 1], rays[near], paths, pose_known=True)

@@ -1,10 +1,9 @@
-"""The 24-patch chart in a frame: where its patches are, and whether what was found is a chart at
-all.
+"""The 24-patch chart in a frame: its patches, and whether a candidate is a chart at all.
 
-Lattices of patches (chart_grid.py) are looked for first, then OpenCV's mcc is asked, at several
-sizes of the picture. mcc alone misses many a good chart, as its random start falls, and now and
-then finds one where none is. Whatever says where a chart may lie, it counts only when the 24
-colours there are a chart's, in order.
+Lattices of patches (chart_grid.py) are searched first, then OpenCV's mcc is tried at several sizes
+of the picture. mcc alone misses many good charts, depending on its random start, and sometimes
+finds one where there is none. A candidate of either counts only if its 24 colours are a chart's, in
+order.
 """
 
 from __future__ import annotations
@@ -77,23 +76,19 @@ _SRGB = (
     (85, 85, 85),
     (52, 52, 52),
 )
-_ALIKE = 0.2  # relative misfit of a chart's colours; any other order of them leaves 0.6 and more
-_IN_ORDER = 0.9  # correlation of ln Y
-_GRID_SIZES = (1.0, 2.0)  # of the picture
-_TRIES = (
-    (1.0, 11),
-    (1.0, 23),
-    (2.0, 11),
-    (0.5, 11),
-    (1.5, 23),
-    (0.7, 23),
-)  # the same and mcc's smallest window [px]
-_LONGEST = 1600  # px of the picture that is searched at size 1
+# Relative misfit of a chart's colours: any other order of the colours leaves 0.6 and more.
+_ALIKE = 0.2
+_IN_ORDER = 0.9  # correlation of ln Y with a chart's; chosen, not measured
+_GRID_SIZES = (1.0, 2.0)  # of the picture, for the search of lattices
+# Size of the picture and mcc's smallest window [px], for each try. Chosen by trial, not measured.
+_TRIES = ((1.0, 11), (1.0, 23), (2.0, 11), (0.5, 11), (1.5, 23), (0.7, 23))
+_LONGEST = 1600  # px of the picture that is searched at size 1; decides speed
 
 
 def misfit(rgb: Array) -> float:
-    """How far camera colours [24, 3] are from a chart's, through the best 3 x 3 matrix: rms
-    relative to each patch.
+    """Return how far camera colours [24, 3] are from a chart's, by the best 3 x 3 matrix.
+
+    The rms of the differences relative to each patch.
     """
     from fieldlum.photometry import srgb_table
 
@@ -105,15 +100,13 @@ def misfit(rgb: Array) -> float:
 
 
 def in_order(luminance: Array) -> bool:
-    """Whether 24 luminances, in any unit, rise and fall as the chart's do."""
+    """Return whether 24 luminances, in any unit, rise and fall as the chart's do."""
     logs = np.log(np.maximum(np.asarray(luminance, float), 1e-12))
     return float(np.corrcoef(logs, np.log(CHART_Y))[0, 1]) > _IN_ORDER
 
 
 def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
-    """Centres [24, 2] and a safe radius of the patches within the quadrilateral of corners [4,
-    2].
-    """
+    """Return centres [24, 2] and a safe radius of the patches inside corners [4, 2]."""
     import cv2
 
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)
@@ -125,8 +118,9 @@ def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
 
 
 def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
-    """Centres [24, 2] in sensor pixels and a safe radius of a chart's patches. Raises InputError
-    when none is found.
+    """Return centres [24, 2] in sensor pixels and a safe radius of a chart's patches.
+
+    Raises InputError if no chart is found.
     """
     shown = np.clip(frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9), 0, 1) ** (
         1 / 2.2
@@ -145,18 +139,15 @@ def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
     found = "no colour chart found"
     if np.isfinite(nearest):
         found = (
-            f"no colour chart found: what looks like one has other colours, or another order "
-            f"({100 * nearest:.0f} %)"
+            f"no colour chart found: the best candidate has other colours, or another order "
+            f"(misfit {100 * nearest:.0f} %)"
         )
-    raise InputError(
-        frame.path, found, "a 24-patch chart, sharp and upright", "give --corners by hand"
-    )
+    remedy = "state its corners with --corners"
+    raise InputError(frame.path, found, "a 24-patch chart, sharp and upright", remedy)
 
 
 def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
-    """Quadrilaterals [24, 4, 2] of what may be a chart's patches, row by row, in pixels of the
-    picture.
-    """
+    """Yield candidates for a chart's patches, [24, 4, 2] by row, in pixels of the picture."""
     for size in _GRID_SIZES:
         searched, by = _sized(picture, size)
         for patches in grids(searched, ROWS, COLUMNS):
@@ -165,19 +156,17 @@ def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
 
 
 def _of_mcc(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
-    """What OpenCV's detector takes for a chart's patches; nothing where the installed OpenCV has
-    none.
-    """
+    """Yield the charts of OpenCV's detector; none if the installed OpenCV lacks it."""
     import cv2
 
     for seed, (size, window_px) in enumerate(_TRIES if hasattr(cv2, "mcc") else ()):
         searched, by = _sized(picture, size)
-        asked = getattr(cv2.mcc, "DetectorParametersMCC")()  # noqa: B009 (OpenCV's stubs lack both)
-        asked.adaptiveThreshWinSizeMin = window_px
-        cv2.setRNGSeed(seed + 1)  # it starts from random clusters
+        options = getattr(cv2.mcc, "DetectorParametersMCC")()  # noqa: B009 (OpenCV's stubs lack both)
+        options.adaptiveThreshWinSizeMin = window_px
+        cv2.setRNGSeed(seed + 1)  # the detector starts from random clusters
         detector = getattr(cv2.mcc, "CCheckerDetector_create")()  # noqa: B009
-        detector.setDetectionParams(asked)
-        if detector.process(searched, 1):  # asked for a chart without one, it would crash
+        detector.setDetectionParams(options)
+        if detector.process(searched, 1):  # reading a chart that was not found would crash
             yield (
                 np.asarray(detector.getBestColorChecker().getColorCharts(), float).reshape(-1, 4, 2)
                 / by
@@ -185,8 +174,9 @@ def _of_mcc(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
 
 
 def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], float]:
-    """The picture at a size relative to that of at most _LONGEST pixels, and the factor from the
-    picture itself.
+    """Return the picture in a size, and its factor from the picture itself.
+
+    size : relative to a picture of at most _LONGEST pixels.
     """
     import cv2
 
@@ -197,7 +187,7 @@ def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], 
 
 
 def _colours(rgb: Array, patches: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Means [24, 3] over the middles of the patches; None where one lies outside the picture."""
+    """Return means [24, 3] over the middles of the patches; None if one is outside the picture."""
     h, w = rgb.shape[:2]
     half = 0.2 * float(np.linalg.norm(patches - np.roll(patches, 1, axis=1), axis=-1).min())
     means = []

@@ -1,10 +1,9 @@
-"""Where a chart's 6 x 4 patches may lie in a picture: squares that form a lattice, and each way a
-chart fits on it.
+"""Candidates for a chart's 6 x 4 patches in a picture: squares on a lattice, in every placement.
 
-Dark gaps part the patches, so that an adaptive threshold shows them as holes. Four-cornered holes
-that are neighbours along their own edges get whole-numbered places; the homography of these places
-gives all 24 patches from those that were seen. Nothing here is drawn at random: a picture always
-gives the same answer.
+Dark gaps separate the patches, so that an adaptive threshold shows them as holes. Holes with four
+corners that are neighbours along their own edges get integer places on a lattice. The homography of
+these places gives all 24 patches from those that were found. Nothing is random: a picture always
+gives the same result.
 """
 
 from __future__ import annotations
@@ -19,34 +18,32 @@ from numpy.typing import NDArray
 Quads = NDArray[np.float64]  # [n, 4, 2] corners, clockwise as seen
 Places = NDArray[np.int64]  # [n, 2] column and row on a lattice
 
+# All limits of this module are chosen by trial on pictures of charts, not measured.
 _BLUR_PX = 1.0  # against noise; a gap is wider
-_WINDOWS_PX = (11, 19, 35, 67)  # of the threshold: from one to some gaps
-_DARKER = 2.0  # codes of 255 that a gap is darker than its surroundings
-_LEAST_AREA_PX2, _MOST_AREA = 30.0, 1 / 30  # of a patch; of the whole picture
-_CORNER_REL = (
-    0.04,
-    0.08,
-    0.12,
-)  # of the outline's length: how far it may lie from four straight sides
+_WINDOWS_PX = (11, 19, 35, 67)  # of the threshold: from one gap to several
+_DARKER = 2.0  # codes of 255 by which a gap is darker than its surroundings
+_LEAST_AREA_PX2 = 30.0  # of a patch
+_MOST_AREA = 1 / 30  # of a patch, over that of the picture
+# Distance of an outline from four straight sides, over the length of the outline; tried in order.
+_CORNER_REL = (0.04, 0.08, 0.12)
 _FILLED = 0.75  # area of an outline over that of its four corners
-_SAME = 0.3  # sides: closer centres are one patch, seen at two thresholds
-_STEP, _ASIDE = (1.0, 1.7), 0.3  # of a side: how far a neighbour lies along an edge, and across it
-_LIKE = (0.45, 2.2)  # areas of neighbours
-_OFF_PLACE = 0.15  # steps
-_SIDE = (0.5, 1.1)  # of a patch, in steps
-_LEAST_GROWN, _LEAST_SEEN = (
-    6,
-    8,
-)  # neighbours from which a lattice is fitted, and patches of the 24 on it
-_PATCH = 0.4  # half a patch's side in steps
+_SAME = 0.3  # sides: closer centres are one patch, found by two thresholds
+_STEP = (1.0, 1.7)  # distance of a neighbour along an edge, in sides
+_ASIDE = 0.3  # distance of a neighbour across an edge, in sides
+_LIKE = (0.45, 2.2)  # ratio of the areas of neighbours
+_OFF_PLACE = 0.15  # distance of a patch from its place, in steps
+_SIDE = (0.5, 1.1)  # side of a patch, in steps
+_LEAST_GROWN = 6  # neighbours from which a lattice is fitted
+_LEAST_SEEN = 8  # patches of the 24 that must be found on it
+_PATCH = 0.4  # half of a patch's side, in steps
 _QUARTER = np.array([[0, 1], [-1, 0]])  # of a turn, of row vectors
 
 
 def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads]:
-    """Patches [rows * columns, 4, 2] in pixels of picture [h, w, 3], row by row; what shows most
-    patches comes first.
+    """Yield candidates [rows * columns, 4, 2] in pixels of picture [h, w, 3], by row.
 
-    No mirror images. Whether the colours there are a chart's is for the caller to see.
+    Candidates with most patches found come first; mirror images are left out. The caller must check
+    that the colours are a chart's.
     """
     quads = _quads(picture)
     fits = (_fitted(quads, members, places) for members, places in _components(quads))
@@ -82,8 +79,9 @@ def _quads(picture: NDArray[np.uint8]) -> Quads:
 
 
 def _four_corners(outline: NDArray[Any]) -> NDArray[np.float64] | None:
-    """Corners [4, 2], clockwise as seen (y downwards), of an outline that is nearly a convex
-    quadrilateral.
+    """Return the corners [4, 2], clockwise as seen (y downwards), of an outline.
+
+    None unless the outline is nearly a convex quadrilateral.
     """
     import cv2
 
@@ -102,14 +100,14 @@ def _four_corners(outline: NDArray[Any]) -> NDArray[np.float64] | None:
 
 
 def _areas(quads: Quads, signed: bool = False) -> NDArray[np.float64]:
-    """Of quadrilaterals [n, 4, 2]; positive for clockwise ones where signed."""
+    """Return the areas of quadrilaterals [n, 4, 2], [n]; signed ones are positive if clockwise."""
     a, b = quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]
     area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     return area if signed else np.abs(area)
 
 
 def _apart(quads: Quads) -> Quads:
-    """One of each patch: the largest of those that lie on one place."""
+    """Return one quadrilateral for each place: the largest."""
     quads = quads[np.argsort(-_areas(quads), kind="stable")]
     centres, sides = quads.mean(axis=1), np.sqrt(_areas(quads))
     kept: list[int] = []
@@ -125,7 +123,7 @@ def _apart(quads: Quads) -> Quads:
 
 
 def _components(quads: Quads) -> list[tuple[list[int], Places]]:
-    """Quadrilaterals that are neighbours: who they are, and the places on which they lie."""
+    """Return groups of neighbouring quadrilaterals: their indices, and their places."""
     centres, edges, areas = quads.mean(axis=1), _edges(quads), _areas(quads)
     inverse = np.linalg.inv(edges) if len(quads) else edges
     found, taken = [], np.zeros(len(quads), bool)
@@ -160,16 +158,14 @@ def _components(quads: Quads) -> list[tuple[list[int], Places]]:
 
 
 def _edges(quads: Quads) -> NDArray[np.float64]:
-    """The two directions [n, 2, 2] of each one's sides, right then down when upright."""
+    """Return two directions of each one's sides, [n, 2, 2]: right, then down when upright."""
     along = quads[:, 1] - quads[:, 0] + quads[:, 2] - quads[:, 3]
     down = quads[:, 3] - quads[:, 0] + quads[:, 2] - quads[:, 1]
     return 0.5 * np.stack([along, down], axis=1)
 
 
 def _turned(inverse: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
-    """By how many quarters the one with these edges counts its own otherwise: a rotation matrix
-    [2, 2].
-    """
+    """Return the rotation [2, 2] by quarter turns between two quadrilaterals' own directions."""
     c, s = (edges @ inverse)[0]
     quarter = round(float(np.arctan2(s, c)) / (np.pi / 2)) % 4
     return np.linalg.matrix_power(_QUARTER, quarter)
@@ -178,9 +174,7 @@ def _turned(inverse: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray
 def _fitted(
     quads: Quads, members: list[int], places: Places
 ) -> tuple[NDArray[np.float64], Places] | None:
-    """The homography [3, 3] from places to pixels, and the places [n, 2] on which it finds a
-    patch.
-    """
+    """Return the homography [3, 3] from places to pixels, and the places [n, 2] with a patch."""
     if len(members) < _LEAST_GROWN or (np.ptp(places, axis=0) == 0).any():
         return None
     centres, side = quads.mean(axis=1), float(np.sqrt(np.median(_areas(quads[members]))))
@@ -188,9 +182,8 @@ def _fitted(
     place, there = _on_places(h, quads)
     if there.sum() < _LEAST_SEEN:
         return None
-    place, there = _on_places(
-        _homography(place[there], centres[there]), quads
-    )  # with those across a gap
+    # Fit again with the patches across a gap.
+    place, there = _on_places(_homography(place[there], centres[there]), quads)
     if there.sum() < _LEAST_SEEN:
         return None
     return _homography(place[there], centres[there]), np.unique(
@@ -203,8 +196,9 @@ def _homography(
     at_px: NDArray[np.float64],
     within_px: float = 0.0,
 ) -> NDArray[np.float64]:
-    """From places [n, 2] to pixels [n, 2], by those that lie within; not numbers where there is
-    none.
+    """Return the homography from places [n, 2] to pixels [n, 2]; NaN if there is none.
+
+    within_px : limit of RANSAC; 0 uses all places.
     """
     import cv2
 
@@ -217,8 +211,9 @@ def _homography(
 def _on_places(
     h: NDArray[np.float64], quads: Quads
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The nearest place [n, 2] of each quadrilateral, and whether it lies there and has a
-    patch's size.
+    """Return the nearest place [n, 2] of each quadrilateral, and whether it fits there, [n].
+
+    It fits if it is on the place and has the size of a patch.
     """
     centres, nowhere = quads.mean(axis=1), np.zeros(len(quads), bool)
     if not np.isfinite(h).all() or abs(np.linalg.det(h)) < 1e-12:
@@ -234,7 +229,7 @@ def _on_places(
 
 
 def _projected(h: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points [..., 2] through a homography [3, 3]; not a number for those on its horizon."""
+    """Return points [..., 2] through a homography [3, 3]; NaN on its horizon."""
     out = points @ h[:, :2].T + h[:, 2]
     depth = out[..., 2:]
     return out[..., :2] / np.where(np.abs(depth) > 1e-9, depth, np.nan)
@@ -245,7 +240,7 @@ def _projected(h: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[n
 
 
 def _laid_on(h: NDArray[np.float64], places: Places, rows: int, columns: int) -> Iterator[Quads]:
-    """Each way to lay rows x columns patches on a lattice, by how many of its patches were seen."""
+    """Yield placements of rows x columns patches on a lattice, by the count of patches found."""
     grid = np.array([(c, r) for r in range(rows) for c in range(columns)])
     half = _PATCH * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     ways = []

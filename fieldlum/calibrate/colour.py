@@ -1,5 +1,6 @@
-"""Three numbers from camera colours to luminance: the maker's own, moved by readings as far as
-they prove it.
+"""Three coefficients from camera colours to luminance, by readings as far as they support it.
+
+The maker's own coefficients are the start; readings move them.
 """
 
 from __future__ import annotations
@@ -20,31 +21,34 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.statistics import robust_sigma
 
 Array = NDArray[np.floating]
-READING_U = 0.02
+READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
+# Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
-LEAST = 4
-# of ln luminance over what the best start says: a reading further off, and alone, is a slip
+LEAST = 4  # readings, for three coefficients and one that is held out
+# ln luminance over that of the best start: an isolated reading further away is a gross error.
 FAR = 0.5
-MOST_U = 0.2  # a larger held-out error is no set of coefficients
-CHART_U = 0.03  # of a printed chart's patch
+MOST_U = 0.2  # a larger held-out error means that readings and colours do not belong together
+CHART_U = 0.03  # relative u of a printed chart's patch; chosen, not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """rgb [n, 3] camera colours, y [n] luminances in any one unit, u_rel [n], labels."""
+    """rgb [n, 3] camera colours, y [n] luminances in any one unit, u_rel [n], labels [n]."""
 
     rgb: Array
     y: Array
     u_rel: Array
     labels: tuple[str, ...]
     frames: tuple[Path, ...]
-    matrix: Array | None = None  # XYZ to camera, where the frames know it
+    matrix: Array | None = None  # XYZ to camera, if the frames state it
 
 
 @dataclass(frozen=True, slots=True)
 class ColourFit:
+    """The fitted coefficients, their uncertainty, and the residuals of the readings."""
+
     y_from_rgb: tuple[float, float, float]
-    scale: float  # luminance over a . rgb with the new figures: what k would be multiplied by
+    scale: float  # luminance over a . rgb with the new coefficients: a factor on k
     u_rel: float  # rms of the held-out errors
     residual: Array
     choice: OrderSelection
@@ -55,18 +59,16 @@ class ColourFit:
 
 
 def from_table(path: Path, profile: CameraProfile) -> Colours:
-    """Spot readings: file, x_px, y_px, luminance_cdm2; optional radius_px (12), u_rel.
-    Vignetting is taken out.
+    """Read spot readings from a csv: file, x_px, y_px, luminance_cdm2.
+
+    Optional: radius_px (12), u_rel. The vignetting of the profile is removed.
     """
     rows = read_table(path, ("file", "x_px", "y_px", "luminance_cdm2"), ("radius_px", "u_rel"))
     frames: dict[Path, LinearFrame] = {}
     rgb, y, u, labels = [], [], [], []
     for row in rows:
-        file, x, at = (
-            needed(row, "file", path),
-            needed(row, "x_px", path),
-            needed(row, "y_px", path),
-        )
+        file = needed(row, "file", path)
+        x, at = needed(row, "x_px", path), needed(row, "y_px", path)
         frame = frames.setdefault(file, linear_frame(file, profile))
         patch = frame.patch(x, at, row.get("radius_px") or 12.0)
         lens = profile.lens[nearest_lens(profile, x, at)]
@@ -79,12 +81,11 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
 
 
 def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] = ()) -> Colours:
-    """A 24-patch chart in a frame, evenly lit: found in it, or by its four outer patch-field
-    corners.
+    """Read a 24-patch chart in an evenly lit frame, found in it or placed by four corners.
 
-    corners_px: x, y of the top left (dark skin), top right, bottom right (black) and bottom left
-    corner. Raises InputError where no chart is found, or where the corners are given in another
-    order.
+    corners_px : x, y of the top left (dark skin), top right, bottom right (black) and bottom left
+    outer corner of the field of patches. Raises InputError if no chart is found, or for corners in
+    another order.
     """
     frame = linear_frame(path, profile)
     centres, radius = (
@@ -99,9 +100,11 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
         )
         u.append(float(np.hypot(CHART_U, patch.u_rel)))
     if not in_order(np.array(rgb) @ np.array(profile.colour.y_from_rgb)):
-        found = "patches whose greys and colours come in another order than a chart's"
         raise InputError(
-            path, found, "--corners from dark skin on, then clockwise", "start at the brown corner"
+            path,
+            "patches whose colours are in another order than a chart's",
+            "--corners from the dark skin patch on, clockwise",
+            "start at the brown corner",
         )
     labels = tuple(f"patch {i + 1}" for i in range(len(CHART_Y)))
     return Colours(
@@ -109,41 +112,45 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     )
 
 
-# ---------------------------------------------------------------------------------------------- fit
+# ----------------------------------------------------------------------------------------------
+# fit
 
 
 def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
-    """The profile's coefficients, and the luminance row of the frames' own matrix (camera to
-    XYZ), of the same size.
+    """Return possible starts, each with its name: the profile's coefficients, the file's matrix.
+
+    The luminance row of the frames' own matrix (camera to XYZ) is scaled to the same size.
     """
     of_profile = np.array(profile.colour.y_from_rgb)
-    found: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]
+    starts: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]
     if colours.matrix is not None:
         row = np.linalg.inv(colours.matrix)[1]
         grey = colours.rgb.mean(axis=0)
-        found.append(
+        starts.append(
             (row * float(of_profile @ grey) / float(row @ grey), "the file's colour matrix")
         )
-    return found
+    return starts
 
 
 def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
-    """Ridge towards the prior; how far to leave it is chosen on readings left out one by one.
+    """Fit coefficients by ridge regression towards the prior, with a weight chosen leave-one-out.
 
-    The new coefficients give the mean colour of the readings the same luminance as the prior did:
-    only their proportion is fitted here, the absolute factor belongs to `calibrate scale` and is
-    returned beside. Raises NotEnoughDataError under four readings.
+    The new coefficients give the mean colour of the readings the same luminance as the prior: only
+    their proportion is fitted here. The absolute factor belongs to `calibrate scale` and is
+    returned separately. Raises NotEnoughDataError under four readings, InputError for readings that
+    do not fit the colours.
     """
     n = len(colours.y)
     if n < LEAST:
         raise NotEnoughDataError(
-            f"{n} readings are too few for three coefficients: take at least {LEAST} colours"
+            f"{n} readings for three coefficients; expected at least {LEAST}; take more colours"
         )
     if not ((colours.y > 0).all() and (colours.rgb[:, 1] > 0).all()):
         raise InputError(
             colours.frames[0],
             "readings or patches that are not positive",
-            "colours that the frame holds",
+            "positive readings, and patches that the frame exposes",
+            "remove those lines, or use a longer exposure",
         )
     every = colours
     colours, slips = _without_slips(colours, profile)
@@ -172,11 +179,8 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     residual = every.rgb @ raw / every.y - 1.0
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
     if u > MOST_U:
-        found = (
-            f"readings and colours that do not go together: held-out readings miss by "
-            f"{100 * u:.0f} %"
-        )
-        remedy = "each line needs the place where the meter looked, under steady light"
+        found = f"held-out readings miss by {100 * u:.0f} %: readings and colours do not fit"
+        remedy = "check that each line has the place of its reading, and that the light was steady"
         raise InputError(colours.frames[0], found, f"at most {100 * MOST_U:.0f} %", remedy)
     if slips:
         choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(slips)}")
@@ -190,8 +194,9 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
 
 
 def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, tuple[str, ...]]:
-    """Without readings off by a factor (a decimal point, another unit), which are told; at most
-    a quarter of them.
+    """Return the colours without gross errors of readings, and a note of each.
+
+    A gross error is a factor (a decimal point, another unit). At most a quarter is left out.
     """
     offs = [np.log((colours.rgb @ start) / colours.y) for start, _ in priors(colours, profile)]
     offs = [off - np.median(off) for off in offs]
@@ -199,23 +204,25 @@ def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, t
     far = np.abs(off) > max(FAR, 5 * robust_sigma(off, 0.0))
     if not far.any() or far.mean() > 0.25 or len(off) - far.sum() < LEAST:
         return colours, ()
-    told = [
-        f"{colours.labels[i]}, {np.exp(-off[i]):.2g} times what the others make it"
+    notes = [
+        f"{colours.labels[i]}, {np.exp(-off[i]):.2g} times the value that the others predict"
         for i in np.flatnonzero(far)
     ]
-    kept = replace(
+    labels = zip(colours.labels, far, strict=True)
+    without = replace(
         colours,
         rgb=colours.rgb[~far],
         y=colours.y[~far],
         u_rel=colours.u_rel[~far],
-        labels=tuple(label for label, gone in zip(colours.labels, far, strict=True) if not gone),
+        labels=tuple(label for label, is_far in labels if not is_far),
     )
-    return kept, tuple(told)
+    return without, tuple(notes)
 
 
 def _solve(colours: Colours, prior: Array, pull: float, rows: NDArray[np.bool_]) -> Array:
-    """Minimise sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2, s the
-    prior's own best scale.
+    """Minimise sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2.
+
+    s is the prior's own best scale; with an infinite pull s * prior is returned.
     """
     rgb, y, u = colours.rgb[rows], colours.y[rows], colours.u_rel[rows]
     weighted = (rgb @ prior) / y / u

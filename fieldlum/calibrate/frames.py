@@ -1,4 +1,4 @@
-"""Frames as linear camera colours, patch by patch."""
+"""Frames as linear camera colours, averaged over patches."""
 
 from __future__ import annotations
 
@@ -23,26 +23,25 @@ from fieldlum.projection import angle_of_radius
 from fieldlum.raw import JPEG_SUFFIXES, channel_positions, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
-FULL = 0.97  # of the saturation: brighter pixels are left out
+FULL = 0.97  # of the saturation: brighter pixels are left out. Chosen, not measured.
+_MOST_CLIPPED = 0.2  # share of a patch's pixels. Chosen, not measured.
 
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Mean camera R, G, B [cd/m2 at the profile's k] of a disc on the sensor and its relative
-    standard uncertainty.
-    """
+    """Mean camera R, G, B of a disc on the sensor, in cd/m2 at the profile's k, and relative u."""
 
     rgb: NDArray[np.float64]
     u_rel: float
-    clipped: float  # share of its pixels that were full, or too dark to mean anything
+    clipped: float  # share of its pixels that were saturated, or too dark
 
 
 @dataclass(frozen=True, slots=True)
 class LinearFrame:
-    """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting; `step`
-    sensor pixels a pixel.
+    """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting.
 
-    bad [h, w]: full, or outside the codes that a JPEG's response holds for.
+    bad [h, w] : saturated, or outside the codes for which a JPEG's response is valid; step : sensor
+    pixels for each pixel of rgb.
     """
 
     path: Path
@@ -53,29 +52,37 @@ class LinearFrame:
     colour_matrix: NDArray[np.float64] | None = None
 
     def patch(self, x_px: float, y_px: float, radius_px: float) -> Patch:
-        """Raises InputError for a patch outside the picture or clipped by more than a fifth."""
+        """Return the mean of a disc of the sensor.
+
+        Raises InputError for a patch outside the picture, or with over a fifth of it clipped.
+        """
         h, w = self.bad.shape
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)
         if not (r <= x <= w - r and r <= y <= h - r):
             found = f"a patch at {x_px:g}, {y_px:g} of radius {radius_px:g} px"
-            raise InputError(self.path, found, f"one inside {w * self.step} x {h * self.step} px")
+            raise InputError(
+                self.path,
+                found,
+                f"a patch inside {w * self.step} x {h * self.step} px",
+                "correct its place",
+            )
         rows, columns = slice(int(y - r), int(y + r) + 1), slice(int(x - r), int(x + r) + 1)
         yy, xx = np.mgrid[rows, columns]
         disc = (xx + 0.5 - x) ** 2 + (yy + 0.5 - y) ** 2 <= r**2
         values, bad = self.rgb[rows, columns][disc], self.bad[rows, columns][disc]
-        if bad.mean() > 0.2:
+        if bad.mean() > _MOST_CLIPPED:
             found = f"{100 * bad.mean():.0f} % of the patch at {x_px:g}, {y_px:g} is clipped"
             raise InputError(
                 self.path,
                 found,
-                "an exposure that holds it",
-                "take a frame that is neither full nor dark",
+                f"at most {100 * _MOST_CLIPPED:.0f} %",
+                "use a frame that exposes the patch well",
             )
         return _mean(values[~bad], float(bad.mean()))
 
 
 def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
-    """Trimmed mean of [n, 3] and its uncertainty from the spread of the green."""
+    """Return the trimmed mean of values [n, 3], with the uncertainty of the spread of green."""
     from scipy.stats import trim_mean
 
     rgb = np.asarray(trim_mean(values.astype(float), 0.1, axis=0), float)
@@ -84,7 +91,7 @@ def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
 
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
-    """Raises InputError for a frame that cannot be read or that another camera took."""
+    """Read a frame. Raises InputError if it cannot be read or is of another camera."""
     return (
         _from_jpeg(path, profile)
         if path.suffix.lower() in JPEG_SUFFIXES
@@ -133,7 +140,7 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
 
 
 def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
-    """Index of the lens whose circle the place lies in, relative to its radius."""
+    """Return the index of the lens whose circle has the place, relative to its radius."""
     away = [
         np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
         for lens in profile.lens
@@ -142,7 +149,7 @@ def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
 
 
 def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
-    """Angle from the optical axis over half of the full angle."""
+    """Return the angle from the optical axis over half of the full angle."""
     geometry = lens.geometry
     radius = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)
@@ -151,7 +158,7 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
 def transmission(lens: Lens, f_number: float, x_px: float, y_px: float) -> float:
     """Return V of the profile at a place on the sensor; 1 without a curve.
 
-    Raises InputError where the profile has curves for other apertures only.
+    Raises InputError if the profile has curves for other apertures only.
     """
     coefficients, _ = vignetting_of(lens, f_number)
     return float(vignetting_at(coefficients, relative_angle(lens, x_px, y_px)))

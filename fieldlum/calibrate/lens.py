@@ -1,6 +1,4 @@
-"""Where a lens puts a direction: from known directions, from a chessboard, or from the circle's
-edge.
-"""
+"""The mapping and pose of a lens, from known directions, chessboards, or the edge of the circle."""
 
 from __future__ import annotations
 
@@ -20,28 +18,30 @@ from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays,
 from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
-LEAST = 8
+LEAST = 8  # targets, for the parameters of a lens with one free term and its pose
+# Powers of the polynomial mappings, from one to four terms.
 POWERS = {
     "polynomial of one term": (1,),
     "two odd terms": (1, 3),
     "three odd terms": (1, 3, 5),
     "four terms": (1, 2, 3, 4),
 }
-EDGE_DIRECTIONS = 720
-FAR_SIGMA, FAR_RADIUS = (
-    6.0,
-    0.02,
-)  # a target further off than both (of the radius) is a slip: left out and named
-MOST_FAR = 0.2  # of the targets
-MISS_RADIUS = 0.01  # of the radius: a median miss of more is no lens
-BEYOND = 1.06  # of half the full angle: no target of a lens lies further off its axis
-TURNED_DEG = 30.0  # from the pose that the profile has: said
+EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured
+# A target that misses by more than both (of the median miss; of the radius) is a gross error: it is
+# left out and listed. Chosen, not measured.
+FAR_SIGMA = 6.0
+FAR_RADIUS = 0.02
+MOST_FAR = 0.2  # of the targets may be left out
+MISS_RADIUS = 0.01  # of the radius: a larger median miss means that no lens fits
+BEYOND = 1.06  # of half of the full angle: targets further from the axis are an error
+TURNED_DEG = 30.0  # a larger difference from the profile's pose is a warning
 
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """x_px, y_px [n] on the sensor and unit vectors [n, 3] in the panorama's frame (heading =
-    north).
+    """Known directions on the sensor.
+
+    x_px, y_px [n]; rays [n, 3] : unit vectors in the panorama's frame (heading = north).
     """
 
     x_px: Array
@@ -53,13 +53,14 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
+    """A fitted lens, its residuals, and warnings."""
+
     lens: Lens
     rms_px: float  # held-out
     rms_deg: float
     residual_px: Array
-    widest_deg: (
-        float  # the largest angle that a target had: beyond it the mapping is an extrapolation
-    )
+    # Largest angle of a target: beyond it the mapping is an extrapolation.
+    widest_deg: float
     choice: OrderSelection
     doubts: tuple[str, ...] = ()  # targets left out; a pose far from the profile's
 
@@ -69,8 +70,9 @@ class LensFit:
 
 
 def from_table(path: Path) -> Targets:
-    """Targets from a csv: x_px, y_px, azimuth_deg, altitude_deg relative to the camera's heading
-    and the horizon.
+    """Read targets from a csv: x_px, y_px, azimuth_deg, altitude_deg.
+
+    Angles are relative to the camera's heading and the horizon.
     """
     rows = read_table(path, ("x_px", "y_px", "azimuth_deg", "altitude_deg"))
     columns = {n: np.array([needed(row, n, path) for row in rows]) for n in rows[0]}
@@ -86,8 +88,9 @@ def from_table(path: Path) -> Targets:
 def geometry_of_figures(
     lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool
 ) -> LensGeometry:
-    """The lens with fitted figures: centre x, y, radius, [azimuth, tilt, roll], then the
-    polynomial's higher terms.
+    """Return the lens with fitted parameters.
+
+    figures : centre x, y, radius, [azimuth, tilt, roll], then the polynomial's higher terms.
     """
     x, y, radius, *rest = figures.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
@@ -123,17 +126,16 @@ def _solve(
 
 
 def fit(targets: Targets, lens: Lens) -> LensFit:
-    """Centre, radius, pose and mapping by robust least squares in pixels, from the profile's lens
-    as a start.
+    """Fit centre, radius, pose and mapping by robust least squares in pixels.
 
-    Mappings are tried from none to four free terms on targets held out. Targets that no lens
-    explains are left out and named. Raises NotEnoughDataError under eight targets; InputError for
-    directions that are mirrored, lie behind the lens, or fit no lens at all.
+    The profile's lens is the start. Mappings with none to four free terms are tried on held-out
+    targets. Targets that no lens explains are left out and listed. Raises NotEnoughDataError under
+    eight targets; InputError for directions that are mirrored, are behind the lens, or fit no lens.
     """
     n = len(targets.x_px)
     if n < LEAST:
         raise NotEnoughDataError(
-            f"{n} targets are too few for a lens: take at least {LEAST}, spread over the circle"
+            f"{n} targets for a lens; expected at least {LEAST}, spread over the circle; take more"
         )
     level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
     start = level if targets.pose_known else _posed(targets, lens)
@@ -190,25 +192,22 @@ def _doubts(
         f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {residual[i]:.0f} px)"
         for i in np.flatnonzero(~near)
     ]
-    said = [f"left out, for no lens explains them: {'; '.join(far)}"] if far else []
+    texts = [f"left out because no lens explains them: {'; '.join(far)}"] if far else []
     turn = new.geometry.axes() @ before.geometry.axes().T
     turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if turned_deg > TURNED_DEG:
         pose = (
             f"azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll {new.roll_deg:.1f} deg"
         )
-        said.append(
-            f"the camera stands turned by {turned_deg:.0f} deg against the profile's pose, now "
-            f"{pose}; azimuths of "
-            "targets count from the camera's heading, not from north"
+        texts.append(
+            f"the camera is turned by {turned_deg:.0f} deg from the profile's pose, now {pose}; "
+            "azimuths of targets count from the camera's heading, not from north"
         )
-    return tuple(said)
+    return tuple(texts)
 
 
 def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
-    """How far each target is from where the lens puts it [px], and its angle from the axis
-    [rad].
-    """
+    """Return the distance of each target from its place by the lens [px], and its angle [rad]."""
     x, y, angle = lens_pixels(found, targets.rays)
     return np.hypot(x - targets.x_px, y - targets.y_px), angle
 
@@ -216,7 +215,7 @@ def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
 def _near(
     targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[int, ...]]]
 ) -> NDArray[np.bool_]:
-    """Targets that the best of the robust fits explains."""
+    """Return which targets the best of the robust fits explains, [n]."""
     every, best = np.ones(len(targets.x_px), bool), np.full(len(targets.x_px), np.inf)
     for _, mapping, powers in models:
         figures = _solve(targets, every, start, mapping, powers)
@@ -230,7 +229,7 @@ def _near(
 
 
 def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
-    """Raises InputError for a lens that its own targets contradict."""
+    """Raise InputError for a lens that its own targets contradict."""
     source = targets.frames[0] if targets.frames else "targets"
     wanted = (
         "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
@@ -238,8 +237,9 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
     if np.median(missed) > MISS_RADIUS * found.radius_px:
         raise InputError(
             source,
-            f"targets that fit no lens: half of them miss by {np.median(missed):.0f} px",
+            f"targets that fit no lens: half of them miss by over {np.median(missed):.0f} px",
             wanted,
+            "check signs, units and the columns x_px and y_px",
         )
     if angle.max() > BEYOND * found.half_angle_rad:
         past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that ends at"
@@ -247,16 +247,15 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
             source,
             f"{past} {np.degrees(found.half_angle_rad):.0f} deg",
             wanted,
-            "or mend --full-angle",
+            "correct the targets, or --full-angle",
         )
 
 
 def _posed(targets: Targets, lens: Lens) -> Lens:
-    """The lens turned as its targets stand, so that a camera held upright, or turned round, is
-    found too.
+    """Return the lens in the pose of its targets, so that a turned camera is found too.
 
-    By the rotation from seen to true directions; when one fits in a mirror and none as they are,
-    signs are wrong: raises InputError.
+    The pose is the rotation from seen to true directions. Raises InputError if only the mirrored
+    directions fit: then a sign is wrong.
     """
     seen = lens_rays(
         replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0),
@@ -268,22 +267,21 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     )
     if mirrored < 0.5 * miss and miss > 0.1:
         source = targets.frames[0] if targets.frames else "targets"
-        remedy = "look for a wrong sign, or x and y exchanged"
+        remedy = "check for a wrong sign, or for x and y exchanged"
         wanted = "azimuth clockwise (to the right), altitude up, x right, y down"
-        raise InputError(source, "directions that fit in a mirror only", wanted, remedy)
+        raise InputError(source, "directions that fit only mirrored", wanted, remedy)
     right, forward = turn[:, 0], turn[:, 1]
-    azimuth, tilt = (
-        np.degrees(np.arctan2(forward[0], forward[1])),
-        np.degrees(np.arcsin(np.clip(forward[2], -1, 1))),
-    )
+    azimuth = np.degrees(np.arctan2(forward[0], forward[1]))
+    tilt = np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))
     level = direction(0.0, azimuth + 90.0)
     roll = np.degrees(np.arctan2(-right @ np.cross(level, forward), right @ level))
     return replace(lens, azimuth_deg=float(azimuth), tilt_deg=float(tilt), roll_deg=float(roll))
 
 
 def _turn(seen: Array, true: Array) -> tuple[float, Array]:
-    """How far directions [n, 3] lie apart in the median, as chords, once turned upon each other,
-    and that rotation [3, 3] (Wahba 1965), slips weighed down.
+    """Return the median distance of directions [n, 3] after rotation, as chords, and the rotation.
+
+    Wahba 1965, with less weight for gross errors. The rotation is [3, 3].
     """
     from scipy.spatial.transform import Rotation
 
@@ -313,13 +311,15 @@ def _held_out(targets: Targets, lens: Lens, mapping: str, powers: tuple[int, ...
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
-    """Any raw, JPEG or PNG as 8-bit grey at full sensor size. Raises InputError."""
+    """Read a raw, JPEG or PNG file as 8-bit grey at full sensor size. Raises InputError."""
     import cv2
 
     if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
         if picture is None:
-            raise InputError(path, "no picture that OpenCV reads", "a JPEG, PNG or raw frame")
+            raise InputError(
+                path, "no picture that OpenCV reads", "a JPEG, PNG or raw frame", "check the file"
+            )
         return np.asarray(picture, np.uint8)
     from fieldlum.raw import read_mosaic
 
@@ -333,23 +333,24 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
+    """The image circle; u_px is the spread of its edge points."""
+
     centre_px: tuple[float, float]
     radius_px: float
     u_px: float  # of the edge points about the circle
 
 
 def circle(picture: NDArray[np.uint8]) -> Circle:
-    """The image circle of a bright frame: scikit-image's Hough transform, refined on the edge along
-    720 rays.
+    """Find the image circle of a bright frame: scikit-image's Hough transform, then the edge.
 
-    The edge is where the brightness passes half of that just inside. Raises InputError when there
-    is no circle.
+    The edge is refined along 720 rays, at half of the brightness just inside. Raises InputError
+    without a circle.
     """
     from skimage.feature import canny
     from skimage.transform import hough_circle, resize
 
     h, w = picture.shape
-    step = max(max(h, w) / 240, 1.0)  # coarse: the edge is refined at full size
+    step = max(max(h, w) / 240, 1.0)  # coarse, because the edge is refined at full size
     small = np.asarray(
         resize(picture.astype(float) / 255, (round(h / step), round(w / step)), anti_aliasing=True)
     )
@@ -358,7 +359,10 @@ def circle(picture: NDArray[np.uint8]) -> Circle:
     radii = np.arange(int(0.2 * short), int(0.62 * long), 1)
     if not edges.any():
         raise InputError(
-            "circle", "no edge in the picture", "a bright frame with the whole circle in it"
+            "circle",
+            "no edge in the picture",
+            "a bright frame that shows the complete circle",
+            "take another frame",
         )
     votes = hough_circle(edges, radii, full_output=False)
     best, y, x = np.unravel_index(int(votes.argmax()), votes.shape)
@@ -371,9 +375,8 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
     from scipy.ndimage import gaussian_filter, map_coordinates
     from scipy.optimize import least_squares
 
-    light = (
-        picture.astype(np.float32) / 255
-    ) ** 2.2  # half of the light, not half of the code, marks the edge
+    # The edge is at half of the light, not at half of the code.
+    light = (picture.astype(np.float32) / 255) ** 2.2
     smooth = 255 * gaussian_filter(light, 1.0)
     turn = np.arange(EDGE_DIRECTIONS) * 2 * np.pi / EDGE_DIRECTIONS
     out = np.arange(0.9 * r, 1.1 * r, 0.25)
@@ -386,7 +389,10 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
     good = below.any(axis=1) & (first > 0) & (inner > outer + 8)
     if good.sum() < 60:
         raise InputError(
-            "circle", "no clear edge of a circle", "a bright, evenly lit frame with a dark surround"
+            "circle",
+            "no clear edge of a circle",
+            "a bright, evenly lit frame with dark surroundings",
+            "take another frame",
         )
     edge = np.stack(
         [x + np.cos(turn[good]) * out[first[good]], y + np.sin(turn[good]) * out[first[good]]]
@@ -395,30 +401,33 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
     def misses(p: Array) -> Array:
         return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
 
-    found = least_squares(misses, (x, y, r), loss="soft_l1", f_scale=0.5)
-    cx, cy, radius = (float(v) for v in found.x)
-    return Circle((cx, cy), radius, robust_sigma(misses(found.x), 0.0))
+    solved = least_squares(misses, (x, y, r), loss="soft_l1", f_scale=0.5)
+    cx, cy, radius = (float(v) for v in solved.x)
+    return Circle((cx, cy), radius, robust_sigma(misses(solved.x), 0.0))
 
 
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
-    """How far the picture moved, x right and y down, by scikit-image's phase correlation. [px]"""
+    """Return how far the picture moved in px, x right and y down, by phase correlation."""
     from skimage.registration import phase_cross_correlation
 
     if before.shape != after.shape:
         raise InputError(
-            "shift", f"pictures of {before.shape} and {after.shape}", "two frames of one camera"
+            "shift",
+            f"pictures of {before.shape} and {after.shape} pixels",
+            "two frames of one camera",
+            "use frames of one size",
         )
     window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
     pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]
-    plain: Any = None  # its type hint forgets None
-    # Without normalisation: with it the mosaic's own pattern, which does not move, outvotes the
-    # scene.
+    plain: Any = None  # the type hint of scikit-image lacks None
+    # Without normalisation, because with it the pattern of the mosaic, which does not move,
+    # dominates the scene.
     (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=plain)
     return -float(right), -float(down)
 
 
 def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
-    """The lens with the circle's centre and radius; its mapping stays."""
+    """Return the lens with the circle's centre and radius, and its own mapping."""
     return replace(
         lens,
         centre_px=(round(found.centre_px[0], 2), round(found.centre_px[1], 2)),

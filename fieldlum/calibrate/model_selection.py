@@ -1,4 +1,4 @@
-"""How large a model may be: the smallest within one standard error of the best on held-out data."""
+"""The size of a model: the smallest within one standard error of the best on held-out data."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-LEAVE_ONE_OUT = 24  # up to so many groups each is held out by itself
+LEAVE_ONE_OUT = 24  # up to this many groups each is held out separately; decides time
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """errors [n]: squared held-out errors of the same n data for every candidate; size: free
-    figures.
+    """One model of a selection.
+
+    errors [n] : squared held-out errors of the same n data for every candidate; size : count of
+    free parameters.
     """
 
     name: str
@@ -24,8 +26,10 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class OrderSelection:
+    """The chosen candidate."""
+
     index: int
-    line: str  # what was tried, and why this one
+    line: str  # the candidates, and the reason for this one
 
 
 def choose(
@@ -35,11 +39,10 @@ def choose(
     scale: float = 100.0,
     negligible: float = 0.0,
 ) -> OrderSelection:
-    """The smallest candidate whose mean held-out error is within one standard error of the best
-    one's.
+    """Return the smallest candidate within one standard error of the best.
 
-    The standard error is that of the difference to the best, datum by datum: they share their
-    noise. negligible: an rms that much larger is no worse.
+    The standard error is that of the difference to the best, datum by datum, because all share the
+    noise of the data. negligible : an rms that is larger by this is not worse.
     """
     means = np.array([candidate.errors.mean() for candidate in candidates])
     best = int(np.argmin(means))
@@ -57,7 +60,7 @@ def choose(
     why = (
         "the best"
         if chosen == best
-        else f"smaller than the best, {candidates[best].name}, and no worse that matters"
+        else f"smaller than the best, {candidates[best].name}, and not significantly worse"
     )
     return OrderSelection(
         chosen, f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}"
@@ -65,9 +68,7 @@ def choose(
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:
-    """Masks of held-out data: group by group when they are few, else `count` interleaved sets of
-    groups.
-    """
+    """Yield masks of held-out data: each group, or `count` interleaved sets if there are many."""
     names = np.unique(groups)
     parts = len(names) if len(names) <= LEAVE_ONE_OUT else count
     for part in range(parts):

@@ -1,4 +1,4 @@
-"""One picture a fit: readings, curve, and what is left over."""
+"""One picture for each fit: readings, curve and residuals."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _two(title: str, shares: tuple[float, float] = (3, 2)) -> tuple[Figure, Any,
 
 
 def save(figure: Figure, path: Path) -> None:
-    """PNG, SVG or PDF by its suffix; appears whole or not at all."""
+    """Write PNG, SVG or PDF by suffix; the file appears complete or not at all."""
     from fieldlum.session import replacing_path
 
     with replacing_path(path) as temporary:
@@ -39,7 +39,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def _plain_log(axes: Any) -> None:
-    """Logarithmic axes that are labelled 1, 2, 5, 10 and so on."""
+    """Label logarithmic axes with 1, 2, 5, 10 and so on."""
     from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
     for axis in (axes.xaxis, axes.yaxis):
@@ -55,6 +55,7 @@ def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> 
 
 
 def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
+    """Draw the response tables and the residuals of the places."""
     figure, left, right = _two(
         f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %"
     )
@@ -82,6 +83,7 @@ def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
 def of_vignette(
     samples: vignette.Samples, found: vignette.VignettingFit, half_angle_deg: float
 ) -> Figure:
+    """Draw the vignetting of readings and fit, and the residuals."""
     figure, left, right = _two(
         f"vignetting at f/{samples.f_number:g}; held-out rms {100 * found.u_rel:.2g} %"
     )
@@ -112,11 +114,10 @@ def of_vignette(
 
 
 def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> Figure:
+    """Draw meter against picture, and the residuals."""
     figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
-    meter, image = (
-        np.array([r.meter for r in readings]),
-        np.array([r.image for r in readings]) * found.factor,
-    )
+    meter = np.array([r.meter for r in readings])
+    image = np.array([r.image for r in readings]) * found.factor
     for kind, mark in (("spot", "o"), ("illuminance", "s")):
         rows = np.array([r.kind == kind for r in readings])
         if rows.any():
@@ -139,6 +140,7 @@ def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> F
 
 
 def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
+    """Draw the targets in the image circle, and their misses."""
     figure, left, right = _two(
         f"lens, {found.lens.mapping}; held-out rms {found.rms_px:.2g} px ({found.rms_deg:.2g} deg)"
     )
@@ -161,6 +163,7 @@ def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
 
 
 def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
+    """Draw the image circle over the picture."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.2, 4.0), layout="constrained")
@@ -179,6 +182,7 @@ def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
 
 
 def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
+    """Draw the readings against the fitted luminance, and the residuals."""
     figure, left, right = _two(f"colour to luminance; held-out rms {100 * found.u_rel:.2g} %")
     new = colours.rgb @ np.array(found.y_from_rgb) * found.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
@@ -197,6 +201,7 @@ def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
 
 
 def of_shutter(found: shutter.ShutterFit) -> Figure:
+    """Draw the fitted times over nominal and over assumed times."""
     figure, left, right = _two(
         f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1)
     )
@@ -204,7 +209,7 @@ def of_shutter(found: shutter.ShutterFit) -> Figure:
     true, assumed = np.array([t.true_s for t in found.times]), np.array(found.assumed_s)
     u = np.array([t.u_rel for t in found.times])
     for axes, against, label in (
-        (left, nominal, "true over the dial's [%]"),
+        (left, nominal, "true over nominal [%]"),
         (right, assumed, "over assumed [%]"),
     ):
         axes.axhline(0, color=CURVE, linewidth=1)
@@ -217,11 +222,12 @@ def of_shutter(found: shutter.ShutterFit) -> Figure:
             markersize=3.5,
             linewidth=1,
         )
-        axes.set(xscale="log", xlabel="time on the dial [s]", ylabel=label)
+        axes.set(xscale="log", xlabel="nominal time [s]", ylabel=label)
     return figure
 
 
 def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
+    """Draw the bad pixels on the sensor, and their distance from the middle."""
     figure, left, right = _two(
         f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1)
     )

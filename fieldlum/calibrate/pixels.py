@@ -1,11 +1,10 @@
-"""Hot, dead and stuck pixels, found as what deviates from its own colour's neighbours in every
-view.
+"""Hot, dead and stuck pixels: those that deviate from neighbours of their colour in every view.
 
-A small light or the edge of a frame deviates too, but not in every view: the camera must have been
-turned between them, and that it was is checked by the pictures' own detail. With the cap on
-(`dark`) there is no light to be mistaken, and nothing to see a dead pixel by. How many pixels would
-deviate everywhere by chance is worked out from how many deviate in each view; it sets in how many
-views a pixel must, and the fit is refused where not even all of them are enough.
+A small light or the edge of a frame deviates too, but not in every view. The camera must be turned
+between the views, which is checked by the details of the pictures. With the cap on (`dark`) there
+is no light to confuse, but a dead pixel cannot be seen either. The count of pixels that would
+deviate everywhere by chance follows from the count that deviates in each view. It decides in how
+many views a pixel must deviate; if even all views are too few, there is no result.
 """
 
 from __future__ import annotations
@@ -22,19 +21,22 @@ from fieldlum.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import JPEG_SUFFIXES, Mosaic, channel_positions, read_mosaic
 
-LEAST_VIEWS, LEAST_DARK = 3, 2
+# Limits are chosen so that simulated defects are found and lights are not (tests); not measured on
+# real sensors.
+LEAST_VIEWS = 3
+LEAST_DARK = 2
 MOST = 1e-3  # of the pixels: more is no list of defects
 _SIGMA = 6.0  # of the noise
-_LEAST_REL = 0.1  # of the light: smaller deviations are every sensor's
+_LEAST_REL = 0.1  # of the light: smaller deviations are normal for a sensor
 _SPREAD = 4.0  # of the neighbours' median deviation from their own median
 _CHANCE = 0.5  # pixels that may be expected to deviate everywhere by chance
-_INSIDE = 0.97  # of a lens's circle: its edge stands still in every view
-_BLOCK = 4  # same-colour pixels along the edge of what a view is known by
-_DETAIL = 5.0, 0.03  # sigma, share of the light: what counts as detail of a view
+_INSIDE = 0.97  # of a lens's circle, because its edge is the same in every view
+_BLOCK = 4  # pixels of one colour along the edge of a block of detail
+_DETAIL = 5.0, 0.03  # sigma of the noise, share of the light: a smaller step is no detail
 _LEAST_DETAIL = 30  # blocks
-_ALIKE = 0.3  # correlation of detail from which two frames show one view
-_LIKE = 2  # neighbours that a defect may be like: those of its line
-_FULL = 0.9  # of the saturation: brighter surroundings say nothing
+_SAME_VIEW_CORRELATION = 0.3  # of the detail of two frames, from which they show one view
+_LIKE = 2  # neighbours that a defect may be like: those of a line of defects
+_FULL = 0.9  # of the saturation: brighter surroundings are not judged
 
 Mask = NDArray[np.bool_]
 Detail = NDArray[np.int8]
@@ -42,8 +44,9 @@ Detail = NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True)
 class PixelDefects:
-    """Columns and rows on the sensor; views that were told apart; frames that helped; pixels
-    expected by chance.
+    """Bad pixels (column, row) on the sensor, and the evidence.
+
+    views : different views; frames : the frames used; by_chance : pixels expected by chance.
     """
 
     bad_px: tuple[tuple[int, int], ...]
@@ -54,15 +57,20 @@ class PixelDefects:
 
 
 def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> PixelDefects:
-    """sources: frames, or folders of frames of one view each. dark: with the cap on, each frame
-    counts as a view.
+    """Find bad pixels.
 
-    Raises InputError for frames of another camera; NotEnoughDataError where the views are too few
-    or too alike.
+    sources : frames, or folders with the frames of one view each; dark : the cap was on, and each
+    frame counts as a view.
+
+    Raises InputError for frames of another camera, NotEnoughDataError for views that are too few or
+    too similar.
     """
     if profile.camera.kind != "raw":
         raise InputError(
-            profile.camera.name, "a JPEG camera", "raw frames: a JPEG smears its bad pixels"
+            profile.camera.name,
+            "a JPEG camera, whose files blur bad pixels",
+            "a raw camera",
+            "use raw frames",
         )
     area = (
         np.ones((profile.camera.height_px, profile.camera.width_px), bool)
@@ -85,7 +93,7 @@ def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False)
                 continue
             new.shown.append((path.parent.resolve(), detail))
             views = _join(views, new)
-    return _decide([view.odd for view in views], tuple(frames), int(area.sum()), dark, plain)
+    return _decide([view.deviating for view in views], tuple(frames), int(area.sum()), dark, plain)
 
 
 def _decide(
@@ -96,14 +104,12 @@ def _decide(
     least = LEAST_DARK if dark else LEAST_VIEWS
     if len(views) < least:
         what = "dark frames" if dark else "views"
-        hint = (
-            ""
-            if dark
-            else ": turn the camera between brackets, or take frames with the cap on (--dark)"
-        )
-        blank = f", {plain} frames without detail to tell views by" if plain else ""
+        remedy = "take more"
+        if not dark:
+            remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
+        blank = f" and {plain} frames without detail" if plain else ""
         raise NotEnoughDataError(
-            f"bad pixels: {len(views)} different {what}{blank}, {least} are needed{hint}"
+            f"bad pixels: {len(views)} different {what}{blank}; expected {least}; {remedy}"
         )
     count = np.zeros(views[0].shape, np.uint16)
     for view in views:
@@ -118,15 +124,14 @@ def _decide(
     rows, columns = np.nonzero(count >= need)
     if by_chance[need] > _CHANCE:
         raise NotEnoughDataError(
-            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in a view, "
-            f"{by_chance[need]:.2g} would do "
-            f"so in all {len(views)} by chance: take more views, or frames with the cap on (--dark)"
+            f"bad pixels: {100 * shares.mean():.2g} % of the pixels deviate in a view, and "
+            f"{by_chance[need]:.2g} pixels would deviate in all {len(views)} by chance; take more "
+            f"views, or frames with the cap on (--dark)"
         )
     if len(rows) > MOST * pixels:
         raise NotEnoughDataError(
-            f"bad pixels: {len(rows)} found, more than {100 * MOST:g} % of the sensor: is the "
-            f"profile's gain or read "
-            "noise wrong, or did the camera not move?"
+            f"bad pixels: {len(rows)} found; expected at most {100 * MOST:g} % of the sensor; "
+            f"check the profile's gain and read noise, and that the camera was turned"
         )
     kind = "dark frames" if dark else "views"
     line = (
@@ -146,26 +151,27 @@ def _frames_of(source: Path) -> list[Path]:
     if not source.is_dir():
         return [source]
     skipped = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
-    found = sorted(
+    frames = sorted(
         p
         for p in source.iterdir()
         if p.is_file() and p.suffix.lower() not in skipped and not p.name.startswith(".")
     )
-    if not found:
-        raise InputError(source, "no frames in it", "a folder of raw frames of one view")
-    return found
+    if not frames:
+        raise InputError(source, "no frames", "a folder of raw frames of one view", "check it")
+    return frames
 
 
 def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     if path.suffix.lower() in JPEG_SUFFIXES:
-        raise InputError(path, "a JPEG frame", f"raw frames, as {profile.camera.name} takes")
+        expected = f"raw frames of {profile.camera.name}"
+        raise InputError(path, "a JPEG frame", expected, "use the raw frames")
     mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
     check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     return mosaic
 
 
 def _check_dark(path: Path, mosaic: Mosaic, profile: CameraProfile) -> None:
-    """Raises InputError for a frame that saw light."""
+    """Raise InputError for a dark frame that got light."""
     for plane, black, gain, _ in _planes(mosaic, profile):
         above = float(np.percentile(plane[::4, ::4], 90)) - black
         noise = float(np.hypot(profile.sensor.read_noise_e / gain, 1.0))
@@ -176,7 +182,7 @@ def _check_dark(path: Path, mosaic: Mosaic, profile: CameraProfile) -> None:
 def _planes(
     mosaic: Mosaic, profile: CameraProfile
 ) -> list[tuple[NDArray[np.uint16], float, float, float]]:
-    """Of R, G1, G2, B: counts, black, electrons a count, saturation."""
+    """Return counts, black, electrons for each count, and saturation of R, G1, G2, B."""
     gain = gain_e_per_dn(mosaic.exposure.iso, profile)
     levels = zip(
         channel_positions(mosaic.cfa),
@@ -191,13 +197,14 @@ def _planes(
 
 
 def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
-    """Pixels off the median of their nine of one colour by more than noise, a tenth of the light,
-    and what these nine differ by themselves; [h, w]. alone: not when three of their neighbours are
-    like them, as at a corner of something.
+    """Return the pixels that deviate from the median of their nine of one colour, [h, w].
+
+    They deviate by more than noise, a tenth of the light, and the spread of the nine. alone : leave
+    out pixels with three neighbours like them, as at the corner of an object.
     """
     import cv2
 
-    odd = np.zeros(mosaic.counts.shape, bool)
+    is_deviating = np.zeros(mosaic.counts.shape, bool)
     read_dn2 = (
         profile.sensor.read_noise_e / (profile.sensor.gain_e_per_dn * profile.sensor.iso)
     ) ** 2
@@ -212,14 +219,15 @@ def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
         margin = np.maximum(
             _SIGMA * np.sqrt(light / np.float32(gain) + np.float32(read_dn2)), _LEAST_REL * light
         )
-        found = (off > np.maximum(margin, _SPREAD * spread)) & (middle < _FULL * full)
-        odd[r::2, c::2] = _lonely(plane, middle, found) if alone else found
-    return odd
+        far = (off > np.maximum(margin, _SPREAD * spread)) & (middle < _FULL * full)
+        is_deviating[r::2, c::2] = _isolated(plane, middle, far) if alone else far
+    return is_deviating
 
 
-def _lonely(plane: NDArray[np.uint16], middle: NDArray[np.uint16], found: Mask) -> Mask:
-    """Those found that at most two of their eight neighbours are like: a line of defects, but no
-    corner.
+def _isolated(plane: NDArray[np.uint16], middle: NDArray[np.uint16], found: Mask) -> Mask:
+    """Return the pixels with at most two of eight neighbours like them.
+
+    A line of defects passes, a corner does not.
     """
     rows, columns = np.nonzero(found)
     own = plane[rows, columns].astype(np.int32) - middle[rows, columns]
@@ -250,17 +258,18 @@ def _inside_lenses(profile: CameraProfile) -> Mask:
 
 
 def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
-    """+1 and -1 where a block of one green is brighter or darker than its neighbours, else 0; 2
-    where one cannot tell: outside, full, or too dark.
+    """Return the detail of a frame, in blocks of one green.
+
+    +1 and -1 where a block is brighter or darker than its neighbours, else 0; 2 where this is
+    unknown: outside, saturated, or too dark.
     """
     import cv2
 
     plane, black, gain, full = _planes(mosaic, profile)[1]
     r, c = channel_positions(mosaic.cfa)[1]
     size = plane.shape[1] // _BLOCK, plane.shape[0] // _BLOCK
-    clean = cv2.medianBlur(plane, 3).astype(
-        np.float32
-    )  # without single pixels: defects make no view
+    # Without single pixels, because defects are no detail of a view.
+    clean = cv2.medianBlur(plane, 3).astype(np.float32)
     block = np.asarray(
         cv2.resize(clean, size, interpolation=cv2.INTER_AREA), np.float32
     ) - np.float32(black)
@@ -280,8 +289,9 @@ def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
 
 
 def _alike(a: Detail, b: Detail) -> float | None:
-    """Share of the poorer frame's detail that the other shows likewise, where both can tell;
-    None: too little.
+    """Return the share of common detail of two frames where both are known.
+
+    Relative to the frame with less detail; None with too little detail.
     """
     both = (a != 2) & (b != 2)
     x, y = a[both].astype(np.int32), b[both].astype(np.int32)
@@ -291,27 +301,29 @@ def _alike(a: Detail, b: Detail) -> float | None:
 
 @dataclass(slots=True)
 class _View:
-    odd: Mask
+    deviating: Mask
     shown: list[tuple[Path, Detail]]
 
     def shows(self, source: Path, detail: Detail) -> bool:
-        """Frames of one folder that nothing compares (long and short) are taken for one view:
-        better one too few.
+        """Return whether a frame shows this view.
+
+        Frames of one folder that cannot be compared (long and short) count as the same view:
+        undercounting views is safe.
         """
         for other, known in self.shown:
             alike = _alike(detail, known)
-            if other == source if alike is None else alike > _ALIKE:
+            if other == source if alike is None else alike > _SAME_VIEW_CORRELATION:
                 return True
         return False
 
 
 def _join(views: list[_View], new: _View) -> list[_View]:
-    """All views, with a frame added to the view, or views, that it shows too."""
+    """Return all views, with a frame added to the view, or views, that it shows."""
     source, detail = new.shown[0]
     apart = []
     for view in views:
         if view.shows(source, detail):
-            new = _View(new.odd | view.odd, [*new.shown, *view.shown])
+            new = _View(new.deviating | view.deviating, [*new.shown, *view.shown])
         else:
             apart.append(view)
     return [*apart, new]

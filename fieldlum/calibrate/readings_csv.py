@@ -1,4 +1,4 @@
-"""Readings in, profiles out."""
+"""Tables of readings as input, and profiles as output."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ from fieldlum.version import __version__
 
 
 def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Rows of a csv with a header; columns are numbers but `file` and `panorama`, which are paths
-    beside the csv.
+    """Read a csv with a header; all columns are numbers except the paths `file` and `panorama`.
 
-    Commas, or semicolons or tabs (then decimals may have a comma). An empty cell is None. Raises
-    InputError naming line and column.
+    Paths are relative to the csv. Separators are commas, or semicolons or tabs (then decimals may
+    have a comma). An empty cell is None. Raises InputError with line and column.
     """
     numbered = _lines(path)
     lines = [line for _, line in numbered]
@@ -29,32 +28,40 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
     names = [name.strip() for name in rows.fieldnames or []]
     for name in needed:
         if name not in names:
-            raise InputError(path, f"no column {name}", f"columns {', '.join([*needed, *also])}")
+            raise InputError(
+                path,
+                f"no column {name}",
+                f"columns {', '.join([*needed, *also])}",
+                "name the columns in the first line",
+            )
     for name in names:
         if name not in (*needed, *also):
             raise InputError(
-                path, f"unknown column {name}", f"columns {', '.join([*needed, *also])}"
+                path,
+                f"unknown column {name}",
+                f"columns {', '.join([*needed, *also])}",
+                "remove or rename it",
             )
     rows.fieldnames = names
-    found = []
+    readings = []
     for (number, _), row in zip(numbered[1:], rows, strict=False):
         if any(text.strip() for text in row.get(None) or ()):
             remedy = "decimals with a point, or semicolons between the cells"
             raise InputError(
                 f"{path}:{number}", "more cells than the header has", f"{len(names)} cells", remedy
             )
-        found.append({n: _cell(path, number, n, row[n], mark) for n in names})
-    if not found:
-        raise InputError(path, "no readings", "one a line")
-    return found
+        readings.append({n: _cell(path, number, n, row[n], mark) for n in names})
+    if not readings:
+        raise InputError(path, "no readings", "one reading a line", "add readings")
+    return readings
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Numbered from 1, without empty lines and comments. Raises InputError."""
+    """Return lines numbered from 1, without empty lines and comments. Raises InputError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a csv of readings") from None
+        raise InputError(path, str(error), "a csv of readings", "check the path") from None
     return [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
@@ -63,13 +70,13 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def columns_of(path: Path) -> list[str]:
-    """Names in the header of a csv."""
+    """Return the names in the header of a csv."""
     lines = [line for _, line in _lines(path)[:1]]
     return [name.strip() for name in next(csv.reader(lines, delimiter=_separator(lines)), [])]
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Of the header: spreadsheets of half of the world write semicolons."""
+    """Return the separator of the header; many spreadsheets write semicolons."""
     return next((mark for mark in (",", ";", "\t") if lines and mark in lines[0]), ",")
 
 
@@ -88,9 +95,9 @@ def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> An
 
 
 def needed(row: dict[str, Any], name: str, path: Path) -> Any:
-    """A cell that must not be empty."""
+    """Return a cell. Raises InputError if it is empty."""
     if row.get(name) is None:
-        raise InputError(path, f"an empty {name}", "a value in every line")
+        raise InputError(path, f"an empty {name}", "a value in every line", "add it")
     return row[name]
 
 
@@ -102,9 +109,7 @@ def save_calibration(
     today: date,
     **changed: Any,
 ) -> CameraProfile:
-    """Write the profile with `changed` tables, the hashes of what it was fitted from, and a line
-    for every fit.
-    """
+    """Write the profile with `changed` tables, a line for every fit, and the frames' hashes."""
     hashes = tuple(sorted({sha256(path) for path in frames}))
     before = profile.provenance
     provenance = Provenance(

@@ -1,4 +1,4 @@
-"""JPEG response: from codes to linear light, with the exposures held fixed."""
+"""The response of a JPEG camera: from codes to linear light, with the exposures held fixed."""
 
 from __future__ import annotations
 
@@ -26,22 +26,25 @@ from fieldlum.profiles import CameraProfile, Response
 from fieldlum.raw import JPEG_SUFFIXES, read_jpeg
 from fieldlum.records import Exposure
 
-PLACES = 500  # a bracket
-BLOCKS = 60_000  # looked at for them
-LOW, HIGH = 27, 228  # codes that count for the residual, and later carry weight
-FLAT = 3.0  # codes: a place's neighbours differ by at most this in a frame that holds it
-NEGLIGIBLE = 0.002  # of light
+PLACES = 500  # used from a bracket; more do not change the table
+BLOCKS = 60_000  # searched for them; limits memory
+LOW = 27  # codes from LOW to HIGH count for the residual, and later carry weight
+HIGH = 228
+FLAT = 3.0  # codes: largest difference of a place's neighbours in a frame that exposes it
+NEGLIGIBLE = 0.002  # of light: a difference between candidates that does not matter
 DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
 _LAW_GAIN = 0.8  # of the residual under the labels' law: another law must leave less
 _LAW_SIGMA = 4.0  # standard errors of the difference between two laws, place by place
-SMOOTH = (3000.0, 300.0, 30.0, 3.0)
+SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
 TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """codes [places, frames, 3], 0 where a bracket has no such exposure; log_exposure [frames];
-    bracket [places]; law: of the shutter, under which log_exposure holds.
+    """Places of brackets, and their codes.
+
+    codes [places, frames, 3] : 0 if the bracket has no such exposure; log_exposure [frames];
+    bracket [places]; law : of the shutter, under which log_exposure holds.
     """
 
     codes: NDArray[np.uint8]
@@ -53,23 +56,28 @@ class Places:
 
 @dataclass(frozen=True, slots=True)
 class ResponseFit:
+    """A fitted response, and its residuals."""
+
     response: Response
     residual: tuple[float, float, float]  # rms of ln z of each colour, held-out
     choice: OrderSelection
 
 
 def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
-    """A folder is a bracket; files by themselves make one together. Raises InputError for what
-    holds no JPEG.
+    """Return the brackets: each folder is one, and all single files together are one.
+
+    Raises InputError for a folder without JPEG frames.
     """
     single = [path for path in paths if path.is_file()]
-    found = [single] if single else []
+    brackets = [single] if single else []
     for folder in (path for path in paths if not path.is_file()):
         frames = sorted(p for p in folder.glob("*") if p.suffix.lower() in JPEG_SUFFIXES)
         if not frames:
-            raise InputError(folder, "no JPEG frames", "a folder that holds one bracket")
-        found.append(frames)
-    return found
+            raise InputError(
+                folder, "no JPEG frames", "a folder with the frames of one bracket", "check it"
+            )
+        brackets.append(frames)
+    return brackets
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +92,11 @@ class _Part:
 def sample(
     brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.random.Generator
 ) -> Places:
-    """The same flat places of every frame of a bracket, spread over its brightnesses, pooled over
-    the brackets; with the shutter law that the codes support, where the profile has "auto".
+    """Sample the same flat places of every frame of a bracket, pooled over brackets.
 
-    Raises InputError for a bracket of mixed apertures or fewer than three exposures.
+    A profile with shutter law "auto" gets the law that the codes support. The places are spread
+    over the brightnesses. Raises InputError for a bracket of mixed apertures or with fewer than
+    three exposures.
     """
     parts: list[_Part] = []
     for paths in brackets:
@@ -104,8 +113,9 @@ def sample(
 
 
 def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
-    """Return the places under the law whose response leaves the least; that of the labels unless
-    another is better by more than chance, place by place.
+    """Return the places under the law whose response leaves the smallest residual.
+
+    The labels' law is kept unless another is better by more than chance, place by place.
     """
     errors = {law: _left_by(places) for law, places in pooled.items()}
     misfit = {law: round(100.0 * float(np.sqrt(np.nanmean(e))), 2) for law, e in errors.items()}
@@ -120,7 +130,7 @@ def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
 
 
 def _left_by(places: Places) -> NDArray[np.float64]:
-    """Squared residuals of ln z of each place's green codes about a response fitted to them."""
+    """Return squared residuals of ln z of each place's green codes about a fitted response."""
     codes = places.codes[..., 1]
     table, _ = fit_response(codes, places.log_exposure, smooth=SMOOTH[-1])
     return residuals(table, codes, places.log_exposure)
@@ -135,8 +145,12 @@ def _pool(
     for part in parts:
         log_e = [np.log(true_shutter_s(e.shutter_s, known)[0] * e.iso) for e in part.exposures]
         if len({round(e, 3) for e in log_e}) < 3:
-            found = f"{len(part.exposures)} frames"
-            raise InputError(part.folder, found, "a bracket of at least three exposures")
+            raise InputError(
+                part.folder,
+                f"{len(part.exposures)} frames",
+                "a bracket of at least three exposures",
+                "take more exposures",
+            )
         exposures.append(np.array(log_e))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
     codes = np.zeros((sum(len(part.codes) for part in parts), len(grid), 3), np.uint8)
@@ -150,7 +164,7 @@ def _pool(
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """codes [frames, places, 9, 3] of 3 x 3 blocks with middles x_px, y_px [places]."""
+    """Codes [frames, places, 9, 3] of 3 x 3 blocks with middles x_px, y_px [places]."""
 
     codes: NDArray[np.uint8]
     x_px: NDArray[np.float64]
@@ -158,8 +172,9 @@ class _Blocks:
 
 
 def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, list[Exposure]]:
-    """At most BLOCKS blocks on a grid, so that memory does not grow with the sensor; a frame at
-    a time.
+    """Read at most BLOCKS blocks on a grid, one frame at a time.
+
+    Memory does not grow with the sensor.
     """
     codes, exposures, shape = [], [], (0, 0)
     y, x = np.zeros(0, int), np.zeros(0, int)
@@ -172,7 +187,10 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
             y, x = (g.ravel() for g in np.mgrid[1 : shape[0] - 1 : step, 1 : shape[1] - 1 : step])
         elif frame.codes.shape[:2] != shape or frame.exposure.f_number != exposures[0].f_number:
             raise InputError(
-                path, "another size or aperture than before", "one bracket of one camera"
+                path,
+                "another size or aperture than the frames before",
+                "one bracket of one camera",
+                "remove this frame",
             )
         around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
         codes.append(np.stack(around, axis=1))
@@ -183,7 +201,7 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
 def _flat_places(
     blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator, bracket: Path
 ) -> NDArray[np.uint8]:
-    """[places, frames, 3]: means of blocks without an edge in them, inside the lens circles."""
+    """Return means of blocks without an edge, inside the lens circles, [places, frames, 3]."""
     codes = blocks.codes
     holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
     spread = np.where(holds, np.ptp(codes[..., 1], axis=2), 0)  # green
@@ -193,12 +211,10 @@ def _flat_places(
         inside |= np.hypot(blocks.x_px - x, blocks.y_px - y) < 0.95 * lens.radius_px
     flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & inside & (holds.sum(axis=0) >= 2))
     if len(flat) < 50:
-        found = (
-            f"{bracket}: {len(flat)} flat places in the lens's circle that two frames hold "
-            f"(codes {LOW} to {HIGH})"
-        )
         raise NotEnoughDataError(
-            f"{found}, at least 50: steps of at most 2 EV, of walls and sky rather than texture"
+            f"{bracket}: {len(flat)} flat places in the lens's circle that two frames expose "
+            f"(codes {LOW} to {HIGH}); expected at least 50; use steps of at most 2 EV, of walls "
+            f"and sky rather than texture"
         )
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2))
     brightness += rng.uniform(0, 1e-3, len(flat))
@@ -207,8 +223,9 @@ def _flat_places(
 
 
 def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """At most `count` of `level` [n], half of them even over the levels (the few bright places
-    are all that the short frames see), the rest even over the places.
+    """Choose at most `count` of `level` [n]: half even over the levels, half over the places.
+
+    Without this the few bright places, which alone the short frames see, would be too few.
     """
     order = np.argsort(level)
     wanted = np.linspace(level.min(), level.max(), count // 2)
@@ -217,14 +234,16 @@ def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     return order[np.union1d(even, ranks)]
 
 
-# ---------------------------------------------------------------------------------------------- fit
+# ----------------------------------------------------------------------------------------------
+# fit
 
 
 def residuals(
     table: NDArray[np.float64], codes: NDArray[np.uint8], log_e: NDArray[np.float64], low: int = LOW
 ) -> NDArray[np.float64]:
-    """[places]: mean square of ln(z / exposure) about each place's own mean, over codes that
-    count; NaN: under two.
+    """Return the mean square of ln(z / exposure) about each place's own mean, [places].
+
+    Over codes from `low` to HIGH; NaN with fewer than two.
     """
     counts = (codes >= low) & (codes <= HIGH)
     light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
@@ -242,11 +261,11 @@ def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDAr
 
 
 def fit(places: Places) -> ResponseFit:
-    """Standard curves first, then monotone tables from stiff to supple; chosen on held-out places.
+    """Fit standard curves, then monotone tables from stiff to flexible; choose on held-out places.
 
-    Whole brackets are held out where there are three or more, else every eighth of the places.
-    Where the darkest codes do not follow the light (a black level), low_code rises to the first
-    that does.
+    Complete brackets are held out if there are three or more, else every eighth of the places. If
+    the darkest codes do not follow the light (a black level), low_code rises to the first that
+    does. Raises NotEnoughDataError with under 20 places.
     """
     low = max(LOW, *(dark_floor(places.codes[..., c], places.log_exposure) for c in range(3)))
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8
@@ -260,10 +279,8 @@ def fit(places: Places) -> ResponseFit:
         candidates.append(Candidate(f"table of stiffness {smooth:g}", size, errors))
     choice = choose("response", candidates, "% of light", negligible=NEGLIGIBLE)
     if choice.index < len(simple):
-        response, tables = (
-            Response(kind=("linear", "srgb")[choice.index]),
-            [list(simple.values())[choice.index]] * 3,
-        )
+        response = Response(kind=("linear", "srgb")[choice.index])
+        tables = [list(simple.values())[choice.index]] * 3
     else:
         tables = _tables(
             places, np.ones(len(places.codes), bool), SMOOTH[choice.index - len(simple)]
@@ -277,8 +294,8 @@ def fit(places: Places) -> ResponseFit:
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
     if u > DOUBTFUL:
         doubt = (
-            f"CAUTION: the same places differ by {100 * u:.0f} % between frames; did the "
-            f"camera or the light move?"
+            f"CAUTION: the same places differ by {100 * u:.0f} % between frames: check that camera "
+            f"and light did not change"
         )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
     return ResponseFit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)
@@ -291,7 +308,7 @@ def _with_u(response: Response, u: float, low: int) -> Response:
 def _pooled(
     places: Places, tables_of: TablesOf, groups: NDArray[np.integer], low: int
 ) -> NDArray[np.float64]:
-    """Held-out squared errors, averaged over colours, of the places that two frames see."""
+    """Return held-out squared errors, averaged over colours, of places that two frames see."""
     errors = np.full(len(places.codes), np.nan)
     for held in folds(groups):
         tables = tables_of(~held)
@@ -306,9 +323,10 @@ def _pooled(
             np.where(seen, stacked, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1),
             np.nan,
         )
-    sound = errors[np.isfinite(errors)]
-    if len(sound) < 20:
+    valid = errors[np.isfinite(errors)]
+    if len(valid) < 20:
         raise NotEnoughDataError(
-            f"{len(sound)} places seen well by two frames are too few for a response"
+            f"{len(valid)} places are well exposed in two frames; expected at least 20 for a "
+            f"response; take more frames"
         )
-    return sound
+    return valid

@@ -1,6 +1,4 @@
-"""The absolute factor k from spot luminances and illuminances, with its uncertainty and every
-reading's residual.
-"""
+"""The absolute factor k from spot luminances and illuminances, its uncertainty, and residuals."""
 
 from __future__ import annotations
 
@@ -20,15 +18,18 @@ from fieldlum.projection import direction, equirect_rays
 from fieldlum.records import Flag, Panorama
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 
-SPOT_DEG = 0.5  # half of a spot meter's field of 1 degree
-METER_U = 0.02  # relative, common to all readings of one meter: its calibration
-READING_U = 0.02  # of a single reading: aiming, flicker, a passing cloud
-FAR = 3.0  # readings further off than this many u count less, and are named
-FAR_LEAST = 0.1  # relative, and no less than this
-MOST_FAR = 1 / 3  # of the readings: with more of them it is not the readings that are wrong
-UNEVEN = 0.1  # relative u of a spot's mean: an edge runs through it
-SENSIBLE_K = 0.5, 2.0  # k (R + G + B) of cameras whose white_dn is their white, without a filter
-WILDEST = 10.0  # factor on a profile's k: more is another unit
+SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree
+METER_U = 0.02  # relative u of a meter's calibration, common to its readings; typical data sheet
+READING_U = 0.02  # relative u of one reading: aim, flicker, a passing cloud. Chosen, not measured.
+# Readings that differ by more than this many u, and by at least FAR_LEAST, are listed.
+FAR = 3.0
+FAR_LEAST = 0.1
+MOST_FAR = 1 / 3  # of the readings: with more, the picture is wrong and not the readings
+UNEVEN = 0.1  # relative u of a spot's mean: an edge is in its field
+# k (R + G + B) of cameras whose white_dn is their white level, without a filter. Chosen around 1.
+SENSIBLE_K = 0.5, 2.0
+MOST_FACTOR = 10.0  # on a profile's k: a larger factor is another unit
+# Ratios of reading and picture by mistyped readings (1 fL = 3.426 cd/m2, 1 fc = 10.764 lx).
 SLIPS = {
     1 / 3.426: "fL typed for cd/m2",
     1 / 10.764: "fc typed for lx",
@@ -37,12 +38,12 @@ SLIPS = {
     0.1: "a factor of ten",
     10.0: "a factor of ten",
 }
-_LIKE = 0.06  # relative, of a slip's factor
+_LIKE = 0.06  # relative difference from a ratio of `SLIPS`
 
 
 @dataclass(frozen=True, slots=True)
 class LuminanceReading:
-    """One comparison: what the meter read and what the picture says there, in the same unit."""
+    """One comparison: the meter's reading and the picture's value there, in the same unit."""
 
     kind: str  # spot or illuminance
     label: str
@@ -53,6 +54,8 @@ class LuminanceReading:
 
 @dataclass(frozen=True, slots=True)
 class ScaleFit:
+    """A fitted factor, its uncertainty, and the residuals of the readings."""
+
     factor: float  # multiplies the profile's k
     u_rel: float
     residual: NDArray[np.float64]  # meter over corrected image, less one, [n]
@@ -63,13 +66,13 @@ class ScaleFit:
 def from_table(
     path: Path, profile: CameraProfile
 ) -> tuple[list[LuminanceReading], list[Path], tuple[str, ...]]:
-    """Readings from a csv: panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or
-    illuminance_lx; u_rel optional.
+    """Read a csv: panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or illuminance_lx.
 
-    Azimuth clockwise from north. A spot is the trimmed mean over 1 degree; an illuminance that of
-    the plane that looks there. What pictures say is brought to the profile's k, whichever k they
-    were merged with. Returns readings, pictures and notes. Raises InputError for both or neither in
-    a line, and for pictures of another calibration.
+    u_rel is optional. Azimuth is clockwise from north. A spot is the trimmed mean over 1 degree; an
+    illuminance is that of the plane that faces the direction. Values of the pictures are converted
+    to the profile's k, whichever k they were merged with. Returns readings, pictures and notes.
+    Raises InputError for a line with both or neither reading, and for pictures of another
+    calibration.
     """
     rows = read_table(
         path,
@@ -79,43 +82,48 @@ def from_table(
     files = dict.fromkeys(needed(row, "panorama", path) for row in rows)
     pictures = {file: read_panorama_with_sun(file) for file in files}
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
-    found = []
+    readings = []
     for row in rows:
         azimuth, altitude = needed(row, "azimuth_deg", path), needed(row, "altitude_deg", path)
         spot, plane = row.get("luminance_cdm2"), row.get("illuminance_lx")
         if (spot is None) == (plane is None):
             raise InputError(
-                path, "a line with both or neither reading", "luminance_cdm2 or illuminance_lx"
+                path,
+                "a line with both or neither reading",
+                "luminance_cdm2 or illuminance_lx",
+                "correct that line",
             )
         file, u = row["panorama"], row.get("u_rel") or READING_U
         picture, label = pictures[file], f"{file.stem} {azimuth:g}/{altitude:g} deg"
         if spot is not None:
             image, u_image = spot_cdm2(picture, azimuth, altitude, file)
-            found.append(
+            readings.append(
                 LuminanceReading(
                     "spot", label, spot, image * to_k[file], float(np.hypot(u, u_image))
                 )
             )
         else:
             image = _plane_lx(picture, azimuth, altitude, file)
-            found.append(
+            readings.append(
                 LuminanceReading("illuminance", label, plane or 0.0, image * to_k[file], u)
             )
     unmarked = [file.name for file, picture in pictures.items() if "k" not in picture.attributes]
-    notes = (
-        f"{', '.join(unmarked)} does not say with which k it was merged: taken for the profile's",
-    ) * bool(unmarked)
-    uneven = [r.label for r in found if r.u_rel > np.hypot(UNEVEN, READING_U)]
-    notes += (
-        f"an edge runs through {', '.join(uneven)}: counted little; read places even over two "
-        f"degrees",
-    ) * bool(uneven)
-    return found, list(pictures), notes
+    notes: tuple[str, ...] = ()
+    if unmarked:
+        notes += (f"{', '.join(unmarked)} states no k: the profile's k is assumed",)
+    uneven = [r.label for r in readings if r.u_rel > np.hypot(UNEVEN, READING_U)]
+    if uneven:
+        notes += (
+            f"an edge is in the field of {', '.join(uneven)}: low weight; read places that are "
+            f"even over two degrees",
+        )
+    return readings, list(pictures), notes
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
-    """The profile's k over the one that the picture was merged with. Raises InputError for
-    another calibration.
+    """Return the profile's k over the one that the picture was merged with.
+
+    Raises InputError for another calibration.
     """
     known, own = picture.attributes, calibration_mark(profile)
     if known.get("calibration", own["calibration"]) != own["calibration"]:
@@ -126,14 +134,14 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
         raise InputError(
             file,
             found,
-            f"{profile.camera.name} as it stands",
-            "merge it again with --camera's profile",
+            f"the calibration of {profile.camera.name}",
+            "merge it again with this profile",
         )
     try:
         return profile.scale.k / float(known.get("k", own["k"]))
     except (ValueError, ZeroDivisionError):
         raise InputError(
-            file, f"k '{known['k']}' in it", "a number above 0", "merge it again"
+            file, f"k is '{known['k']}'", "a number above 0", "merge it again"
         ) from None
 
 
@@ -150,18 +158,18 @@ def _refuse_clipped(
 ) -> None:
     if picture.flags is not None and (picture.flags[inside] & Flag.CLIPPED_HIGH).any():
         raise InputError(
-            file, f"clipped in every frame {place}", "light that a frame holds", remedy
+            file, f"clipped in every frame {place}", "light that a frame exposes", remedy
         )
 
 
 def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path) -> float:
-    """Raises InputError where something in front of the plane is a lower bound only."""
+    """Return the illuminance of a plane. Raises InputError if light in front of it is clipped."""
     front = _inside(picture, azimuth_deg, altitude_deg, np.pi / 2)
     place = (
         f"in front of {azimuth_deg:g}/{altitude_deg:g} deg (sun or lamp): an unknown part of "
         f"the illuminance"
     )
-    _refuse_clipped(picture, front, file, place, "leave this line out, or take shorter frames too")
+    _refuse_clipped(picture, front, file, place, "remove this line, or take shorter frames as well")
     return illuminance_lx(
         picture.luminance_cdm2, picture.heading_deg, altitude_deg, azimuth_deg, picture.sun
     )
@@ -170,8 +178,9 @@ def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: 
 def spot_cdm2(
     picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path | str = "picture"
 ) -> tuple[float, float]:
-    """Trimmed mean over the meter's field, at least a few pixels, and its relative spread.
-    Raises InputError.
+    """Return the trimmed mean over the meter's field, at least a few pixels, and its relative u.
+
+    Raises InputError for a place that is clipped or without light.
     """
     from scipy.stats import trim_mean
 
@@ -182,12 +191,14 @@ def spot_cdm2(
         altitude_deg,
         np.radians(max(SPOT_DEG, 1.2 * 180.0 / len(picture.luminance_cdm2))),
     )
-    _refuse_clipped(picture, inside, file, place, "read a darker place, or take shorter frames too")
+    _refuse_clipped(
+        picture, inside, file, place, "read a darker place, or take shorter frames as well"
+    )
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
-        remedy = "azimuth counts clockwise from north, altitude up from the horizon"
-        raise InputError(file, f"no light {place}", "a place that it shows", remedy)
+        remedy = "check it: azimuth is clockwise from north, altitude up from the horizon"
+        raise InputError(file, f"no light {place}", "a place in the picture", remedy)
     spread = float(values.std() / values.mean() / np.sqrt(len(values)))
     return float(trim_mean(values, 0.1)), spread
 
@@ -195,23 +206,27 @@ def spot_cdm2(
 def fit(
     readings: list[LuminanceReading], meter_u: float = METER_U, source: Path | str = "scale"
 ) -> ScaleFit:
-    """k by weighted least squares of ln(meter / image) with Huber weights; u(k) holds the meter's
-    own u.
+    """Fit k by weighted least squares of ln(meter / image) with Huber weights.
 
-    A second model with an offset (stray light) is tried on held-out readings; it is never put into
-    the profile, but said. Raises NotEnoughDataError without readings, InputError for readings that
-    are not positive, or that contradict each other so often that no one factor is right.
+    u(k) includes the meter's own u. A second model with an offset (stray light) is tried on
+    held-out readings; it is reported, but never written into the profile. Raises
+    NotEnoughDataError without readings, InputError for readings that are not positive, or that
+    contradict each other too often.
     """
     if not readings:
-        raise NotEnoughDataError("no readings: one spot or one vertical illuminance is the least")
-    meter, image, u = (
-        np.array([getattr(r, name) for r in readings], float)
-        for name in ("meter", "image", "u_rel")
-    )
+        raise NotEnoughDataError(
+            "no readings; expected at least one spot or one vertical illuminance; add one"
+        )
+    meter = np.array([r.meter for r in readings], float)
+    image = np.array([r.image for r in readings], float)
+    u = np.array([r.u_rel for r in readings], float)
     if not ((meter > 0).all() and (image > 0).all()):
         bad = readings[int(np.argmin(np.minimum(meter, image)))]
         raise InputError(
-            bad.label, f"meter {bad.meter:g}, image {bad.image:g}", "readings above zero"
+            bad.label,
+            f"meter {bad.meter:g}, picture {bad.image:g}",
+            "values above zero",
+            "remove that line",
         )
     log = np.log(meter / image)
     centre, weight = _centre(log, u)
@@ -221,10 +236,12 @@ def fit(
     far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > FAR)
     if len(far) > MOST_FAR * len(log):
         found = (
-            f"{len(far)} of {len(log)} readings are far off any one factor: {', '.join(far[:4])}"
+            f"{len(far)} of {len(log)} readings differ much from any one factor: "
+            f"{', '.join(far[:4])}"
         )
         remedy = (
-            "azimuth counts clockwise from north, one unit for all, steady light; then merge again"
+            "check azimuths (clockwise from north), one unit for all, steady light; then merge "
+            "again"
         )
         raise InputError(source, found, "readings that agree", remedy)
     spots = np.array([r.kind == "spot" for r in readings])
@@ -234,18 +251,16 @@ def fit(
 
 
 def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
-    """What may have been typed wrong: readings off by a factor that units or a decimal point
-    make.
-    """
-    said = []
+    """Return what may have been mistyped: readings that differ by a unit's factor or by tens."""
+    texts = []
     for reading in readings:
         if reading.label in found.far:
             ratio = reading.meter / (reading.image * found.factor)
-            said.append(
+            texts.append(
                 f"{reading.label}: {reading.meter:g} is {ratio:.3g} times the "
                 f"picture's{_slip(ratio)}"
             )
-    return said
+    return texts
 
 
 def _slip(ratio: float) -> str:
@@ -255,22 +270,23 @@ def _slip(ratio: float) -> str:
 
 
 def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
-    """A doubt about k as a whole, or "". Raises InputError for a k that no camera with such a
-    profile can have.
+    """Return a warning about k, or an empty text.
+
+    Raises InputError for a k that is impossible with such a profile.
     """
     level = profile.scale.k * found.factor * sum(profile.colour.y_from_rgb)
     low, high = SENSIBLE_K
     if low <= level <= high:
         return ""
-    doubt = f"k (R + G + B) would be {level:.3g}, where cameras have {low:g} to {high:g}"
+    doubt = f"k (R + G + B) would be {level:.3g}; cameras have {low:g} to {high:g}"
     remedy = (
         "check that readings are in cd/m2 and lx (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx "
         "= 1000 lx)"
     )
-    if not 1 / WILDEST <= found.factor <= WILDEST:
+    if not 1 / MOST_FACTOR <= found.factor <= MOST_FACTOR:
         remedy += (
-            "; if a filter on the lens or white_dn makes it so, first write a k near it "
-            "under [scale]"
+            "; if a filter on the lens or white_dn is the reason, first write a k near it under "
+            "[scale]"
         )
         raise InputError(
             path,
@@ -298,10 +314,10 @@ def _choice(
     log: NDArray[np.float64],
     spots: NDArray[np.bool_],
 ) -> OrderSelection:
-    """One factor, or a factor and an offset, on spots left out one by one."""
+    """Choose one factor, or a factor and an offset, on spots held out one by one."""
     n = len(log)
     if n < 2:
-        return OrderSelection(0, "scale: one reading, one factor: nothing to hold out")
+        return OrderSelection(0, "scale: one reading, one factor: no reading to hold out")
     plain = (
         np.array([log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in range(n)]) ** 2
     )

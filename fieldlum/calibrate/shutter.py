@@ -1,10 +1,10 @@
 """The shutter's true times, from the exposure ratios of many merged brackets.
 
-Each merged bracket says in its sidecar (panoramas/<slot>.json) by how much neighbouring frames
-still disagreed and how they were corrected: together, how much longer or shorter each frame was
-than assumed, against its neighbour. One bracket's figure also holds the light that changed
-meanwhile; the median over many does not, nor does what a line over the bracket's seconds takes out.
-Pictures tell ratios only: the profile's times, or the snapped ones, keep the level.
+The sidecar of each merged bracket (panoramas/<slot>.json) has the remaining difference of
+neighbouring frames and their corrections: together, how much longer or shorter each frame was than
+assumed, relative to its neighbour. The value of one bracket also includes changes of the light; the
+median over many does not, and a line over the bracket's seconds removes a drift. Pictures determine
+only ratios: the profile's times, or the snapped ones, keep the level.
 """
 
 from __future__ import annotations
@@ -28,19 +28,21 @@ from fieldlum.session import Session
 from fieldlum.session.files.sidecar import FrameQuality, NeighbourQuality, Sidecar
 from fieldlum.statistics import median_standard_error, robust_sigma
 
-LEAST = 5  # brackets that must show a pair of times
-WIDEST = 0.02  # relative spread of a pair over brackets: beyond it light or shutter wandered
-_NOISY = 0.01  # relative u of one bracket's pair: what is known worse is left out
-_FLOOR = 2e-4  # of a time's u
-_LINEAR = 5e-4  # of a pair's ratio, however many brackets: linearity of the sensor
+LEAST = 5  # brackets that must have a pair of times; chosen so that a median is robust
+WIDEST = 0.02  # relative spread of a pair over brackets: beyond it light or shutter were unsteady
+_NOISY = 0.01  # relative u of one bracket's pair: less certain pairs are left out
+_FLOOR = 2e-4  # smallest relative u of a time; chosen, not measured
+_LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in photometry.ratios; not measured
 
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
 
 
 @dataclass(frozen=True, slots=True)
 class ShutterReading:
-    """ln of true over assumed exposure of the shorter frame less that of the longer, its u,
-    seconds between them.
+    """The ratio of two neighbouring frames of a bracket.
+
+    log_ratio : ln of true over assumed exposure of the shorter frame minus that of the longer;
+    u_log : its u; seconds : between the frames.
     """
 
     pair: Pair
@@ -51,9 +53,7 @@ class ShutterReading:
 
 @dataclass(frozen=True, slots=True)
 class FramePairTable:
-    """One pair over all brackets: median, spread beyond its noise, standard error (all
-    logarithms), seconds between.
-    """
+    """One pair of times over all brackets; median, spread beyond noise, and error are of ln."""
 
     pair: Pair
     median: float
@@ -65,8 +65,9 @@ class FramePairTable:
 
 @dataclass(frozen=True, slots=True)
 class ShutterFit:
-    """times replace the profile's of the same nominal value; assumed_s and brackets (that show
-    it) of each.
+    """Fitted times, which replace the profile's of the same nominal value.
+
+    assumed_s, brackets : assumed time, and count of brackets, of each time.
     """
 
     times: tuple[ShutterTime, ...]
@@ -83,9 +84,9 @@ class ShutterFit:
 def from_session(
     session: Session, profile_sha256: str
 ) -> tuple[list[list[ShutterReading]], tuple[Path, ...]]:
-    """Readings of every bracket that was merged with this very profile, and their sidecars.
+    """Return the readings of every bracket that was merged with this profile, and their sidecars.
 
-    Raises NotEnoughDataError when there is none; InputError when another profile merged them.
+    Raises NotEnoughDataError if there is none, InputError if another profile merged them.
     """
     brackets, files, others = [], [], 0
     for path in session.sidecar_files():
@@ -103,20 +104,20 @@ def from_session(
         raise InputError(
             session.panoramas,
             found,
-            "the profile that merged them",
-            "merge again, or name that profile",
+            "panoramas merged with the stated profile",
+            "merge again, or state the other profile",
         )
     if not brackets:
         raise NotEnoughDataError(
-            f"{session.panoramas}: no merged bracket with overlapping frames, merge some first"
+            f"{session.panoramas}: no merged bracket with overlapping frames; merge some first"
         )
     return brackets, tuple(files)
 
 
 def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfile:
-    """Return the profile with the shutter law that its brackets were merged under.
+    """Return the profile with the shutter law that its brackets were merged with.
 
-    Raises InputError where they were merged under several.
+    Raises InputError if they were merged with several laws.
     """
     tables = [Sidecar.read(path).quality.get("shutter_law", {}) for path in sidecars]
     laws = {table.get("law") for table in tables} - {None}
@@ -133,8 +134,9 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
 
 
 def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
-    """Of one bracket, without frames through a filter and pairs of two ISOs: these have errors
-    of their own.
+    """Return the readings of one bracket.
+
+    Frames through a filter and pairs of two ISOs are left out: they have errors of their own.
     """
     headings: list[list[FrameQuality]] = []
     for frame in sidecar.frames:
@@ -142,15 +144,15 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
             headings.append([])
         headings[-1].append(frame)
     runs: list[list[NeighbourQuality]] = []
-    for neighbour in sidecar.neighbours:  # numbered from 0 at each heading
+    for neighbour in sidecar.neighbours:  # counted from 0 at each heading
         if not runs or neighbour.long <= runs[-1][-1].long:
             runs.append([])
         runs[-1].append(neighbour)
     if len(runs) != len(headings):
-        return []  # one heading has no overlap: its pairs cannot be told from the others'
+        return []  # a heading has no overlap: its pairs cannot be assigned
     for frames, run in zip(headings, runs, strict=True):
         if max(max(n.long, n.short) for n in run) >= len(frames):
-            return []  # damaged: it names frames that are not there
+            return []  # damaged: it lists frames that do not exist
     readings = [
         _reading(frames[n.long], frames[n.short], n)
         for frames, run in zip(headings, runs, strict=True)
@@ -177,14 +179,16 @@ def _reading(
     return ShutterReading((a.shutter_s, b.shutter_s), log_ratio, u_log, seconds)
 
 
-# ---------------------------------------------------------------------------------------------- fit
+# ----------------------------------------------------------------------------------------------
+# fit
 
 
 def pool(
     brackets: Sequence[Sequence[ShutterReading]], drift: bool = True
 ) -> dict[Pair, FramePairTable]:
-    """Every pair's median over brackets, before and then after each bracket's own change of
-    light is taken off.
+    """Return every pair's median over brackets, after each bracket's own drift is removed.
+
+    drift : False returns the medians with the drift.
     """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
@@ -197,7 +201,7 @@ def pool(
 
 
 def _pair_table(pair: Pair, values: NDArray[np.float64]) -> FramePairTable:
-    """values: log ratio, its u, seconds; [brackets, 3]."""
+    """Return the table of a pair; values [brackets, 3] : log ratio, its u, seconds."""
     n, median = len(values), float(np.median(values[:, 0]))
     apart = robust_sigma(values[:, 0])
     noise = float(np.median(values[:, 1]))
@@ -207,8 +211,9 @@ def _pair_table(pair: Pair, values: NDArray[np.float64]) -> FramePairTable:
 
 
 def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePairTable]) -> float:
-    """Relative change of the light a second, by what the pooled pairs leave of one bracket; 0
-    where it cannot tell.
+    """Return the relative change of the light for each second of one bracket, in 1/s.
+
+    From the differences to the pooled pairs; 0 if these are too few.
     """
     rows = [(r.seconds, r.log_ratio - pooled[r.pair].median, r.u_log) for r in bracket if r.seconds]
     if len(rows) < 3:
@@ -219,8 +224,9 @@ def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePair
 
 
 def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
-    """Standard error of the brackets' common drift, which nothing tells from a shutter's habit.
-    [1/s]
+    """Return the standard error of the brackets' common drift, in 1/s.
+
+    A common drift cannot be distinguished from an error of the shutter.
     """
     pooled = pool(brackets, drift=False)
     rates = np.array([_drift_per_s(bracket, pooled) for bracket in brackets])
@@ -228,14 +234,14 @@ def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
 
 
 def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) -> ShutterFit:
-    """True times of the largest chain of settings that enough brackets show alike.
+    """Fit the true times of the largest chain of settings in which enough brackets agree.
 
-    Raises NotEnoughDataError when brackets are too few, disagree, or tell no better than the times
-    that are assumed.
+    Raises NotEnoughDataError if brackets are too few or disagree, or if the fit is not better than
+    the assumed times; InputError for a JPEG camera.
     """
     if profile.camera.kind != "raw":
         found = "a JPEG camera: a response curve and exposure ratios cannot both be free"
-        raise InputError(profile.camera.name, found, "raw frames", "its snapped times stay")
+        raise InputError(profile.camera.name, found, "a raw camera", "keep its snapped times")
     pooled = pool(brackets)
     left_out = [_why(t) for t in pooled.values() if t.brackets < LEAST or t.spread > WIDEST]
     chain = _largest_chain(
@@ -244,7 +250,7 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     if not chain:
         why = "; ".join(left_out) or "no pairs"
         raise NotEnoughDataError(
-            f"shutter: no two times are shown alike by {LEAST} brackets or more: {why}"
+            f"shutter: no two times agree over {LEAST} brackets or more: {why}; capture more"
         )
     held = _held_out(brackets, {t.pair for t in chain})
     choice = choose(
@@ -253,7 +259,7 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     )
     if choice.index == 0:
         raise NotEnoughDataError(
-            f"no table is better than the times that the profile assumes: {choice.line}"
+            f"no table is better than the times of the profile: {choice.line}; keep the profile"
         )
     nominal = sorted({time for t in chain for time in t.pair}, reverse=True)
     assumed = [true_shutter_s(time, profile) for time in nominal]
@@ -284,7 +290,7 @@ def _why(table: FramePairTable) -> str:
 
 
 def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:
-    """The pairs that hang together with most times."""
+    """Return the connected pairs with the most times."""
     chains: list[list[FramePairTable]] = []
     for table in tables:
         touching = [c for c in chains if any(set(table.pair) & set(t.pair) for t in c)]
@@ -297,8 +303,9 @@ def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:
 def _held_out(
     brackets: Sequence[Sequence[ShutterReading]], pairs: set[Pair]
 ) -> NDArray[np.float64]:
-    """Squared errors [2, n] of the ratios of brackets held out: as assumed, and by the table of
-    the other brackets.
+    """Return squared errors [2, n] of the ratios of held-out brackets.
+
+    With the assumed times, and with the table of the other brackets.
     """
     errors = []
     for out in folds(np.arange(len(brackets))):
@@ -315,13 +322,11 @@ def _levelled(
     u_prior: NDArray[np.float64],
     u_drift_per_s: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """ln of true over assumed time, [n], and its u against the level of all, which is part of k."""
+    """Return ln of true over assumed time, [n], and its u relative to the common level in k."""
     design = np.zeros((len(chain), len(nominal)))
     for row, table in enumerate(chain):
-        design[row, nominal.index(table.pair[0])], design[row, nominal.index(table.pair[1])] = (
-            -1.0,
-            1.0,
-        )
+        design[row, nominal.index(table.pair[0])] = -1.0
+        design[row, nominal.index(table.pair[1])] = 1.0
     weight = 1.0 / np.array([t.error for t in chain]) ** 2
     normal = design.T @ (weight[:, None] * design) + np.diag(u_prior**-2.0)
     known = np.array([(t.median, t.seconds) for t in chain])
@@ -335,7 +340,7 @@ def _levelled(
 
 
 def with_times(profile: CameraProfile, found: ShutterFit) -> tuple[ShutterTime, ...]:
-    """The profile's table with the fitted times in place of the old ones; longest first."""
+    """Return the profile's table with the fitted times in place of the old ones, longest first."""
     kept = [
         s
         for s in profile.shutter

@@ -1,6 +1,4 @@
-"""Vignetting: an even polynomial that only ever falls towards the edge, no larger than the
-readings ask for.
-"""
+"""Vignetting: an even polynomial that falls towards the edge, of the smallest supported order."""
 
 from __future__ import annotations
 
@@ -22,22 +20,25 @@ from fieldlum.projection import angle_of_radius
 from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
-ORDERS = (0, 2, 4, 6, 8)
-BINS = 60
-LEAST = 5
-FAR_SIGMA, FAR = (
-    5.0,
-    0.03,
-)  # a reading further off than both, alone among those beside it, is a slip
-BESIDE, SAME = 0.12, 0.02  # of the half angle
-BEYOND = 1.02  # of the half angle: no reading lies further out
-RISING = 0.03  # a plain parabola that rises by more than this to the edge is a wrong sign
+ORDERS = (0, 2, 4, 6, 8)  # of the even polynomials that are tried
+BINS = 60  # rings of an evenly lit frame
+LEAST = 5  # readings
+# A reading that misses by more than both (sigma; relative), and is isolated among its neighbours,
+# is a gross error. Chosen, not measured.
+FAR_SIGMA = 5.0
+FAR = 0.03
+NEIGHBOURS = 0.12  # of the half angle: distance of neighbouring readings
+SAME = 0.02  # of the half angle: distance of readings at one angle
+BEYOND = 1.02  # of the half angle: readings further out are an error
+RISING = 0.03  # a parabola that rises by more than this to the edge has the wrong sign
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Readings [n]: angle over half the full angle, value in any unit, relative uncertainty, and
-    what may be held out together (the same angle).
+    """Readings [n] of one aperture and lens.
+
+    r : angle over half of the full angle; value : in any unit; u_rel : relative uncertainty.
+    Readings of equal angle are held out together.
     """
 
     r: Array
@@ -50,6 +51,8 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class VignettingFit:
+    """A fitted curve, its uncertainty, and the residuals of the readings."""
+
     coefficients: tuple[float, ...]  # powers of r, c_0 = 1
     level: float  # the value on the axis
     u_rel: float
@@ -62,10 +65,10 @@ class VignettingFit:
 
 
 def from_table(path: Path, profile: CameraProfile) -> Samples:
-    """Readings from a csv: angle_deg, value; or file, x_px, y_px of one patch seen at many angles.
+    """Read a csv: angle_deg, value; or file, x_px, y_px of one patch seen at many angles.
 
-    Optional: radius_px of the patch (12), reference (a meter's reading at that time, to take out a
-    drifting lamp), u_rel, f_number.
+    Optional: radius_px of the patch (12), reference (a meter's reading at that time, which removes
+    the drift of a lamp), u_rel, f_number. Raises InputError.
     """
     if "angle_deg" in columns_of(path):
         rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
@@ -77,7 +80,7 @@ def from_table(path: Path, profile: CameraProfile) -> Samples:
                 path,
                 found,
                 f"at most {half:g}",
-                "angles from the optical axis, or mend full_angle_deg",
+                "check angles from the optical axis, or correct full_angle_deg",
             )
         value = np.array(
             [needed(row, "value", path) / (row.get("reference") or 1.0) for row in rows]
@@ -102,7 +105,7 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
         f_numbers.add(frame.exposure.f_number)
     if len(f_numbers) > 1:
         raise InputError(
-            path, f"apertures {sorted(f_numbers)}", "one aperture a fit", "make one table for each"
+            path, f"apertures {sorted(f_numbers)}", "one aperture", "write one table for each"
         )
     return Samples(
         np.array(r),
@@ -115,7 +118,7 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
-    """Frames of an evenly lit field (a sphere, a diffuser over the lens): medians of BINS rings."""
+    """Read frames of an evenly lit field (a sphere, a diffuser): medians of BINS rings."""
     geometry, rings = profile.lens[lens].geometry, []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
     for path in paths:
@@ -127,15 +130,18 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         rings += _rings(r, frame.rgb @ weights, ~frame.bad & (radius < 0.99))
         f_numbers.add(frame.exposure.f_number)
     if len(f_numbers) > 1:
-        raise InputError(paths[0], f"apertures {sorted(f_numbers)}", "one aperture a fit")
+        raise InputError(
+            paths[0], f"apertures {sorted(f_numbers)}", "one aperture", "fit each separately"
+        )
     if not rings:
         raise InputError(
             paths[0],
-            "nothing that is neither full nor dark",
+            "all pixels saturated or dark",
             "a frame exposed to the middle of its range",
+            "take another frame",
         )
-    found = np.array(rings)
-    return Samples(found[:, 0], found[:, 1], found[:, 2], f_numbers.pop(), lens, tuple(paths))
+    table = np.array(rings)
+    return Samples(table[:, 0], table[:, 1], table[:, 2], f_numbers.pop(), lens, tuple(paths))
 
 
 def _rings(r: Array, value: Array, good: NDArray[np.bool_]) -> list[tuple[float, float, float]]:
@@ -152,7 +158,8 @@ def _rings(r: Array, value: Array, good: NDArray[np.bool_]) -> list[tuple[float,
     return found
 
 
-# ---------------------------------------------------------------------------------------------- fit
+# ----------------------------------------------------------------------------------------------
+# fit
 
 
 def _design(r: Array, order: int) -> Array:
@@ -160,7 +167,7 @@ def _design(r: Array, order: int) -> Array:
 
 
 def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
-    """Least squares of level * V(r) in even powers with V' <= 0 all the way to the edge."""
+    """Fit level * V(r) in even powers, with V' <= 0 up to the edge, by least squares."""
     from scipy.optimize import LinearConstraint, minimize
 
     scale = float(np.median(value))
@@ -189,19 +196,23 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
 
 
 def fit(samples: Samples) -> VignettingFit:
-    """Raises NotEnoughDataError under five readings, InputError for a curve that rises towards
-    the edge.
+    """Fit the curve of the smallest supported order.
+
+    Raises NotEnoughDataError under five readings, InputError for a curve that rises to the edge.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     if len(r) < LEAST or r.max() < 0.5:
         raise NotEnoughDataError(
             f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the "
-            f"half angle are too "
-            f"few: take at least {LEAST}, from the axis to the edge (angles in degrees)"
+            f"half angle; expected at least {LEAST}, from the axis to the edge (angles in "
+            f"degrees); take more"
         )
     if not (np.isfinite(value).all() and (value > 0).all()):
         raise InputError(
-            samples.frames[0], "readings that are not positive", "linear values above zero"
+            samples.frames[0],
+            "readings that are not positive",
+            "linear values above zero",
+            "correct them",
         )
     near = ~_slips(samples)
     left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in r[~near])
@@ -220,25 +231,24 @@ def fit(samples: Samples) -> VignettingFit:
     coefficients[::2] = even.tolist()
     residual = samples.value / (theta[0] * vignetting_at(tuple(coefficients), samples.r)) - 1.0
     if left_out:
-        choice = replace(
-            choice, line=f"{choice.line}; left out, far from those beside them: {left_out}"
-        )
+        text = f"left out, far from neighbouring readings: {left_out}"
+        choice = replace(choice, line=f"{choice.line}; {text}")
     wrong = check_vignetting(tuple(coefficients))
     if wrong:
-        raise InputError(samples.frames[0], wrong, "a loss towards the edge")
+        raise InputError(samples.frames[0], wrong, "a loss towards the edge", "check the readings")
     u_rel = float(np.sqrt(candidates[choice.index].errors.mean()))
     return VignettingFit(tuple(coefficients), float(theta[0]), max(u_rel, 0.001), residual, choice)
 
 
 def _slips(samples: Samples) -> NDArray[np.bool_]:
-    """Readings that those beside them contradict (a shadow, a lamp that blinked, a clipped frame).
-    [n]
+    """Return which readings their neighbours contradict (a shadow, a lamp that blinked), [n].
 
-    Only where readings beside it lie near the curve: a steep rim, where several lie off it
-    together, is none.
+    Only if the neighbours are near the curve: at a steep rim, where several readings are far from
+    it together, none is left out.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
-    order, nearby = (4 if len(r) < 12 else 6), np.abs(r[:, None] - r) < 2 * BESIDE
+    order = 4 if len(r) < 12 else 6
+    nearby = np.abs(r[:, None] - r) < 2 * NEIGHBOURS
     off = np.array([v / np.median(value[row]) - 1.0 for v, row in zip(value, nearby, strict=True)])
     for _ in range(8):
         sigma = max(robust_sigma(off, 0.0), 1e-4)
@@ -248,11 +258,10 @@ def _slips(samples: Samples) -> NDArray[np.bool_]:
     slips = np.abs(off) > limit
     for i in np.flatnonzero(slips):
         away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))
-        twins = off[away < SAME]
-        judged = (
-            twins if len(twins) else off[away < BESIDE]
-        )  # at one radius, else on both sides of it
-        between = len(twins) > 0 or r[i] < r.max()
+        same = off[away < SAME]
+        # Compare with readings at the same angle, or else with those on both sides.
+        judged = same if len(same) else off[away < NEIGHBOURS]
+        between = len(same) > 0 or r[i] < r.max()
         slips[i] = len(judged) > 0 and between and np.median(np.abs(judged)) < limit / 2
     return slips if slips.mean() < 0.25 else np.zeros(len(r), bool)
 
@@ -266,8 +275,9 @@ def _held_out(r: Array, value: Array, u: Array, groups: NDArray[np.integer], ord
 
 
 def _refuse_rising(samples: Samples) -> None:
-    """The classic wrong sign: the correction in place of the loss, which would darken where it
-    should brighten.
+    """Raise InputError for values that rise: the correction in place of the loss.
+
+    This is a common error of sign; it would darken where it should brighten.
     """
     a = _design(samples.r, 2) / (samples.u_rel * samples.value)[:, None]
     theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
@@ -275,13 +285,13 @@ def _refuse_rising(samples: Samples) -> None:
     if rise > RISING:
         found = f"values that rise by {100 * rise:.0f} % from the axis to the edge"
         remedy = (
-            "give readings, not correction factors, of one patch that is lit alike in all frames"
+            "state readings, not correction factors, of one patch with the same light in all frames"
         )
         raise InputError(samples.frames[0], found, "a loss towards the edge", remedy)
 
 
 def with_curve(lens: Lens, f_number: float, found: VignettingFit) -> Lens:
-    """The lens with this aperture's curve in place of an older one."""
+    """Return the lens with this aperture's curve in place of an older one."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
     curve = Vignetting(
         f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5)
