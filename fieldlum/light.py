@@ -1,11 +1,10 @@
-"""The light outside, its description for learning, and the kernel that says which hours teach about
-which others.
+"""The outside light, its features for learning, and the kernel between hours.
 
-A room answers linearly to the sky's patches and to the sun. What it makes of a sun direction varies
-smoothly with it, but for the sharp sun patch, which is known from geometry or left to its own
-model. The kernel below is the covariance that follows: linear in the sky vector, linear in the
-sun's share and smooth in its direction, nothing for a sun that stands behind all facades. `plan`
-uses it before there is a picture, `models.transport` to learn from pictures.
+A room responds linearly to the sky's patches and to the sun. Its response to a sun direction varies
+smoothly with the direction, except for the sharp sun patch, which is known from geometry or has its
+own model. The kernel is the covariance that follows: linear in the sky vector, linear in the sun's
+share and smooth in its direction, nothing for a sun behind all facades. `plan` uses it before there
+is a picture, `models.transport` to learn from pictures.
 """
 
 from __future__ import annotations
@@ -25,29 +24,24 @@ from fieldlum.sky import PerezSky, perez_coefficients, perez_luminance, reinhart
 
 Array = NDArray[np.float64]
 
-LEAST_LX = 1e-3  # normaliser of an hour without any light
-# share of a sun behind the facade that still enters: by reflection from ground and sky-side
-# surfaces
+LEAST_LX = 1e-3  # smallest total light, so that features of a dark hour are finite
+# Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
+# Chosen, not measured (docs/decisions/0003-light-kernel.md).
 BEHIND = 0.1
-# typical cosine between facade and sun, so that the facade factor is about the beam's share
+# Typical cosine between facade and sun, so that the facade factor is about the beam's share.
 FACING = 0.8
-LAMP_LX = 1000.0  # light outside at which a lamp's share is about one
-WALLS_DEG = {
-    "south": 0.0,
-    "west": 90.0,
-    "north": 180.0,
-    "east": 270.0,
-}  # turned from the room's south wall
+LAMP_LX = 1000.0  # outside light at which a lamp's share is about one
+# Azimuths of the walls relative to the room's south wall.
+WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 
 @dataclass(frozen=True)
 class Light:
-    """The light of n moments: irradiance and where the sun stands (true altitude; azimuth clockwise
-    from north).
+    """The light of n moments: irradiance and sun (true altitude; azimuth clockwise from north).
 
-    `perez` holds a sky known otherwise (a rendering's own coefficients); None: made from the
-    irradiance. `states`: the room's state in each moment, as in `fieldlum.room_states`; None: as
-    usual in all of them.
+    `perez` : a sky known otherwise (the coefficients of a rendering); None: computed from the
+    irradiance. `states` : the room's state in each moment, as in `fieldlum.room_states`; None: the
+    usual state in all of them.
     """
 
     t_utc: tuple[datetime, ...]
@@ -62,7 +56,7 @@ class Light:
         return len(self.t_utc)
 
     def __getitem__(self, rows: slice | NDArray[Any] | Sequence[int]) -> Light:
-        """The moments of an index, a boolean array or a slice."""
+        """Return the moments of an index, a boolean array or a slice."""
         index = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
         return Light(
             tuple(self.t_utc[i] for i in index),
@@ -75,7 +69,7 @@ class Light:
         )
 
     def scaled(self, factor: float) -> Light:
-        """The same sky and sun, `factor` times as bright."""
+        """Return the same sky and sun, `factor` times as bright."""
         sky = self.sky
         bright = {
             name: getattr(sky, name) * factor
@@ -86,6 +80,7 @@ class Light:
 
     @cached_property
     def sky(self) -> PerezSky:
+        """The skies of all moments."""
         if self.perez is not None:
             return self.perez
         return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
@@ -101,19 +96,20 @@ class Light:
         return self.sky_at(reinhart_patches().directions)
 
     def sky_at(self, directions: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Luminance of the sky (below the horizon: of an open ground) in directions [m, 3],
-        without the sun, [n, m].
+        """Return the luminance of the sky in directions [m, 3], without the sun, [n, m], in cd/m2.
+
+        Below the horizon it is that of an open ground.
         """
         return perez_luminance(self.sky, self.sun_direction, directions, dtype=np.float32)  # pyright: ignore
 
     @property
     def direct_lx(self) -> Array:
-        """The sun's illuminance on a plane normal to it, [n]."""
+        """The sun's illuminance on a plane normal to it, [n], in lx."""
         return self.sky.direct_lx
 
     @cached_property
     def diffuse_lx(self) -> Array:
-        """The sky's illuminance on the horizontal, summed over the patches, [n]."""
+        """The sky's illuminance on the horizontal, summed over the patches, [n], in lx."""
         patches = reinhart_patches()
         return np.asarray(
             self.sky_cdm2 @ (patches.solid_angles_sr * patches.directions[:, 2]), float
@@ -121,14 +117,15 @@ class Light:
 
     @cached_property
     def total_lx(self) -> Array:
-        """Sky on the horizontal plus sun on its normal: a normaliser without a blow-up at low
-        sun, [n].
+        """Sky on the horizontal plus sun on its normal, [n], in lx.
+
+        Features are divided by it; it does not become small with a low sun.
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
 
 
 def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2: Array) -> Light:
-    """Light of some moments with the sun where SPA puts it. Raises ValueError for naive times."""
+    """Return the light of some moments, with the sun by SPA. Raises ValueError for naive times."""
     at = sun.position(times_utc, site)
     dni, dhi = (
         np.broadcast_to(np.asarray(a, float), len(times_utc)).copy() for a in (dni_wm2, dhi_wm2)
@@ -142,30 +139,31 @@ def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2:
 
 @dataclass(frozen=True, slots=True)
 class Facades:
-    """Outward normals of the walls that let light in, as azimuths [f] deg, and how much each
-    counts, [f].
-    """
+    """Walls that let light in: azimuths of their outward normals [f] in deg, and weights [f]."""
 
     azimuths_deg: Array
     weights: Array
 
     @property
     def normals(self) -> Array:
+        """The outward normals, [f, 3]."""
         return sun.direction(0.0, self.azimuths_deg)
 
 
 def one_facade(azimuth_deg: float) -> Facades:
+    """Return a single facade of weight one."""
     return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
 
 
 def facades_unknown() -> Facades:
-    """Eight directions alike: nothing is known about the room."""
+    """Return eight equal directions, for a room of which nothing is known."""
     return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))
 
 
 def facades_of(room: Room | None) -> Facades:
-    """The walls with windows, the largest counting one, others by the root of their share of
-    glass.
+    """Return the walls with windows.
+
+    The weight of the largest is one; that of the others is the root of their share of glass.
     """
     if room is None or room.kind != "box" or not room.window:
         return facades_unknown()
@@ -183,13 +181,13 @@ def facades_of(room: Room | None) -> Facades:
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """What the kernel looks at, per unit of total light.
+    """The quantities of the kernel, per unit of total light.
 
-    sky [n, P] root-solid-angle weighted luminances; beam [n] the sun's share; direction [n, 3] of
-    the sun; cells [n, c] the direct sun that falls into view, by cells of the picture, where
-    patches are known; bounced [n, k] what a coarse model of the room makes of the sun, where there
-    is one; lamps [n, l] electric light that does not follow the daylight, LAMP_LX / E while it is
-    on; changed [n, m] one while the room is in a state (a blind down) that changes its answer.
+    sky [n, P] : luminances weighted by the root of the solid angle; beam [n] : the sun's share;
+    direction [n, 3] : of the sun; cells [n, c] : direct sun in view, by cells of the picture, if
+    sun patches are known; bounced [n, k] : the sun's light in a coarse model of the room, if there
+    is one; lamps [n, l] : electric light, which does not follow daylight, LAMP_LX / E while on;
+    changed [n, m] : one while the room is in a state (a blind down) that changes its response.
     """
 
     sky: NDArray[np.float32]
@@ -216,7 +214,7 @@ class Features:
 
 
 def light_features(light: Light) -> Features:
-    """Sky and sun of each moment, divided by the total light."""
+    """Return sky and sun of each moment, divided by the total light."""
     root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
     sky = light.sky_cdm2 * root / light.total_lx.astype(np.float32)[:, None]
     return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
@@ -224,25 +222,25 @@ def light_features(light: Light) -> Features:
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Prior covariance between hours of the light that reaches a pixel per unit of total light
-    outside.
+    """Prior covariance between hours of the light that reaches a pixel, per unit of total light.
 
-    The defaults come from a study of one room and are robust within a factor of three either way;
-    widths are in units of the chord of the sun's direction (0.5 is about 29 degrees).
+    The defaults come from a study of one room and may be changed threefold without much effect
+    (docs/decisions/0003-light-kernel.md). Widths are chords of the sun's direction (0.5 is about 29
+    degrees).
     """
 
     facades: Facades
-    constant: float = 1.0  # a room that follows the total light; the sun; the sun on the ground
+    constant: float = 1.0  # a room that follows total light; the sun; the sun on the ground
     sky: float = 2.0
     beam_width: float = 0.5
     facade: float = 1.0  # sun on the facades, smooth in its direction
     cells: float = 0.5
-    bounced: float = 5.0  # what a coarse model of the room makes of the sun
+    bounced: float = 5.0  # the sun's light in a coarse model of the room
     lamps: float = 100.0  # electric light: ten times the room's daylight at LAMP_LX outside
-    changed: float = 1.0  # how far a state of the room changes its answer to light
+    changed: float = 1.0  # how much a state of the room changes its response to light
 
     def __call__(self, a: Features, b: Features) -> Array:
-        """Covariance matrix [len(a), len(b)]."""
+        """Return the covariance matrix, [len(a), len(b)]."""
         cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
         beam = np.outer(a.beam, b.beam)
         k = self.constant * (1.0 + beam + np.outer(_ground(a), _ground(b)))
@@ -260,7 +258,7 @@ class Kernel:
         return k
 
     def diagonal(self, a: Features) -> Array:
-        """Prior variance of each hour, [len(a)]."""
+        """Return the prior variance of each hour, [len(a)]."""
         k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
         k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
         k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
@@ -280,7 +278,7 @@ def _ground(a: Features) -> Array:
 
 
 def _facade(a: Features, facades: Facades) -> Array:
-    """The beam's share on each facade, [n, f]."""
+    """Return the beam's share on each facade, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
 
@@ -291,7 +289,9 @@ def _facade(a: Features, facades: Facades) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class GreedySelection:
-    """index [k] into the pool in the order of choice; variance [k + 1]: mean predictive variance
+    """The hours of a greedy choice.
+
+    index [k] : into the pool, in the order of choice; variance [k + 1] : mean predictive variance
     over the year before any choice and after each, as a share of the prior variance.
     """
 
@@ -310,11 +310,10 @@ def greedy_hours(
     weights: Array | None = None,
     progress: Progress = quiet,
 ) -> GreedySelection:
-    """Choose from `pool`, one after the other, the hour that most lowers the summed variance over
-    `year`.
+    """Choose from `pool`, one by one, the hour that reduces the summed variance over `year` most.
 
-    Needs weather only, no picture. `taken` are hours already captured; weights [len(year)] say how
-    much each hour of the year matters; noise is the variance of one capture in units of the kernel.
+    Needs weather only, no picture. taken : hours already captured; weights [len(year)] : the
+    importance of each hour of the year; noise : variance of one capture, in units of the kernel.
     Cost: O(len(year) len(pool) count).
     """
     w = np.ones(len(year)) if weights is None else np.asarray(weights, float)

@@ -1,6 +1,4 @@
-"""What the time is by the light itself: logged days of light are centred on solar noon, whatever
-the clouds do.
-"""
+"""The offset of a log's clock, from the light: its days are centred on solar noon under any sky."""
 
 from __future__ import annotations
 
@@ -14,33 +12,35 @@ from fieldlum.records import Site
 
 Array = NDArray[np.float64]
 
-LIT_WM2 = 10.0  # the global crosses it with the sun at 1 (clear) to 4 degrees (overcast)
-# mornings and evenings whose clouds differ twentyfold shift the middle by under 7 minutes
+LIT_WM2 = 10.0  # global irradiance with the sun at 1 (clear) to 4 degrees (overcast)
+# A smaller offset is not reported: mornings and evenings whose clouds differ twentyfold shift the
+# middle of the light by under 7 minutes.
 CLOCK_WARN_S = 1200.0
-_SET_S, _LEAST_DAYS = 1800.0, 3
-_SETS_DEG = 5.0  # the night's lowest sun, and the day's highest: else clouds make day and night
-_LONGEST_STORM_S = 7200.0  # a darker spell within a day
-_NIGHT_SUN_DEG = (
-    -3.0
-)  # 40 lx at most, 0.4 W/m2; an hour of daylight saving lights it at every dusk or every dawn
-_SEEN_DARK_S = (
-    900.0  # before and after the day; rows further apart than this do not show when it began
-)
+_SET_S = 1800.0  # smallest step of a clock that was set; chosen, not measured
+_LEAST_DAYS = 3  # on each side of such a step
+# Altitude of the day's highest sun and of the night's lowest, at least: else clouds make day and
+# night. Chosen, not measured.
+_SETS_DEG = 5.0
+_LONGEST_STORM_S = 7200.0  # of a dark spell within a day; chosen, not measured
+# Below it there are at most 40 lx, or 0.4 W/m2. An error of one hour of daylight saving is light
+# there at every dusk or every dawn.
+_NIGHT_SUN_DEG = -3.0
+# Rows before and after the day must not be further apart: else the start of the light is unknown.
+_SEEN_DARK_S = 900.0
 
 
 def clock_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> float | None:
-    """Median over days of (logged middle of the light minus solar noon); None where no whole day
-    was logged.
+    """Return the median over days of (logged middle of the light minus solar noon), in s.
 
-    t_unix_s, ghi_wm2 [n]: rows in order of time. A positive answer is a clock that is fast, or an
-    offset from UTC that was told too small: -43 200 to 43 200 s.
+    t_unix_s, ghi_wm2 [n] : rows in order of time. A positive value is a clock that is fast, or a
+    stated offset from UTC that is too small: -43 200 to 43 200 s. None without a complete day.
     """
     off = days_off_s(t_unix_s, ghi_wm2, site)[1]
     return float(np.median(off)) if len(off) else None
 
 
 def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[datetime], Array]:
-    """Each whole day's logged middle of the light, and that minus solar noon [days] s."""
+    """Return each complete day's middle of the light, and that minus solar noon, [days], s."""
     known = np.isfinite(ghi_wm2)
     middles = [0.5 * (first + last) for first, last in whole_days(t_unix_s[known], ghi_wm2[known])]
     times = [t for m in middles if _rises_and_sets(t := datetime.fromtimestamp(m, UTC), site)]
@@ -52,12 +52,11 @@ def days_off_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[list[dateti
 
 
 def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, float] | None:
-    """The first day after the clock was set, as for daylight saving, and by how much; None where it
-    was not.
+    """Return the first day after the clock was set, and by how much; None if it was not set.
 
-    The split of the days with the least scatter on both sides, at least three days on each; a step
-    counts from half an hour on, and where it takes away half of all scatter: the middle of one day
-    of broken clouds can lie an hour beside.
+    The split of the days with the least scatter on both sides, at least three days on each. A step
+    counts from half an hour on, and if it removes half of all scatter: the middle of one day of
+    broken clouds can be wrong by an hour.
     """
     days, off = days_off_s(t_unix_s, ghi_wm2, site)
     splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
@@ -81,9 +80,7 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
 
 
 def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
-    """First and last moment of each spell of light that has darkness, logged without a gap, on
-    either side.
-    """
+    """Return first and last moment of each spell of light with logged darkness on either side."""
     lit = ghi_wm2 > LIT_WM2
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
     ends = np.flatnonzero(lit & ~np.r_[lit[1:], True])
@@ -107,10 +104,10 @@ def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
 
 
 def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
-    """Minutes with light while the sun is well down: the logger's clock, the offset told, or the
-    longitude's sign.
+    """Return minutes with light while the sun is well down.
 
-    Unlike `clock_off_s` this needs no whole day, but tells no figure, and nothing under half an
+    Then the logger's clock, the stated offset, or the sign of the longitude is wrong. Unlike
+    `clock_off_s` this needs no complete day, but gives no offset, and finds none under half an
     hour.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))

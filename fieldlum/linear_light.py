@@ -27,7 +27,8 @@ from fieldlum.projection import LensGeometry, signed_angle_deg
 from fieldlum.raw import Mosaic, same_model
 from fieldlum.records import Exposure
 
-SAME_TIME = 0.02  # relative: times nearer than this are one setting of the dial (steps are 12 %)
+SAME_TIME = 0.02  # relative: times closer than this are one setting (settings differ by 12 %)
+# A vignetting curve is valid for its own aperture: a third of a stop, with rounding.
 # A measured loss towards the edge holds for its own aperture: a third of a stop and rounding.
 _SAME_APERTURE_STOPS = 0.4
 
@@ -35,20 +36,21 @@ _SAME_APERTURE_STOPS = 0.4
 def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
     """Raise InputError for a frame of another size or camera model than the profile's.
 
-    shape: (height, width, ...); model: as the file records it, "" where it does not.
+    shape : (height, width, ...); model : recorded in the file, "" if it is not.
     """
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
         size = f"{shape[1]} x {shape[0]} pixels"
-        expected = f"{body.width_px} x {body.height_px}, as {body.name} says"
+        expected = f"{body.width_px} x {body.height_px} pixels, the size of {body.name}"
         raise InputError(path, size, expected, "use its own profile")
     if model and body.model and not same_model(model, body.model):
-        remedy = "use its own profile; where this is its own, write that model under [camera]"
-        raise InputError(path, f"taken by {model}", f"{body.model}, as {body.name} says", remedy)
+        remedy = "use its own profile; if this is its own, write that model under [camera]"
+        expected = f"{body.model}, the camera of {body.name}"
+        raise InputError(path, f"taken by {model}", expected, remedy)
 
 
 def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
-    """Return the black level of R, G1, G2, B: the profile's, else the file's. [DN]"""
+    """Return the black level of R, G1, G2, B in DN: the profile's, else the file's."""
     own = profile.sensor.black_dn
     return own if any(own) else mosaic.black_dn
 
@@ -58,10 +60,10 @@ def full_dn(
     profile: CameraProfile,
     plateau_dn: Sequence[float | None] = (None, None, None, None),
 ) -> list[float]:
-    """Return the counts at which R, G1, G2, B are full, black included. [DN]
+    """Return the counts at which R, G1, G2, B saturate, in DN, black included.
 
-    The least of the profile's saturation, the file's white level and the plateau that the frames
-    show (None: they show none).
+    The least of the profile's saturation, the file's white level and the plateau in the frames
+    (None: the frames have none).
     """
     tops = zip(profile.sensor.saturation_dn, plateau_dn, strict=True)
     return [min(own, mosaic.white_dn, plateau or np.inf) for own, plateau in tops]
@@ -73,10 +75,10 @@ def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
 
 
 def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, float]:
-    """Return the time that a setting of the dial exposes, and its relative standard uncertainty.
+    """Return the time that a nominal shutter time exposes, and its relative standard uncertainty.
 
-    The profile's measured time where it has one, else the time under its shutter law; before any
-    fit of ratios.
+    The profile's measured time if it has one, else the time under its shutter law; before any fit
+    of ratios.
     """
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
@@ -92,7 +94,7 @@ def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
 
 
 def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
-    """Return luminance without over with a filter for R, G, B; ones for no filter.
+    """Return luminance without over luminance with a filter for R, G, B; ones without a filter.
 
     Raises InputError for a filter that the profile does not have.
     """
@@ -102,14 +104,19 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
         if nd.name == name:
             return nd.factor_rgb
     names = ", ".join(nd.name for nd in profile.nd) or "no filter"
-    raise InputError(profile.camera.name, f"filter '{name}'", f"one of the profile's: {names}")
+    raise InputError(
+        profile.camera.name,
+        f"filter '{name}'",
+        f"one of the profile's: {names}",
+        "add it to the profile under [[nd]]",
+    )
 
 
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
     """Return the coefficients of V and the relative uncertainty at the edge, for an aperture.
 
     An aperture without a curve takes the nearest one, at most a third of a stop away; a lens
-    without any has V = 1. Raises InputError for other apertures and for a curve that cannot be one.
+    without any has V = 1. Raises InputError for other apertures and for an impossible curve.
     """
     if not lens.vignetting:
         return (1.0,), 0.0
@@ -120,9 +127,8 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
         raise InputError(lens.name, found, f"one of {measured}", "calibrate this aperture")
     wrong = check_vignetting(nearest.coefficients)
     if wrong:
-        raise InputError(
-            lens.name, f"vignetting at f/{nearest.f_number:g}: {wrong}", "a loss towards the edge"
-        )
+        found = f"vignetting at f/{nearest.f_number:g}: {wrong}"
+        raise InputError(lens.name, found, "a loss towards the edge", "calibrate it again")
     return nearest.coefficients, nearest.u_rel
 
 
@@ -132,16 +138,21 @@ def response_tables(profile: CameraProfile) -> NDArray[np.float64]:
     try:
         tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
     except ValueError as error:
-        raise InputError(profile.camera.name, f"[response]: {error}") from None
+        raise InputError(
+            profile.camera.name,
+            f"[response]: {error}",
+            "a valid response",
+            "calibrate it again: fieldlum calibrate response",
+        ) from None
     return np.stack(tables, axis=1)
 
 
 def lens_geometry(
     lens: Lens, turn_deg: float = 0.0, corner_px: tuple[float, float] = (0.0, 0.0)
 ) -> LensGeometry:
-    """Return the lens over a part of its sensor, the camera turned.
+    """Return the lens over a part of its sensor, with the camera turned.
 
-    turn_deg: the camera's heading less the panorama's; corner_px: x, y of the part's top left.
+    turn_deg : the camera's heading minus the panorama's; corner_px : x, y of the part's top left.
     """
     x, y = lens.centre_px
     return replace(

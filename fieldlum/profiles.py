@@ -1,6 +1,4 @@
-"""Strict TOML: site files, camera profiles, capture plans. An unknown key is an error, not a
-shrug.
-"""
+"""Strict TOML for site files, camera profiles and capture plans; an unknown key is an error."""
 
 from __future__ import annotations
 
@@ -24,19 +22,19 @@ _HERE = Path(__file__).parent
 
 
 def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
-    """Folder of the shipped files, in a wheel or in a checkout."""
+    """Return the folder of the shipped files, in a wheel or in a checkout."""
     in_wheel = _HERE / "_shipped" / kind
     return in_wheel if in_wheel.is_dir() else _HERE.parent / kind
 
 
 # ----------------------------------------------------------------------------------------------
-# strict building
+# strict reading
 
 
 def build(cls: type[T], table: dict[str, Any], where: str) -> T:
-    """A frozen dataclass from a TOML table; nested dataclasses, tuples and Literals are checked.
+    """Build a frozen dataclass from a TOML table; check nested dataclasses, tuples and Literals.
 
-    Raises InputError naming `where`, the key, what was found and what was expected.
+    Raises InputError with `where`, the key, the value found and what was expected.
     """
     known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(cls)
@@ -65,24 +63,26 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return value
     if origin is Literal:
         if value not in arguments:
-            raise InputError(where, repr(value), "one of " + ", ".join(map(str, arguments)))
+            expected = "one of " + ", ".join(map(str, arguments))
+            raise InputError(where, repr(value), expected, "correct the value")
         return value
     if origin is tuple:
         if not isinstance(value, list | tuple):
-            raise InputError(where, repr(value), "a list")
+            raise InputError(where, repr(value), "a list", "correct the value")
         inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
         if inner is None and len(value) != len(arguments):
-            raise InputError(where, f"{len(value)} values", f"{len(arguments)} values")
+            expected = f"{len(arguments)} values"
+            raise InputError(where, f"{len(value)} values", expected, "correct the list")
         return tuple(
             _value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value)
         )
     if origin is dict:
         if not isinstance(value, dict):
-            raise InputError(where, repr(value), "a table")
+            raise InputError(where, repr(value), "a table", "correct the value")
         return {str(k): _value(arguments[1], v, f"{where}.{k}") for k, v in value.items()}
     if is_dataclass(hint):
         if not isinstance(value, dict):
-            raise InputError(where, repr(value), "a table")
+            raise InputError(where, repr(value), "a table", "correct the value")
         return build(typing.cast(type, hint), value, where)
     if hint is float:
         if (
@@ -90,25 +90,25 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             or not isinstance(value, int | float)
             or not math.isfinite(value)
         ):
-            raise InputError(where, repr(value), "a number")
+            raise InputError(where, repr(value), "a number", "correct the value")
         return float(value)
     if isinstance(hint, type) and (
         not isinstance(value, hint) or (hint is int and isinstance(value, bool))
     ):
-        raise InputError(
-            where, repr(value), {int: "a whole number", str: "text", bool: "true or false"}[hint]
-        )
+        expected = {int: "an integer", str: "text", bool: "true or false"}[hint]
+        raise InputError(where, repr(value), expected, "correct the value")
     return value
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Raises InputError for a missing file or for what is not TOML."""
+    """Read a TOML file. Raises InputError for a missing file or for a file that is no TOML."""
     try:
-        return tomllib.loads(
-            path.read_text(encoding="utf-8-sig")
-        )  # editors of Windows put a mark before the text
+        # Editors of Windows write a byte order mark before the text.
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise InputError(path, error.strerror or str(error), "a readable TOML file") from None
+        raise InputError(
+            path, error.strerror or str(error), "a readable TOML file", "check the path"
+        ) from None
     except UnicodeDecodeError as error:
         raise InputError(
             path,
@@ -118,12 +118,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         ) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(
-            path, str(error), "TOML", "mend that line: text in quotes, decimals with a point"
+            path, str(error), "TOML", "correct that line: text in quotes, decimals with a point"
         ) from None
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses to what TOML can hold: no None, tuples as lists."""
+    """Return dataclasses as values that TOML can have: no None, tuples as lists."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, dict):
@@ -137,12 +137,13 @@ def plain(value: Any) -> Any:
 # SITE.toml
 
 
-_MOST_OFF_SUN_H = 4.0  # western China's clocks are 3.1 h ahead of their sun, more than any other's
-_MERIDIANS_MEET_DEG = 85.0  # stations near the poles keep the time of whoever supplies them
+# Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
+_MOST_OFF_SUN_H = 4.0
+_MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supply base
 
 
 def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
-    """Raises InputError for unknown keys, an impossible place or an unknown time zone."""
+    """Build a site. Raises InputError for unknown keys, an impossible place or time zone."""
     setup = build(SiteFile, table, where)
     site = setup.site
     if not -90 <= site.latitude_deg <= 90:
@@ -164,6 +165,7 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
             where,
             f"unknown time zone '{site.timezone}'",
             "an IANA name such as America/Los_Angeles",
+            "correct timezone",
         ) from None
     if (
         abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
@@ -171,7 +173,7 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
     ):
         found = (
             f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
-            f"{abs(off_h):.1f} h off the sun"
+            f"{abs(off_h):.1f} h from the sun's time"
         )
         raise InputError(
             where, found, f"at most {_MOST_OFF_SUN_H:g} h", "east is positive, west negative"
@@ -180,21 +182,19 @@ def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
 
 
 def site_table(setup: SiteFile) -> dict[str, Any]:
-    """Inverse of `site_from_table`."""
+    """Return the table of a site; the inverse of `site_from_table`."""
     return plain(setup)
 
 
 def load_site(path: Path) -> SiteFile:
-    """A person's file. The camera's height may stand in [camera] or in [room], and counts in
-    both.
-    """
+    """Read a SITE.toml; the camera's height may be in [camera] or in [room], and counts in both."""
     table = read_toml(path)
     camera, room = table.setdefault("camera", {}), table.get("room")
     if isinstance(camera, dict) and isinstance(room, dict):
         height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
         if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
             found = f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}"
-            raise InputError(path, found, "one height", "leave one of them out")
+            raise InputError(path, found, "one height", "remove one of them")
     return site_from_table(table, str(path))
 
 
@@ -204,6 +204,8 @@ def load_site(path: Path) -> SiteFile:
 
 @dataclass(frozen=True, slots=True)
 class CameraBody:
+    """The camera's name, kind and size."""
+
     name: str
     kind: Literal["raw", "jpeg"]
     width_px: int
@@ -217,19 +219,15 @@ class CameraBody:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Raw cameras: per CFA colour R, G1, G2, B where four values stand. [DN]"""
+    """The sensor of a raw camera; four values are those of R, G1, G2, B, in DN."""
 
     cfa: str = "RGGB"
     black_dn: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
-    saturation_dn: tuple[float, ...] = (
-        65535.0,
-        65535.0,
-        65535.0,
-        65535.0,
-    )  # the plateau, not the file's tag
-    white_dn: float = (
-        65535.0  # DN where linear z = 1 by definition (minus black); only fixes what scale.k means
-    )
+    # The plateau, not the file's tag.
+    saturation_dn: tuple[float, ...] = (65535.0, 65535.0, 65535.0, 65535.0)
+    # Counts (black included) at which linear z is 1 by definition; determines only the unit of
+    # scale.k.
+    white_dn: float = 65535.0
     gain_e_per_dn: float = 1.0  # at iso
     read_noise_e: float = 3.0
     iso: float = 100.0
@@ -238,7 +236,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Bracket:
-    """The exposures to plan by default; shutter times as the camera names them."""
+    """The exposures of a plan by default; shutter times are nominal."""
 
     f_number: float
     iso: float
@@ -251,6 +249,8 @@ class Bracket:
 
 @dataclass(frozen=True, slots=True)
 class ShutterTime:
+    """A measured shutter time."""
+
     nominal_s: float
     true_s: float
     u_rel: float = 0.002
@@ -258,8 +258,9 @@ class ShutterTime:
 
 @dataclass(frozen=True, slots=True)
 class Vignetting:
-    """Relative transmission V in powers of r = angle / (full angle / 2): V = sum c_k r^k, c_0
-    first, V(0) = 1.
+    """Relative transmission V in powers of r = angle / (full angle / 2): V = sum c_k r^k.
+
+    c_0 is first, V(0) = 1.
     """
 
     f_number: float
@@ -269,17 +270,17 @@ class Vignetting:
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """One lens on the sensor. Pixel coordinates: (0, 0) is the top left corner of the sensor's
-    top left pixel.
+    """One lens on the sensor.
+
+    Pixel coordinates: (0, 0) is the top left corner of the sensor's top left pixel.
     """
 
     centre_px: tuple[float, float]  # x to the right, y down
     radius_px: float  # of the image circle at full_angle_deg / 2
     full_angle_deg: float
     mapping: Literal["equidistant", "equisolid", "polynomial"] = "equisolid"
-    coefficients: tuple[
-        float, ...
-    ] = ()  # polynomial: r / radius_px = sum c_k (angle / half angle)^(k+1)
+    # Of a polynomial: r / radius_px = sum c_k (angle / half angle)^(k + 1).
+    coefficients: tuple[float, ...] = ()
     name: str = "lens"
     azimuth_deg: float = 0.0  # optical axis relative to the camera's heading, clockwise
     tilt_deg: float = 0.0  # up
@@ -288,7 +289,7 @@ class Lens:
 
     @property
     def geometry(self) -> LensGeometry:
-        """Where it puts a direction, on the whole sensor, relative to the camera's heading."""
+        """The lens on its complete sensor, relative to the camera's heading."""
         return LensGeometry(
             self.centre_px,
             self.radius_px,
@@ -303,7 +304,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """JPEG: code value to linear z in [0, 1]."""
+    """The response of a JPEG camera: code value to linear z in [0, 1]."""
 
     kind: Literal["linear", "srgb", "polynomial", "table"] = "linear"
     red: tuple[float, ...] = ()  # polynomial: c_0 first, in code / 255; table: 256 values
@@ -319,9 +320,8 @@ class Colour:
     """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB."""
 
     y_from_rgb: tuple[float, float, float] = (0.265, 0.670, 0.065)
-    rgb_to_radiance: tuple[
-        float, ...
-    ] = ()  # 9 values, row by row; empty: no colour is written, only Y
+    # 9 values, row by row; empty: no colour is written, only Y.
+    rgb_to_radiance: tuple[float, ...] = ()
     u_rel: float = 0.02
 
 
@@ -331,11 +331,13 @@ class Scale:
 
     k: float = 1.0
     u_rel: float = 0.05
-    f_numbers: tuple[float, ...] = ()  # when given, k holds for these apertures only
+    f_numbers: tuple[float, ...] = ()  # apertures for which k is valid; empty: all
 
 
 @dataclass(frozen=True, slots=True)
 class NeutralDensity:
+    """A neutral-density filter of the lens."""
+
     name: str
     factor_rgb: tuple[float, float, float]  # luminance without over luminance with the filter
     u_rel: float = 0.02
@@ -343,10 +345,12 @@ class NeutralDensity:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
+    """The origin of a profile's values."""
+
     source: str = ""
     fitted_by: str = ""
     frames_sha256: tuple[str, ...] = ()
-    log: tuple[str, ...] = ()  # one line a fit: what was chosen and why
+    log: tuple[str, ...] = ()  # one line for each fit: the choice and its reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,14 +369,14 @@ class CameraProfile:
     glare_floor_rel: float = 0.0005  # veiling glare of the lens, as a share of the mean luminance
     expires: str = ""  # ISO date; doctor warns after it
     provenance: Provenance = field(default_factory=Provenance)
-    # What nominal times mean where [[shutter]] has no measured one: see photometry/shutter_law.py.
+    # How nominal times without a measured one are read: see photometry/shutter_law.py.
     shutter_law: Literal["auto", "third-stops", "half-stops", "exact"] = "auto"
 
 
 def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
-    """Return which view directions these lenses and headings can judge; empty when they see all.
+    """Return which view directions these lenses and headings can judge; empty if all.
 
-    With one lens and no turned head the remedy names headings that would see all.
+    For one lens without turned head the text names headings that would see all.
     """
     lenses = [lens.geometry for lens in profile.lens]
     headings = setup.headings or (setup.heading_deg,)
@@ -383,7 +387,7 @@ def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
     opposite = [setup.heading_deg % 360.0, (setup.heading_deg + 180.0) % 360.0]
     seen = seen_by_lenses(lenses, [heading - setup.heading_deg for heading in opposite])
     if judged_text(seen, setup.heading_deg):
-        return f"{text}; take a lens that sees more, or turn the camera to several headings"
+        return f"{text}; use a lens that sees more, or turn the camera to several headings"
     named = ", ".join(f"{heading:g}" for heading in opposite)
     return f"{text}; for all directions write headings = [{named}] under [camera] in SITE.toml"
 
@@ -392,8 +396,9 @@ DEFAULT_CAMERA = "sim-dual-fisheye"
 
 
 def find_camera_profile(name: str) -> Path:
-    """A path as it stands, else a name in the shipped calibration/. Raises InputError listing
-    what there is.
+    """Return the path of a profile: the path itself, or a name in the shipped calibration/.
+
+    Raises InputError with the list of profiles.
     """
     path = Path(name or DEFAULT_CAMERA)
     for candidate in (
@@ -404,11 +409,13 @@ def find_camera_profile(name: str) -> Path:
         if candidate.is_file():
             return candidate
     known = ", ".join(sorted(p.stem for p in shipped("calibration").glob("*.toml")))
-    raise InputError(name, "no such camera profile", f"a TOML file or one of: {known}")
+    raise InputError(
+        name, "no such camera profile", f"a TOML file or one of: {known}", "correct it"
+    )
 
 
 def load_camera_profile(name: str | Path) -> CameraProfile:
-    """Raises InputError for a file that is no profile, or has figures no camera can have."""
+    """Read a profile. Raises InputError for a file that is no profile, or has impossible values."""
     path = find_camera_profile(str(name))
     profile = build(CameraProfile, read_toml(path), str(path))
     check_camera(profile, str(path))
@@ -416,10 +423,10 @@ def load_camera_profile(name: str | Path) -> CameraProfile:
 
 
 def check_camera(profile: CameraProfile, where: str) -> None:
-    """Raises InputError, naming the key, for figures that no camera can have."""
+    """Raise InputError, with the key, for values that no camera can have."""
     p = profile
     if not p.lens:
-        raise InputError(where, "no [[lens]]", "at least one")
+        raise InputError(where, "no [[lens]]", "at least one lens", "add it")
     positive: dict[str, tuple[float, ...]] = {
         "camera.width_px": (p.camera.width_px,),
         "camera.height_px": (p.camera.height_px,),
@@ -441,7 +448,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     for key, values in positive.items():
         for value in values:
             if not 0 < value < 1e12:
-                raise InputError(where, f"{key} = {value:g}", "a number above 0")
+                raise InputError(where, f"{key} = {value:g}", "a number above 0", "correct it")
     relative = (
         p.colour.u_rel,
         p.scale.u_rel,
@@ -453,38 +460,49 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     if not all(0 <= value < 1 for value in relative):
         raise InputError(
             where,
-            f"a share of {next(v for v in relative if not 0 <= v < 1):g}",
-            "u_rel: 0 to below 1",
+            f"a relative value of {next(v for v in relative if not 0 <= v < 1):g}",
+            "u_rel and glare_floor_rel from 0 to below 1",
+            "correct it",
         )
     if min(p.sensor.read_noise_e, p.bracket.seconds_per_frame, p.bracket.megabytes_per_frame) < 0:
         raise InputError(
-            where, "read_noise_e, seconds_per_frame or megabytes_per_frame below 0", "0 or more"
+            where,
+            "read_noise_e, seconds_per_frame or megabytes_per_frame below 0",
+            "0 or more",
+            "correct it",
         )
     if (
         max(x.full_angle_deg for x in p.lens) > 300
         or max(p.camera.width_px, p.camera.height_px) > 100_000
     ):
         raise InputError(
-            where, "a lens beyond 300 degrees or a sensor beyond 100 000 pixels", "a real camera"
+            where,
+            "a lens beyond 300 degrees or a sensor beyond 100 000 pixels",
+            "a possible camera",
+            "correct it",
         )
     for lens in p.lens:
         _check_mapping(lens, where)
     if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
-        raise InputError(where, "[sensor] black_dn or saturation_dn", "four values: R, G1, G2, B")
+        found = "another count of values in [sensor] black_dn or saturation_dn"
+        raise InputError(where, found, "four values: R, G1, G2, B", "correct it")
     if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
         raise InputError(
-            where, "[sensor] black at or above saturation", "black below saturation and white"
+            where,
+            "[sensor] black at or above saturation",
+            "black below saturation and white",
+            "correct it",
         )
     if len(p.colour.rgb_to_radiance) not in (0, 9):
-        raise InputError(
-            where, f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values", "9, or none"
-        )
+        found = f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values"
+        raise InputError(where, found, "9 values, or none", "correct it")
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
-        raise InputError(where, "response.low_code, high_code", "0 <= low < high <= 255")
+        found = f"response.low_code {p.response.low_code}, high_code {p.response.high_code}"
+        raise InputError(where, found, "0 <= low < high <= 255", "correct it")
 
 
 def _check_mapping(lens: Lens, where: str) -> None:
-    """The radius must rise with the angle up to the edge of the circle, and reach 1 there."""
+    """Raise InputError unless the radius rises with the angle up to the edge, and is 1 there."""
     if lens.mapping != "polynomial":
         return
     found = (
@@ -496,19 +514,19 @@ def _check_mapping(lens: Lens, where: str) -> None:
         angle_of_radius(lens.geometry, 1.0)
     except ValueError as error:
         raise InputError(
-            where, f"{found} ({error})", "one that rises up to the edge of the circle", remedy
+            where, f"{found} ({error})", "a polynomial that rises up to the edge", remedy
         ) from None
     if abs(sum(lens.coefficients) - 1.0) > 0.02:
         raise InputError(
             where,
-            f"{found}, in all {sum(lens.coefficients):g}",
+            f"{found}, with the sum {sum(lens.coefficients):g}",
             "coefficients that sum to 1",
             remedy,
         )
 
 
 def save_profile(path: Path, profile: CameraProfile) -> None:
-    """Write as TOML, whole or not at all."""
+    """Write a profile as TOML, completely or not at all."""
     import tomli_w
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -518,7 +536,7 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
 
 
 def bracket_exposures(bracket: Bracket) -> tuple[Exposure, ...]:
-    """Longest first, then the frames through each filter."""
+    """Return the exposures of a bracket: longest first, then those through each filter."""
     open_frames = [
         Exposure(t, bracket.f_number, bracket.iso) for t in sorted(bracket.shutter_s, reverse=True)
     ]

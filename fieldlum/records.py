@@ -1,6 +1,4 @@
-"""Frozen values that cross the borders between stages. Units are in the names; times are aware
-UTC.
-"""
+"""Frozen values that cross the borders between stages; units are in the names, times are UTC."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ Progress = Callable[[int, int, str], None]
 
 
 def quiet(done: int, total: int, text: str) -> None:
-    """The progress that shows nothing."""
+    """Show no progress."""
 
 
 # ----------------------------------------------------------------------------------------------
@@ -27,9 +25,9 @@ def quiet(done: int, total: int, text: str) -> None:
 
 
 def utc_text(t_utc: datetime) -> str:
-    """``2027-03-20T15:30:00Z``. Raises ValueError for a naive time."""
+    """Return a time as ``2027-03-20T15:30:00Z``. Raises ValueError for a naive time."""
     if t_utc.tzinfo is None:
-        raise ValueError(f"naive time {t_utc}: give it a time zone")
+        raise ValueError(f"naive time {t_utc}: add a time zone")
     t = t_utc.astimezone(UTC)
     return (
         t.strftime("%Y-%m-%dT%H:%M:%S")
@@ -39,23 +37,25 @@ def utc_text(t_utc: datetime) -> str:
 
 
 def parse_utc(text: str) -> datetime:
-    """Inverse of `utc_text`; any ISO time with an offset is accepted, a naive one is a
-    ValueError.
+    """Parse any ISO time with an offset; the inverse of `utc_text`.
+
+    Raises ValueError for a naive time.
     """
     t = datetime.fromisoformat(text)
     if t.tzinfo is None:
         raise ValueError(
-            f"time {text!r} has no time zone: write it as UTC, like 2027-03-20T15:30:00Z"
+            f"time {text!r} has no time zone: write it as UTC, such as 2027-03-20T15:30:00Z"
         )
     return t.astimezone(UTC)
 
 
 def slot_id(t_utc: datetime) -> str:
-    """A slot is named by its UTC start: ``20270320T153000Z``. Raises ValueError for a naive
-    time.
+    """Return the name of a slot, its UTC start: ``20270320T153000Z``.
+
+    Raises ValueError for a naive time.
     """
     if t_utc.tzinfo is None:
-        raise ValueError(f"naive time {t_utc}: give it a time zone")
+        raise ValueError(f"naive time {t_utc}: add a time zone")
     return t_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 
@@ -64,7 +64,7 @@ def slot_id(t_utc: datetime) -> str:
 
 
 class Flag(IntFlag):
-    """Why a pixel's value must be read with care. A value is never invented without one."""
+    """Why a pixel's value must be used with care; every invented value has a flag."""
 
     CLIPPED_HIGH = 1  # every frame saturated: the value is a lower bound
     BELOW_NOISE = 2  # no frame rises above its noise
@@ -81,6 +81,8 @@ class Flag(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Site:
+    """A place and its time zone."""
+
     name: str
     latitude_deg: float
     longitude_deg: float  # east positive
@@ -90,19 +92,18 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class CameraSetup:
+    """The camera of a session: its profile, heading and height."""
+
     profile: str = ""  # name in calibration/ or a path; empty: the default simulated camera
     heading_deg: float = 180.0  # azimuth of the panorama's centre column, clockwise from true north
-    headings: tuple[
-        float, ...
-    ] = ()  # of a single fisheye on a turned head; empty for one fixed camera
+    # Azimuths of a single fisheye on a turned head; empty for one fixed camera.
+    headings: tuple[float, ...] = ()
     height_m: float = 1.6
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A glazed rectangle in a wall, seen from inside; ``left_m`` runs from the wall's left end
-    as seen from inside.
-    """
+    """A glazed rectangle in a wall; ``left_m`` counts from the left end, as seen from inside."""
 
     wall: Literal["south", "west", "north", "east"]
     left_m: float
@@ -110,15 +111,16 @@ class Window:
     sill_m: float
     height_m: float
     transmittance: float = 0.88
-    panes: int = 1  # equal panes side by side, parted by vertical frame bars
+    panes: int = 1  # equal panes next to each other, separated by vertical frame bars
     frame_m: float = 0.05  # width of the frame and of the bars
     transom_m: float = 0.0  # height above the floor of a horizontal bar; 0: none
 
 
 @dataclass(frozen=True, slots=True)
 class Obstruction:
-    """A box, in room coordinates (x to the right, y away from the south wall, z up), inside or
-    outside.
+    """A box inside or outside, in room coordinates.
+
+    x to the right, y away from the south wall, z up.
     """
 
     x_m: float
@@ -132,8 +134,9 @@ class Obstruction:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """`kind` box: a shoebox; its "south" wall is y = 0 and faces ``wall_azimuth_deg``. `kind`
-    radiance: a file.
+    """A box room (kind box), or the Radiance file of a room (kind radiance).
+
+    The "south" wall of a box is y = 0 and faces ``wall_azimuth_deg``.
     """
 
     kind: Literal["box", "radiance"] = "box"
@@ -146,9 +149,8 @@ class Room:
     camera_z_m: float = 1.6
     camera_tilt_deg: float = 0.0  # kind box: the panorama's centre column points up by it
     camera_roll_deg: float = 0.0  # kind box: the panorama's right-hand side is low by it
-    wall_azimuth_deg: float = (
-        180.0  # where the outward normal of the "south" wall points, clockwise from true north
-    )
+    # Azimuth of the outward normal of the "south" wall, clockwise from true north.
+    wall_azimuth_deg: float = 180.0
     wall_thickness_m: float = 0.25
     reflectance_walls: float = 0.5
     reflectance_ceiling: float = 0.8
@@ -163,13 +165,15 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class PyranometerSetup:
+    """The kind and profile of the instrument of a session."""
+
     kind: str = ""
     profile: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class SiteFile:
-    """The whole of SITE.toml."""
+    """All of SITE.toml."""
 
     site: Site
     camera: CameraSetup = field(default_factory=CameraSetup)
@@ -183,6 +187,8 @@ class SiteFile:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
+    """The settings of one frame."""
+
     shutter_s: float
     f_number: float
     iso: float = 100.0
@@ -190,7 +196,7 @@ class Exposure:
 
 
 def shutter_text(shutter_s: float) -> str:
-    """A time as a camera's dial writes it, without its unit: 1/250, 0.4, 2."""
+    """Return a time as cameras label it, in s without the unit: 1/250, 0.4, 2."""
     return f"1/{1 / shutter_s:.6g}" if shutter_s < 0.3 else f"{shutter_s:.6g}"
 
 
@@ -206,19 +212,20 @@ class Slot:
 
     @property
     def id(self) -> str:
+        """The slot's name, its UTC start."""
         return slot_id(self.t_utc)
 
 
 @dataclass(frozen=True, slots=True)
 class IrradianceSample:
-    """One reading of a pyranometer; what the instrument does not give is None. [W/m²]"""
+    """One reading of a pyranometer in W/m²; None for components that it does not measure."""
 
     t_utc: datetime
     ghi_wm2: float | None
     dhi_wm2: float | None = None
     dni_wm2: float | None = None
     temperature_c: float | None = None
-    status: str = ""  # empty: all well
+    status: str = ""  # empty: no fault reported
     raw: str = ""  # the line or register words as received
 
 
@@ -231,8 +238,9 @@ CLIPPED_SUN = "clipped"  # origin of a sun that saturated in every frame: a lowe
 
 @dataclass(frozen=True, slots=True)
 class SunSource:
-    """The sun as the lens sees it, kept beside the map. Illuminance is on a plane normal to it,
-    at the lens.
+    """The sun as the lens sees it, separate from the map.
+
+    Its illuminance is on a plane normal to it, at the lens.
     """
 
     altitude_deg: float
@@ -244,7 +252,7 @@ class SunSource:
 
 @dataclass(frozen=True, slots=True)
 class Panorama:
-    """A luminance map of all directions, without the sun's disc.
+    """A luminance map of all directions, without the sun disc.
 
     luminance_cdm2, u_cdm2 (standard uncertainty), flags : [H, W = 2H], row 0 at the zenith, centre
     column at heading.

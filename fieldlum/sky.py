@@ -20,12 +20,13 @@ from fieldlum.rowwise import cosines
 
 Array = NDArray[np.float64]
 
-SOLAR_CONSTANT_WM2 = 1367.0  # as gendaylit has it
-WATER_CM = 2.0  # precipitable water of gendaylit's default
-GROUND_REFLECTANCE = 0.2
+SOLAR_CONSTANT_WM2 = 1367.0  # gendaylit's value
+WATER_CM = 2.0  # precipitable water, gendaylit's default
+GROUND_REFLECTANCE = 0.2  # gendaylit's default
 
 # Upper bounds of the clearness bins of Perez 1990 and 1993.
 _BINS = np.array([1.065, 1.23, 1.5, 1.95, 2.8, 4.5, 6.2])
+# Limits of clearness and brightness, as gendaylit applies them.
 _CLEARNESS = (1.0, 12.01)
 _BRIGHTNESS = (0.01, 0.6)
 
@@ -244,8 +245,9 @@ _DIRECT_EFFICACY = np.array(
 
 @dataclass(frozen=True, slots=True)
 class SkyPatches:
-    """directions [P, 3] of the patches' middles, solid_angles_sr [P]; the sky only, all together
-    2 pi.
+    """The division of the sky into patches, without the ground.
+
+    directions [P, 3] : of the patches' middles; solid_angles_sr [P] : with the sum 2 pi.
     """
 
     directions: Array
@@ -257,17 +259,16 @@ class SkyPatches:
 
 
 def patches_per_row(mf: int = 4) -> list[int]:
-    """Patches of each row from the horizon up; the last is the zenith cap."""
+    """Return the count of patches of each row from the horizon up; the last is the zenith cap."""
     return [n * mf for n in (30, 30, 24, 24, 18, 12, 6) for _ in range(mf)] + [1]
 
 
 @lru_cache(maxsize=4)
 def reinhart_patches(mf: int = 4) -> SkyPatches:
-    """Reinhart's division of the sky, 144 mf^2 + 1 patches, in the order of Radiance's
-    reinhartb.cal and rskysrc.cal.
+    """Return Reinhart's division of the sky, 144 mf^2 + 1 patches.
 
-    Bin 0 is the first: centred on north, at the horizon; azimuth grows clockwise. The ground is no
-    patch.
+    In the order of Radiance's reinhartb.cal and rskysrc.cal: bin 0 is the first, centred on north
+    at the horizon; azimuth increases clockwise. The ground is no patch.
     """
     rows = patches_per_row(mf)
     height = np.pi / 2 / (7 * mf + 0.5)
@@ -300,12 +301,11 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
 
 @dataclass(frozen=True, slots=True)
 class PerezSky:
-    """Skies of n moments, arrays [n] and shape [n, 5] = Perez's a, b, c, d, e (perezlum's A3 to
-    A7).
+    """Skies of n moments: arrays [n] and shape [n, 5] = Perez's a, b, c, d, e.
 
-    norm_cdm2 = 179 A1; ground_cdm2 = 179 A2 (luminance of an open ground of reflectance .2, with
-    its sun); direct_lx is the sun's illuminance on a plane normal to it, diffuse_lx the sky's on
-    the horizontal.
+    The shape is A3 to A7 of perezlum. norm_cdm2 = 179 A1; ground_cdm2 = 179 A2 is the luminance of
+    an open ground of reflectance .2, with its sun. direct_lx is the sun's illuminance on a plane
+    normal to it, diffuse_lx the sky's on the horizontal.
     """
 
     norm_cdm2: Array
@@ -324,6 +324,7 @@ class PerezSky:
 
 
 def day_of_year(times_utc: Sequence[datetime]) -> Array:
+    """Return the day of the year, from 1, [n]."""
     return np.array([t.timetuple().tm_yday for t in times_utc], float)
 
 
@@ -339,14 +340,14 @@ def _eccentricity(day: Array) -> Array:
 
 
 def _air_mass(zenith_deg: Array) -> Array:
-    """Kasten 1966."""
+    """Return the relative air mass by Kasten 1966, [n]."""
     return 1 / (np.cos(np.radians(zenith_deg)) + 0.15 * (93.885 - zenith_deg) ** -1.253)
 
 
 def _clearness_brightness(
     dni: Array, dhi: Array, zenith_deg: Array, day: Array
 ) -> tuple[Array, Array]:
-    """Perez's epsilon and Delta, kept within the model's range as gendaylit does."""
+    """Return Perez's epsilon and Delta, [n] each, limited to the model's range as in gendaylit."""
     cubed = 1.041 * np.radians(zenith_deg) ** 3
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         clearness = ((dhi + dni) / dhi + cubed) / (1 + cubed)
@@ -358,7 +359,7 @@ def _clearness_brightness(
 
 
 def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
-    """a, b, c, d, e, [n, 5]; zenith in radians."""
+    """Return a, b, c, d, e, [n, 5]; zenith in radians."""
     brightness = np.where(
         (clearness > 1.065) & (clearness < 2.8), np.maximum(brightness, 0.2), brightness
     )
@@ -372,21 +373,21 @@ def _shape(zenith: Array, clearness: Array, brightness: Array) -> Array:
     z, delta = zenith[overcast], brightness[overcast]
     shape[overcast, 2] = np.exp((delta * (c[:, 0] + c[:, 1] * z)) ** c[:, 2]) - c[:, 3]
     shape[overcast, 3] = -np.exp(delta * (d[:, 0] + d[:, 1] * z)) + d[:, 2] + delta * d[:, 3]
-    # A positive b grows without bound towards the horizon. gendaylit then gives a black sky; level
-    # it instead.
+    # A positive b grows without limit towards the horizon. gendaylit then gives a black sky; here b
+    # is set to 0.
     shape[:, 1] = np.minimum(shape[:, 1], 0.0)
     return shape
 
 
 def _relative(shape: Array, cos_zenith: Array, gamma: Array) -> Array:
-    """Perez's relative luminance; shape [..., 5] broadcast against directions."""
+    """Return Perez's relative luminance; shape [..., 5] is broadcast against directions."""
     a, b, c, d, e = (shape[..., i] for i in range(5))
     return (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
 
 
 @lru_cache(maxsize=1)
 def _tregenza() -> tuple[Array, Array]:
-    """Zenith angle and azimuth [145] of the points that gendaylit normalises over. [rad]"""
+    """Return zenith angle and azimuth of the points of gendaylit's integral, [145] each, in rad."""
     counts, zenith = (30, 30, 24, 24, 18, 12, 6, 1), (84, 72, 60, 48, 36, 24, 12, 0)
     theta = np.concatenate([np.full(n, z, float) for n, z in zip(counts, zenith, strict=True)])
     phi = np.concatenate([np.arange(n) * 360.0 / n for n in counts])
@@ -394,10 +395,11 @@ def _tregenza() -> tuple[Array, Array]:
 
 
 def _relative_horizontal(shape: Array, zenith: Array) -> Array:
-    """Integral of the relative luminance times the cosine, [n], by gendaylit's rule of 145 points.
+    """Return the integral of the relative luminance times the cosine, [n], over 145 points.
 
-    Far outside Perez's data the formula is negative all over the sky, which the normalisation
-    undoes (the integral is negative too), or in a part of it: there is no light in that part then.
+    The rule is gendaylit's. Far outside of Perez's data the formula is negative over all of the
+    sky, which the normalisation corrects (the integral is negative too), or over a part of it:
+    that part then has no light.
     """
     theta, phi = _tregenza()
     z = zenith[:, None]
@@ -411,7 +413,7 @@ def _relative_horizontal(shape: Array, zenith: Array) -> Array:
 
 
 def _ground_over_zenith(clearness: Array, altitude: Array) -> Array:
-    """Ground ambient over zenith luminance (gensky's fits for clear and intermediate skies)."""
+    """Return ground ambient over zenith luminance, [n] (gensky's clear and intermediate fits)."""
     x = (altitude - np.pi / 4) / (np.pi / 4)
     clear = np.polynomial.polynomial.polyval(x, (2.766521, 0.547665, -0.369832, 0.009237, 0.059229))
     between = np.polynomial.polynomial.polyval(x, (3.5556, -2.7152, -1.3081, 1.0660, 0.60227))
@@ -430,11 +432,11 @@ def perez_coefficients(
     sun_altitude_deg: ArrayLike,
     when: ArrayLike | Sequence[datetime],
 ) -> PerezSky:
-    """Skies from direct normal and diffuse horizontal irradiance, as gendaylit -W makes them.
+    """Return skies from direct normal and diffuse horizontal irradiance, as gendaylit -W does.
 
-    when: day of the year [n] or UTC times. The sun's altitude counts as 0 to 87 degrees, as in
-    gendaylit. Unlike gendaylit, a sky outside the model (its coefficient b positive) is levelled
-    towards the horizon, not black. Negative irradiance counts as none.
+    when : day of the year [n] or UTC times. The sun's altitude is limited to 0 to 87 degrees, as in
+    gendaylit. Unlike in gendaylit, a sky outside the model (with a positive coefficient b) is
+    levelled towards the horizon, not black. Negative irradiance counts as 0.
     """
     day = _days(when)
     dni, dhi, altitude_deg, day = (
@@ -477,10 +479,10 @@ def _days(when: ArrayLike | Sequence[datetime]) -> Array:
 def perez_luminance(
     sky: PerezSky, sun_direction: ArrayLike, directions: ArrayLike, *, dtype: type = np.float64
 ) -> NDArray[np.floating]:
-    """Luminance of n skies in m directions, [n, m] cd/m2: 179 times perezlum, its blend into the
-    ground included.
+    """Return the luminance of n skies in m directions, [n, m], in cd/m2, without the sun disc.
 
-    sun_direction [n, 3], directions [m, 3]: unit vectors. The sun's disc is not in it.
+    It is 179 times perezlum, with its transition into the ground. sun_direction [n, 3] and
+    directions [m, 3] are unit vectors.
     """
     sun = np.atleast_2d(np.asarray(sun_direction, dtype))
     rays = np.atleast_2d(np.asarray(directions, dtype))
@@ -503,9 +505,9 @@ def direct_normal_illuminance_lx(
     sun_altitude_deg: ArrayLike,
     when: ArrayLike | Sequence[datetime],
 ) -> Array:
-    """The sun's illuminance on a plane normal to it, [n] lx, by Perez's direct luminous efficacy
-    (never 179 lm/W).
+    """Return the sun's illuminance on a plane normal to it, [n], in lx.
 
-    when: day of the year or UTC times. About 93 lm/W on average over the year in Seattle.
+    By Perez's direct luminous efficacy (never 179 lm/W), about 93 lm/W on average over the year in
+    Seattle. when : day of the year or UTC times.
     """
     return perez_coefficients(dni_wm2, dhi_wm2, sun_altitude_deg, when).direct_lx

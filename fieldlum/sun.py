@@ -1,5 +1,4 @@
-"""Where the sun stands, when the seasons turn, and how sunlight splits: pvlib, with naive times
-refused.
+"""Sun position, seasons, and the components of sunlight, by pvlib; naive times are refused.
 
 Heavy imports stay inside the functions.
 """
@@ -24,20 +23,21 @@ from fieldlum.records import Site
 if TYPE_CHECKING:
     import pandas as pd
 
-SUN_SOLID_ANGLE_SR = (
-    6.797e-5  # 2 pi (1 - cos 0.2665 deg): the mean disc, as Radiance's gendaylit uses it
-)
-LOW_SUN_DEG = (
-    5.0  # below it a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark, do not trust
-)
-CLEAR_SUN_DEG = 10.0  # above it shares and ratios of horizontal readings can be asked for
-# of the light above the air; the darkest storm lets ten times that through, kW a thousandth
+# 2 pi (1 - cos 0.2665 deg): the mean disc, as in Radiance's gendaylit.
+SUN_SOLID_ANGLE_SR = 6.797e-5
+# Below this altitude a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark such values.
+LOW_SUN_DEG = 5.0
+# Above this altitude shares and ratios of horizontal readings can be tested. Chosen, not measured.
+CLEAR_SUN_DEG = 10.0
+# Global over extraterrestrial light, at least; the darkest storm transmits ten times as much, a
+# file in kW has a thousandth. Chosen, not measured.
 LEAST_CLEARNESS = 0.005
 
 
 class SunPosition(NamedTuple):
-    """Arrays [n]: true altitude (physics), apparent altitude (pictures), azimuth clockwise from
-    north. [deg]
+    """Sun positions, arrays [n] in deg.
+
+    True altitude (physics), apparent altitude (pictures), azimuth clockwise from north.
     """
 
     altitude_deg: NDArray[np.float64]
@@ -46,17 +46,18 @@ class SunPosition(NamedTuple):
 
 
 def _index(times_utc: Sequence[datetime], who: str) -> pd.DatetimeIndex:
-    """Raises ValueError for naive times: pvlib would read them as UTC without a word."""
+    """Return times for pvlib. Raises ValueError for naive times, which pvlib would read as UTC."""
     import pandas as pd
 
     if any(t.tzinfo is None for t in times_utc):
-        raise ValueError(f"naive time given to sun.{who}: give it a time zone")
+        raise ValueError(f"naive time given to sun.{who}; add a time zone")
     return pd.DatetimeIndex(pd.to_datetime(list(times_utc), utc=True))
 
 
 def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
-    """Sun position by NREL's SPA (Reda and Andreas 2004, through pvlib). Raises ValueError for
-    naive times.
+    """Return the sun position by NREL's SPA (Reda and Andreas 2004, through pvlib).
+
+    Raises ValueError for naive times.
     """
     from pvlib.solarposition import get_solarposition
 
@@ -79,9 +80,10 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
 
 @lru_cache(maxsize=256)
 def standard_offset(timezone: str, year: int) -> timedelta:
-    """UTC offset of local standard time: the year's smallest (daylight saving always adds).
+    """Return the UTC offset of local standard time: the year's smallest.
 
-    The time zone data's own "dst" field is not used: for Ireland it calls winter the exception.
+    Daylight saving always adds to it. The "dst" field of the time zone data is not used: for
+    Ireland it marks winter as the exception.
     """
     zone = ZoneInfo(timezone)
     offsets = [
@@ -92,8 +94,9 @@ def standard_offset(timezone: str, year: int) -> timedelta:
 
 
 def zone_off_sun_h(site: Site) -> float:
-    """Standard time of the zone minus mean solar time of the longitude, -12 to 12 h; 0 for UTC,
-    which is no place's.
+    """Return the zone's standard time minus the longitude's mean solar time, -12 to 12 h.
+
+    0 for UTC, which is the time of no place.
     """
     if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
         return 0.0
@@ -102,37 +105,37 @@ def zone_off_sun_h(site: Site) -> float:
 
 
 def standard_time(t_utc: datetime, timezone: str) -> datetime:
-    """`t_utc` on the clock of local standard time, as a naive reading for labels and dates.
+    """Return a moment as local standard time, naive, for labels and dates.
 
     Raises ValueError for a naive time.
     """
     if t_utc.tzinfo is None:
-        raise ValueError(f"naive time {t_utc}: give it a time zone")
+        raise ValueError(f"naive time {t_utc}: add a time zone")
     moment = t_utc.astimezone(UTC)
     return (moment + standard_offset(timezone, moment.year)).replace(tzinfo=None)
 
 
 def standard_date(t_utc: datetime, timezone: str) -> date:
-    """The local standard date that a moment belongs to."""
+    """Return the local standard date of a moment."""
     return standard_time(t_utc, timezone).date()
 
 
 def standard_midnight(day: date, timezone: str) -> datetime:
-    """Start of a local standard day, in UTC."""
+    """Return the start of a local standard day, in UTC."""
     return datetime.combine(day, time(), tzinfo=UTC) - standard_offset(timezone, day.year)
 
 
 def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
-    """Daylight-saving changes from local midnight of `first` to that after `last`: (moment in
-    UTC, change).
+    """Return daylight-saving changes from local midnight of `first` to that after `last`.
+
+    Each is (moment in UTC, change).
     """
     zone = ZoneInfo(timezone)
     start, found = standard_midnight(first, timezone), []
     hours = ((last - first).days + 1) * 24
     before = start.astimezone(zone).utcoffset() or timedelta()
-    for hour in range(
-        1, hours * 2 + 1
-    ):  # every change of the last fifty years fell on a half hour of UTC
+    # Every change of the last fifty years was on a half hour of UTC.
+    for hour in range(1, hours * 2 + 1):
         moment = start + timedelta(minutes=30 * hour)
         now = moment.astimezone(zone).utcoffset() or timedelta()
         if now != before:
@@ -142,8 +145,9 @@ def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime
 
 
 def _apparent_longitude_deg(unix_s: float) -> float:
-    """Apparent geocentric ecliptic longitude of the sun, by the steps of Reda and Andreas 2004
-    (pvlib.spa).
+    """Return the apparent geocentric ecliptic longitude of the sun, in deg.
+
+    By the steps of Reda and Andreas 2004 (pvlib.spa).
     """
     from pvlib import spa
 
@@ -171,30 +175,30 @@ def _apparent_longitude_deg(unix_s: float) -> float:
 
 @lru_cache(maxsize=128)
 def season(year: int, which: int) -> datetime:
-    """Instant at which the sun's apparent longitude passes ``90 deg * which``: 0 March equinox, 1
-    June solstice, ...
+    """Return the moment at which the sun's apparent longitude is ``90 deg * which``.
 
-    To the second in UTC; within a minute of the almanac's tables from 1950 to 2050. Named by month:
-    "spring" is another season south of the equator.
+    which : 0 March equinox, 1 June solstice, 2 September equinox, 3 December solstice; named by
+    month, because "spring" is another season south of the equator. To the second in UTC; within a
+    minute of the almanac's tables from 1950 to 2050.
     """
     month, target = (3, 6, 9, 12)[which], 90.0 * which
     moment = datetime(year, month, 21, tzinfo=UTC).timestamp()
-    for _ in range(
-        8
-    ):  # Newton with the mean rate of the longitude: each step shrinks the error by about 30
+    # Newton with the mean rate of the longitude: each step reduces the error about thirtyfold.
+    for _ in range(8):
         behind = float(signed_angle_deg(target - _apparent_longitude_deg(moment)))
         moment += behind / 360.0 * 365.2422 * 86400.0
     return datetime.fromtimestamp(round(moment), UTC)
 
 
 def declination_deg(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
-    """The sun's declination [deg], to about 0.01: sin of the true altitude at the pole."""
+    """Return the sun's declination, [n], in deg, to about 0.01: the true altitude at the pole."""
     return position(times_utc, Site("pole", 90.0, 0.0)).altitude_deg
 
 
 class DayOfSun(NamedTuple):
-    """Rise, transit and set of a local standard day, in UTC, with refraction, of the upper limb;
-    None: it does not.
+    """Rise, transit and set of a local standard day, in UTC; None: it does not happen.
+
+    Rise and set are those of the upper limb, with refraction.
     """
 
     rise: datetime | None
@@ -202,27 +206,26 @@ class DayOfSun(NamedTuple):
     set: datetime | None
 
 
-RISE_ALTITUDE_DEG = (
-    -0.8333
-)  # true altitude of the centre at rise and set: 34' of refraction and 16' of radius
+# True altitude of the centre at rise and set: 34' of refraction and 16' of radius.
+RISE_ALTITUDE_DEG = -0.8333
 
 
 def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
-    """By pvlib's SPA, rise and set refined on `position`; a polar night or a midnight sun has
-    neither.
+    """Return rise, transit and set of days, by pvlib's SPA, refined with `position`.
 
-    pvlib alone is off by up to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by
-    minutes where the sun grazes the horizon.
+    A polar night or a midnight sun has neither rise nor set. pvlib alone is wrong by up to a day's
+    drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the sun touches the
+    horizon.
     """
     import pandas as pd
     from pvlib.solarposition import sun_rise_set_transit_spa
 
     if not days:
         return []
-    # pvlib files events under calendar days of the longitude's own: where the zone lies across the
-    # date line, others.
-    asked = sorted({day + timedelta(days=k) for day in days for k in (-1, 0, 1)})
-    index = pd.DatetimeIndex([pd.Timestamp(day) for day in asked]).tz_localize("UTC")
+    # pvlib assigns events to calendar days of the longitude. A zone across the date line has other
+    # days, so the days before and after are computed too.
+    calendar_days = sorted({day + timedelta(days=k) for day in days for k in (-1, 0, 1)})
+    index = pd.DatetimeIndex([pd.Timestamp(day) for day in calendar_days]).tz_localize("UTC")
     table = sun_rise_set_transit_spa(index, site.latitude_deg, site.longitude_deg)
     columns = [
         pd.to_datetime(table[name].dropna(), utc=True).dt.floor("s")
@@ -239,7 +242,7 @@ def _within_a_day(moments: Sequence[datetime], start: datetime) -> datetime | No
 
 
 def _refined(moments: Sequence[datetime], site: Site) -> list[datetime]:
-    """Three Newton steps towards the rise altitude, each of at most ten minutes."""
+    """Return times after three Newton steps to the rise altitude, each at most ten minutes."""
     known = list(moments)
     for _ in range(3 if known else 0):
         before, after = (
@@ -261,15 +264,16 @@ def _refined(moments: Sequence[datetime], site: Site) -> list[datetime]:
 
 @contextmanager
 def _old_names() -> Iterator[None]:
-    """pvlib 0.16 asks pandas 3.1 for `dayofyear`, which answers, but warns of its new name."""
+    """Ignore a warning: pvlib 0.16 uses `dayofyear` of pandas 3.1, which has a new name."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="DatetimeIndex.dayofyear is deprecated")
         yield
 
 
 def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
-    """Irradiance on a plane normal to the sun above the air, [n] W/m2 (Spencer 1971 through
-    pvlib).
+    """Return the irradiance on a plane normal to the sun above the atmosphere, [n], in W/m2.
+
+    Spencer 1971, through pvlib.
     """
     from pvlib.irradiance import get_extra_radiation
 
@@ -278,7 +282,7 @@ def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> NDArray[np.float64]:
 
 
 class Irradiance(NamedTuple):
-    """Arrays [n] in W/m2."""
+    """Global, direct normal and diffuse irradiance, arrays [n] in W/m2."""
 
     ghi_wm2: NDArray[np.float64]
     dni_wm2: NDArray[np.float64]
@@ -286,8 +290,9 @@ class Irradiance(NamedTuple):
 
 
 def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
-    """Cloudless irradiance by Ineichen and Perez 2002 with pvlib's bundled monthly turbidity;
-    works offline.
+    """Return the irradiance of a cloudless sky, [n] each, in W/m2.
+
+    Ineichen and Perez 2002 with pvlib's monthly turbidity, which needs no network.
     """
     from pvlib.location import Location
 
@@ -300,12 +305,12 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
 def dirint_dni(
     ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site
 ) -> NDArray[np.float64]:
-    """DNI [n] W/m2 from a regular series of global irradiance by DIRINT (Perez et al. 1992, through
-    pvlib).
+    """Return DNI from a regular series of global irradiance by DIRINT, [n], in W/m2.
 
-    The best of pvlib's decompositions on BSRN Payerne, June 2016: RMSE 92 W/m2 (38 %) by the
-    minute, 70 (30 %) by the hour. It looks at neighbours: give it the whole series, sorted and
-    evenly spaced, not lone samples. Zero with the sun under 3 degrees; NaN where the global is NaN.
+    Perez et al. 1992, through pvlib: the best of pvlib's decompositions on BSRN Payerne, June 2016,
+    with RMSE 92 W/m2 (38 %) by the minute and 70 (30 %) by the hour. It uses neighbours: the series
+    must be complete, sorted and evenly spaced. Zero with the sun under 3 degrees; NaN where the
+    global is NaN.
     """
     from pvlib.atmosphere import alt2pres
     from pvlib.irradiance import dirint
@@ -320,7 +325,7 @@ def dirint_dni(
             pressure=alt2pres(site.altitude_m),
         )
     dni = np.nan_to_num(np.asarray(found, float), nan=0.0)
-    # Never more beam than there is global, nor than stands above the air.
+    # The beam never exceeds what the global allows, nor the irradiance above the atmosphere.
     ceiling = np.maximum(ghi, 0.0) / np.maximum(np.cos(np.radians(zenith)), np.sin(np.radians(1.0)))
     dni = np.minimum(dni, np.minimum(np.nan_to_num(ceiling), extraterrestrial_wm2(times_utc)))
     return np.where(np.isnan(ghi), np.nan, np.where(zenith > 87.0, 0.0, dni))
@@ -329,7 +334,7 @@ def dirint_dni(
 def dhi_by_closure(
     ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
 ) -> NDArray[np.float64]:
-    """Diffuse = global - DNI sin(altitude), never negative. [W/m2]"""
+    """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2."""
     beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     return np.maximum(np.asarray(ghi_wm2, float) - beam, 0.0)
 
@@ -337,8 +342,9 @@ def dhi_by_closure(
 def dni_by_closure(
     ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike
 ) -> NDArray[np.float64]:
-    """DNI = (global - diffuse) / sin(altitude); zero under 2 degrees, where it cannot be told.
-    [W/m2]
+    """Return DNI = (global - diffuse) / sin(altitude), [n], in W/m2.
+
+    Zero under 2 degrees, where it cannot be determined.
     """
     altitude = np.asarray(altitude_deg, float)
     beam = np.maximum(np.asarray(ghi_wm2, float) - np.asarray(dhi_wm2, float), 0.0)
@@ -346,7 +352,7 @@ def dni_by_closure(
 
 
 class Limits(NamedTuple):
-    """Lowest and highest plausible value [n] of each component. [W/m2]"""
+    """Lowest and highest plausible value [n] of each component, in W/m2."""
 
     ghi_wm2: tuple[float, NDArray[np.float64]]
     dhi_wm2: tuple[float, NDArray[np.float64]]
@@ -356,8 +362,9 @@ class Limits(NamedTuple):
 def bsrn_limits(
     altitude_deg: ArrayLike, extraterrestrial: ArrayLike, *, extreme: bool = False
 ) -> Limits:
-    """BSRN's physically possible (default) or extremely rare limits (Long and Dutton 2002,
-    QCRad).
+    """Return BSRN's physically possible (default) or extremely rare limits.
+
+    Source: Long and Dutton 2002 (QCRad).
     """
     mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     sa = np.asarray(extraterrestrial, float)
@@ -377,8 +384,9 @@ def bsrn_limits(
 def too_weak(
     ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Less global light [n] than any sky lets through: a covered or dead instrument, or kW/m2;
-    False for a low sun.
+    """Return where the global light is less than any sky transmits, [n]; False for a low sun.
+
+    Then the instrument is covered or dead, or the unit is kW/m2.
     """
     altitude = np.asarray(altitude_deg, float)
     top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
@@ -388,8 +396,9 @@ def too_weak(
 def closure_ratio(
     ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
 ) -> NDArray[np.float64]:
-    """Global over (diffuse + DNI sin altitude), [n]; NaN (not testable) where that sum is under
-    50 W/m2.
+    """Return global over (diffuse + DNI sin altitude), [n].
+
+    NaN (not testable) where that sum is under 50 W/m2.
     """
     beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     total = np.asarray(dhi_wm2, float) + beam

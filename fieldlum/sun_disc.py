@@ -1,6 +1,6 @@
-"""The sun's disc in a luminance map: find it, take it out and put it back, by energy.
+"""The sun disc in a luminance map: it is found, removed and added by its energy.
 
-A map holds the sun in one or a few pixels, whose luminance depends on the size of the pixels: only
+A map has the sun in one or a few pixels, whose luminance depends on the size of the pixels: only
 the disc's illuminance on a plane normal to the sun is comparable. Merge, training data and the
 glare of single pictures all separate map and disc with the functions of this module.
 """
@@ -34,9 +34,10 @@ LEAST_DISC_CDM2 = 1e6
 # The clear-sky sun outside the atmosphere has 2.0e9 cd/m2 (133 klx), with 10 % margin.
 MOST_DISC_CDM2 = 2.2e9
 # Three times a white surface in full sun (1e5 lx / pi); only clouds within a few degrees of the sun
-# come near it.
+# are nearly as bright.
 BRIGHTEST_SURFACE_CDM2 = 1e5
-# A uniform overcast sky of 60 klx; the least bound on surfaces where DNI says that the sun is weak.
+# A uniform overcast sky of 60 klx; the least bound on surfaces where DNI shows that the sun is
+# weak.
 _BRIGHTEST_SKY_CDM2 = 2e4
 _SURFACE_MARGIN = 3.0  # of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2
 _LEAST_SHARE = 0.02  # of the sun's illuminance by DNI: less is scattered light, not a part of it
@@ -54,10 +55,11 @@ _PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within
 class SunDisc:
     """The disc as a map shows it.
 
-    altitude_deg, azimuth_deg: of its measured centre of energy; sigma_deg: standard uncertainty of
-    the centre along each axis, NaN where the map cannot tell (the expected place then stands).
-    normal_lx: illuminance on a plane normal to the sun beyond the surroundings, a lower bound where
-    `clipped`. pixels [H, W]: those that hold it; surroundings_cdm2: what they get without it.
+    altitude_deg, azimuth_deg : of its measured centre of energy; sigma_deg : standard uncertainty
+    of the centre along each axis, NaN if the map cannot determine it (then the centre is the
+    expected place). normal_lx : illuminance on a plane normal to the sun in excess of the
+    surroundings, a lower bound if `clipped`. pixels [H, W] : the disc's pixels; surroundings_cdm2 :
+    their luminance without it.
     """
 
     altitude_deg: float
@@ -101,14 +103,14 @@ def find_disc(
     clipped: NDArray[np.bool_] | None = None,
     dni_wm2: float | None = None,
 ) -> SunDisc | None:
-    """Return the sun's disc in a map [H, W = 2H], or None.
+    """Return the sun disc in a map [H, W = 2H], or None.
 
-    near_deg: altitude and azimuth where the sun is expected, to 3 degrees or 2.5 pixels; without
-    it the map's brightest spot is examined, and must not be brighter than the sun can be. clipped
-    [H, W]: pixels whose luminance is a lower bound. dni_wm2: direct irradiance where it is known.
+    near_deg : expected altitude and azimuth, to 3 degrees or 2.5 pixels; without it the map's
+    brightest spot is examined, and must not be brighter than the sun can be. clipped [H, W] :
+    pixels whose luminance is a lower bound. dni_wm2 : direct irradiance, if known.
 
-    A disc is a compact spot whose brightest pixel exceeds any surface or sky, by three times its
-    surroundings, and whose energy is that of a disc of `LEAST_DISC_CDM2` or more. Where the spot is
+    A disc is a compact spot whose brightest pixel exceeds any surface or sky and three times its
+    surroundings, and whose energy is that of a disc of `LEAST_DISC_CDM2` or more. If the spot is
     clipped, only its place counts: a compact clipped spot, or clipping at the expected place.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float64), posinf=0.0, neginf=0.0)
@@ -143,9 +145,9 @@ def split_disc(
     near_deg: tuple[float, float],
     dni_wm2: float,
 ) -> tuple[NDArray[np.float32], float]:
-    """Return a map [H, W] without the disc, and the disc's normal illuminance, 0 without one. [lx]
+    """Return a map [H, W] without the disc, and the disc's normal illuminance in lx, 0 without one.
 
-    near_deg: the sun's altitude and azimuth; dni_wm2: its direct irradiance.
+    near_deg : the sun's altitude and azimuth; dni_wm2 : its direct irradiance.
     """
     disc = find_disc(luminance_cdm2, heading_deg, near_deg=near_deg, dni_wm2=dni_wm2)
     if disc is None:
@@ -159,9 +161,9 @@ def add_disc(
     disc_lx: NDArray[np.float64],
     heading_deg: float,
 ) -> NDArray[np.float32]:
-    """Return maps [n, H, W] with each disc's energy on the pixel that holds the sun.
+    """Return maps [n, H, W] with each disc's energy on the pixel of the sun.
 
-    disc_lx [n]: illuminance on a plane normal to the sun; light: the sun's places.
+    disc_lx [n] : illuminance on a plane normal to the sun; light : the sun's places.
     """
     height, width = luminance_cdm2.shape[1:]
     row, column = equirect_pixel(
@@ -186,7 +188,7 @@ def _reach_rad(pixel_rad: float) -> float:
 
 
 def _ring_rad(pixel_rad: float) -> float:
-    """Return the outer radius of the ring that stands for a disc's surroundings."""
+    """Return the outer radius of the ring that is taken as the disc's surroundings."""
     return _reach_rad(pixel_rad) + 3.0 * pixel_rad + np.radians(1.0)
 
 
@@ -217,7 +219,7 @@ def _band(
 def _measured_disc(
     band: _Band, search: NDArray[np.bool_], shape: tuple[int, ...]
 ) -> SunDisc | None:
-    """Return the brightest spot of the search as a disc; None where nothing compact stands out."""
+    """Return the brightest spot of the search as a disc; None without a compact spot."""
     if not search.any():
         return None
     brightest = int(np.argmax(np.where(search, band.light, -np.inf)))
@@ -237,8 +239,8 @@ def _clipped_disc(
 ) -> SunDisc | None:
     """Return a disc that clips in every frame: its place and a lower bound of its illuminance.
 
-    A compact clipped spot is the disc's. Where more than that clips (a window in a bracket that is
-    too short) nothing can be measured: the sun is where it is expected, if the map clips there.
+    A compact clipped spot is the disc. If a larger area clips (a window in a bracket that is too
+    short) nothing can be measured: the sun is at its expected place, if the map clips there.
     """
     spot = band.clipped & search
     centre = band.centroid(spot, np.ones_like(band.light))
@@ -261,7 +263,7 @@ def _disc_at(
     clipped: bool,
     measured: bool = True,
 ) -> SunDisc:
-    """Return what exceeds the surroundings within `reach_rad` of a centre, as a disc."""
+    """Return the light in excess of the surroundings within `reach_rad` of a centre, as a disc."""
     angle = band.angle_rad(centre)
     ring = (angle > reach_rad) & (angle <= reach_rad + _ring_rad(band.pixel_rad))
     around = band.light[ring]

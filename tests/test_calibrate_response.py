@@ -101,7 +101,8 @@ def test_response_refuses_frames_of_another_size(tmp_path: Path) -> None:
         JPEG_PROFILE, camera=replace(JPEG_PROFILE.camera, width_px=5616, height_px=3744)
     )
     with pytest.raises(
-        InputError, match=r"pixels; expected 5616 x 3744, as .* says; use its own profile"
+        InputError,
+        match=r"pixels; expected 5616 x 3744 pixels, the size of .*; use its own profile",
     ):
         response.sample(response.brackets_in([tmp_path / "b"]), other, np.random.default_rng(1))
 

@@ -47,11 +47,11 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"altitude_m": 52000.0}, "altitude_m = 52000; expected -500 to 9000"),
         (
             {"longitude_deg": 122.3},
-            r"longitude_deg = 122.3 with timezone America/Los_Angeles, 7.8 h off the sun",
+            r"longitude_deg = 122.3 with timezone America/Los_Angeles, 7.8 h from the sun's time",
         ),
         (
             {"timezone": "Europe/Berlin"},
-            "9.2 h off the sun; expected at most 4 h; east is positive, west negative",
+            "9.2 h from the sun's time; expected at most 4 h; east is positive, west negative",
         ),
     ],
 )
@@ -190,11 +190,11 @@ def test_an_unknown_profile_lists_what_there_is() -> None:
         (
             'mapping = "equisolid"',
             'mapping = "polynomial"\ncoefficients = [0.8]',
-            "in all 0.8; expected coefficients",
+            "with the sum 0.8; expected coefficients",
         ),
         ('mapping = "equisolid"', 'mapping = "polynomial"', "no coefficients"),
         ("read_noise_e = ", "read_noise_e = -", "read_noise_e"),
-        ("u_rel = 0.002", "u_rel = -0.002", "a share of -0.002"),
+        ("u_rel = 0.002", "u_rel = -0.002", "a relative value of -0.002"),
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, line: str, new: str, said: str) -> None:
