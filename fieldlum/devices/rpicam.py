@@ -49,7 +49,7 @@ _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
 
 @dataclass(frozen=True, slots=True)
 class FrameMetadata:
-    """What the program states about a frame. [s]"""
+    """The program's statements about a frame; shutter_s in s."""
 
     shutter_s: float
     analogue_gain: float
@@ -111,8 +111,10 @@ class RpicamCamera:
         return CameraInfo("rpicam", make="Raspberry Pi", model=self._sensor, clock_offset_s=0.0)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Take one DNG. Raises DeviceError for a frame that has another exposure than could be
-        merged, and OSError if the disk is full.
+        """Take one DNG.
+
+        Raises DeviceError for a frame with an exposure that cannot be merged, and OSError if the
+        disk is full.
         """
         if heading_deg is not None:
             raise DeviceError(
@@ -189,8 +191,9 @@ class RpicamCamera:
             )
 
     def _run(self, arguments: list[str], timeout_s: float) -> str:
-        """Return what the program prints. Raises DeviceError; a program that hangs is killed with
-        all that it started.
+        """Return what the program prints. Raises DeviceError.
+
+        A program that hangs is killed with all that it started.
         """
         try:
             process = subprocess.Popen(
