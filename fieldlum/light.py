@@ -125,7 +125,10 @@ class Light:
 
 
 def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Array, dhi_wm2: Array) -> Light:
-    """Return the light of some moments, with the sun by SPA. Raises ValueError for naive times."""
+    """Return the light of n moments, with the sun by SPA. Raises ValueError for naive times.
+
+    dni_wm2, dhi_wm2 : [n] or one value, W/m2.
+    """
     at = sun.position(times_utc, site)
     dni, dhi = (
         np.broadcast_to(np.asarray(a, float), len(times_utc)).copy() for a in (dni_wm2, dhi_wm2)

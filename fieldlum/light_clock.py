@@ -57,6 +57,8 @@ def clock_set_s(t_unix_s: Array, ghi_wm2: Array, site: Site) -> tuple[datetime, 
     The split of the days with the least scatter on both sides, at least three days on each. A step
     counts from half an hour on, and if it removes half of all scatter: the middle of one day of
     broken clouds can be wrong by an hour.
+
+    t_unix_s, ghi_wm2 : [n] rows in order of time.
     """
     days, off = days_off_s(t_unix_s, ghi_wm2, site)
     splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
@@ -80,7 +82,10 @@ def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
 
 
 def whole_days(t_unix_s: Array, ghi_wm2: Array) -> list[tuple[float, float]]:
-    """Return first and last moment of each spell of light with logged darkness on either side."""
+    """Return first and last moment of each spell of light with logged darkness on either side.
+
+    t_unix_s, ghi_wm2 : [n] rows in order of time.
+    """
     lit = ghi_wm2 > LIT_WM2
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
     ends = np.flatnonzero(lit & ~np.r_[lit[1:], True])
@@ -109,6 +114,8 @@ def lit_at_night(t_unix_s: Array, ghi_wm2: Array, site: Site) -> list[datetime]:
     Then the logger's clock, the stated offset, or the sign of the longitude is wrong. Unlike
     `clock_off_s` this needs no complete day, but gives no offset, and finds none under half an
     hour.
+
+    t_unix_s, ghi_wm2 : [n] rows.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     if len(minutes) == 0:

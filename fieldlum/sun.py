@@ -365,6 +365,8 @@ def bsrn_limits(
     """Return BSRN's physically possible (default) or extremely rare limits.
 
     Source: Long and Dutton 2002 (QCRad).
+
+    altitude_deg, extraterrestrial (W/m2) : [n].
     """
     mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     sa = np.asarray(extraterrestrial, float)

@@ -89,7 +89,7 @@ class _Band:
     def centroid(
         self, pixels: NDArray[np.bool_], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the unit vector to the centre of `weight` times solid angle over `pixels`."""
+        """Return the unit vector [3] to the centre of `weight` times solid angle over `pixels`."""
         energy = (weight * self.solid_sr)[pixels]
         mean = (self.rays[pixels] * energy[:, None]).sum(axis=0)
         return mean / np.linalg.norm(mean)

@@ -90,7 +90,7 @@ def _around(data: Dataset, events: Sequence[tuple[int, int]], days: int) -> NDAr
 
 
 def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
-    """Return the paper's collection periods that are in the data, by name.
+    """Return the paper's collection periods that are in the data: masks [n] by name.
 
     Months; one and two weeks in March; 9, 12 and 4 days at equinoxes and solstices.
     """

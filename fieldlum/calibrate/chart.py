@@ -100,7 +100,7 @@ def misfit(rgb: Array) -> float:
 
 
 def in_order(luminance: Array) -> bool:
-    """Return whether 24 luminances, in any unit, rise and fall as the chart's do."""
+    """Return whether luminances [24], in any unit, rise and fall as the chart's do."""
     logs = np.log(np.maximum(np.asarray(luminance, float), 1e-12))
     return float(np.corrcoef(logs, np.log(CHART_Y))[0, 1]) > _IN_ORDER
 

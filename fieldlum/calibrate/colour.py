@@ -120,6 +120,8 @@ def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
     """Return possible starts, each with its name: the profile's coefficients, the file's matrix.
 
     The luminance row of the frames' own matrix (camera to XYZ) is scaled to the same size.
+
+    Each is [3].
     """
     of_profile = np.array(profile.colour.y_from_rgb)
     starts: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]

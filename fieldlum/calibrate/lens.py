@@ -311,7 +311,7 @@ def _held_out(targets: Targets, lens: Lens, mapping: str, powers: tuple[int, ...
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
-    """Read a raw, JPEG or PNG file as 8-bit grey at full sensor size. Raises InputError."""
+    """Read a raw, JPEG or PNG file as 8-bit grey at sensor size, [h, w]. Raises InputError."""
     import cv2
 
     if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
@@ -345,6 +345,8 @@ def circle(picture: NDArray[np.uint8]) -> Circle:
 
     The edge is refined along 720 rays, at half of the brightness just inside. Raises InputError
     without a circle.
+
+    picture : [h, w], 8-bit grey.
     """
     from skimage.feature import canny
     from skimage.transform import hough_circle, resize
@@ -407,7 +409,7 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
 
 
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
-    """Return how far the picture moved in px, x right and y down, by phase correlation."""
+    """Return how far a picture [h, w] moved in px, x right and y down, by phase correlation."""
     from skimage.registration import phase_cross_correlation
 
     if before.shape != after.shape:

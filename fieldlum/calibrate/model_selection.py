@@ -68,7 +68,7 @@ def choose(
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[NDArray[np.bool_]]:
-    """Yield masks of held-out data: each group, or `count` interleaved sets if there are many."""
+    """Yield masks [n] of held-out data: each group, or `count` interleaved sets of many groups."""
     names = np.unique(groups)
     parts = len(names) if len(names) <= LEAVE_ONE_OUT else count
     for part in range(parts):

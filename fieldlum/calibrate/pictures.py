@@ -163,7 +163,7 @@ def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
 
 
 def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
-    """Draw the image circle over the picture."""
+    """Draw the image circle over the picture [h, w]."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.2, 4.0), layout="constrained")

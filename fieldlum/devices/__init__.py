@@ -105,7 +105,7 @@ class BracketingCamera(Protocol):
 
 @runtime_checkable
 class ReportingCamera(Protocol):
-    """A camera that states the exposure it took, which may differ from the one asked for."""
+    """A camera that states the exposure it took, which may differ from the requested one."""
 
     def exposure_taken(self, written: Path) -> Exposure | None:
         """Return the exposure of the frame just written; None where it is not known."""

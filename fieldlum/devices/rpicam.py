@@ -3,7 +3,7 @@
 The place is the camera's number (0 without one). Options: ``f_number`` of the lens, which no frame
 states, and ``program`` for another path of rpicam-still. Each frame is a raw DNG with fixed
 shutter, gain and white balance; its exposure is taken from the metadata that the program writes,
-since the sensor works in whole lines: 60 us gives 114 us on one module.
+since the sensor exposes for an integer number of lines: 60 us gives 114 us on one module.
 
 Source: rpicam-apps (options, the metadata's keys, the list of cameras). Untried on hardware.
 """
@@ -40,7 +40,7 @@ LIST_S = 20.0
 START_S = 20.0
 DISCARDED_FRAMES = 7.0
 # Analogue gain has steps of some percent; DigitalGain above 1 means that the sensor could not
-# expose so long (an OV5647 asked for 6 s gives 1.06 s and a digital gain of 4).
+# expose so long (an OV5647 set to 6 s gives 1.06 s and a digital gain of 4).
 GAIN_TOLERANCE = 0.03
 ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
 _SMALLEST_FILE = 100_000  # bytes: a raw frame of the smallest module has over a million
@@ -56,7 +56,7 @@ class FrameMetadata:
     digital_gain: float
 
     def exposure(self, asked: Exposure) -> Exposure:
-        """Return the exposure that was taken; aperture and filter are the ones asked for."""
+        """Return the exposure that was taken; aperture and filter are the requested ones."""
         iso = asked.iso if self._gain_is(asked) else ISO_OF_GAIN_1 * self.analogue_gain
         return Exposure(self.shutter_s, asked.f_number, iso, asked.nd)
 
@@ -180,14 +180,14 @@ class RpicamCamera:
         stretched = metadata.digital_gain > 1.0 + 10 * GAIN_TOLERANCE
         if off_ev > LARGEST_STEP_EV and stretched:
             raise DeviceError(
-                f"rpicam: {shutter_text(asked.shutter_s)} s was asked for, the sensor exposed "
+                f"rpicam: {shutter_text(asked.shutter_s)} s requested, but the sensor exposed "
                 f"{metadata.shutter_s:.4g} s and multiplied by {metadata.digital_gain:g}: longer "
-                f"than this module can; take the long exposures out of [bracket] and plan anew"
+                f"than this module can; remove the long exposures from [bracket] and plan again"
             )
         gain = asked.iso / ISO_OF_GAIN_1
         if abs(math.log2(metadata.analogue_gain / gain)) > LARGEST_STEP_EV:
             raise DeviceError(
-                f"rpicam: gain {gain:g} was asked for, the sensor used {metadata.analogue_gain:g}"
+                f"rpicam: gain {gain:g} requested, but the sensor used {metadata.analogue_gain:g}"
             )
 
     def _run(self, arguments: list[str], timeout_s: float) -> str:

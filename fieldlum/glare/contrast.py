@@ -62,7 +62,7 @@ def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.floa
 
 
 def rammg(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
-    """Return RAMMG in cd/m2, as in the paper's tables; a sun disc in the map dominates it."""
+    """Return RAMMG of a map [H, W] in cd/m2, as in the paper; a sun disc dominates it."""
     return float(contrast_levels(luminance_cdm2, levels).mean())
 
 
@@ -70,6 +70,8 @@ def rammg_lightness(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
     """Return RAMMG of CIELAB L*, with white at `WHITE_OVER_MEAN` times the map's mean luminance.
 
     The mean is weighted by solid angle.
+
+    luminance_cdm2 : [H, W], cd/m2.
     """
     image = np.asarray(luminance_cdm2, np.float64)
     omega = equirect_solid_angles(*image.shape)

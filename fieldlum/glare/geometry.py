@@ -87,6 +87,8 @@ def panorama_views(height: int, width: int, heading_deg: float, azimuths_deg: Ar
     """Compute the weights of a panorama's pixels, for use in every hour.
 
     Takes 16 bytes for each pixel and direction.
+
+    azimuths_deg : [d] view directions, clockwise from north.
     """
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, float))
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)

@@ -33,8 +33,8 @@ DGP_BASE = 0.159
 def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
     """Return daylight glare probability, at most 1 (Wienold and Christoffersen 2006).
 
-    contrast : the sum of L2 omega / P2 over sources. Without low-light correction (evalglare's
-    default since 2.14).
+    Without low-light correction (evalglare's default since 2.14). ev_lx : [...], lx; contrast :
+    [...], the sum of L2 omega / P2 over sources.
     """
     ev = np.maximum(np.asarray(ev_lx, float), 1e-6)
     glare = np.log10(1.0 + np.asarray(contrast, float) / ev**1.87)
@@ -42,7 +42,7 @@ def dgp(ev_lx: ArrayLike, contrast: ArrayLike) -> NDArray[np.float64]:
 
 
 def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
-    """Return simplified DGP, 6.22e-5 Ev + 0.184, at most 1 (Wienold 2007).
+    """Return simplified DGP, 6.22e-5 Ev + 0.184, at most 1, [...] (Wienold 2007).
 
     It is not valid for hours with the sun in view.
     """
@@ -50,14 +50,14 @@ def dgps(ev_lx: ArrayLike) -> NDArray[np.float64]:
 
 
 def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
-    """Return 8 log10(0.25 / Lb sum L2 omega / P2) (CIE 117:1995); NaN without a source."""
+    """Return 8 log10(0.25 / Lb sum L2 omega / P2), [...] (CIE 117:1995); NaN without a source."""
     total = np.asarray(contrast, float)
     ratio = 0.25 * total / np.maximum(background_cdm2, 1e-6)
     return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
 
 
 def dgi(source_sum: ArrayLike) -> NDArray[np.float64]:
-    """Return 10 log10 of the sum over sources (Hopkinson 1972, with P for windows).
+    """Return 10 log10 of the sum over sources, [...] (Hopkinson 1972, with P for windows).
 
     NaN without a source.
     """
@@ -69,6 +69,8 @@ def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> NDArray[np.float64]:
     """Return 0.26 log10(0.25 / Lb sum L2 omega / P2) (Hirning, Isoardi and Cowling 2014).
 
     NaN without a source.
+
+    Arguments and result have one shape [...]; background_cdm2 : cd/m2.
     """
     return np.asarray(ugr(contrast, background_cdm2)) * (0.26 / 8.0)
 
@@ -77,6 +79,8 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArr
     """Return the CIE glare index, 8 log10(2 (1 + Ed / 500) / Ev sum L2 omega / P2) (Einhorn 1979).
 
     Ed is the illuminance by the sources. NaN without a source.
+
+    Arguments and result have one shape [...], illuminances in lx.
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
@@ -84,7 +88,7 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> NDArr
 
 
 def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> NDArray[np.float64]:
-    """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2.
+    """Return the veiling luminance 10 (1 + (age / 70)^4) sum E / angle^2, in cd/m2, [...].
 
     Age-adjusted Stiles-Holladay (CIE 146:2002). veiling_sum : over sources, lx/deg2, with angles of
     at least 1 degree off the line of sight.

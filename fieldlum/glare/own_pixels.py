@@ -119,7 +119,7 @@ def disc_pixels(grid: PictureGrid, sun: SunSource) -> NDArray[np.float32]:
 
 
 def glare_sources(luminance_cdm2: NDArray[np.float32], grid: PictureGrid) -> GlareSources:
-    """Group the pixels above 2000 cd/m2 (see `sources`) and sum each source."""
+    """Group the pixels of [H, W] above 2000 cd/m2 (see `sources`) and sum each source."""
     label = np.zeros(luminance_cdm2.shape, np.int32)
     row, column = np.nonzero((luminance_cdm2 > SOURCE_CDM2) & (grid.solid_angle > 0.0))
     if len(row) == 0:
@@ -184,6 +184,8 @@ def region_ratios(luminance_cdm2: Float, grid: PictureGrid) -> dict[str, float]:
     """Return task_cdm2, window_to_task and uniformity (see `contrast.ViewRegions`).
 
     NaN for a region that the picture does not cover.
+
+    luminance_cdm2 : [H, W], cd/m2.
     """
     totals = np.zeros(7)
     height, width = luminance_cdm2.shape

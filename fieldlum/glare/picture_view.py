@@ -85,7 +85,7 @@ class PictureRays:
 
 
 def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
-    """Return the directions of places of the picture; x right and y up, -1/2 to 1/2 each."""
+    """Return the directions of places [...] of the picture; x right, y up, -1/2 to 1/2 each."""
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
     across = (np.asarray(x, float) + view.shift) * 2.0 * reach[0]
     upwards = (np.asarray(y, float) + view.lift) * 2.0 * reach[1]

@@ -151,6 +151,8 @@ def take_out_sun(
     """Return a map without the disc that a rendering left in it, and the disc as a source.
 
     A sun that the picture records is returned unchanged: such a map has no disc.
+
+    luminance_cdm2 : [H, W = 2H], cd/m2.
     """
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:

@@ -123,7 +123,7 @@ class GlareDoubt:
     drawn: Float | None = None
 
     def hours(self, rows: NDArray[np.bool_]) -> GlareDoubt:
-        """Return the same for some of the hours."""
+        """Return the same for some of the hours; rows : [n] mask."""
         drawn = None if self.drawn is None else self.drawn[:, rows]
         return GlareDoubt(self.seen, self.least[rows], self.most[rows], drawn)
 

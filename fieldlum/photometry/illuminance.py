@@ -69,7 +69,10 @@ def illuminance_lx(
 def vertical_illuminance_lx(
     luminance_cdm2: Float, heading_deg: float, azimuth_deg: float, sun: SunSource | None = None
 ) -> float:
-    """Return Ev at an eye that looks horizontally towards `azimuth_deg`, in lx."""
+    """Return Ev at an eye that looks horizontally towards `azimuth_deg`, in lx.
+
+    luminance_cdm2 : panorama [H, W] in cd/m2, with the centre column at `heading_deg`.
+    """
     return illuminance_lx(luminance_cdm2, heading_deg, 0.0, azimuth_deg, sun)
 
 

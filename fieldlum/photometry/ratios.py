@@ -105,7 +105,10 @@ def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) 
 
 
 def prior_u_log(shutter_s: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the prior relative uncertainty of snapped shutter times: 0.3 %; 3 % below 1/1000 s."""
+    """Return the prior relative uncertainty of snapped shutter times, [n].
+
+    It is 0.3 %, and 3 % below 1/1000 s; shutter_s : [n], s.
+    """
     return np.where(np.asarray(shutter_s) < SHORT_S, PRIOR_SHORT, PRIOR_LONG)
 
 

@@ -70,6 +70,8 @@ def judged_text(seen: NDArray[np.bool_], heading_deg: float) -> str:
     """Return one sentence on which views can be judged from these pixels; empty if all can.
 
     Directions are rounded to degrees, clockwise from north, with points of the compass.
+
+    seen : [H, W] pixels of a panorama that a lens saw.
     """
     azimuths = np.arange(360.0)
     words = seen_words(seen_shares(seen, heading_deg, azimuths))

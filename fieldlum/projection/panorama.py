@@ -31,7 +31,7 @@ def row_altitudes_deg(height: int) -> NDArray[np.float64]:
 
 
 def signed_angle_deg(angle_deg: ArrayLike) -> NDArray[np.float64]:
-    """Return angles in [-180, 180) deg: a difference of two azimuths as a signed turn."""
+    """Return angles in [-180, 180) deg, [...]: a difference of two azimuths as a signed turn."""
     return np.asarray((np.asarray(angle_deg, float) + 180.0) % 360.0 - 180.0, np.float64)
 
 
@@ -54,9 +54,11 @@ def equirect_rays(height: int, width: int, heading_deg: float) -> NDArray[np.flo
 def equirect_pixel(
     altitude_deg: ArrayLike, azimuth_deg: ArrayLike, height: int, width: int, heading_deg: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the continuous (row, column) of directions in deg; columns wrap into [0, W).
+    """Return the continuous (row, column) of directions in deg, [...] each.
 
     Pixel (i, j) covers [i, i + 1) x [j, j + 1).
+
+    Columns wrap into [0, W).
     """
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
     turn = (np.asarray(azimuth_deg, float) - heading_deg) / 360.0 + 0.5

@@ -171,7 +171,7 @@ class _Lattice:
     down: tuple[int, int]
 
     def places(self, x: Float32, y: Float32) -> tuple[Float32, Float32]:
-        """Return continuous p, q of sensor coordinates; integers at the centres of the pixels."""
+        """Return continuous p, q of sensor coordinates, [...]; integers at pixel centres."""
         half = np.float32(0.5)
         across = x - np.float32(self.column + 0.5)
         down = y - np.float32(self.row + 0.5)
@@ -184,7 +184,7 @@ class _Lattice:
     def number(
         self, p: NDArray[np.integer], q: NDArray[np.integer], width: int
     ) -> NDArray[np.int32]:
-        """Return the index of sensor pixels, counted row by row."""
+        """Return the index of sensor pixels, counted row by row, [...]."""
         rows = self.row + p * self.right[0] + q * self.down[0]
         return (rows * width + self.column + p * self.right[1] + q * self.down[1]).astype(np.int32)
 

@@ -36,7 +36,10 @@ def iter_sun_patches(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
-    """Yield `sun_patches` in chunks of hours, so that a year does not fill the memory."""
+    """Yield `sun_patches` in chunks of hours, so that a year does not fill the memory.
+
+    sun_direction : [n, 3] unit vectors; normal_illuminance_lx : [n], lx.
+    """
     heading = _heading(setup, heading_deg)
     suns = np.atleast_2d(np.asarray(sun_direction, float))
     normal = np.broadcast_to(np.asarray(normal_illuminance_lx, float), len(suns))

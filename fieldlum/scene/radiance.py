@@ -133,7 +133,7 @@ PLAIN_TEXT = "void glow plainglow\n0\n0\n4 1 1 1 0\nplainglow source plain\n0\n0
 
 
 def sun_text(direction: Array, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
-    """Return a sun of a normal illuminance as Radiance text; 179 lx are an irradiance of one."""
+    """Return a sun in direction [3] as Radiance text; 179 lx are an irradiance of one."""
     radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
     x, y, z = direction
     light = f"void light solar\n0\n0\n3 {radiance:.8g} {radiance:.8g} {radiance:.8g}\n"
@@ -227,6 +227,8 @@ def iter_traced(
     """Yield `iter_sun_patches` of a room of kind "radiance", by one rtrace -ab 0 for each hour.
 
     World axes: x east, y north.
+
+    suns : [n, 3]; normal_lx : [n], lx.
     """
     eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
     with _room_octree(room) as base:

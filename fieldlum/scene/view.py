@@ -42,7 +42,7 @@ class SceneView:
     plain: NDArray[np.float32]
 
     def sun_points(self, pixels: NDArray[np.intp] | None = None) -> SunPoints:
-        """Return the points that take the sun, of all pixels or of some flat `pixels`."""
+        """Return the points that take the sun, of all pixels or of some flat `pixels` [k]."""
         weight = self.weight * self.scene.reflectance[self.box] / np.pi
         count = 2 * self.height**2
         if pixels is None:

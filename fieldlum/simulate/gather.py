@@ -63,7 +63,7 @@ class Pieces:
 
     @property
     def free(self) -> NDArray[np.intp]:
-        """The pieces of which some part is visible."""
+        """The pieces of which some part is visible, [k]."""
         return np.flatnonzero(np.isfinite(self.middle[:, 0]))
 
     @cached_property
@@ -254,6 +254,8 @@ def representatives(
     """Return one row for each set of equal keys, and the weight of the set.
 
     The row is that of the member nearest to the middle of the set.
+
+    keys : [m] each; position : [m, 3]; weight : [m].
     """
     code = np.zeros(len(position), np.int64)
     for key in keys:

@@ -146,7 +146,7 @@ def _add_sun(
 def pixel_solid_angle_sr(
     lens: LensGeometry, x_px: NDArray[np.floating], y_px: NDArray[np.floating]
 ) -> Array:
-    """Return the solid angle of the sensor pixel around a point, in sr; 0 outside the circle."""
+    """Return the solid angle of the pixels around points [...], in sr; 0 outside the circle."""
     distance = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     step = 1e-4
     r = np.clip(distance, step, 1.0 - step)
