@@ -83,7 +83,7 @@ def test_a_response_from_a_camera_that_moved_says_so(tmp_path: Path) -> None:
     found = _fitted(still)
     assert (
         found.response.u_rel > response.DOUBTFUL
-        and "did the camera or the light move" in found.choice.line
+        and "check that camera and light did not change" in found.choice.line
     )
 
 
