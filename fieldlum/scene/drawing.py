@@ -26,10 +26,9 @@ def wind(azimuth_deg: float) -> str:
 
 
 def room_svg(setup: SiteFile) -> str:
-    """Return the drawing, seen from above with the "south" wall at the bottom; empty without a
-    box room.
+    """Return the drawing of a room, seen from above with the "south" wall at the bottom.
 
-    Raises InputError for a room that cannot be built.
+    It is empty without a room of kind "box". Raises InputError for a room that cannot be built.
     """
     room = setup.room
     if room is None or room.kind != "box":
@@ -108,8 +107,9 @@ def _wall_label(
 
 
 def _camera(room: Room, heading_deg: float, at: tuple[float, float], share: float) -> list[str]:
-    """Return the camera as a dot with an arrow to its heading; the text grows away from a wall that
-    is near.
+    """Return the camera as a dot with an arrow to its heading.
+
+    The text runs away from a wall that is near.
     """
     # The drawing's downwards direction is the "south" wall's azimuth; angles run clockwise.
     turn = np.radians(heading_deg - room.wall_azimuth_deg + 180.0)
