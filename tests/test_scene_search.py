@@ -22,6 +22,7 @@ from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import Misfits, fit_scene
 from fieldlum.scene_fit.guess import guess_of, room_of
+from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.renderer import surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
 from fieldlum.scene_fit.search import (
@@ -175,6 +176,23 @@ def test_the_light_below_hardly_knows_the_patches(data: Dataset, evidence: Scene
     assert np.median(np.abs(np.log(evidence.below / light))[dark]) < 0.05
     sunny = patch > light
     assert np.median(evidence.below[sunny] / light[sunny]) < 1.5
+
+
+@pytest.mark.analytic
+def test_an_hour_of_another_level_is_levelled() -> None:
+    rng = np.random.default_rng(0)
+    directions = rng.standard_normal((1500, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    true = 100.0 * np.exp(0.3 + 0.2 * directions[:, 0] - 0.1 * directions[:, 2] ** 2)[None]
+    below = np.full_like(true, 100.0)
+    patch = np.where(directions[:, 2] < -0.8, 800.0, 0.0)[None]  # a tenth of the pixels
+    seen = (true + patch) * np.exp(0.02 * rng.standard_normal(true.shape))
+    weights = np.full(1500, 1 / 1500)
+    for known in (np.zeros_like(patch), patch):
+        level = levelled(below, seen, known, directions, weights)
+        dark = patch == 0.0
+        assert np.abs(np.log(level / true))[dark].max() < 0.08
+        assert np.abs(np.log(level / true)).max() < 0.3  # carried on below the patch
 
 
 @pytest.mark.analytic

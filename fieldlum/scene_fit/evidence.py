@@ -12,10 +12,10 @@ from scipy.ndimage import binary_dilation
 
 from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.light import Kernel, facades_of, light_features
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.light_below import LEAST_CDM2, levelled, light_below
 from fieldlum.scene_fit.renderer import SHELL, Surfaces, surfaces, unit_patches
 
 if TYPE_CHECKING:
@@ -30,13 +30,8 @@ PIXELS = 4000
 SUB = 2  # rays a pixel is divided into, each way
 MIN_SUNNY_HOURS = 6
 WIDTH = 0.4  # log error at which a pixel counts as half wrong
-RANK = 15  # few enough features that smooth light cannot imitate a patch
-ROUNDS = 6
-BRIGHTER, DARKER = 0.12, 0.5  # a patch never takes light away: what is darker is forgiven less
-_RIDGE = 1e-3
 _FAINT_SUN = 0.1  # of the strongest direct sun before a window
 _CLOCK_REACH_MIN = 20
-_LEAST_CDM2 = 0.1
 _WINDOW_MARGIN_DEG = 4.0  # pixels so near a window are left out: they may look through it
 
 
@@ -119,6 +114,24 @@ class SceneEvidence:
         hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
 
+    def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
+        """The same with the light below found again from all captures and known patches [n, m]."""
+        flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
+        seen = np.maximum(flat, LEAST_CDM2)
+        known = np.zeros_like(seen)
+        known[self.rows] = patch
+        below = light_below(data, seen, known)[self.rows]
+        level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
+        return replace(self, below=np.maximum(level, LEAST_CDM2))
+
+    @property
+    def directions(self) -> Array:
+        """Middle direction of each pixel, [m, 3]."""
+        total = np.stack(
+            [np.bincount(self.pixel, self.rays[:, k], len(self.pixels)) for k in range(3)], axis=1
+        )
+        return total / np.linalg.norm(total, axis=1, keepdims=True)
+
     def misfit(self, patch: Array) -> Array:
         """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log
         errors that saturate.
@@ -170,11 +183,10 @@ def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) ->
         )
     chosen, weights = _draw(data, guess, rows, pixels, np.random.default_rng(seed))
     rays, pixel = _rays(data, chosen)
-    seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], _LEAST_CDM2)
-    below = light_below(data, seen)[rows]
-    return SceneEvidence(
+    seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], LEAST_CDM2)
+    evidence = SceneEvidence(
         np.log(seen[rows]),
-        below,
+        seen[rows],
         data.light.direct_lx[rows],
         weights / weights.sum(),
         rays,
@@ -185,6 +197,7 @@ def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) ->
         chosen,
         data.shape,
     )
+    return evidence.relit(data, np.zeros_like(evidence.below))
 
 
 def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
@@ -216,7 +229,7 @@ def _draw(
     usable = data.seen & ~np.asarray(glass, bool)
     omega = np.where(usable, equirect_solid_angles(height, width), 0.0).ravel()
     bright = data.luminance_cdm2[rows].reshape(len(rows), -1)
-    level = bright / np.maximum(np.median(bright, axis=0), _LEAST_CDM2)
+    level = bright / np.maximum(np.median(bright, axis=0), LEAST_CDM2)
     peaks = (level.max(axis=0) > 2.0) & usable.ravel()
     boost = np.where(peaks, 4.0, 1.0)
     chance = omega * boost
@@ -257,39 +270,3 @@ def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
         azimuth = light.sun_azimuth_deg + signed_angle_deg(moved.azimuth_deg - at.azimuth_deg)
         table.append(np.stack([altitude, azimuth], axis=-1))
     return np.stack(table)
-
-
-def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:
-    """Light that the pixels [n, m] would show without direct sun on them [cd/m2].
-
-    patch [n, m]: a known patch, taken off; entries that it dominates count less.
-
-    A ridge regression of few smooth features of sky and sun, in rounds that trust a pixel less the
-    more it is brighter than the fit: a sun patch adds light and never takes any away.
-    """
-    features = light_features(data.light)
-    kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
-    value, vector = np.linalg.eigh(kernel)
-    rank = min(RANK, len(data) - 1)
-    basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
-    basis = np.column_stack([basis, np.ones(len(data))]) / np.sqrt(np.mean(basis**2) * rank)
-    total = data.light.total_lx[:, None]
-    known = np.zeros_like(seen) if patch is None else patch
-    trust = 1.0 / (1.0 + (known / (0.3 * seen)) ** 2)  # [n, m]
-    y = np.maximum(seen - known, 0.02 * seen) / total
-    scale = np.median(y, axis=0)
-    y = y / scale  # [n, m] of median 1
-    fit = np.maximum(np.minimum(y, 1.5), 0.05)
-    weight = trust / (y * fit)
-    least = 0.05
-    for _ in range(ROUNDS):
-        normal = np.einsum("nm,nk,nl->mkl", weight, basis, basis, optimize=True)
-        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / normal.shape[1]
-        normal = normal + ridge * np.eye(basis.shape[1])
-        right = np.einsum("nm,nk->mk", weight * y, basis, optimize=True)
-        coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # [m, k]
-        fit = np.maximum(basis @ coefficients.T, least)
-        q = np.log(y / fit)
-        doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
-        weight = trust / (y * fit) / (1.0 + doubt)
-    return np.maximum(fit * scale * total, _LEAST_CDM2)

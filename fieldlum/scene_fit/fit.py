@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.bars import MIN_BAR_M, propose_bars, window_picture
-from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather, light_below
+from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.furniture import pixel_depths, propose_solids, solid_parameters
 from fieldlum.scene_fit.guess import Guess, guess_of, room_of
 from fieldlum.scene_fit.posterior import posterior
@@ -285,13 +285,7 @@ class _Search:
         """Find the light below the patches again, now that the patches are known better."""
         self.albedo = self.evidence.albedos(guess, self.albedo)
         albedo = np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
-        evidence = self.evidence
-        flat = self.data.luminance_cdm2.reshape(len(self.data), -1)[:, evidence.pixels]
-        seen = np.maximum(flat, 0.1)
-        patch = np.zeros_like(seen)
-        patch[evidence.rows] = evidence.patches(guess, albedo)
-        below = light_below(self.data, seen, patch)[evidence.rows]
-        self.evidence = replace(evidence, below=below)
+        self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
 
     def polish(self, guess: Guess, hours: NDArray[np.intp]) -> Guess:
         """Everything together, in small steps."""

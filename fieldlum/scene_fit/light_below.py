@@ -1,0 +1,90 @@
+"""The light that pixels would show without direct sun on them, from captures alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.light import Kernel, facades_of, light_features
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+
+Array = NDArray[np.floating]
+
+# From a study of two rooms rendered by Radiance, made before this code (docs/scene.md).
+RANK = 15  # few enough features that smooth light cannot imitate a patch
+ROUNDS = 6
+BRIGHTER, DARKER = 0.12, 0.5  # a patch never takes light away: what is darker is forgiven less
+# Of the level of one hour, which has nothing else to fit: dark pixels are noise there.
+LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
+LEAST_CDM2 = 0.1
+_RIDGE = 1e-3
+_PATCH_SHARE = 0.3  # of a pixel's light; where a patch is more, the light below is hardly seen
+
+
+def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:
+    """Light that the pixels [n, m] would show without direct sun on them [cd/m2].
+
+    patch [n, m]: a known patch, taken off; entries that it dominates count less.
+
+    A ridge regression of few smooth features of sky and sun, in rounds that trust a pixel less the
+    more it is brighter than the fit: a sun patch adds light and never takes any away.
+    """
+    features = light_features(data.light)
+    kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
+    value, vector = np.linalg.eigh(kernel)
+    rank = min(RANK, len(data) - 1)
+    basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
+    basis = np.column_stack([basis, np.ones(len(data))]) / np.sqrt(np.mean(basis**2) * rank)
+    total = data.light.total_lx[:, None]
+    known = np.zeros_like(seen) if patch is None else patch
+    trust = _trust(known, seen)
+    y = np.maximum(seen - known, 0.02 * seen) / total
+    scale = np.median(y, axis=0)
+    y = y / scale  # [n, m] of median 1
+    fit = np.maximum(np.minimum(y, 1.5), 0.05)
+    weight = trust / (y * fit)
+    least = 0.05
+    for _ in range(ROUNDS):
+        normal = np.einsum("nm,nk,nl->mkl", weight, basis, basis, optimize=True)
+        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / normal.shape[1]
+        normal = normal + ridge * np.eye(basis.shape[1])
+        right = np.einsum("nm,nk->mk", weight * y, basis, optimize=True)
+        coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # [m, k]
+        fit = np.maximum(basis @ coefficients.T, least)
+        q = np.log(y / fit)
+        doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
+        weight = trust / (y * fit) / (1.0 + doubt)
+    return np.maximum(fit * scale * total, LEAST_CDM2)
+
+
+def _trust(patch: Array, seen: Array) -> Array:
+    return 1.0 / (1.0 + (patch / (_PATCH_SHARE * seen)) ** 2)
+
+
+def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights: Array) -> Array:
+    """Return the light below patches with each hour's own level, [n, m].
+
+    below, seen, patch [n, m] cd/m2; directions [m, 3] unit vectors; weights [m].
+
+    Few features of sky and sun do not know how bright the room is under a sun that no other hour
+    has. Each hour alone corrects the logarithm by nine smooth functions of the direction, in rounds
+    that trust a pixel less the more it is brighter than the fit.
+    """
+    x, y, z = directions.T
+    terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)
+    off = np.log(np.maximum(seen - patch, 0.02 * seen) / below)  # [n, m]
+    first = weights * _trust(patch, seen)
+    field = np.zeros_like(off)
+    for number in range(LEVEL_ROUNDS):
+        q = off - field
+        doubt = np.where(q > 0.0, q / BRIGHTER, q / LEVEL_DARKER) ** 2
+        weight = first / (1.0 + doubt) if number else first
+        normal = np.einsum("nm,mk,ml->nkl", weight, terms, terms, optimize=True)
+        normal = normal + 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(9)
+        right = (weight * off) @ terms
+        field = np.linalg.solve(normal, right[..., None])[..., 0] @ terms.T
+    return below * np.exp(field)
