@@ -78,16 +78,20 @@ def find_turns(
 def align(
     maps: NDArray[np.float32],
     has_value: NDArray[np.bool_],
+    counts: list[NDArray[np.float16] | None],
     heading_deg: float,
     turns: CameraTurns,
 ) -> None:
-    """Turn the captures' maps and masks [n, H, W] to the common pose, in place."""
+    """Turn the captures' maps, masks [n, H, W] and counts to the common pose, in place."""
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]
         logs = np.log(np.maximum(np.nan_to_num(maps[k]), _LEAST_CDM2))
         maps[k] = np.exp(turned_back(logs, heading_deg, angles))
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6
+        if (count := counts[k]) is not None:
+            turned = turned_back(count.astype(float), heading_deg, angles)
+            counts[k] = turned.astype(np.float16)
 
 
 def shown_place(

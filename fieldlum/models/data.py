@@ -17,6 +17,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.alignment import align, find_turns, shown_place, turn_notes
 from fieldlum.models.check_pairs import Stated, check_plausible
+from fieldlum.models.teaching import joined_counts, pixel_counts
 from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Progress, SiteFile, quiet, slot_id
@@ -57,6 +58,7 @@ class Dataset:
     steadiness: NDArray[np.float64]
     source: str = ""
     notes: tuple[str, ...] = field(default=())
+    counts: NDArray[np.float16] | None = None
     scene: dict[str, Any] | None = None  # of `scene_fit.with_scene`: what was stated, what was used
 
     def __len__(self) -> int:
@@ -90,6 +92,7 @@ class Dataset:
             days=self.days[rows],
             slots=tuple(self.slots[i] for i in rows),
             steadiness=self.steadiness[rows],
+            counts=None if self.counts is None else self.counts[rows],
         )
 
     def thin(self, height: int) -> Dataset:
@@ -109,6 +112,7 @@ class Dataset:
             luminance_cdm2=self.luminance_cdm2[:, pick, pick],
             patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[:, pick, pick],
             seen=self.seen[pick, pick],
+            counts=None if self.counts is None else self.counts[:, pick, pick],
         )
 
     def about(self) -> dict[str, Any]:
@@ -210,7 +214,8 @@ def _assemble(
         at = float(altitude[k]), float(azimuth[k])
         shown = shown_place(*at, heading, turns.angles_deg[k])
         pictures.take_disc_out(k, at, shown, float(dni[k]))
-    align(pictures.maps, pictures.has_value, heading, turns)
+    align(pictures.maps, pictures.has_value, pictures.counts, heading, turns)
+    counts = joined_counts(pictures.counts, pictures.has_value)
     days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
     days = np.array(days, "datetime64[D]")
     notes += turn_notes(turns, days, alignment_path(path).name)
@@ -240,6 +245,7 @@ def _assemble(
         steadiness=np.array([row.steadiness for row in rows]),
         source=str(path),
         notes=tuple(notes),
+        counts=counts,
     )
     return data if turns.aligned.all() else data.take(turns.aligned)
 
@@ -299,6 +305,7 @@ class _Pictures:
     patches: NDArray[np.float32] | None
     disc_lx: NDArray[np.float64]
     has_value: NDArray[np.bool_]
+    counts: list[NDArray[np.float16] | None]
     heading_deg: float
     bounds: int
 
@@ -335,13 +342,14 @@ def _read_pictures(
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
     disc, bounds = np.zeros(len(rows)), 0
-    masks = np.empty(maps.shape, bool)
+    masks, counts = np.empty(maps.shape, bool), []
     for k, row in enumerate(rows):
         progress(k, len(rows), pictures[k].name)
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
         panorama = _checked(panorama, pictures[k], shape, heading, setup, _MERGE_ALIKE)
         bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
+        counts.append(pixel_counts(panorama))
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
             source = path.parent / row.sunpatch
@@ -350,7 +358,7 @@ def _read_pictures(
             if patch.sun and not panorama.sun and not row.sun_in_map:
                 disc[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")
-    return _Pictures(maps, patches, disc, masks, heading, bounds)
+    return _Pictures(maps, patches, disc, masks, counts, heading, bounds)
 
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:

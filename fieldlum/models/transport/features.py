@@ -36,6 +36,10 @@ LEAST_CDM2 = 0.1  # below it relative errors mean nothing
 FAINT_SUN_LX = 20.0
 DISC_MARGIN = 2  # pixels around the sun that taking its disc out may have touched
 LOWEST_SUN_DEG = 1.0  # for what readings of the horizontal say about the sun's normal
+# Below it closure divides by less than 0.05: 2 W/m2 in the horizontal become 40 W/m2 in the normal,
+# and sun.dni_by_closure gives 0 under 2 degrees.
+UNMEASURED_SUN_DEG = 3.0
+UNMEASURED_VARIANCE = 1.0  # relative: such a sun may give as much light as the sky
 UNSURE = 1e-2  # relative variance of the light outside at which an hour counts half
 WINDOW_SHARE = 0.05  # a pixel with less than this share of open sky is treated as a surface
 WINDOW_SCATTER = (
@@ -232,6 +236,7 @@ class TrainingArrays:
     weights [P] mean 1; patch is in cd/m2 of this room (a gain found before is in it); sky the known
     window sky; filled [n, P] marks values that were not seen (where the sun's disc was taken out):
     they teach nothing. unsure [n]: relative variance of the light outside (`light_variance`).
+    counts [n, P]: what each value counts by merge's flags and uncertainties; None: all alike.
     """
 
     light: Light
@@ -247,6 +252,17 @@ class TrainingArrays:
     patches: PatchDescriptor | None
     facades: Facades
     states: StateColumns = USUAL
+    counts: NDArray[np.float16] | None = None
+
+    @property
+    def trust(self) -> Array:
+        """What each value counts in a fit, [n, P]."""
+        trust = np.where(self.filled, 0.0, self.sureness[:, None])
+        return trust if self.counts is None else trust * self.counts
+
+    def without_flagged(self, error: Array) -> Array:
+        """Return errors [n, P], zero where a value is flagged: it is no truth to compare with."""
+        return error if self.counts is None else np.where(self.counts > 0.0, error, 0.0)
 
     @property
     def sureness(self) -> Array:
@@ -262,6 +278,7 @@ class TrainingArrays:
             sky=self.sky[:, pixels],
             filled=self.filled[:, pixels],
             weights=self.weights[pixels],
+            counts=None if self.counts is None else self.counts[:, pixels],
         )
 
     def with_patch_scaled(self, factor: float) -> TrainingArrays:
@@ -284,13 +301,16 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         mask = open_sky.mask(data.seen)
         patches = describe_patches(data.patch_cdm2, data.light, mask)
         features = patches.add(features, data.patch_cdm2, data.light, mask)
+    filled = around_disc(data) | _patches_unknown(data)
+    if data.counts is not None:
+        filled |= data.counts == 0.0
     return TrainingArrays(
         data.light,
         features,
         luminance,
         patch,
         sky,
-        (around_disc(data) | _patches_unknown(data))[:, data.seen],
+        filled[:, data.seen],
         data.weights[data.seen],
         data.days,
         light_variance(data),
@@ -298,6 +318,7 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         patches,
         facades_seen(data) if with_patch else facades_of(data.setup.room),
         states,
+        None if data.counts is None else data.counts[:, data.seen],
     )
 
 
@@ -307,10 +328,14 @@ def light_variance(data: Dataset) -> Array:
     Their range over the bracket (change or noise) is taken for that of a rectangular distribution
     (JCGM 100:2008,
     4.3.7). Two horizontal readings give the sun's normal by dividing through the sine of its
-    altitude, and with it what they are off by.
+    altitude, and with it what they are off by. Under 3 degrees they give none at all: a direct
+    irradiance of zero there is unknown.
     """
-    altitude = np.radians(np.maximum(data.light.sun_altitude_deg, LOWEST_SUN_DEG))
-    return (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
+    light = data.light
+    altitude = np.radians(np.maximum(light.sun_altitude_deg, LOWEST_SUN_DEG))
+    variance = (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
+    unknown = (light.sun_altitude_deg < UNMEASURED_SUN_DEG) & (light.dni_wm2 <= 0.0)
+    return variance + np.where(unknown, UNMEASURED_VARIANCE, 0.0)
 
 
 def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:

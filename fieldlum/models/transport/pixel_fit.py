@@ -127,7 +127,7 @@ def fit_chunk(
     unit = arrays.light.total_lx[:, None] * scale  # [n, P]
     target = np.maximum(arrays.luminance, LEAST_CDM2) / unit
     columns = _columns(arrays, unit, recipe)
-    trust = np.where(arrays.filled, 0.0, arrays.sureness[:, None])
+    trust = arrays.trust
     usual = np.exp(np.mean(np.log(target), axis=0))
     weights = trust / np.maximum(target, DARK_SHARE * usual) ** 2
     b, gains = solve(basis.values, columns, target, weights, recipe.noise, products)

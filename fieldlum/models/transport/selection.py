@@ -154,7 +154,8 @@ def hold_out(
         own = second_own(arrays, recipe)
         found = found * np.exp(held_out_days_shared(own, SECOND_NOISE, residual, arrays.days))
     luminance = found * arrays.light.total_lx[:, None] * first.scale
-    return HeldOutFit(luminance, score(luminance, arrays.luminance), first.scale, arrays.sureness)
+    error = arrays.without_flagged(score(luminance, arrays.luminance))
+    return HeldOutFit(luminance, error, first.scale, arrays.sureness)
 
 
 def hold_out_seasons(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> HeldOutFit | None:

@@ -286,8 +286,8 @@ def calibrate(
     novelty = float(variance[0].max())
     out = Uncertainty(inverse, novelty, factors, known, patch_sd, 1.0, second, *noise_of_all)
     guess = (sds[0] * LOG10_E * out.factor(beam, variance[0])[:, None]) ** 2  # [n, P]
-    counts = np.where(arrays.filled, 0.0, arrays.sureness[:, None])
-    mse = float((counts * chosen.held.error**2).sum() / (counts * guess).sum())
+    trust = arrays.trust
+    mse = float((trust * chosen.held.error**2).sum() / (trust * guess).sum())
     return replace(out, mse=mse)
 
 

@@ -1,0 +1,52 @@
+"""How much each pixel of each capture teaches: merge's flags and uncertainties as weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.records import Flag, Panorama
+
+# A clipped value is a bound, a moved one is of another thing in each frame, a filled one is of its
+# neighbours. Bloom and noise are in u_cdm2.
+TEACHES_NOTHING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
+_HALF = 1e-2  # relative variance at which a value counts half, as that of the light outside
+# A pixel that is flagged in most captures (the lamp that always clips) keeps what it has.
+_MOSTLY = 0.5
+_DOUBTFUL = 0.1
+
+
+def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
+    """Return what each pixel counts, 0 to 1, [H, W]; None where the picture does not record it."""
+    if panorama.flags is None and panorama.u_cdm2 is None:
+        return None
+    counts = np.ones(panorama.luminance_cdm2.shape)
+    if panorama.u_cdm2 is not None:
+        light = np.maximum(np.nan_to_num(panorama.luminance_cdm2), 1e-6)
+        relative = np.nan_to_num(np.asarray(panorama.u_cdm2, float) / light, posinf=1e3)
+        counts = 1.0 / (1.0 + relative**2 / _HALF)
+    if panorama.flags is not None:
+        counts = np.where((panorama.flags & TEACHES_NOTHING) != 0, 0.0, counts)
+    return counts.astype(np.float16)
+
+
+def joined_counts(
+    each: Sequence[NDArray[np.float16] | None], has_value: NDArray[np.bool_]
+) -> NDArray[np.float16] | None:
+    """Return the counts of all captures [n, H, W], each pixel's largest 1; None where all count 1.
+
+    has_value [n, H, W]: a value that is missing teaches nothing. An uncertainty that all captures
+    share (the scale of the camera) says nothing of which capture to believe, and cancels.
+    """
+    if all(counts is None for counts in each) and has_value.all():
+        return None
+    ones = np.ones(has_value.shape[1:], np.float16)
+    counts = np.stack([ones if one is None else one for one in each])
+    counts[~has_value] = 0.0
+    largest = counts.max(axis=0)
+    counts /= np.where(largest > 0.0, largest, np.float16(1.0))
+    mostly = (counts == 0.0).mean(axis=0) > _MOSTLY
+    counts[:, mostly] = np.maximum(counts[:, mostly], np.float16(_DOUBTFUL))
+    return counts
