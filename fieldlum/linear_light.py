@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.photometry import (
     check_vignetting,
+    linearity_factor,
     prior_u_log,
     response_table,
     time_under,
@@ -27,9 +29,9 @@ from fieldlum.projection import LensGeometry, signed_angle_deg
 from fieldlum.raw import Mosaic, same_model
 from fieldlum.records import Exposure
 
+_T = TypeVar("_T", bound=np.floating)
 SAME_TIME = 0.02  # relative: times closer than this are one setting (settings differ by 12 %)
 # A vignetting curve is valid for its own aperture: a third of a stop, with rounding.
-# A measured loss towards the edge holds for its own aperture: a third of a stop and rounding.
 _SAME_APERTURE_STOPS = 0.4
 
 
@@ -69,6 +71,23 @@ def full_dn(
     return [min(own, mosaic.white_dn, plateau or np.inf) for own, plateau in tops]
 
 
+def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -> NDArray[_T]:
+    """Return counts above black [...] made proportional to light, by the profile's curve. [DN]"""
+    sensor = profile.sensor
+    if not sensor.linearity:
+        return above_dn
+    share = np.asarray(above_dn / (sensor.white_dn - black), above_dn.dtype)
+    return np.asarray(above_dn * linearity_factor(share, sensor.linearity), above_dn.dtype)
+
+
+def curve_u_rel(profile: CameraProfile) -> float:
+    """Return what counts or codes to light may be off by, relative: a JPEG's response, a raw
+    sensor's linearity.
+    """
+    raw = profile.camera.kind == "raw"
+    return profile.sensor.linearity_u_rel if raw else profile.response.u_rel
+
+
 def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
     """Return electrons per count at an ISO."""
     return profile.sensor.gain_e_per_dn * profile.sensor.iso / iso
@@ -83,7 +102,7 @@ def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, flo
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
             return measured.true_s, measured.u_rel
-    seconds = time_under(profile.shutter_law, shutter_s)
+    seconds = time_under(profile.shutter_law, shutter_s) + profile.sensor.exposure_offset_s
     return seconds, float(prior_u_log(np.asarray(seconds)))
 
 

@@ -14,6 +14,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from fieldlum import sun
 from fieldlum.errors import InputError
+from fieldlum.photometry import rises
 from fieldlum.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
 from fieldlum.records import CameraSetup, Exposure, SiteFile
 
@@ -231,6 +232,13 @@ class Sensor:
     gain_e_per_dn: float = 1.0  # at iso
     read_noise_e: float = 3.0
     iso: float = 100.0
+    # Light over counts, 1 + a1 x + a2 x2 + ..., x the share of white_dn above black; empty: not
+    # calibrated.
+    linearity: tuple[float, ...] = ()
+    # Relative; a 12-bit CCD of EMVA1288/datasets departs by +0.3 to -1.2 %, uniform over 1.5 % is
+    # 0.43 % (bench/real_sensor.py).
+    linearity_u_rel: float = 0.0043
+    exposure_offset_s: float = 0.0  # an electronic shutter opens so much longer than it states
     bad_px: tuple[tuple[int, int], ...] = ()  # column, row of pixels that are never used
 
 
@@ -453,6 +461,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         p.colour.u_rel,
         p.scale.u_rel,
         p.response.u_rel,
+        p.sensor.linearity_u_rel,
         p.glare_floor_rel,
         *(x.u_rel for x in p.shutter),
     )
@@ -493,6 +502,14 @@ def check_camera(profile: CameraProfile, where: str) -> None:
             "black below saturation and white",
             "correct it",
         )
+    if not rises(p.sensor.linearity):
+        found = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
+        raise InputError(
+            where, found, "a correction that rises with the counts", "fieldlum calibrate linearity"
+        )
+    if abs(p.sensor.exposure_offset_s) >= 0.01:
+        found = f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}"
+        raise InputError(where, found, "microseconds: less than 0.01 s")
     if len(p.colour.rgb_to_radiance) not in (0, 9):
         found = f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values"
         raise InputError(where, found, "9 values, or none", "correct it")

@@ -14,6 +14,7 @@ from fieldlum.linear_light import (
     check_frame,
     frame_z_per_cdm2,
     full_dn,
+    linear_counts,
     response_tables,
     vignetting_of,
 )
@@ -128,7 +129,10 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     bad = np.logical_or.reduce(
         [cell > FULL * limit for cell, limit in zip(cells, full, strict=True)]
     )
-    z = [(cell - b) / (sensor.white_dn - b) for cell, b in zip(cells, black, strict=True)]
+    z = [
+        linear_counts(cell - b, b, profile) / (sensor.white_dn - b)
+        for cell, b in zip(cells, black, strict=True)
+    ]
     rgb = np.stack([z[0], (z[1] + z[2]) / 2, z[3]], axis=-1) / frame_z_per_cdm2(
         mosaic.exposure, profile
     )

@@ -8,12 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.photometry import response_table, vignetting_at
+from fieldlum.photometry import linearity_factor, response_table, vignetting_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fieldlum.calibrate import colour, lens, pixels, response, scale, shutter, vignette
+    from fieldlum.calibrate import (
+        colour,
+        lens,
+        linearity,
+        pixels,
+        response,
+        scale,
+        shutter,
+        vignette,
+    )
 
 INK, POINT, CURVE = "#1d2733", "#c4441c", "#1f5fa8"
 
@@ -236,4 +245,22 @@ def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figu
     left.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="column", ylabel="row")
     right.hist(np.hypot(x - width_px / 2, y - height_px / 2), bins=12, color=CURVE)
     right.set(xlabel="from the middle [px]", ylabel="pixels")
+    return figure
+
+
+def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Figure:
+    """Light over time of each frame and block, before and after the curve."""
+    figure, left, right = _two(f"Linearity; held-out rms {100 * found.u_rel:.2g} %")
+    seconds = levels.seconds[:, None]
+    corrected = levels.share * linearity_factor(levels.share, found.coefficients)
+    for axes, light, time_s in (
+        (left, levels.share, seconds),
+        (right, corrected, seconds + found.offset_s),
+    ):
+        off = np.log(light / time_s)
+        off -= np.nanmean(off, axis=0)
+        axes.plot(100 * levels.share.ravel(), 100 * off.ravel(), ",", color="#1a7f5a")
+        axes.set(xlabel="share of the full scale [%]", ylim=(-2, 2))
+    left.set(ylabel="light over time less its mean [%]", title="as recorded")
+    right.set(title="corrected")
     return figure

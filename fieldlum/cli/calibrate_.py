@@ -8,7 +8,7 @@ import click
 
 # In the order in which a profile is fitted. Each name is a module calibrate_NAME with a click
 # command `command`.
-PARTS = ("lens", "response", "vignette", "colour", "scale", "shutter", "pixels")
+PARTS = ("lens", "response", "vignette", "colour", "scale", "shutter", "pixels", "linearity")
 
 
 class _PartGroup(click.Group):

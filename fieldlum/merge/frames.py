@@ -24,6 +24,7 @@ from fieldlum.merge.estimator import Strip
 from fieldlum.merge.frame_checks import Plateau
 from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot
+from fieldlum.photometry import linearity_factor
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
 
@@ -85,12 +86,20 @@ class RawSignal:
     gain_e_per_dn: float
     noise_dn2: float  # read noise and quantisation
     through_nd: bool = False
+    linearity: tuple[float, ...] = ()  # of the profile's sensor
+    scale_dn: float = 65535.0  # the full scale above black, of which `linearity` takes shares
+
+    def _linear(self, above: NDArray[np.float32]) -> NDArray[np.float32]:
+        if self.linearity:
+            above *= linearity_factor(above / np.float32(self.scale_dn), self.linearity)
+        return above
 
     @cached_property
     def limit(self) -> NDArray[np.float32]:
         """Predictions above it may have saturated: 97 % of full, or four sigma below it."""
         sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
-        return np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma).astype(np.float32)
+        limit = np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma)
+        return self._linear(limit.astype(np.float32))
 
     @cached_property
     def _limit_cdm2(self) -> NDArray[np.float32]:
@@ -108,6 +117,7 @@ class RawSignal:
         part = self.counts[first:last]
         above = part.astype(np.float32)
         above -= self.black
+        above = self._linear(above)
         if part.max(initial=0) < self._any_full:
             a, b = max(first - 1, 0), min(last + 1, len(self.counts))
             edges = self.counts[a:first], self.counts[last:b]
@@ -166,9 +176,8 @@ class RawSignal:
         )
         black, saturation, per = constants
         counts = self.counts[at][:, :, ::step]
-        return RawSignal(
-            counts, black, saturation, per, self.gain_e_per_dn, self.noise_dn2, self.through_nd
-        ), full
+        part = replace(self, counts=counts, black=black, saturation=saturation, per_cdm2=per)
+        return part, full
 
 
 def _spread(length: int, wanted: int) -> NDArray[np.intp]:
@@ -228,6 +237,8 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -
         gain,
         (sensor.read_noise_e / gain) ** 2 + 1 / 12,
         bool(shot.exposure.nd),
+        sensor.linearity,
+        float(sensor.white_dn - np.mean(black)),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
-from fieldlum.linear_light import lens_geometry, vignetting_of
+from fieldlum.linear_light import curve_u_rel, lens_geometry, vignetting_of
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop
 from fieldlum.merge.jpeg_noise import footprint_px
@@ -203,7 +203,7 @@ def finish(view: LensView, profile: CameraProfile, target: Target) -> Map:
     """
     p, light = profile, view.luminance
     seen = (view.flags & Flag.OUTSIDE_LENS) == 0
-    response = p.response.u_rel if p.camera.kind == "jpeg" else 0.0
+    response = curve_u_rel(p)
     relative = (
         view.u_ratio**2 + response**2 + view.u_vignetting**2 + p.colour.u_rel**2 + p.scale.u_rel**2
     )

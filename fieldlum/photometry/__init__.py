@@ -11,6 +11,8 @@ from fieldlum.photometry.illuminance import (
     illuminance_verdict,
     vertical_illuminance_lx,
 )
+from fieldlum.photometry.linearity import linearity_factor as linearity_factor
+from fieldlum.photometry.linearity import rises as rises
 from fieldlum.photometry.ratios import PairRatio, RatioFit, fit_ratios, pair_ratio, prior_u_log
 from fieldlum.photometry.response import (
     dark_floor,

@@ -1,0 +1,192 @@
+"""Linearity of a raw sensor: from frames of a steady light at many times to a correction of counts.
+
+A steady scene gives counts in proportion to time if the sensor is linear. Real ones are to about
+one percent (a 12-bit CCD of EMVA1288/datasets: +0.3 to -1.2 %). The shutter's constant offset (an
+electronic shutter opens some microseconds longer than stated) is fitted with the curve: without it
+the darkest frames would bend the curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.linear_light import black_dn, check_frame, full_dn, true_shutter_s
+from fieldlum.photometry import linearity_factor
+from fieldlum.profiles import CameraProfile
+from fieldlum.raw import channel_positions, read_mosaic
+
+Array = NDArray[np.float64]
+BLOCKS = 8  # a side, for each colour: light that differs over the frame fills the scale
+ORDERS = range(5)
+FEWEST_TIMES = 6
+LOWEST, HIGHEST = 0.05, 0.8  # of the full scale: the frames must reach below and above
+_FULL = 0.97  # of saturation: a block with brighter pixels is left out
+_LEAST_DN = 5.0  # above black: darker blocks hold little but the black level
+_REPEATS = 5e-4  # relative: a lamp's stability over minutes; chosen, lets no frame outweigh others
+_BLACK_DN = 0.2  # uncertainty of a black level, DN
+_NEGLIGIBLE = 2e-5  # of light, held-out rms: block noise hides most of what an order gains
+_STEPS = 8  # Gauss-Newton converges in four: the departures are small
+_OFFSET_SIGMA = 4.0  # an offset is written from so many standard errors on
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Block means of frames: share of the full scale and its weight [frames, blocks], NaN where a
+    block is saturated or dark; seconds [frames] as the profile reads them.
+    """
+
+    share: Array
+    weight: Array
+    seconds: Array
+    frames: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LinearityFit:
+    """Coefficients a of 1 + a1 x + a2 x2 + ..., x the share of the full scale; the shutter's offset
+    and its standard error [s]; u_rel: held-out rms of the light.
+    """
+
+    coefficients: tuple[float, ...]
+    offset_s: float
+    u_offset_s: float
+    u_rel: float
+    choice: OrderSelection
+
+
+def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
+    """Read raw frames of one steady scene. Raises InputError for a frame of another camera, or of
+    another aperture or ISO than the first.
+    """
+    shares: list[Array] = []
+    weights: list[Array] = []
+    seconds: list[float] = []
+    first = None
+    for path in paths:
+        mosaic = read_mosaic(path)
+        check_frame(path, mosaic.counts.shape, mosaic.model, profile)
+        setting = (mosaic.exposure.f_number, mosaic.exposure.iso)
+        first = first or setting
+        if setting != first:
+            found = f"f/{setting[0]:g} and ISO {setting[1]:g}"
+            raise InputError(path, found, f"f/{first[0]:g} and ISO {first[1]:g} as the first frame")
+        black, full = black_dn(mosaic, profile), full_dn(mosaic, profile)
+        means: list[Array] = []
+        errors: list[Array] = []
+        for (row, column), b, top in zip(channel_positions(mosaic.cfa), black, full, strict=True):
+            cell = mosaic.counts[row::2, column::2].astype(float)
+            mean, error = _blocks(cell, b, b + _FULL * (top - b))
+            scale = profile.sensor.white_dn - b
+            means.append(mean / scale)
+            errors.append(error / np.maximum(mean, _LEAST_DN))
+        shares.append(np.concatenate(means))
+        weights.append(1.0 / (_REPEATS**2 + np.concatenate(errors) ** 2))
+        seconds.append(true_shutter_s(mosaic.exposure.shutter_s, profile)[0])
+    return Levels(np.array(shares), np.array(weights), np.array(seconds), tuple(paths))
+
+
+def _blocks(cell: Array, black: float, most: float) -> tuple[Array, Array]:
+    """Means above black and their standard errors [blocks]; NaN where a pixel is near full."""
+    rows, columns = (n // BLOCKS * BLOCKS for n in cell.shape)
+    shape = (BLOCKS, rows // BLOCKS, BLOCKS, columns // BLOCKS)
+    cut = cell[:rows, :columns].reshape(shape).transpose(0, 2, 1, 3).reshape(BLOCKS**2, -1)
+    mean = cut.mean(axis=1) - black
+    error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
+    good = (cut.max(axis=1) < most) & (mean > _LEAST_DN)
+    return np.where(good, mean, np.nan), error
+
+
+def fit(levels: Levels) -> LinearityFit:
+    """Choose the smallest order by held-out times, and fit it to all frames.
+
+    Raises NotEnoughDataError with fewer than six times, or frames that leave out the dark or the
+    bright part of the scale.
+    """
+    times = np.unique(levels.seconds)
+    low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
+    if len(times) < FEWEST_TIMES or low > LOWEST or high < HIGHEST:
+        found = f"{len(times)} times that fill {100 * low:.0f} to {100 * high:.0f} % of the scale"
+        wanted = (
+            f"at least {FEWEST_TIMES} from under {100 * LOWEST:.0f} to over {100 * HIGHEST:.0f} % "
+            f"are needed: take more frames of a steady light"
+        )
+        raise NotEnoughDataError(f"{found}; {wanted}")
+    candidates = [Candidate(f"order {order}", order, _held_out(levels, order)) for order in ORDERS]
+    choice = choose("linearity", candidates, "% of light", negligible=_NEGLIGIBLE)
+    solution, covariance = _solve(levels, np.ones(len(levels.seconds), bool), choice.index)
+    u = float(np.sqrt(candidates[choice.index].errors.mean()))
+    coefficients = tuple(round(float(a), 7) for a in solution[1:])
+    u_offset = float(np.sqrt(covariance[0, 0]))
+    sure = abs(solution[0]) > _OFFSET_SIGMA * u_offset
+    offset = float(f"{solution[0]:.4g}") if sure else 0.0
+    return LinearityFit(coefficients, offset, u_offset, max(round(u, 5), _REPEATS), choice)
+
+
+def _residuals(
+    solution: Array, levels: Levels, rows: NDArray[np.bool_], of: NDArray[np.bool_]
+) -> Array:
+    """ln of corrected light over time of frames `of`, less each block's mean over `rows`."""
+    with np.errstate(invalid="ignore"):
+        light = np.log(levels.share * linearity_factor(levels.share, tuple(solution[1:])))
+    off = light - np.log(levels.seconds + solution[0])[:, None]
+    return _centred(off, levels, rows)[of]
+
+
+def _centred(values: Array, levels: Levels, rows: NDArray[np.bool_]) -> Array:
+    """Values [frames, blocks] less each block's weighted mean over frames `rows`."""
+    weight = np.where(np.isfinite(levels.share), levels.weight, 0.0)[rows]
+    total = weight.sum(axis=0)
+    mean = np.nansum(np.nan_to_num(values[rows]) * weight, axis=0)
+    return values - np.divide(mean, total, out=np.full(len(total), np.nan), where=total > 0)
+
+
+def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, Array]:
+    """Offset and coefficients by weighted least squares over frames `rows`, and covariance: Gauss
+    and Newton, from a linear sensor without an offset.
+    """
+    unit = float(levels.seconds.min())
+    powers = [levels.share**k for k in range(1, order + 1)]
+    solution, covariance = np.zeros(1 + order), np.zeros((1 + order, 1 + order))
+    for _ in range(_STEPS):
+        left = _residuals(solution, levels, rows, rows)
+        factor = linearity_factor(levels.share, tuple(solution[1:]))
+        by_time = np.where(
+            np.isfinite(levels.share), -unit / (levels.seconds + solution[0])[:, None], np.nan
+        )
+        slopes = [_centred(by_time, levels, rows)[rows]]
+        slopes += [_centred(power / factor, levels, rows)[rows] for power in powers]
+        good = np.isfinite(left)
+        root = np.sqrt(levels.weight[rows][good])
+        design = np.stack([slope[good] * root for slope in slopes], axis=1)
+        step, *_ = np.linalg.lstsq(design, -left[good] * root, rcond=None)
+        step[0] = max(step[0] * unit, -0.5 * (unit + solution[0]))  # times stay above zero
+        solution = solution + step
+        freedom = max(len(root) - levels.share.shape[1] - 1 - order, 1)
+        noise = float(np.sum((left[good] * root) ** 2)) / freedom
+        scale = np.r_[unit, np.ones(order)]
+        covariance = np.linalg.pinv(design.T @ design) * noise * np.outer(scale, scale)
+    return solution, covariance
+
+
+def _held_out(levels: Levels, order: int) -> Array:
+    """Squared relative error of each frame between the extreme times, all of its time held out.
+
+    Noise counts by the blocks' weights, so that dark frames do not decide.
+    """
+    out = np.full(len(levels.seconds), np.nan)
+    for seconds in np.unique(levels.seconds)[1:-1]:  # never beyond the frames that fit
+        held = levels.seconds == seconds
+        solution, _ = _solve(levels, ~held, order)
+        left = _residuals(solution, levels, ~held, held)
+        weight = np.where(np.isfinite(left), levels.weight[held], 0.0)
+        total = weight.sum(axis=1)
+        square = (np.nan_to_num(left) ** 2 * weight).sum(axis=1)
+        out[held] = np.divide(square, total, out=np.full(len(total), np.nan), where=total > 0)
+    return out[np.isfinite(out)]

@@ -1,0 +1,54 @@
+"""`fieldlum calibrate linearity`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument("frames", nargs=-1, required=True, type=EXISTING_PATH)
+@calibration_options
+def command(
+    frames: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
+) -> None:
+    """Fit how raw counts depart from proportion to light.
+
+    FRAMES are raw frames of one steady light (a lit wall, a lamp that has burnt for half an hour)
+    at six or more shutter times, two of each, from dark to nearly full; or their folder. The light
+    must hold to 0.1 %. The smallest order that held-out times support is written to the profile.
+
+    \b
+    Example:
+      fieldlum calibrate linearity steady/ --camera mine.toml --out mine.toml
+    """
+    from dataclasses import replace
+
+    from fieldlum.calibrate import linearity, pictures
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    folders = {path: sorted(p for p in path.glob("*") if p.is_file()) for path in frames}
+    files = [file for path in frames for file in (folders[path] if path.is_dir() else [path])]
+    plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
+    levels = linearity.read_levels(files, plain)
+    found = linearity.fit(levels)
+    if picture:
+        pictures.save(pictures.of_linearity(levels, found), picture)
+    sensor = replace(
+        profile.sensor,
+        linearity=found.coefficients,
+        linearity_u_rel=found.u_rel,
+        exposure_offset_s=found.offset_s,
+    )
+    figures = {
+        "linearity": list(found.coefficients),
+        "u_rel": found.u_rel,
+        "exposure_offset_s": found.offset_s,
+        "u_exposure_offset_s": found.u_offset_s,
+    }
+    write_profile(out, profile, levels.frames, [found.choice.line], figures, as_json, sensor=sensor)

@@ -1,0 +1,30 @@
+"""How a sensor's counts depart from proportion to light, as a polynomial of the full scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+T = TypeVar("T", bound=np.floating)
+
+
+def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArray[T]:
+    """Return the factor on counts that makes them proportional to light: 1 + a1 x + a2 x2 + ...
+
+    share: counts above black over those of the full scale, any shape. Dark counts, and noise below
+    zero, are not changed.
+    """
+    x = np.clip(share, 0.0, 1.0)
+    factor: NDArray[T] = np.zeros_like(x)
+    for a in reversed(coefficients):
+        factor = np.asarray((factor + a) * x, x.dtype)
+    return np.asarray(factor + 1.0, x.dtype)
+
+
+def rises(coefficients: Sequence[float]) -> bool:
+    """Return whether corrected counts rise with the counts over the full scale."""
+    x = np.linspace(0.0, 1.0, 201)
+    return bool((np.diff(x * linearity_factor(x, coefficients)) > 0).all())
