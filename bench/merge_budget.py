@@ -83,11 +83,23 @@ def profile_of(which: Set) -> CameraProfile:
     jpeg = which.kind == "jpeg"
     if has("random"):
         sensor = Sensor(
-            "RGGB", (512.0,) * 4, (15800.0,) * 4, 16383.0, gain_e_per_dn=2.0, read_noise_e=6.0
+            "RGGB",
+            (512.0,) * 4,
+            (15800.0,) * 4,
+            16383.0,
+            gain_e_per_dn=2.0,
+            read_noise_e=6.0,
+            linearity_u_rel=0.0,
         )
     else:
         sensor = Sensor(
-            "RGGB", (512.0,) * 4, (65000.0,) * 4, 65535.0, gain_e_per_dn=1e4, read_noise_e=1.0
+            "RGGB",
+            (512.0,) * 4,
+            (65000.0,) * 4,
+            65535.0,
+            gain_e_per_dn=1e4,
+            read_noise_e=1.0,
+            linearity_u_rel=0.0,
         )
     known = () if has("ratios") else tuple(ShutterTime(t, snapped(t), 1e-6) for t in DIAL_S)
     filtered = NeutralDensity("nd3", (900.0, 1000.0, 1150.0), 0.02 if has("filter") else 0.0)
