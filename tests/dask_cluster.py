@@ -23,17 +23,22 @@ class Cluster:
         self.file = folder / "scheduler.json"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self, name: str, *arguments: str, source: Path = SOURCE, **variables: str) -> None:
+    def start(
+        self,
+        name: str,
+        *arguments: str,
+        source: Path = SOURCE,
+        prefix: tuple[str, ...] = (),
+    ) -> None:
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join((str(source), str(SOURCE / "tests"))),
             "FIELDLUM_SHARED": str(self.shared),
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
-            **variables,
         }
         with (self.folder / f"{name}.log").open("wb") as log:
             self.processes[name] = subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments, "--no-dashboard"],
+                [*prefix, sys.executable, "-m", "dask", *arguments, "--no-dashboard"],
                 stdout=log,
                 stderr=log,
                 cwd=self.folder,
@@ -49,19 +54,12 @@ class Cluster:
                 raise RuntimeError((self.folder / "scheduler.log").read_text())
             time.sleep(0.1)
 
-    def worker(self, name: str, *, source: Path = SOURCE, **variables: str) -> None:
+    def worker(self, name: str, *, source: Path = SOURCE, prefix: tuple[str, ...] = ()) -> None:
         """Start a worker of one thread, without a nanny that would start it again."""
         scratch = self.folder / f"scratch-{name}"
         options = ("--scheduler-file", str(self.file), "--nthreads", "1", "--no-nanny")
-        self.start(
-            name,
-            "worker",
-            *options,
-            "--local-directory",
-            str(scratch),
-            source=source,
-            **variables,
-        )
+        more = ("--local-directory", str(scratch))
+        self.start(name, "worker", *options, *more, source=source, prefix=prefix)
 
     def signal(self, name: str, number: int = signal.SIGKILL) -> None:
         self.processes[name].send_signal(number)

@@ -28,7 +28,7 @@ RANKS = (
     {"devices", "notify", "scheduler"},
     {"plan", "doctor", "capture", "calibrate", "merge", "irradiance", "pair", "glare", "simulate"},
     {"models", "train", "predict", "bench", "scene_fit"},
-    {"report", "demo", "cli", "api", "view", "web"},
+    {"campaign", "report", "demo", "cli", "api", "view", "web"},
 )
 RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}
 STAGES = 4

@@ -1,6 +1,7 @@
 """Units of work: the option's text, lost and hanging processes, and what tasks hold."""
 
 import json
+import multiprocessing
 import pickle
 import sys
 from pathlib import Path
@@ -15,9 +16,11 @@ from fieldlum.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
     Scheduler,
+    UnitOutcome,
     WorkUnit,
     in_processes,
     parse_scheduler,
+    run_each,
     run_units,
 )
 from fieldlum.scheduler.identity import difference, software_identity
@@ -220,3 +223,17 @@ def test_another_version_is_named() -> None:
     theirs = mine | {"fieldlum": "9.9"}
     assert difference(mine, theirs) == f"fieldlum 9.9 (here {mine['fieldlum']})"
     assert "profiles" in difference(mine, mine | {"profiles": "0"})
+
+
+def test_an_error_of_the_caller_ends_the_crew(tmp_path: Path) -> None:
+    """Else the command would wait at its end for workers that nobody needs any more."""
+    some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(4)]
+    given: list[int] = []
+
+    def take(outcome: UnitOutcome) -> None:
+        given.append(outcome.result())
+        raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="enough"):
+        run_each(some, in_processes(2), take)
+    assert len(given) == 1 and not multiprocessing.active_children()

@@ -38,6 +38,7 @@ COMMANDS = (
     "bench",
     "report",
     "simulate",
+    "campaign",
     "info",
 )
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -40,6 +42,25 @@ def calibration_mark(profile: CameraProfile) -> dict[str, str]:
     return {"camera": p.camera.name, "k": f"{p.scale.k:.8g}", "calibration": digest[:16]}
 
 
+_DISK_ERRNOS = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EIO,
+    errno.EROFS,
+    errno.EACCES,
+    errno.ENOENT,
+)
+
+
+def _disk_error(path: Path, error: RuntimeError) -> Exception:
+    """Return what OpenEXR reports of a disk as an OSError with its number; else `error` itself."""
+    for number in _DISK_ERRNOS:
+        if os.strerror(number).lower() in str(error).lower():
+            return OSError(number, os.strerror(number), str(path))
+    return error
+
+
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
     """Write a float32 EXR with channels Y, u, flags (and R, G, B).
 
@@ -66,7 +87,10 @@ def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") ->
         **({"sun": _sun_text(panorama.sun)} if panorama.sun else {}),
         **{f"fieldlum:{key}": value for key, value in panorama.attributes.items()},
     }
-    OpenEXR.File(header, channels).write(str(path))
+    try:
+        OpenEXR.File(header, channels).write(str(path))
+    except RuntimeError as error:
+        raise _disk_error(path, error) from None
 
 
 def _sun_text(sun: SunSource) -> str:

@@ -27,7 +27,7 @@ from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
 from fieldlum.records import CLIPPED_SUN, Progress, Site, SunSource, quiet, utc_text
-from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_units
+from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_each
 from fieldlum.session import Session, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import Sidecar
@@ -324,7 +324,8 @@ def run(
     units = _units(session, slots, height, fit, drop_moved, force)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     remove_scraps(session.panoramas)  # of killed runs
-    verdicts = [_verdict(outcome) for outcome in run_units(units, scheduler, progress=progress)]
+    verdicts: list[Verdict] = []
+    run_each(units, scheduler, lambda outcome: verdicts.append(_verdict(outcome)), progress)
     remove_scraps(session.panoramas)  # of workers killed in this run
     verdicts.sort(key=lambda v: v.slot)
     if survey_owed(session):

@@ -19,7 +19,7 @@ from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
 from fieldlum.profiles import plain
 from fieldlum.records import Float, Panorama, Progress, Room, SiteFile, utc_text
-from fieldlum.scheduler import LOCAL, Scheduler, WorkUnit, run_units
+from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.session import Session, replacing, replacing_path
 
 SLOTS_A_UNIT = 16  # rays of the room are traced once a process, so a few slots are enough
@@ -69,8 +69,7 @@ def seen_and_patches(
         for rows in (owed[k : k + SLOTS_A_UNIT] for k in range(0, len(owed), SLOTS_A_UNIT))
     ]
     units = [_unit(session, job) for job in jobs]
-    for outcome in run_units(units, scheduler, progress=progress):
-        outcome.result()
+    run_each(units, scheduler, UnitOutcome.result, progress)
     seen = [
         s or _known(session, item[0], r) or Seen()
         for s, item, r in zip(known, items, recipes, strict=True)

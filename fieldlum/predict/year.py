@@ -44,7 +44,7 @@ from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_o
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
-from fieldlum.scheduler import LOCAL, Scheduler, run_units
+from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval
 
@@ -191,7 +191,8 @@ def measure(
     units = hour_units(
         model_folder, light, azimuths_deg, discs_lx, turns_deg, store.work if store else None
     )
-    for outcome in run_units(units, scheduler, progress=progress):
+
+    def take(outcome: UnitOutcome) -> None:
         block: HourFigures = outcome.result()
         rows = slice(*block.rows)
         for name, values in block.hours.items():
@@ -199,6 +200,8 @@ def measure(
         for name in VIEW_COLUMNS.keys() & block.views.keys():
             figures[name][rows] = block.views[name]
         least[rows], most[rows], drawn[:, rows] = block.least, block.most, block.drawn
+
+    run_each(units, scheduler, take, progress)
     if store is not None:
         store.finish(hours["disc_lx"], hours["trusted"])
     u_of_maps = figures["u_dgp"]

@@ -6,7 +6,7 @@ fieldlum, profiles and input files, and bounds what a lost, hanging or full work
 """
 
 from fieldlum.scheduler.address import LOCAL, Scheduler, TlsFiles, in_processes, parse_scheduler
-from fieldlum.scheduler.drive import run_units
+from fieldlum.scheduler.drive import run_each, run_units
 from fieldlum.scheduler.units import SHARED_VARIABLE, UnitOutcome, WorkUnit, is_worker_trouble
 
 __all__ = [
@@ -19,5 +19,6 @@ __all__ = [
     "in_processes",
     "is_worker_trouble",
     "parse_scheduler",
+    "run_each",
     "run_units",
 ]

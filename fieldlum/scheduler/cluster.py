@@ -20,6 +20,7 @@ UNITS_A_THREAD = 4
 CONNECT_S = 15.0  # for a scheduler to answer: ten times a slow handshake over TLS
 PATIENCE_S = 600.0  # without any usable worker: a batch system starts jobs within minutes
 TURN_S = 0.005  # between two looks for answers: short next to any real unit
+REPLACED_S = 60.0  # with refused workers only: a killed worker's successor starts within a minute
 VISIBLE_S = 60.0  # for a file of a worker to appear here; NFS shows new names after up to 60 s
 
 
@@ -90,12 +91,13 @@ class ClusterCrew:
 
     def _check_patience(self) -> None:
         """Raise InputError where no worker is left that may do anything."""
+        idle_s = time.monotonic() - self._worked_s
         refused = self._threads.keys() & self._avoided.keys()
-        if not self._usable and refused and refused == self._threads.keys():
+        if refused and refused == self._threads.keys() and idle_s > REPLACED_S:
             name = next(iter(refused))
             found = f"no worker left; {name}: {self._avoided[name]}"
             raise InputError(self._scheduler.address, found, remedy="finished units are stored")
-        if time.monotonic() - self._worked_s > PATIENCE_S:
+        if idle_s > PATIENCE_S:
             found = f"no usable worker for {PATIENCE_S:.0f} s"
             remedy = "start one: dask worker ADDRESS; finished units are stored"
             raise NotEnoughDataError(f"{self._scheduler.address}: {found}; {remedy}")

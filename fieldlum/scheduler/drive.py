@@ -5,7 +5,8 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
+from contextlib import closing
 from dataclasses import dataclass
 
 from fieldlum.records import Progress, quiet
@@ -58,7 +59,7 @@ class _Pace:
 
 def run_units(
     units: Iterable[WorkUnit], scheduler: Scheduler, *, progress: Progress = quiet
-) -> Iterator[UnitOutcome]:
+) -> Generator[UnitOutcome, None, None]:
     """Run every unit and yield its outcome, in the order in which units end.
 
     A unit whose worker is killed, hangs, has a full disk or a stale file system is tried again, at
@@ -92,6 +93,21 @@ def run_units(
                 text = f"{status}, {pace.text()}" if status else attempt.unit.name
                 progress(pace.done, total, text)
                 yield outcome
+
+
+def run_each(
+    units: Iterable[WorkUnit],
+    scheduler: Scheduler,
+    take: Callable[[UnitOutcome], object],
+    progress: Progress = quiet,
+) -> None:
+    """Run every unit and give each outcome to `take`; what that raises ends the other units too.
+
+    Raises what `run_units` and `take` raise.
+    """
+    with closing(run_units(units, scheduler, progress=progress)) as outcomes:
+        for outcome in outcomes:
+            take(outcome)
 
 
 def _crew(scheduler: Scheduler, total: int) -> Crew:

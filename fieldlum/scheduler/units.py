@@ -18,6 +18,7 @@ SHARED_VARIABLE = "FIELDLUM_SHARED"
 WORKER_ERRNOS = (
     errno.ENOSPC,
     errno.EDQUOT,
+    errno.EFBIG,
     errno.EIO,
     errno.EROFS,
     errno.ENOMEM,

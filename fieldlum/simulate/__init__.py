@@ -21,7 +21,7 @@ from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.light import Light, light_at
 from fieldlum.records import Progress, SiteFile, Slot, quiet
-from fieldlum.scheduler import LOCAL, Scheduler, run_units
+from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.session import (
     Session,
     create_session,
@@ -126,8 +126,7 @@ def run(
     owed = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
     asked = (height, quality, wrong)
     units = truth_units(session, cache or session.truth, slots, owed, light, shining, asked)
-    for outcome in run_units(units, scheduler, progress=progress):
-        outcome.result()
+    run_each(units, scheduler, UnitOutcome.result, progress)
     _write_irradiance(session, weather, slots, drift, wrong)
     dni, dhi = measured_irradiance(
         light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, wrong

@@ -1,0 +1,83 @@
+"""CAMPAIGN.toml: the rooms of a campaign, and what is common to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from fieldlum.errors import InputError
+from fieldlum.profiles import build, read_toml
+
+_EXPECTED = "one table [[room]] for each room, with session = FOLDER"
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRoom:
+    """One room. Paths are relative to CAMPAIGN.toml; an empty value takes that of [common].
+
+    session: its folder. site and set: what `plan` makes a missing session from. model, seed,
+    budget_min: of `train`. weather and views: of `predict`. size: of `merge`.
+    """
+
+    session: str = ""
+    site: str = ""
+    set: str = ""
+    model: str = ""
+    seed: int = 0
+    budget_min: float = 0.0
+    weather: str = ""
+    views: int = 0
+    size: str = ""
+
+
+DEFAULTS = CampaignRoom(
+    set="9-day", model="auto", budget_min=10.0, views=10, size="460x230", weather="synthetic"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignFile:
+    """A campaign with its rooms, whose values are complete."""
+
+    path: Path
+    name: str
+    rooms: tuple[CampaignRoom, ...]
+
+    def session_folder(self, room: CampaignRoom) -> Path:
+        return self.path.parent / room.session
+
+    def file(self, name: str) -> Path:
+        """Return a path of the campaign file relative to where the command runs."""
+        return self.path.parent / name
+
+
+def read_campaign(path: Path) -> CampaignFile:
+    """Read a CAMPAIGN.toml.
+
+    Raises InputError for unknown keys, for a room without a session, and for a session named twice.
+    """
+    table = read_toml(path)
+    unknown = table.keys() - {"name", "common", "room"}
+    if unknown:
+        raise InputError(path, f"unknown key '{min(unknown)}'", "name, [common] and [[room]]")
+    common = _filled(build(CampaignRoom, table.get("common", {}), f"{path} [common]"), DEFAULTS)
+    tables = table.get("room")
+    if not isinstance(tables, list) or not tables:
+        raise InputError(path, "no [[room]]", _EXPECTED)
+    rooms = tuple(
+        _filled(build(CampaignRoom, entry, f"{path} [[room]] {k}"), common)
+        for k, entry in enumerate(tables, start=1)
+    )
+    names = [room.session for room in rooms]
+    for number, name in enumerate(names, start=1):
+        if not name:
+            raise InputError(path, f"[[room]] {number} without session", _EXPECTED)
+        if names.count(name) > 1:
+            raise InputError(path, f"session {name} twice", "each session once")
+    return CampaignFile(path, str(table.get("name", path.stem)), rooms)
+
+
+def _filled(room: CampaignRoom, common: CampaignRoom) -> CampaignRoom:
+    """Return `room` with the values of `common` where it has none of its own."""
+    own = {f.name: getattr(room, f.name) or getattr(common, f.name) for f in fields(room)}
+    return replace(room, **own)

@@ -1,0 +1,158 @@
+"""Whether a camera drifts: k by the window sky, the heading, the residuals of merging."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.images import read_panorama
+from fieldlum.light import light_at
+from fieldlum.projection import equirect_rays, equirect_solid_angles, signed_angle_deg
+from fieldlum.records import parse_utc
+from fieldlum.session import Session
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.sidecar import Sidecar
+
+# A change over the campaign is reported when its 95 % interval excludes zero and it exceeds this.
+# k: what calibrating k by spot readings reaches (docs/accuracy.md). Heading: the sun's diameter,
+# by which a sun patch would then miss its pixels. Residual: three times a merge's usual 0.3 %.
+LIMITS = {"k": 5.0, "heading": 0.5, "residual": 1.0}
+UNITS = {"k": "%", "heading": "°", "residual": "%"}
+FEWEST = 8  # captures, for a slope with an interval
+WINDOW_SHARE = 0.5  # of a pixel's sky that the glass must let through, to count as window
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One quantity over time: days since the first value, values, and the fitted change.
+
+    change: over the whole time, with its 95 % interval; NaN with fewer than `FEWEST` values.
+    """
+
+    kind: str
+    days: NDArray[np.float64]
+    values: NDArray[np.float64]
+    change: float
+    low: float
+    high: float
+
+    @property
+    def drifts(self) -> bool:
+        """Return whether the change is larger than its limit and than its uncertainty."""
+        sure = self.low > 0 or self.high < 0
+        return bool(sure and abs(self.change) > LIMITS[self.kind])
+
+    @property
+    def text(self) -> str:
+        if not np.isfinite(self.change):
+            return f"{len(self.values)} values" if len(self.values) else "–"
+        unit = UNITS[self.kind]
+        return f"{self.change:+.1f} {unit} ({self.low:+.1f} to {self.high:+.1f})"
+
+
+def series(kind: str, t_utc: Sequence[datetime], values: Sequence[float]) -> Series:
+    """Return a quantity with its change by the Theil-Sen slope (Sen 1968), robust to clouds."""
+    from scipy.stats import theilslopes
+
+    data = np.asarray(values, float)
+    times = np.array([t.timestamp() for t in t_utc], float) / 86400.0
+    good = np.isfinite(data)
+    days, data = times[good] - (times[good].min() if good.any() else 0.0), data[good]
+    span = float(np.ptp(days)) if len(days) else 0.0
+    if len(data) < FEWEST or span < 1.0:
+        return Series(kind, days, data, np.nan, np.nan, np.nan)
+    fit: Any = theilslopes(data, days, alpha=0.95)
+    changes = (fit.slope * span, fit.low_slope * span, fit.high_slope * span)
+    return Series(kind, days, data, *(float(change) for change in changes))
+
+
+def drifts_of(session: Session) -> dict[str, Series]:
+    """Return the series k, heading and residual of a session; those without data are empty."""
+    sidecars = [note for path in session.sidecar_files() if (note := _sidecar(path)) is not None]
+    dated = [(note.t_utc, note) for note in sidecars if note.t_utc is not None]
+    residuals = [(t, _number(note.quality.get("residual_percent"))) for t, note in dated]
+    return {
+        "k": series("k", *_columns(_sky_ratios(session))),
+        "heading": series("heading", *_columns(_headings(session, dated))),
+        "residual": series("residual", *_columns(residuals)),
+    }
+
+
+def _sidecar(path: Path) -> Sidecar | None:
+    try:
+        return Sidecar.read(path)
+    except InputError:
+        return None
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def _columns(rows: Sequence[tuple[datetime, float]]) -> tuple[list[datetime], list[float]]:
+    return [t for t, _ in rows], [value for _, value in rows]
+
+
+def _headings(
+    session: Session, dated: Sequence[tuple[datetime, Sidecar]]
+) -> list[tuple[datetime, float]]:
+    """Azimuth of the sun's disc in the pictures minus its true azimuth. [degrees]"""
+    from fieldlum import sun
+
+    site = session.site_file().site
+    rows: list[tuple[datetime, float]] = []
+    for t, note in dated:
+        centre = (note.sun or {}).get("measured") or {}
+        if "azimuth_deg" in centre:
+            at = parse_utc(centre["t_utc"]) if centre.get("t_utc") else t
+            true_deg = float(sun.position([at], site).azimuth_deg[0])
+            offset_deg = signed_angle_deg(float(centre["azimuth_deg"]) - true_deg)
+            rows.append((t, float(offset_deg)))
+    return rows
+
+
+def _sky_ratios(session: Session) -> list[tuple[datetime, float]]:
+    """Measured over expected luminance of the sky in the window, in percent of its median.
+
+    Expected is the Perez sky of the logged irradiance, which is wrong by tens of percent in one
+    hour and right on average: only its change over many hours tells of k.
+    """
+    from fieldlum.scene import window_fraction
+
+    setup = session.site_file()
+    if setup.room is None or not session.pairs.is_file():
+        return []
+    rows = [row for row in PairsFile.read(session.pairs).usable if row.panorama]
+    ratios: list[tuple[datetime, float]] = []
+    share: NDArray[np.float32] | None = None
+    for row in rows:
+        picture = read_panorama(session.root / row.panorama)
+        height = picture.luminance_cdm2.shape[0]
+        if share is None or share.shape[0] != height:
+            share = window_fraction(setup.room, setup, height)
+        if (share > WINDOW_SHARE).any():
+            ratios.append((row.t_utc, _sky_ratio(row, picture.luminance_cdm2, share, session)))
+    middle = np.nanmedian([value for _, value in ratios]) if ratios else np.nan
+    return [(t, 100.0 * (value / middle - 1.0)) for t, value in ratios]
+
+
+def _sky_ratio(
+    row: PairRow, luminance_cdm2: NDArray[np.floating], share: NDArray[np.float32], session: Session
+) -> float:
+    setup = session.site_file()
+    height, width = share.shape
+    window = share > WINDOW_SHARE
+    rays = equirect_rays(height, width, setup.camera.heading_deg)
+    light = light_at([row.t_utc], setup.site, np.array([row.dni_wm2]), np.array([row.dhi_wm2]))
+    sky = light.sky_at(rays[window])[0] * share[window]
+    weight = equirect_solid_angles(height, width)[window]
+    expected = float((sky * weight).sum())
+    measured = float((np.asarray(luminance_cdm2)[window] * weight).sum())
+    return measured / expected if expected > 0 else float("nan")

@@ -1,0 +1,90 @@
+"""All hourly figures of a campaign as one table: a row for each room, hour and direction."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fieldlum.campaign.campaign_file import CampaignFile
+from fieldlum.errors import FieldlumError, InputError
+from fieldlum.records import utc_text
+from fieldlum.session import open_session, replacing, replacing_path
+
+if TYPE_CHECKING:
+    from fieldlum.predict import Annual
+
+
+def years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
+    """Yield the predicted year of each room that has one; rooms that cannot be read have none."""
+    from fieldlum.predict import read_annual
+
+    for room in campaign.rooms:
+        try:
+            session = open_session(campaign.session_folder(room))
+            folder = session.annual / room.model
+            if (folder / "predict.json").is_file():
+                yield room.session, read_annual(folder)
+        except (FieldlumError, OSError):
+            continue
+
+
+def _columns(name: str, annual: Annual) -> dict[str, Any]:
+    """Return columns of equal length, [hours x directions], the directions of one hour together."""
+    hours, directions = len(annual), len(annual.azimuths_deg)
+    columns: dict[str, Any] = {
+        "room": [name] * (hours * directions),
+        "t_utc": [utc_text(t) for t in annual.t_utc for _ in range(directions)],
+        "azimuth_deg": np.tile(annual.azimuths_deg, hours),
+    }
+    columns |= {key: np.repeat(values, directions) for key, values in annual.hours.items()}
+    return columns | {key: values.ravel() for key, values in annual.views.items()}
+
+
+def write_csv(campaign: CampaignFile, path: Path) -> int:
+    """Write the table as csv, one room in memory at a time; return the number of rows."""
+    count = 0
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        for name, annual in years(campaign):
+            columns = _columns(name, annual)
+            if not count:
+                writer.writerow(columns)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow([_cell(value) for value in row])
+                count += 1
+    return count
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:.7g}" if np.isfinite(value) else ""
+
+
+def write_parquet(campaign: CampaignFile, path: Path) -> int:
+    """Write the table as Parquet, a row group for each room; return the number of rows.
+
+    Raises InputError without pyarrow.
+    """
+    try:
+        import pyarrow as pa  # pyright: ignore[reportMissingImports]
+        import pyarrow.parquet as pq  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        remedy = 'install it with: pip install "fieldlum[parquet]", or name a .csv file'
+        raise InputError(path, "pyarrow is not installed", remedy=remedy) from None
+    count, writer = 0, None
+    with replacing_path(path) as temporary:
+        for name, annual in years(campaign):
+            table = pa.table(_columns(name, annual))
+            writer = writer or pq.ParquetWriter(temporary, table.schema)
+            writer.write_table(table)
+            count += table.num_rows
+        if writer is None:
+            found, remedy = "no room has a predicted year", "run fieldlum campaign predict"
+            raise InputError(path, found, remedy=remedy)
+        writer.close()
+    return count

@@ -1,0 +1,322 @@
+"""One page of a campaign: which room has glare, which camera drifts, what failed, what is next."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
+from fieldlum.campaign.drift import FEWEST, LIMITS, UNITS, Series, drifts_of
+from fieldlum.errors import FieldlumError
+from fieldlum.projection import NOT_SEEN, compass_name
+from fieldlum.records import Progress, quiet
+from fieldlum.report.page import Figure, Page, Row, Section, Table, render, svg_figure
+from fieldlum.session import Session, open_session, replacing
+from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.version import __version__
+
+GLARE_DGP = "0.40"  # disturbing, EN 17037
+_NEXT = 3  # hours named for each room
+_SLOTS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class RoomOverview:
+    """What the page shows of one room. broken: why it could not be read, "" for the others.
+
+    protection: rows of predict.json; failed: slot and reason.
+    """
+
+    session: str
+    broken: str = ""
+    captured: int = 0
+    planned: int = 0
+    usable: int = 0
+    failed: tuple[tuple[str, str], ...] = ()
+    protection: tuple[dict[str, Any], ...] = ()
+    occupied_hours: int = 0
+    capture_next: tuple[dict[str, Any], ...] = ()
+    drifts: dict[str, Series] = field(default_factory=dict)
+
+    @property
+    def judged(self) -> list[dict[str, Any]]:
+        return [row for row in self.protection if row["class"] != NOT_SEEN]
+
+    @property
+    def worst(self) -> dict[str, Any] | None:
+        """Return the direction with the largest DGP in 5 % of the hours; None without a year."""
+        return max(self.judged, key=lambda row: row["dgp_exceeded"], default=None)
+
+    @property
+    def best(self) -> dict[str, Any] | None:
+        return min(self.judged, key=lambda row: row["dgp_exceeded"], default=None)
+
+    @property
+    def drifting(self) -> list[Series]:
+        return [series for series in self.drifts.values() if series.drifts]
+
+
+def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
+    """Read one room; a missing or broken session is an overview that names what is wrong."""
+    try:
+        return _read(open_session(campaign.session_folder(room)), room)
+    except (FieldlumError, OSError) as error:
+        return RoomOverview(room.session, broken=" ".join(str(error).split()))
+    except Exception as error:
+        return RoomOverview(room.session, broken=f"defect: {type(error).__name__}: {error}")
+
+
+def _read(session: Session, room: CampaignRoom) -> RoomOverview:
+    from fieldlum.capture.status import status
+    from fieldlum.predict import read_annual
+
+    found = status(session)
+    pairs = PairsFile.find(session.pairs)
+    years = [folder for folder in session.annual_folders() if folder.name == room.model]
+    about = read_annual(years[0]).about if years else {}
+    return RoomOverview(
+        room.session,
+        captured=found["capture"]["done"],
+        planned=found["plan"]["slots"],
+        usable=len(pairs.usable),
+        failed=_failed(session, pairs),
+        protection=tuple(about.get("protection", ())),
+        occupied_hours=int(about.get("occupancy", {}).get("hours", 0)),
+        capture_next=tuple(about.get("capture_next") or ()),
+        drifts=drifts_of(session),
+    )
+
+
+def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
+    """Slots that were missed or aborted, not merged, or refused by pair, each with its reason."""
+    from fieldlum.capture.state import fold
+    from fieldlum.session import read_journal
+
+    ledger = fold(read_journal(session))
+    reasons = {
+        name: state.outcome
+        for name, state in ledger.slots.items()
+        if state.outcome in ("missed", "aborted")
+    }
+    merged = {path.stem for path in session.panorama_files()}
+    for folder in session.captured_folders():
+        if folder.name not in merged:
+            reasons.setdefault(folder.name, "captured, not merged")
+    for row in pairs.refused:
+        reasons.setdefault(Path(row.panorama).stem or "?", row.why or "refused by pair")
+    return tuple(sorted(reasons.items()))
+
+
+# ----------------------------------------------------------------------------------------------
+# the page
+
+
+def write_overview(
+    campaign: CampaignFile, out: Path, *, progress: Progress = quiet
+) -> tuple[Path, list[RoomOverview]]:
+    """Write out/index.html and overview.json; return the page's path and what is in it."""
+    rooms = []
+    for k, room in enumerate(campaign.rooms):
+        progress(k, len(campaign.rooms), room.session)
+        rooms.append(overview_of(campaign, room))
+    page = out / "index.html"
+    with replacing(page, "w", encoding="utf-8") as file:
+        file.write(render(_page(campaign, rooms)))
+    with replacing(out / "overview.json", "w", encoding="utf-8") as file:
+        json.dump({"rooms": [_plain(room) for room in rooms]}, file, indent=1)
+    return page, rooms
+
+
+def _plain(room: RoomOverview) -> dict[str, Any]:
+    changes = {
+        kind: {"change": s.change, "low": s.low, "high": s.high, "drifts": s.drifts}
+        for kind, s in room.drifts.items()
+        if np.isfinite(s.change)
+    }
+    return {
+        "session": room.session,
+        "broken": room.broken,
+        "captured": room.captured,
+        "planned": room.planned,
+        "usable": room.usable,
+        "failed": [list(pair) for pair in room.failed],
+        "worst": room.worst,
+        "best": room.best,
+        "capture_next": list(room.capture_next),
+        "drift": changes,
+    }
+
+
+def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
+    broken = [room for room in rooms if room.broken]
+    judged = [room for room in rooms if room.worst is not None]
+    bad = [room for room in judged if room.worst and room.worst["class"] == "none"]
+    moving = [room for room in rooms if room.drifting]
+    slots = sum(len(room.failed) for room in rooms)
+    answer = (
+        f"{len(bad)} of {len(judged)} rooms have a view direction without protection from glare."
+        if judged
+        else "No room has a predicted year yet."
+    )
+    names = ", ".join(room.session for room in moving)
+    why = (
+        f"{_count(len(moving), 'camera')} drift{'s' if len(moving) == 1 else ''}"
+        f"{f' ({names})' if names else ''}; {_count(slots, 'slot')} failed; "
+        f"{_count(len(broken), 'session')} could not be read."
+    )
+    return Page(
+        title=campaign.name,
+        answer=answer,
+        why=why,
+        facts=(
+            ("rooms", f"{len(rooms)}"),
+            ("captures", f"{sum(room.captured for room in rooms)}"),
+            ("usable pairs", f"{sum(room.usable for room in rooms)}"),
+            ("predicted years", f"{len(judged)}"),
+        ),
+        sections=(_glare(rooms), _drift(rooms), _failures(rooms), _next(rooms)),
+        footer=f"Made by fieldlum {__version__}. This page needs no network.",
+        warnings=tuple(f"{room.session} was passed over. {room.broken}" for room in broken),
+    )
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _direction(row: dict[str, Any]) -> str:
+    return f"{compass_name(row['azimuth_deg'])} ({row['azimuth_deg']:.0f}°)"
+
+
+def _chip(row: dict[str, Any]) -> dict[str, str]:
+    return {"kind": row["class"] if row["certain"] else "open", "text": row["class"]}
+
+
+def _glare(rooms: Sequence[RoomOverview]) -> Section:
+    body: list[tuple[Any, ...]] = []
+    for room in sorted(rooms, key=lambda r: -(r.worst or {"dgp_exceeded": -1})["dgp_exceeded"]):
+        worst, best = room.worst, room.best
+        if worst is None or best is None:
+            continue
+        body.append(
+            (
+                room.session,
+                _direction(worst),
+                _chip(worst),
+                f"{worst['dgp_exceeded']:.2f}",
+                f"{worst['hours_over'][GLARE_DGP]} of {room.occupied_hours}",
+                _direction(best),
+                _chip(best),
+            )
+        )
+    head = (
+        "room",
+        "worst direction",
+        "class",
+        "DGP in 5 % of hours",
+        f"hours above {GLARE_DGP}",
+        "best direction",
+        "class",
+    )
+    text = (
+        "Rooms with a predicted year, the worst first. A grey class is not settled by the "
+        "captures so far."
+    )
+    return Section("glare", "Which room has glare", text, (), (Table(head, tuple(body)),))
+
+
+def _drift(rooms: Sequence[RoomOverview]) -> Section:
+    body: list[tuple[Any, ...]] = []
+    figures: list[Figure] = []
+    for room in rooms:
+        if room.broken:
+            continue
+        moving = {series.kind for series in room.drifting}
+        chip = {"kind": "none", "text": "drifts"} if moving else {"kind": "high", "text": "steady"}
+        known = [s for s in room.drifts.values() if np.isfinite(s.change)]
+        chip = chip if known else {"kind": "open", "text": "too few"}
+        texts = [room.drifts[kind].text if kind in room.drifts else "–" for kind in LIMITS]
+        body.append((room.session, chip, *texts))
+        figures += [_curve(room.session, s) for s in room.drifting]
+    head = (
+        "room",
+        "camera",
+        "k by the window sky",
+        "heading by the sun's disc",
+        "residual of merging",
+    )
+    limits = ", ".join(f"{kind} {limit:g} {UNITS[kind]}" for kind, limit in LIMITS.items())
+    text = (
+        "Change from the first to the last capture with its 95 % interval (Theil-Sen slope, "
+        f"{FEWEST} captures or more). A camera drifts when the interval excludes zero and the "
+        f"change exceeds {limits}. k compares the sky in the window with the Perez sky of the "
+        "logged irradiance: dirt on the pane or on the pyranometer counts as drift too."
+    )
+    rows = (Row(tuple(figures)),) if figures else ()
+    return Section("drift", "Which camera drifts", text, rows, (Table(head, tuple(body)),))
+
+
+def _curve(name: str, series: Series) -> Figure:
+    """Return the values of a drifting quantity over time with the fitted change."""
+    width, height, pad = 420.0, 130.0, 26.0
+    top = float(np.abs(series.values).max()) or 1.0
+    x = pad + (width - 2 * pad) * series.days / max(float(series.days.max()), 1e-9)
+    y = height / 2 - (height / 2 - pad) * series.values / top
+    points = "".join(
+        f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2.5" fill="#1f5fa8"/>'
+        for a, b in zip(x, y, strict=True)
+    )
+    middle = float(np.median(series.values))
+    ends = [
+        height / 2 - (height / 2 - pad) * (middle + sign * series.change / 2) / top
+        for sign in (-1, 1)
+    ]
+    unit = UNITS[series.kind]
+    svg = (
+        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" xmlns="http://www.w3.org/2000/svg" '
+        f'font-size="11" font-family="sans-serif"><line x1="{pad}" x2="{width - pad}" '
+        f'y1="{height / 2}" y2="{height / 2}" stroke="#9aa5b0"/>{points}'
+        f'<line x1="{pad}" x2="{width - pad}" y1="{ends[0]:.1f}" y2="{ends[1]:.1f}" '
+        f'stroke="#c4441c" stroke-width="2"/><text x="2" y="{pad - 8}">{top:+.3g} {unit}</text>'
+        f'<text x="2" y="{height - 4}">{-top:+.3g} {unit}</text><text x="{width - pad}" '
+        f'y="{height - 4}" text-anchor="end">{series.days.max():.0f} days</text></svg>'
+    )
+    text = f"{name}: {series.kind} changed by {series.text}"
+    return svg_figure(svg, html.escape(text), f"{text}.")
+
+
+def _failures(rooms: Sequence[RoomOverview]) -> Section:
+    body = []
+    for room in rooms:
+        if not room.failed:
+            continue
+        reasons: dict[str, list[str]] = {}
+        for slot, why in room.failed:
+            reasons.setdefault(why, []).append(slot)
+        for why, slots in reasons.items():
+            more = f" and {len(slots) - _SLOTS} more" if len(slots) > _SLOTS else ""
+            body.append((room.session, why, f"{len(slots)}", ", ".join(slots[:_SLOTS]) + more))
+    text = "Slots missed or aborted, captured but not merged, or refused by pair."
+    table = Table(("room", "reason", "slots", "which"), tuple(body), words=True)
+    return Section("failed", "Which slots failed", text, (), (table,) if body else ())
+
+
+def _next(rooms: Sequence[RoomOverview]) -> Section:
+    body = []
+    for room in rooms:
+        owed = room.planned - room.captured
+        hours = "; ".join(
+            f"{h['date']} {h['hour']} (direct {h['dni_wm2']:.0f}, diffuse {h['dhi_wm2']:.0f} W/m²)"
+            for h in room.capture_next[:_NEXT]
+        )
+        if owed > 0 or hours:
+            body.append((room.session, f"{max(owed, 0)}", hours or "nothing is open"))
+    text = "Slots of the plan that are still owed, and hours whose capture would settle a class."
+    table = Table(("room", "slots owed", "hours like these"), tuple(body), words=True)
+    return Section("next", "What to capture next", text, (), (table,) if body else ())

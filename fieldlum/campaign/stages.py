@@ -1,0 +1,188 @@
+"""One stage for every room of a campaign; a room that fails is named, and the others go on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
+from fieldlum.errors import FieldlumError, InputError
+from fieldlum.records import Progress, quiet
+from fieldlum.scheduler import LOCAL, Scheduler, WorkUnit, run_units
+from fieldlum.session import Session, open_session
+
+Stage = Literal["plan", "status", "merge", "train", "predict"]
+_LINE = 200  # characters of a room's line
+
+
+@dataclass(frozen=True, slots=True)
+class RoomResult:
+    """What a stage did for one room: state is done or failed; text is one line."""
+
+    session: str
+    state: Literal["done", "failed"]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class _TrainJob:
+    model: str
+    seed: int
+    budget_min: float
+
+
+def run_stage(
+    campaign: CampaignFile,
+    stage: Stage,
+    *,
+    scheduler: Scheduler = LOCAL,
+    force: bool = False,
+    progress: Progress = quiet,
+) -> Iterator[RoomResult]:
+    """Run `stage` for each room and yield its result.
+
+    The units of merge and predict are those of one room at a time; train has one unit a room.
+    """
+    if stage == "train":
+        yield from _train(campaign, scheduler, progress)
+        return
+    work: Callable[[CampaignRoom], str] = {
+        "plan": lambda room: _plan(campaign, room),
+        "status": lambda room: _status(campaign, room),
+        "merge": lambda room: _merge(campaign, room, scheduler, force, progress),
+        "predict": lambda room: _predict(campaign, room, scheduler, force, progress),
+    }[stage]
+    for room in campaign.rooms:
+        yield _guarded(room.session, lambda room=room: work(room))
+
+
+def _guarded(name: str, work: Callable[[], str]) -> RoomResult:
+    """Return the result of one room's work; whatever it raises concerns this room alone."""
+    try:
+        return RoomResult(name, "done", work())
+    except (FieldlumError, OSError) as error:
+        return RoomResult(name, "failed", _line(str(error)))
+    except Exception as error:
+        return RoomResult(name, "failed", _line(f"defect: {type(error).__name__}: {error}"))
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())[:_LINE]
+
+
+def _session(campaign: CampaignFile, room: CampaignRoom) -> Session:
+    return open_session(campaign.session_folder(room))
+
+
+# ----------------------------------------------------------------------------------------------
+# stages
+
+
+def _plan(campaign: CampaignFile, room: CampaignRoom) -> str:
+    from fieldlum import plan
+    from fieldlum.profiles import load_site
+
+    folder = campaign.session_folder(room)
+    if (folder / "session.toml").is_file():
+        return f"{len(open_session(folder).slots())} slots, planned before"
+    if not room.site:
+        raise InputError(folder, "no session and no site", "site = SITE.toml", "add it to the room")
+    setup = load_site(campaign.file(room.site))
+    today = plan.today_at(setup.site, datetime.now(UTC))
+    session, _ = plan.run(setup, plan.Request(room.set, today), folder)
+    return f"{len(session.slots())} slots planned ({room.set})"
+
+
+def _status(campaign: CampaignFile, room: CampaignRoom) -> str:
+    from fieldlum.capture.status import status
+
+    found = status(_session(campaign, room))
+    capture, merge, pair = found["capture"], found["merge"], found["pair"]
+    models = ", ".join(entry["name"] for entry in found["train"]["models"]) or "no model"
+    years = len(found["predict"]["years"])
+    return (
+        f"{capture['done']} captured, {capture['missed']} missed, {capture['aborted']} aborted, "
+        f"{capture['owed']} owed; {merge['done']} merged; {pair['usable']} usable pairs; {models}; "
+        f"{years} year{'' if years == 1 else 's'}"
+    )
+
+
+def _merge(
+    campaign: CampaignFile,
+    room: CampaignRoom,
+    scheduler: Scheduler,
+    force: bool,
+    progress: Progress,
+) -> str:
+    """Merge, then clean the irradiance and pair."""
+    from fieldlum import irradiance, merge, pair
+
+    session = _session(campaign, room)
+    height = int(room.size.lower().partition("x")[2])
+    verdicts = merge.run(
+        session, scheduler=scheduler, height=height, force=force, progress=progress
+    )
+    irradiance.run(session, force=force, progress=progress)
+    pairs = pair.run(session, scheduler=scheduler, force=force, progress=progress)
+    failed = [v.slot for v in verdicts if v.state == "failed"]
+    bad = f", failed: {', '.join(failed[:5])}" if failed else ""
+    done = len(verdicts) - len(failed)
+    return f"{done} of {len(verdicts)} merged{bad}; {sum(p.ok for p in pairs)} usable pairs"
+
+
+def _train(
+    campaign: CampaignFile, scheduler: Scheduler, progress: Progress
+) -> Iterator[RoomResult]:
+    units = []
+    for room in campaign.rooms:
+        folder = campaign.session_folder(room)
+        if not (folder / "pairs.csv").is_file():
+            text = f"{folder}: no pairs.csv; run fieldlum campaign merge first"
+            yield RoomResult(room.session, "failed", text)
+            continue
+        job = _TrainJob(room.model, room.seed, room.budget_min)
+        files = ("session.toml", "pairs.csv")
+        units.append(WorkUnit(room.session, train_room, folder, job, files=files))
+    for outcome in run_units(units, scheduler, progress=progress):
+        yield _guarded(outcome.unit.name, outcome.result)
+
+
+def train_room(folder: Path, job: _TrainJob) -> str:
+    """Train one room's model: a unit of work. Raises NotEnoughDataError for too few hours."""
+    from fieldlum import train
+    from fieldlum.models.data import load_pairs
+
+    data = load_pairs(folder)
+    out = train.default_folder(folder, job.model)
+    answer = train.run(data, job.model, budget_min=job.budget_min, seed=job.seed, out=out)
+    chosen = next(row for row in answer["models"] if row["name"] == answer["chosen"])
+    error = chosen["log10_mse_weighted"]
+    figure = "" if error is None else f", log10 MSE {error:.2g} on held-out days"
+    warned = sum(note.startswith("WARNING") for note in answer["notes"])
+    warnings = f", {warned} warning{'' if warned == 1 else 's'}" if warned else ""
+    return f"{answer['chosen']} from {len(data)} captures{figure}{warnings}"
+
+
+def _predict(
+    campaign: CampaignFile,
+    room: CampaignRoom,
+    scheduler: Scheduler,
+    force: bool,
+    progress: Progress,
+) -> str:
+    from fieldlum import predict
+
+    session = _session(campaign, room)
+    weather = Path(room.weather) if room.weather == "synthetic" else campaign.file(room.weather)
+    annual, new = predict.run(
+        session.models / room.model,
+        weather,
+        views=room.views,
+        scheduler=scheduler,
+        force=force,
+        progress=progress,
+    )
+    return f"{len(annual)} hours" + ("" if new else ", predicted before")

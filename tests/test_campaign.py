@@ -1,0 +1,152 @@
+"""A campaign of rooms: independent, the broken one named, drift found, one table of all hours."""
+
+import csv
+import json
+import shutil
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from learning_room import dataset, write_pairs
+
+from fieldlum.campaign import read_campaign, run_stage
+from fieldlum.campaign.drift import FEWEST, series
+from fieldlum.cli import main
+from fieldlum.errors import InputError
+from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, Slot
+from fieldlum.session import create_session
+
+T0 = datetime(2027, 3, 1, 12, tzinfo=UTC)
+DATA = dataset(("2027-03-20", "2027-06-21"), height=8)
+
+
+def campaign_file(folder: Path, text: str) -> Path:
+    path = folder / "CAMPAIGN.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.contract
+def test_values_come_from_the_room_then_from_common(tmp_path: Path) -> None:
+    path = campaign_file(
+        tmp_path,
+        'name = "Lab"\n[common]\nmodel = "transport"\nviews = 4\n'
+        '[[room]]\nsession = "a"\n[[room]]\nsession = "b"\nviews = 6\n',
+    )
+    found = read_campaign(path)
+    assert [room.session for room in found.rooms] == ["a", "b"]
+    assert [room.views for room in found.rooms] == [4, 6]
+    assert {room.model for room in found.rooms} == {"transport"}
+    assert found.session_folder(found.rooms[0]) == tmp_path / "a"
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("rooms = 3\n", "unknown key 'rooms'"),
+        ('name = "x"\n', r"no \[\[room\]\]"),
+        ("[[room]]\nviews = 4\n", "without session"),
+        ('[[room]]\nsession = "a"\n[[room]]\nsession = "a"\n', "session a twice"),
+        ('[[room]]\nsesion = "a"\n', "did you mean 'session'"),
+    ],
+)
+def test_a_wrong_campaign_file_is_one_line(tmp_path: Path, text: str, found: str) -> None:
+    with pytest.raises(InputError, match=found):
+        read_campaign(campaign_file(tmp_path, text))
+
+
+@pytest.mark.analytic
+def test_a_camera_that_drifts_is_told_from_clouds() -> None:
+    # analytic: 8 % in 60 days, under a scatter of 20 % that is the same on every day
+    rng = np.random.default_rng(0)
+    times = [T0 + timedelta(hours=6 * k) for k in range(240)]
+    days = np.array([(t - T0).total_seconds() / 86400 for t in times])
+    clouds = rng.normal(0.0, 10.0, len(times))
+    steady, moving = series("k", times, clouds), series("k", times, clouds + 12.0 * days / 60)
+    assert moving.drifts and moving.change == pytest.approx(12.0, abs=4.0)
+    assert not steady.drifts and steady.low < 0 < steady.high
+    few = series("k", times[: FEWEST - 1], clouds[: FEWEST - 1])
+    assert not few.drifts and np.isnan(few.change)
+    assert series("k", [], []).text == "–"
+
+
+@pytest.fixture
+def three_rooms(tmp_path: Path) -> Path:
+    """Return a campaign of a good session, a missing one and one whose session.toml is broken."""
+    setup = SiteFile(DATA.setup.site, CameraSetup(heading_deg=180.0), Room())
+    slots = [Slot(t, 10.0, 180.0, (Exposure(0.1, 4.0),)) for t in DATA.light.t_utc]
+    session = create_session(tmp_path / "good", setup, slots, {"set": "test"})
+    write_pairs(session.root, DATA)
+    shutil.copytree(session.root, tmp_path / "broken")
+    (tmp_path / "broken" / "session.toml").write_text("no toml [", encoding="utf-8")
+    rooms = "".join(f'[[room]]\nsession = "{name}"\n' for name in ("good", "missing", "broken"))
+    common = '[common]\nmodel = "nearest"\nweather = "synthetic"\nviews = 2\n'
+    return campaign_file(tmp_path, common + rooms)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_broken_room_is_named_and_passed_over(three_rooms: Path, tmp_path: Path) -> None:
+    campaign = read_campaign(three_rooms)
+    for stage in ("status", "train", "predict"):
+        results = {r.session: r for r in run_stage(campaign, stage)}
+        assert results["good"].state == "done", results["good"].text
+        assert results["missing"].state == "failed"
+        assert stage == "train" or "no session.toml" in results["missing"].text
+        assert stage == "train" or results["broken"].state == "failed"
+    table = tmp_path / "hours.csv"
+    result = CliRunner().invoke(
+        main, ["campaign", "report", str(three_rooms), "--table", str(table), "--json"]
+    )
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["passed_over"] == ["missing", "broken"]
+    page = (tmp_path / "campaign" / "index.html").read_text(encoding="utf-8")
+    assert "missing was passed over" in page and "Which room has glare" in page
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    hours = json.loads((tmp_path / "good/annual/nearest/predict.json").read_text())["hours"]
+    assert len(rows) == 2 * hours == answer["table_rows"]
+    with (tmp_path / "good/annual/nearest/hourly.csv").open(newline="") as file:
+        first = next(csv.DictReader(file))
+    assert {row["room"] for row in rows} == {"good"} and rows[0]["t_utc"] == first["t_utc"]
+    azimuth = rows[1]["azimuth_deg"]
+    assert float(rows[1]["dgp"]) == float(first[f"dgp@{azimuth}"])
+
+
+@pytest.mark.contract
+def test_the_command_exits_with_3_when_a_room_was_passed_over(tmp_path: Path) -> None:
+    path = campaign_file(tmp_path, '[[room]]\nsession = "missing"\n')
+    result = CliRunner().invoke(main, ["campaign", "status", str(path)])
+    assert result.exit_code == 3
+    assert result.stdout.startswith("missing failed: ") and "no session.toml" in result.stdout
+    result = CliRunner().invoke(main, ["campaign", "report", str(path), "--table", "hours.txt"])
+    assert result.exit_code == 2
+
+
+@pytest.mark.contract
+def test_parquet_without_pyarrow_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    path = campaign_file(tmp_path, '[[room]]\nsession = "missing"\n')
+    table = str(tmp_path / "hours.parquet")
+    result = CliRunner().invoke(main, ["campaign", "report", str(path), "--table", table])
+    assert result.exit_code == 3 and 'pip install "fieldlum[parquet]"' in result.output
+
+
+@pytest.mark.contract
+def test_a_room_without_a_session_is_planned(tmp_path: Path) -> None:
+    text = '[site]\nname = "Here"\nlatitude_deg = 51.5\nlongitude_deg = 0.0\ntimezone = "UTC"\n'
+    (tmp_path / "site.toml").write_text(text)
+    path = campaign_file(
+        tmp_path, '[common]\nset = "4-day"\n[[room]]\nsession = "a"\nsite = "site.toml"\n'
+    )
+    first, again = (next(run_stage(read_campaign(path), "plan")).text for _ in range(2))
+    assert "slots planned (4-day)" in first and "planned before" in again
+    assert (tmp_path / "a" / "plan.csv").is_file()
