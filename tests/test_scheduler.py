@@ -23,6 +23,7 @@ from fieldlum.scheduler import (
     run_each,
     run_units,
 )
+from fieldlum.scheduler.crew import LocalCrew
 from fieldlum.scheduler.identity import difference, software_identity
 from fieldlum.scheduler.units import corrected, perform, relative_folder, task_of
 from fieldlum.session import remove_scraps, sha256
@@ -237,3 +238,30 @@ def test_an_error_of_the_caller_ends_the_crew(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="enough"):
         run_each(some, in_processes(2), take)
     assert len(given) == 1 and not multiprocessing.active_children()
+
+
+def test_a_unit_that_ended_late_is_not_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Slow:
+        """Ends each unit after its time limit, in the same look."""
+
+        def __init__(self, *_: object) -> None:
+            self.crew = LocalCrew()
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self.crew, name)
+
+        def __enter__(self) -> "Slow":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def give_up(self, key: int) -> str:
+            raise AssertionError("it has ended")
+
+    monkeypatch.setattr("fieldlum.scheduler.drive._crew", Slow)
+    some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(3)]
+    outcomes = list(run_units(some, Scheduler(unit_limit_s=0.0)))
+    assert [o.result() for o in outcomes] == [0, 2, 4]

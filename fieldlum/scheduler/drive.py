@@ -5,9 +5,10 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import chain
 
 from fieldlum.records import Progress, quiet
 from fieldlum.scheduler.address import Scheduler
@@ -82,7 +83,7 @@ def run_units(
                 attempt.started_s = time.monotonic()
                 running[key] = attempt
                 crew.submit(key, attempt.unit)
-            for ended in [*crew.ended(), *_hanging(crew, running, pace.limit_s())]:
+            for ended in chain(crew.ended(), _hanging(crew, running, pace)):
                 attempt = running.pop(ended.key)
                 outcome = _settle(attempt, ended, scheduler)
                 if outcome is None:
@@ -117,16 +118,17 @@ def _crew(scheduler: Scheduler, total: int) -> Crew:
     return ProcessCrew(count) if scheduler.kind == "processes" and count > 1 else LocalCrew()
 
 
-def _hanging(crew: Crew, running: dict[int, _Attempt], limit_s: float) -> list[Ended]:
-    """Give up units that run too long. Those of this process end before anyone looks."""
+def _hanging(crew: Crew, running: dict[int, _Attempt], pace: _Pace) -> Iterator[Ended]:
+    """Give up units that run too long. Those of this process end before anyone looks.
+
+    A generator: it looks at `running` only after the units that ended have left it.
+    """
     if isinstance(crew, LocalCrew):
-        return []
+        return
+    limit_s = pace.limit_s()
     oldest_s = time.monotonic() - limit_s
-    late = [key for key, attempt in running.items() if attempt.started_s < oldest_s]
-    return [
-        Ended(key, "lost", text=f"no end after {limit_s:.0f} s: {crew.give_up(key)}")
-        for key in late
-    ]
+    for key in [key for key, attempt in running.items() if attempt.started_s < oldest_s]:
+        yield Ended(key, "lost", text=f"no end after {limit_s:.0f} s: {crew.give_up(key)}")
 
 
 def _settle(attempt: _Attempt, ended: Ended, scheduler: Scheduler) -> UnitOutcome | None:
