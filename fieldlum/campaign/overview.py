@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
-from fieldlum.campaign.drift import FEWEST, LIMITS, UNITS, Series, drifts_of
+from fieldlum.campaign.drift import FEWEST, LIMITS, UNITS, DriftSeries, drifts_of
 from fieldlum.errors import FieldlumError
 from fieldlum.projection import NOT_SEEN, compass_name
 from fieldlum.records import Progress, quiet
@@ -42,7 +42,7 @@ class RoomOverview:
     protection: tuple[dict[str, Any], ...] = ()
     occupied_hours: int = 0
     capture_next: tuple[dict[str, Any], ...] = ()
-    drifts: dict[str, Series] = field(default_factory=dict)
+    drifts: dict[str, DriftSeries] = field(default_factory=dict)
 
     @property
     def judged(self) -> list[dict[str, Any]]:
@@ -58,7 +58,7 @@ class RoomOverview:
         return min(self.judged, key=lambda row: row["dgp_exceeded"], default=None)
 
     @property
-    def drifting(self) -> list[Series]:
+    def drifting(self) -> list[DriftSeries]:
         return [series for series in self.drifts.values() if series.drifts]
 
 
@@ -253,17 +253,17 @@ def _drift(rooms: Sequence[RoomOverview]) -> Section:
     )
     limits = ", ".join(f"{kind} {limit:g} {UNITS[kind]}" for kind, limit in LIMITS.items())
     text = (
-        "Change from the first to the last capture with its 95 % interval (Theil-Sen slope, "
-        f"{FEWEST} captures or more). A camera drifts when the interval excludes zero and the "
-        f"change exceeds {limits}. k compares the sky in the window with the Perez sky of the "
+        "Change of the median from the first to the last quarter of the captures with its 95 % "
+        f"interval ({FEWEST} captures or more). A camera drifts when the change exceeds three "
+        f"standard errors and {limits}. k compares the sky in the window with the Perez sky of the "
         "logged irradiance: dirt on the pane or on the pyranometer counts as drift too."
     )
     rows = (Row(tuple(figures)),) if figures else ()
     return Section("drift", "Which camera drifts", text, rows, (Table(head, tuple(body)),))
 
 
-def _curve(name: str, series: Series) -> Figure:
-    """Return the values of a drifting quantity over time with the fitted change."""
+def _curve(name: str, series: DriftSeries) -> Figure:
+    """Return a drifting quantity over time; red: medians of the first and the last quarter."""
     width, height, pad = 420.0, 130.0, 26.0
     top = float(np.abs(series.values).max()) or 1.0
     x = pad + (width - 2 * pad) * series.days / max(float(series.days.max()), 1e-9)
@@ -272,18 +272,19 @@ def _curve(name: str, series: Series) -> Figure:
         f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2.5" fill="#1f5fa8"/>'
         for a, b in zip(x, y, strict=True)
     )
-    middle = float(np.median(series.values))
-    ends = [
-        height / 2 - (height / 2 - pad) * (middle + sign * series.change / 2) / top
-        for sign in (-1, 1)
-    ]
+    quarter = len(series.values) // 4
+    parts: tuple[slice, ...] = (slice(0, quarter), slice(-quarter, None))
+    marks = "".join(
+        f'<line x1="{x[part].min():.1f}" x2="{x[part].max():.1f}" y1="{np.median(y[part]):.1f}" '
+        f'y2="{np.median(y[part]):.1f}" stroke="#c4441c" stroke-width="2"/>'
+        for part in parts
+    )
     unit = UNITS[series.kind]
     svg = (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" xmlns="http://www.w3.org/2000/svg" '
         f'font-size="11" font-family="sans-serif"><line x1="{pad}" x2="{width - pad}" '
         f'y1="{height / 2}" y2="{height / 2}" stroke="#9aa5b0"/>{points}'
-        f'<line x1="{pad}" x2="{width - pad}" y1="{ends[0]:.1f}" y2="{ends[1]:.1f}" '
-        f'stroke="#c4441c" stroke-width="2"/><text x="2" y="{pad - 8}">{top:+.3g} {unit}</text>'
+        f'{marks}<text x="2" y="{pad - 8}">{top:+.3g} {unit}</text>'
         f'<text x="2" y="{height - 4}">{-top:+.3g} {unit}</text><text x="{width - pad}" '
         f'y="{height - 4}" text-anchor="end">{series.days.max():.0f} days</text></svg>'
     )
