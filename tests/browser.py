@@ -77,7 +77,7 @@ class Browser:
         self.call("Page.navigate", url=address)
         self.until("document.readyState === 'complete' && location.href !== 'about:blank'")
 
-    def until(self, script: str, timeout_s: float = 30.0) -> None:
+    def until(self, script: str, timeout_s: float = 90.0) -> None:
         """Wait until an expression is true. Raises TimeoutError."""
         end = time.monotonic() + timeout_s
         while not self.run(script):

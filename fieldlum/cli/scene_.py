@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fieldlum.cli.options import PATH, json_option, pairs_argument, site_option
+from fieldlum.cli.scene_click import command as click_command
 from fieldlum.cli.terminal import emit_json, progress, say
 
 if TYPE_CHECKING:
@@ -103,3 +104,6 @@ def _show(scene: Scene) -> None:
         click.echo(f"expected log10 MSE over a year: {scene.expected_log10_mse:.1e}{doubt}")
     for note in scene.notes:
         say(f"note: {note}")
+
+
+command.add_command(click_command)

@@ -6,23 +6,25 @@ A wrong `left_m` or azimuth is seen at a glance in a drawing, and not in a table
 from __future__ import annotations
 
 from html import escape
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fieldlum.projection import compass_name
 from fieldlum.records import Room, SiteFile
+from fieldlum.scene.clicks import PictureGrid
 from fieldlum.scene.geometry import build
 
+Array = NDArray[np.float64]
 _SIZE_PX, _MARGIN_PX = 460.0, 78.0
-_WINDS = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE")
-_WINDS += ("S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
 # Turn of each wall's outward normal from the "south" wall, clockwise [deg].
 _WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 
 def wind(azimuth_deg: float) -> str:
     """Return a compass direction with its angle, such as "SSW 203°"."""
-    turn = azimuth_deg % 360.0
-    return f"{_WINDS[round(turn / 22.5) % 16]} {round(turn) % 360}°"
+    return f"{compass_name(azimuth_deg)} {round(azimuth_deg) % 360}°"
 
 
 def room_svg(setup: SiteFile) -> str:
@@ -137,3 +139,41 @@ def _north(wall_azimuth_deg: float) -> str:
             "N",
         )
     )
+
+
+def outline_pixels(room: Room, grid: PictureGrid, steps: int = 24) -> dict[str, list[list[float]]]:
+    """Return edges of the box and of the windows as lines of pixel positions x, y, x, y ...; broken
+    where a line leaves the picture at one side and enters at the other.
+    """
+    camera = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
+    low, high = np.zeros(3), np.array([room.width_m, room.depth_m, room.height_m])
+    ends = [(low[k], high[k]) for k in range(3)]
+    lines: dict[str, list[list[float]]] = {"box": [], "window": []}
+
+    def add(name: str, a: Array, b: Array) -> None:
+        share = np.linspace(0.0, 1.0, steps)[:, None]
+        points = (a * (1 - share) + b * share - camera) @ build(room).turn
+        xy = grid.pixels(points)
+        cuts = np.flatnonzero(np.abs(np.diff(xy[:, 0])) > grid.width_px / 2) + 1
+        lines[name] += [np.round(part, 2).ravel().tolist() for part in np.split(xy, cuts)]
+
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        for i in (0, 1):
+            for j in (0, 1):
+                a, b = np.zeros(3), np.zeros(3)
+                a[others[0]] = b[others[0]] = ends[others[0]][i]
+                a[others[1]] = b[others[1]] = ends[others[1]][j]
+                a[axis], b[axis] = ends[axis]
+                add("box", a, b)
+    for opening in build(room).openings:
+        (u0, u1), (z0, z1) = opening.u_m, opening.z_m
+        corners = [(u0, z0), (u1, z0), (u1, z1), (u0, z1), (u0, z0)]
+        points = []
+        for along, z in corners:
+            point = np.zeros(3)
+            point[opening.axis], point[1 - opening.axis], point[2] = opening.inner_m, along, z
+            points.append(point)
+        for a, b in pairwise(points):
+            add("window", a, b)
+    return lines

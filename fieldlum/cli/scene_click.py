@@ -1,0 +1,94 @@
+"""fieldlum scene click."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from fieldlum.cli import terminal
+from fieldlum.cli.options import PATH, json_option, session_argument
+
+
+@click.command("click")
+@session_argument
+@click.option("--slot", default="", help="Panorama to click on. [default: the newest]")
+@click.option(
+    "--csv",
+    "csv_path",
+    type=PATH,
+    metavar="FILE",
+    help="Corners from a csv of kind,window,x_px,y_px instead of a page.",
+)
+@click.option(
+    "--camera-height",
+    "camera_height_m",
+    type=click.FloatRange(0.05, 50.0),
+    metavar="M",
+    help="Height of the lens above the floor: the one length. [default: the session's]",
+)
+@click.option(
+    "--replace",
+    "replace_room",
+    is_flag=True,
+    help="With --csv: put the room into the session in place of the one it has.",
+)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8766,
+    show_default=True,
+    help="Port of the page; 0 takes a free one.",
+)
+@json_option
+def command(
+    session_folder: Path,
+    slot: str,
+    csv_path: Path | None,
+    camera_height_m: float | None,
+    replace_room: bool,
+    port: int,
+    as_json: bool,
+) -> None:
+    """Describe the room by clicking its corners on a panorama.
+
+    Click corners of floor, ceiling and windows; the box, the windows and the hour's sun patch are
+    drawn over the picture at once. Writes scene/clicked.toml, and the session's [room] where it has
+    none: the start of scene fit.
+
+    \b
+    Example:
+      fieldlum scene click office-2027
+      fieldlum scene click office-2027 --csv corners.csv --camera-height 1.42
+    """
+    from fieldlum.session import open_session
+
+    session = open_session(session_folder)
+    height_m = camera_height_m or session.site_file().camera.height_m
+    with terminal.web_library():
+        from fieldlum.web import click_room, server
+    picture = click_room.ClickedPicture.of(session, slot)
+    if csv_path is None:
+        served = server.prepare(click_room.click_routes(picture, height_m), port, lan=False)
+        click.echo(served.address)
+        sys.stdout.flush()
+        with terminal.unattended():
+            served.run()
+        return
+    from fieldlum.scene.clicked import room_from_clicks
+    from fieldlum.scene.clicks import read_clicks
+
+    found = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
+    table = click_room.clicked_table(found)
+    path, taken = click_room.save_room(session, found, replace_room=replace_room)
+    if as_json:
+        terminal.emit_json(table | {"file": str(path), "taken": taken})
+        return
+    for row in table["rows"]:
+        click.echo(f"{row['name']:22} {row['value']:9.3f} +- {row['u']:.3f}")
+    click.echo(f"the south wall faces {table['faces']}; misfit {found.misfit_px:.2f} px rms")
+    for note in found.notes:
+        terminal.say(f"note: {note}")
+    rest = "the session has this room now" if taken else "the session keeps its room: --replace"
+    terminal.say(f"written: {path}; {rest}")

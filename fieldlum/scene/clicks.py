@@ -1,0 +1,96 @@
+"""Clicks on a panorama: what they mean, their file, and where a pixel points."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.projection import equirect_pixel
+
+Array = NDArray[np.float64]
+Kind = Literal["floor", "ceiling", "window", "bar", "transom"]
+KINDS: tuple[Kind, ...] = ("floor", "ceiling", "window", "bar", "transom")
+COLUMNS = ("kind", "window", "x_px", "y_px")
+
+
+@dataclass(frozen=True, slots=True)
+class Click:
+    """One click. window: number from 1, 0 for corners of the room. x_px, y_px: from the panorama's
+    upper left corner. line: of the csv, or the number of the click.
+    """
+
+    kind: Kind
+    window: int
+    x_px: float
+    y_px: float
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PictureGrid:
+    """Size and heading of the panorama that was clicked on."""
+
+    height_px: int
+    width_px: int
+    heading_deg: float
+
+    def angles(self, x_px: float, y_px: float) -> tuple[float, float]:
+        """Return altitude and azimuth of a pixel position. [deg]"""
+        azimuth = self.heading_deg + (x_px / self.width_px - 0.5) * 360.0
+        return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
+
+    def pixels(self, points: Array) -> Array:
+        """Return (x, y) of directions [n, 3] in world axes, [n, 2]."""
+        horizontal = np.hypot(points[:, 0], points[:, 1])
+        altitude = np.degrees(np.arctan2(points[:, 2], horizontal))
+        azimuth = np.degrees(np.arctan2(points[:, 0], points[:, 1]))
+        row, column = equirect_pixel(
+            altitude, azimuth, self.height_px, self.width_px, self.heading_deg
+        )
+        return np.stack([column, row], axis=1)
+
+
+def read_clicks(path: Path) -> list[Click]:
+    """Read a csv with the columns of `COLUMNS`. Raises InputError with the line."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != COLUMNS:
+                names = ", ".join(reader.fieldnames or ())[:80] or "an empty file"
+                raise InputError(path, names, f"columns {', '.join(COLUMNS)}")
+            return [_click(f"{path}:{line}", line, row) for line, row in enumerate(reader, start=2)]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, str(error), "a csv of clicks") from None
+
+
+def clicks_from_rows(rows: Any) -> list[Click]:
+    """Return the clicks of a list of tables, as a page sends them. Raises InputError."""
+    if not isinstance(rows, list) or len(rows) > 500:
+        raise InputError("clicks", "no list of at most 500 clicks", "a list")
+    return [_click(f"click {k}", k, row) for k, row in enumerate(rows, start=1)]
+
+
+def _click(where: str, line: int, row: Any) -> Click:
+    if not isinstance(row, dict):
+        raise InputError(where, "no table", f"keys {', '.join(COLUMNS)}")
+    kind = str(row.get("kind", "")).strip()
+    if kind not in KINDS:
+        raise InputError(where, f"kind '{kind[:40]}'", f"one of {', '.join(KINDS)}")
+    try:
+        x, y = float(row["x_px"]), float(row["y_px"])
+        window = int(row.get("window") or 0)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(where, str(error)[:80], "numbers") from None
+    if not (np.isfinite(x) and np.isfinite(y)):
+        raise InputError(where, f"x_px {x:g}, y_px {y:g}", "finite numbers")
+    of_window = kind in ("window", "bar", "transom")
+    if of_window != (1 <= window <= 50):
+        expected = "a window's number from 1" if of_window else "no window's number"
+        raise InputError(where, f"{kind} with window {window}", expected)
+    return Click(kind, window, x, y, line)

@@ -1,0 +1,184 @@
+"""The page of `fieldlum scene click`: corners clicked on a panorama become a room."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from fieldlum import sun
+from fieldlum.errors import InputError
+from fieldlum.images import read_panorama
+from fieldlum.profiles import site_table
+from fieldlum.projection import direction
+from fieldlum.records import Room, parse_utc
+from fieldlum.scene import sun_patches
+from fieldlum.scene.clicked import ClickedRoom, room_from_clicks
+from fieldlum.scene.clicks import Click, PictureGrid, clicks_from_rows
+from fieldlum.scene.drawing import outline_pixels, wind
+from fieldlum.session import Session, replacing, update_session
+from fieldlum.web.pictures import scale_of
+from fieldlum.web.server import picture_routes, static_route
+
+_PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel
+_LEAST_PATCH = 0.05  # of the brightest patch: its dim rim is no outline
+_MAX_BODY = 200_000
+_NUMBERS_KEPT = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m", "wall_azimuth_deg")
+
+
+@dataclass(frozen=True, slots=True)
+class ClickedPicture:
+    """The panorama that is clicked on."""
+
+    session: Session
+    slot: str
+    grid: PictureGrid
+
+    @classmethod
+    def of(cls, session: Session, slot: str = "") -> ClickedPicture:
+        """Return the panorama of a slot, or the newest. Raises InputError without one."""
+        files = session.panorama_files()
+        chosen = next((path for path in files if path.stem == slot), None) if slot else None
+        if slot and chosen is None:
+            example = files[-1].stem if files else "none is merged yet"
+            raise InputError(session.root, f"no panorama {slot}", f"a slot such as {example}")
+        if not files:
+            raise InputError(
+                session.root, "no merged panorama", "one", f"run fieldlum merge {session.root}"
+            )
+        path = chosen or files[-1]
+        panorama = read_panorama(path)
+        height, width = panorama.luminance_cdm2.shape
+        return cls(session, path.stem, PictureGrid(height, width, panorama.heading_deg))
+
+
+def clicked_table(found: ClickedRoom) -> dict[str, Any]:
+    """Return the lengths of a room with their uncertainties, as rows for people."""
+    room = found.room
+    rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
+    for place, window in enumerate(room.window):
+        names = ("left_m", "width_m", "sill_m", "height_m")
+        rows += [(f"window.{place}.{name}", getattr(window, name)) for name in names]
+    return {
+        "rows": [{"name": name, "value": value, "u": found.u[name]} for name, value in rows],
+        "faces": wind(room.wall_azimuth_deg),
+        "walls": [window.wall for window in room.window],
+        "misfit_px": found.misfit_px,
+        "notes": list(found.notes),
+    }
+
+
+def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tuple[Path, bool]:
+    """Write scene/clicked.toml, a whole SITE.toml. Put the room into the session where it has
+    none, or where `replace_room`; return the file and whether the session has the room now.
+    """
+    setup = session.site_file()
+    room = found.room
+    if setup.room is not None and setup.room.kind == "box":
+        lengths = {name: getattr(room, name) for name in (*_NUMBERS_KEPT, "camera_z_m")}
+        room = replace(setup.room, window=room.window, **lengths)
+    camera = replace(setup.camera, height_m=room.camera_z_m)
+    new = replace(setup, room=room, camera=camera)
+    path = session.root / "scene" / "clicked.toml"
+    lines = ["# Written by fieldlum scene click. Standard uncertainties, from the clicks' pixels:"]
+    lines += [f"#   {name} +- {u:.3g}" for name, u in found.u.items()]
+    with replacing(path, "w", encoding="utf-8") as file:
+        file.write("\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new)))
+    taken = setup.room is None or replace_room
+    if taken:
+        update_session(session, {"setup": site_table(new)})
+    return path, taken
+
+
+def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]:
+    """Return the routes of the page."""
+    session = picture.session
+
+    def about(request: Request) -> Response:
+        setup, path = session.site_file(), session.panorama(picture.slot)
+        low, high = scale_of([path])
+        answer = {
+            "name": setup.site.name,
+            "slot": picture.slot,
+            "width": picture.grid.width_px,
+            "height": picture.grid.height_px,
+            "scale": {"low": low, "high": high, "stamp": f"{path.stat().st_mtime_ns:x}"},
+            "camera_height_m": camera_height_m,
+            "has_room": setup.room is not None,
+        }
+        return JSONResponse(answer)
+
+    async def solve(request: Request) -> Response:
+        return await _answered(request, _solved)
+
+    async def save(request: Request) -> Response:
+        return await _answered(request, _saved)
+
+    def _solved(clicks: list[Click], height_m: float, asked: dict[str, Any]) -> dict[str, Any]:
+        found = room_from_clicks(clicks, picture.grid, height_m)
+        lines = outline_pixels(found.room, picture.grid)
+        return clicked_table(found) | {"lines": lines, "patches": _patches(found.room, picture)}
+
+    def _saved(clicks: list[Click], height_m: float, asked: dict[str, Any]) -> dict[str, Any]:
+        found = room_from_clicks(clicks, picture.grid, height_m)
+        path, taken = save_room(session, found, replace_room=asked.get("replace") is True)
+        return {"file": str(path), "taken": taken}
+
+    return [
+        static_route("/", "click.html"),
+        static_route("/click.js", "click.js"),
+        static_route("/page.css", "page.css"),
+        Route("/room.json", about),
+        Route("/solve.json", solve, methods=["POST"]),
+        Route("/save.json", save, methods=["POST"]),
+        *picture_routes(session),
+    ]
+
+
+async def _answered(request: Request, make: Any) -> Response:
+    """Answer a list of clicks; what is wrong with them is a sentence."""
+    if int(request.headers.get("content-length") or 0) > _MAX_BODY:
+        raise HTTPException(413)
+    try:
+        asked = json.loads(await request.body())
+        clicks, height_m = clicks_from_rows(asked["clicks"]), float(asked["camera_height_m"])
+        return JSONResponse(await asyncio.to_thread(make, clicks, height_m, asked))
+    except InputError as error:
+        return JSONResponse({"error": str(error)})
+    except (ValueError, TypeError, KeyError):
+        raise HTTPException(400) from None
+
+
+def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
+    """Return outlines of the sun patch at the picture's hour, as pixel positions x, y, x, y ..."""
+    import cv2
+
+    site = picture.session.site_file().site
+    try:
+        at = sun.position([parse_utc(picture.slot)], site)
+    except ValueError:
+        return []
+    altitude, azimuth = float(at.altitude_deg[0]), float(at.azimuth_deg[0])
+    if altitude <= 0:
+        return []
+    toward = direction(altitude, azimuth)[None]
+    heading = picture.grid.heading_deg
+    patches = sun_patches(
+        room, None, toward, 1.0, height=_PATCH_HEIGHT_PX, heading_deg=heading, sub=1
+    )
+    light = patches.luminance_cdm2[0]  # [H, W]
+    lit = light > _LEAST_PATCH * max(float(light.max()), 1e-12)
+    mask = np.ascontiguousarray(lit.astype(np.uint8))
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    factor = picture.grid.height_px / _PATCH_HEIGHT_PX
+    outlines = [(contour.reshape(-1, 2) + 0.5) * factor for contour in contours if len(contour) > 2]
+    return [np.round(outline, 1).ravel().tolist() for outline in outlines]
