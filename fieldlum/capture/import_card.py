@@ -11,7 +11,7 @@ from pathlib import Path
 from fieldlum.capture.bracket import shots, write_capture
 from fieldlum.capture.card import card_files, of_the_session, read_card, without_copies
 from fieldlum.capture.card_clock import clock_offset, clock_parts, clock_steps, doubt, tells_utc
-from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.logger_rows import adopt_rows, check_rows
 from fieldlum.capture.match_card import (
     Group,
     Match,
@@ -81,6 +81,8 @@ def run(
     matched. Card and file are never changed.
     """
     with sole_user(session, "capture"):
+        if logger is not None:
+            check_rows(logger, utc_offset_s, columns)  # before the card: all of it or nothing
         report = (
             Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
         )

@@ -45,11 +45,7 @@ def adopt_rows(
     columns: Mapping[str, str] | None = None,
 ) -> Adopted:
     """Raises InputError for a file that cannot be read."""
-    told = {
-        "file": path.name,  # it may have grown since, and come from another card
-        **({} if utc_offset_s is None else {"utc_offset_s": utc_offset_s}),
-        **({"columns": dict(columns)} if columns else {}),
-    }
+    told = _told(path, utc_offset_s, columns)
     found = _read(path, told)
     before: list[dict[str, Any]] = session.table().get("logger_files", [])
     withdrawn = 0
@@ -60,6 +56,24 @@ def adopt_rows(
     if told not in before:
         update_session(session, {"logger_files": [*before, told]})
     return Adopted(added, withdrawn, tuple(f"{path}: {text}" for text in found.left_out))
+
+
+def check_rows(
+    path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None = None
+) -> None:
+    """Raise InputError for a file that `adopt_rows` could not read."""
+    _read(path, _told(path, utc_offset_s, columns))
+
+
+def _told(
+    path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None
+) -> dict[str, Any]:
+    """Return how a file is to be read, as the session stores it."""
+    return {
+        "file": path.name,  # it may have grown since, and come from another card
+        **({} if utc_offset_s is None else {"utc_offset_s": utc_offset_s}),
+        **({"columns": dict(columns)} if columns else {}),
+    }
 
 
 def _read(path: Path, told: Mapping[str, Any]) -> Any:

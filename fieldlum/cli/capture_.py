@@ -12,6 +12,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
+from fieldlum.errors import DeviceError
 
 if TYPE_CHECKING:
     from fieldlum.notify import Post
@@ -170,6 +171,11 @@ def command(
             f"missed, "
             f"{outcomes.count('aborted')} aborted"
         )
+    aborted = [state.why for state in ledger.slots.values() if state.outcome == "aborted"]
+    if aborted:
+        terminal.say(f"the last aborted bracket: {aborted[-1]}")
+    if len(aborted) > outcomes.count("done"):
+        raise DeviceError("more brackets were aborted than taken: run doctor, then plan --replan")
 
 
 def _post(option: str) -> Post | None:

@@ -96,6 +96,8 @@ def command(
         raise click.UsageError(
             "the best hours depend on the climate: give a weather year with --weather FILE"
         )
+    elif start and not 1950 <= start.year <= 2100:
+        raise click.UsageError(f"--start {start:%Y-%m-%d}: a year from 1950 to 2100")
     elif said := _meaningless(set_, start, year, days, count):
         raise click.UsageError(said)
     else:

@@ -246,7 +246,8 @@ def frames_owed(slots: Sequence[Slot], setup: SiteFile) -> int:
 
 def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
     """Return the findings about a camera's name, clock and card."""
-    who = " ".join(part for part in (info.make, info.model, info.serial) if part) or info.kind
+    make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
+    who = " ".join(part for part in (make, info.model, info.serial) if part) or info.kind
     battery = f", battery {info.battery}" if info.battery else ""
     findings = [Finding("camera", "ok", f"{who} answers at {uri}{battery}")]
     if info.clock_offset_s is None:

@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,13 +184,17 @@ def _contact_sheets(session: Session, notes: Sequence[Sidecar]) -> None:
     import cv2
 
     width, height = _THUMB
+    zone = ZoneInfo(session.site_file().site.timezone)
     for page in range(0, len(notes), _PER_PAGE):
         part = notes[page : page + _PER_PAGE]
         rows = -(-len(part) // _PER_ROW)
-        sheet = np.full((rows * (height + 20), _PER_ROW * (width + 6), 3), 255, np.uint8)
+        sheet = np.full((rows * (height + 20) + 34, _PER_ROW * (width + 6), 3), 255, np.uint8)
+        _draw_scale(sheet, rows * (height + 20) + 4)
         for number, note in enumerate(part):
             x, y = (number % _PER_ROW) * (width + 6), number // _PER_ROW * (height + 20)
-            label, black = f"{note.slot} {note.verdict.partition(':')[0]}", (0, 0, 0)
+            black = (0, 0, 0)
+            local = f" {note.t_utc.astimezone(zone):%H:%M}" if note.t_utc else ""
+            label = f"{note.slot}{local} {note.verdict.partition(':')[0]}"
             cv2.putText(
                 sheet,
                 label,
@@ -205,6 +210,19 @@ def _contact_sheets(session: Session, notes: Sequence[Sidecar]) -> None:
                 sheet[y : y + height, x : x + width] = _thumbnail(path)
         with replacing(session.panoramas / f"contact-{page // _PER_PAGE + 1}.png") as file:
             file.write(cv2.imencode(".png", sheet)[1].tobytes())
+
+
+def _draw_scale(sheet: NDArray[np.uint8], top: int) -> None:
+    """Draw the colours of 1 to 10 000 cd/m2 into the foot of a sheet [H, W, 3]."""
+    import cv2
+
+    width = min(460, sheet.shape[1] - 100)
+    ramp = np.broadcast_to(np.linspace(0, 255, width).astype(np.uint8), (12, width))
+    colours = cv2.applyColorMap(np.ascontiguousarray(ramp), cv2.COLORMAP_TURBO)
+    sheet[top : top + 12, 6 : 6 + width] = colours
+    for k, text in enumerate(("1", "10", "100", "1000", "10 000 cd/m2")):
+        at = (6 + min(k * width // 4, width - 30), top + 25)
+        cv2.putText(sheet, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def _thumbnail(path: Path) -> NDArray[np.uint8]:
