@@ -25,7 +25,7 @@ from fieldlum.projection import direction
 from fieldlum.records import CameraSetup, Exposure, Panorama, Room, SiteFile, Slot, Window
 from fieldlum.scene import sun_patches
 from fieldlum.scene.clicked import room_from_clicks
-from fieldlum.scene.clicks import Click, PictureGrid, clicks_from_rows, read_clicks
+from fieldlum.scene.clicks import Click, ClickGrid, clicks_from_rows, read_clicks
 from fieldlum.scene.drawing import outline_pixels
 from fieldlum.scene.geometry import build
 from fieldlum.session import Session, create_session
@@ -54,9 +54,7 @@ def _room(rng: np.random.Generator) -> Room:
     )
 
 
-def _clicks(
-    room: Room, grid: PictureGrid, noise_px: float, rng: np.random.Generator
-) -> list[Click]:
+def _clicks(room: Room, grid: ClickGrid, noise_px: float, rng: np.random.Generator) -> list[Click]:
     """All corners, where they truly are in the picture, plus noise."""
     scene = build(room)
     points: list[tuple[str, int, tuple[float, float, float]]] = []
@@ -82,7 +80,7 @@ def _clicks(
 def test_clicks_without_noise_give_the_room_itself() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        room, grid = _room(rng), PictureGrid(920, 1840, float(rng.uniform(0, 360)))
+        room, grid = _room(rng), ClickGrid(920, 1840, float(rng.uniform(0, 360)))
         found = room_from_clicks(_clicks(room, grid, 0.0, rng), grid, room.camera_z_m)
         for name in LENGTHS:
             assert getattr(found.room, name) == pytest.approx(getattr(room, name), abs=2e-3)
@@ -104,7 +102,7 @@ def test_lengths_of_noisy_clicks_are_within_one_percent_and_u_states_it() -> Non
     relative, normalised = [], []
     for seed in range(20):
         rng = np.random.default_rng(100 + seed)
-        room, grid = _room(rng), PictureGrid(920, 1840, float(rng.uniform(0, 360)))
+        room, grid = _room(rng), ClickGrid(920, 1840, float(rng.uniform(0, 360)))
         found = room_from_clicks(_clicks(room, grid, 0.5, rng), grid, room.camera_z_m)
         for name in LENGTHS:
             error = getattr(found.room, name) - getattr(room, name)
@@ -119,7 +117,7 @@ def test_lengths_of_noisy_clicks_are_within_one_percent_and_u_states_it() -> Non
 @pytest.mark.contract
 def test_a_wrong_click_is_named_and_does_not_bend_the_room() -> None:
     rng = np.random.default_rng(3)
-    room, grid = _room(rng), PictureGrid(920, 1840, 180.0)
+    room, grid = _room(rng), ClickGrid(920, 1840, 180.0)
     clicks = _clicks(room, grid, 0.3, rng)
     clicks[1] = Click("ceiling", 0, clicks[1].x_px + 25.0, clicks[1].y_px, 2)
     found = room_from_clicks(clicks, grid, room.camera_z_m)
@@ -130,7 +128,7 @@ def test_a_wrong_click_is_named_and_does_not_bend_the_room() -> None:
 @pytest.mark.property
 def test_the_outline_passes_through_the_corners() -> None:
     rng = np.random.default_rng(5)
-    room, grid = _room(rng), PictureGrid(460, 920, 30.0)
+    room, grid = _room(rng), ClickGrid(460, 920, 30.0)
     clicks = _clicks(room, grid, 0.0, rng)
     lines = outline_pixels(room, grid)
     drawn = np.concatenate([np.reshape(line, (-1, 2)) for part in lines.values() for line in part])
@@ -162,7 +160,7 @@ def test_wrong_rows_are_refused_by_line(tmp_path: Path, text: str, line: str) ->
 
 @pytest.mark.contract
 def test_clicks_that_are_no_box_are_refused() -> None:
-    grid = PictureGrid(460, 920, 180.0)
+    grid = ClickGrid(460, 920, 180.0)
     few = [Click("floor", 0, 100.0, 400.0, 1)] * 2
     rng = np.random.default_rng(1)
     good = _clicks(_room(rng), grid, 0.0, rng)
@@ -193,7 +191,7 @@ def test_the_sun_patch_of_a_clicked_room_is_the_true_one() -> None:
     shares = []
     for seed in range(10):
         rng = np.random.default_rng(200 + seed)
-        room, grid = _room(rng), PictureGrid(920, 1840, 180.0)
+        room, grid = _room(rng), ClickGrid(920, 1840, 180.0)
         found = room_from_clicks(_clicks(room, grid, 0.5, rng), grid, room.camera_z_m).room
         toward = direction(35.0, room.wall_azimuth_deg + 15.0)[None]
         maps = [
@@ -214,7 +212,7 @@ def test_the_sun_patch_of_a_clicked_room_is_the_true_one() -> None:
 def session(tmp_path: Path) -> tuple[Session, list[Click]]:
     """A session with one panorama and without a room; the clicks of its corners."""
     rng = np.random.default_rng(7)
-    room, grid = _room(rng), PictureGrid(200, 400, 180.0)
+    room, grid = _room(rng), ClickGrid(200, 400, 180.0)
     t_utc = datetime(2027, 3, 20, 19, 30, tzinfo=UTC)
     slot = Slot(t_utc, 40.0, 170.0, (Exposure(0.01, 5.6),))
     setup = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0, height_m=1.4))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.projection import direction
 from fieldlum.records import Room, Window
-from fieldlum.scene.clicks import KINDS, Click, PictureGrid
+from fieldlum.scene.clicks import KINDS, Click, ClickGrid
 
 Array = NDArray[np.float64]
 CLICK_PX = 0.5  # standard uncertainty of a careful click on a zoomed picture
@@ -42,7 +42,7 @@ class ClickedRoom:
 
 
 def room_from_clicks(
-    clicks: Sequence[Click], grid: PictureGrid, camera_height_m: float, *, where: str = "clicks"
+    clicks: Sequence[Click], grid: ClickGrid, camera_height_m: float, *, where: str = "clicks"
 ) -> ClickedRoom:
     """Fit the room. Raises InputError for clicks that cannot be the corners of a box.
 
@@ -55,7 +55,7 @@ def room_from_clicks(
     return _fit(start, clicks, grid, camera_height_m)
 
 
-def _check(clicks: Sequence[Click], grid: PictureGrid, where: str) -> None:
+def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
     for click in clicks:
         inside = 0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px
         if not inside:
@@ -93,7 +93,7 @@ class _Start:
     sides: list[tuple[int, int, int]]  # of each click: sign of x, y (or along, up), window's place
 
 
-def _start(clicks: Sequence[Click], grid: PictureGrid, h: float, where: str) -> _Start:
+def _start(clicks: Sequence[Click], grid: ClickGrid, h: float, where: str) -> _Start:
     rays = np.array([direction(*grid.angles(c.x_px, c.y_px)) for c in clicks]).reshape(-1, 3)
     floor = [k for k, click in enumerate(clicks) if click.kind == "floor"]
     ground = rays[floor, :2] * (h / -rays[floor, 2])[:, None]  # [n, 2] east, north
@@ -210,7 +210,7 @@ def _side(
     return int(along > (left + right) / 2), int(up + h > (low + high) / 2), place
 
 
-def _fit(start: _Start, clicks: Sequence[Click], grid: PictureGrid, h: float) -> ClickedRoom:
+def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> ClickedRoom:
     from scipy.optimize import least_squares
 
     used = [k for k, click in enumerate(clicks) if click.kind in ("floor", "ceiling", "window")]
@@ -268,7 +268,7 @@ def _room(
     covariance: Array,
     start: _Start,
     clicks: Sequence[Click],
-    grid: PictureGrid,
+    grid: ClickGrid,
     h: float,
 ) -> tuple[Room, dict[str, float]]:
     """Return the room in its own words, and the uncertainty of each length."""
@@ -324,7 +324,7 @@ def _window(
     start: _Start,
     clicks: Sequence[Click],
     values: Array,
-    grid: PictureGrid,
+    grid: ClickGrid,
     h: float,
 ) -> Window:
     wall: Any = start.walls[number]

@@ -33,7 +33,7 @@ class Click:
 
 
 @dataclass(frozen=True, slots=True)
-class PictureGrid:
+class ClickGrid:
     """Size and heading of the panorama that was clicked on."""
 
     height_px: int

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.projection import compass_name
 from fieldlum.records import Room, SiteFile
-from fieldlum.scene.clicks import PictureGrid
+from fieldlum.scene.clicks import ClickGrid
 from fieldlum.scene.geometry import build
 
 Array = NDArray[np.float64]
@@ -141,7 +141,7 @@ def _north(wall_azimuth_deg: float) -> str:
     )
 
 
-def outline_pixels(room: Room, grid: PictureGrid, steps: int = 24) -> dict[str, list[list[float]]]:
+def outline_pixels(room: Room, grid: ClickGrid, steps: int = 24) -> dict[str, list[list[float]]]:
     """Return edges of the box and of the windows as lines of pixel positions x, y, x, y ...; broken
     where a line leaves the picture at one side and enters at the other.
     """

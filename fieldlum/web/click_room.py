@@ -23,7 +23,7 @@ from fieldlum.projection import direction
 from fieldlum.records import Room, parse_utc
 from fieldlum.scene import sun_patches
 from fieldlum.scene.clicked import ClickedRoom, room_from_clicks
-from fieldlum.scene.clicks import Click, PictureGrid, clicks_from_rows
+from fieldlum.scene.clicks import Click, ClickGrid, clicks_from_rows
 from fieldlum.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.web.pictures import scale_of
@@ -41,7 +41,7 @@ class ClickedPicture:
 
     session: Session
     slot: str
-    grid: PictureGrid
+    grid: ClickGrid
 
     @classmethod
     def of(cls, session: Session, slot: str = "") -> ClickedPicture:
@@ -58,7 +58,7 @@ class ClickedPicture:
         path = chosen or files[-1]
         panorama = read_panorama(path)
         height, width = panorama.luminance_cdm2.shape
-        return cls(session, path.stem, PictureGrid(height, width, panorama.heading_deg))
+        return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
 
 
 def clicked_table(found: ClickedRoom) -> dict[str, Any]:
