@@ -4,12 +4,10 @@ and its health.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +19,10 @@ from fieldlum.irradiance.series import UNUSABLE, Array, Mark, Series, local_peri
 from fieldlum.irradiance.verdict import Health as Health
 from fieldlum.irradiance.verdict import health as health
 from fieldlum.records import Float, Progress, Site, quiet
-from fieldlum.session import Session, day_files, read_day, replacing
+from fieldlum.session import Session, day_files, read_day
 from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
+from fieldlum.session.files.json_file import write_object
+from fieldlum.session.provenance import made_from
 
 STUCK_S = 600.0  # daylight that does not change by a digit for so long is a dead reading
 _SEGMENT_GAP_S = 1800.0  # DIRINT looks at neighbouring minutes, never across a longer gap
@@ -236,10 +236,6 @@ def clean_of(series: Series) -> CleanIrradiance:
     )
 
 
-def _fingerprint(files: Sequence[Path]) -> dict[str, Any]:
-    return {"recipe": _RECIPE, "files": {path.name: path.stat().st_size for path in files}}
-
-
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
     """Day files to irradiance/clean.csv and irradiance/health.json; kept when nothing was added
     since.
@@ -248,11 +244,10 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     """
     files = day_files(session)
     note, clean = session.irradiance_health, session.clean_irradiance
-    inputs = _fingerprint(files)
-    if clean.is_file() and note.is_file() and not force:
-        known = json.loads(note.read_text(encoding="utf-8"))
-        if known.pop("inputs", None) == inputs:
-            return Health.from_json(known)
+    inputs = {"recipe": _RECIPE, "files": {path.name: path.stat().st_size for path in files}}
+    table = None if force else made_from(note, inputs, [clean])
+    if table is not None:
+        return Health.from_json({name: table[name] for name in table if name != "inputs"})
     raw, broken = _read(files, progress)
     if len(raw) == 0:
         raise NotEnoughDataError(
@@ -265,8 +260,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     series = derive(checked, altitude, site)
     found = health(raw, series, altitude, top, broken, site)
     clean_of(series).write(clean)
-    with replacing(note, "w", encoding="utf-8") as file:
-        json.dump({**asdict(found), "inputs": inputs}, file, indent=1)
+    write_object(note, {**asdict(found), "inputs": inputs})
     return found
 
 

@@ -4,8 +4,6 @@ work of a scheduler.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -31,6 +29,7 @@ from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worke
 from fieldlum.session import Session, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.provenance import digest, made_from
 from fieldlum.version import __version__
 
 DEFAULT_HEIGHT = 230
@@ -79,7 +78,7 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
         }
         for s in shots
     ]
-    text = {
+    inputs = {
         "recipe": _RECIPE,
         "frames": frames,
         "profile_sha256": job.profile_sha256,
@@ -88,18 +87,19 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
         "fit": job.fit,
         "drop_moved": job.drop_moved,
     }
-    return {**text, "digest": hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()}
+    return {**inputs, "digest": digest(inputs)}
 
 
-def _done_before(session: Session, slot: str, digest: str) -> Sidecar | None:
+def _done_before(session: Session, slot: str, recipe: dict[str, Any]) -> Sidecar | None:
     """Return the sidecar of a panorama that this very recipe gave, else None."""
+    path, picture = session.sidecar(slot), session.panorama(slot)
+    table = made_from(path, recipe, [picture])
     try:
-        sidecar = Sidecar.read(session.sidecar(slot))
-        size_bytes = session.panorama(slot).stat().st_size
-    except (OSError, InputError):
+        sidecar = None if table is None else Sidecar.from_table(table, path)
+    except InputError:
         return None
-    same = sidecar.inputs.get("digest") == digest and sidecar.size_bytes == size_bytes
-    return sidecar if same else None
+    same_size = sidecar is not None and sidecar.size_bytes == picture.stat().st_size
+    return sidecar if same_size else None
 
 
 def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> datetime:
@@ -120,7 +120,7 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
     try:
         shots = shots_of_slot(session.capture_file(job.slot).parent)
         recipe = _recipe(job, shots)
-        known = None if job.force else _done_before(session, job.slot, recipe["digest"])
+        known = None if job.force else _done_before(session, job.slot, recipe)
         if known is not None:
             return Verdict(job.slot, "kept", known.verdict, known.quality)
         note = CaptureFile.find(session.capture_file(job.slot))
@@ -268,10 +268,12 @@ def _units(
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
     profile = load_camera_profile(path)
-    digest = sha256(path)
+    profile_sha256 = sha256(path)
     heading_deg = setup.camera.heading_deg
     jobs = [
-        _MergeJob(s, profile, digest, heading_deg, setup.site, height, fit, drop_moved, force)
+        _MergeJob(
+            s, profile, profile_sha256, heading_deg, setup.site, height, fit, drop_moved, force
+        )
         for s in slots
     ]
     return [_unit(session, job) for job in jobs]

@@ -4,8 +4,6 @@ lens sees of it.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -20,7 +18,9 @@ from fieldlum.pair.sun_strength import Seen
 from fieldlum.profiles import plain
 from fieldlum.records import Float, Panorama, Progress, Room, SiteFile, utc_text
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
-from fieldlum.session import Session, replacing, replacing_path
+from fieldlum.session import Session, replacing_path
+from fieldlum.session.files.json_file import write_object
+from fieldlum.session.provenance import digest, made_from
 
 SLOTS_A_UNIT = 16  # rays of the room are traced once a process, so a few slots are enough
 Item = tuple[str, Path, datetime]  # slot, its panorama, its time
@@ -97,18 +97,17 @@ def _recipe(
         round(azimuth, 4),
         f"{normal_lx:.5g}",
     ]
-    return hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()
+    return digest(text)
 
 
 def _known(session: Session, slot: str, recipe: str) -> Seen | None:
     """From the sidecar of a patch that was made by this very recipe."""
-    picture, note = session.sunpatch(slot), session.sunpatch_sidecar(slot)
+    table = made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)])
+    if table is None:
+        return None
     try:
-        table = json.loads(note.read_text(encoding="utf-8"))
-        if table["recipe"] != recipe or not picture.is_file():
-            return None
         return Seen(float(table["visible_fraction"]), float(table["disc_transmittance"]), True)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         return None
 
 
@@ -172,5 +171,5 @@ def _write(
     with replacing_path(picture) as path:
         write_panorama(path, patch)
     when = utc_text(patch.t_utc) if patch.t_utc else ""
-    with replacing(picture.with_suffix(".json"), "w", encoding="utf-8") as file:
-        json.dump({"slot": slot, "t_utc": when, **sight, "recipe": recipe}, file)
+    note = {"slot": slot, "t_utc": when, **sight, "inputs": recipe}
+    write_object(session.sunpatch_sidecar(slot), note)

@@ -15,6 +15,7 @@ from fieldlum.predict.occupancy import Occupancy
 from fieldlum.profiles import site_table
 from fieldlum.projection import signed_angle_deg
 from fieldlum.session import open_session, sha256
+from fieldlum.session.provenance import made_from
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
@@ -144,19 +145,18 @@ def already(folder: Path, inputs: dict[str, Any]) -> Annual | None:
     """The year in `folder` when it came from the same inputs by the same version; more maps than
     asked for may stay.
     """
+    note, maps = folder / "predict.json", folder / "maps.zarr"
+    more = [] if inputs["maps"] else [{**inputs, "maps": True}]
+    tables = (made_from(note, wanted, [folder / "hourly.csv"]) for wanted in (inputs, *more))
+    table = next((found for found in tables if found is not None), None)
+    if table is None or table.get("software", {}).get("fieldlum") != __version__:
+        return None
+    if inputs["maps"] and not maps.is_dir():
+        return None
     try:
-        annual = read_annual(folder)
+        return read_annual(folder)
     except InputError:
         return None
-    about = annual.about
-    whole = not inputs["maps"] or (folder / "maps.zarr").is_dir()
-    wanted = (
-        inputs if inputs["maps"] else {**inputs, "maps": (about.get("inputs") or {}).get("maps")}
-    )
-    same = (
-        about.get("inputs") == wanted and about.get("software", {}).get("fieldlum") == __version__
-    )
-    return annual if same and whole else None
 
 
 def begin_anew(folder: Path) -> None:

@@ -8,7 +8,6 @@ the truth itself; pairs.csv does the same until `pair` writes the pairs of the c
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -22,14 +21,11 @@ from fieldlum.errors import NotEnoughDataError
 from fieldlum.light import Light, light_at
 from fieldlum.records import Progress, SiteFile, Slot, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
-from fieldlum.session import (
-    Session,
-    create_session,
-    replacing,
-    update_session,
-)
+from fieldlum.session import Session, create_session, update_session
+from fieldlum.session.files.json_file import write_object
 from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.files.truth_csv import TruthIrradiance
+from fieldlum.session.provenance import made_from
 from fieldlum.session.simulated_pairs import write_simulated_pairs
 from fieldlum.simulate.slot_units import truth_units
 from fieldlum.simulate.troubles import Troubles as Troubles
@@ -174,13 +170,12 @@ def _forget_other(
     ).hexdigest()
     now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
     now |= {"troubles": troubles} if troubles else {}
-    if path.is_file() and json.loads(path.read_text(encoding="utf-8")) == now:
+    if made_from(path, now) is not None:
         return
     for slot in slots:
         for picture in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)):
             picture.unlink(missing_ok=True)
-    with replacing(path) as file:
-        file.write(json.dumps(now).encode())
+    write_object(path, now)
 
 
 def _done(session: Session, slot: Slot) -> bool:
