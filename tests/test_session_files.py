@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from places import SEATTLE
 
@@ -19,8 +20,10 @@ from fieldlum.plan import makeup
 from fieldlum.records import Exposure, SiteFile, Slot
 from fieldlum.session import Session, create_session, store_grace
 from fieldlum.session.files.capture_json import CaptureFile, Frame
+from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.session.files.sidecar import Sidecar
 
@@ -142,3 +145,28 @@ def test_scores_come_back_equal(tmp_path: Path) -> None:
     scores = ScoresFile(({"name": "mean"},), "mean", "only one", 5, 0.1, {}, ("note",))
     scores.write(tmp_path)
     assert ScoresFile.read(tmp_path) == scores and scores.judged_row is None
+
+
+@pytest.mark.contract
+def test_files_of_a_predicted_year_carry_their_version(tmp_path: Path) -> None:
+    """A file without a version is of 0.1.0; a newer one is refused."""
+    n, d = 2, 1
+    hours = {name: np.ones(n) for name in HOUR_COLUMNS}
+    views = {name: np.full((n, d), 0.5) for name in VIEW_COLUMNS}
+    year = HourlyFile((NOON, NOON + timedelta(hours=1)), np.array([180.0]), hours, views)
+    year.write(tmp_path, "UTC")
+    PredictFile.from_table({"hours": n, "azimuths_deg": [180.0]}, tmp_path).write(tmp_path)
+    about = PredictFile.read(tmp_path)
+    assert about.table["format"] == 1
+    again = HourlyFile.read(tmp_path, np.array(about.azimuths_deg), about.hours)
+    assert again.t_utc == year.t_utc and (again.views["dgp"] == 0.5).all()
+    path = tmp_path / "hourly.csv"
+    text = path.read_text()
+    path.write_text(text.replace(",format\n", "\n").replace(",1\n", "\n"))
+    assert len(HourlyFile.read(tmp_path, np.array([180.0]), n).t_utc) == n
+    path.write_text(text.replace(",1\n", ",2\n"))
+    with pytest.raises(InputError, match="newer fieldlum"):
+        HourlyFile.read(tmp_path, np.array([180.0]), n)
+    (tmp_path / "predict.json").write_text('{"format": 2, "hours": 2, "azimuths_deg": [180]}')
+    with pytest.raises(InputError, match="newer fieldlum"):
+        PredictFile.read(tmp_path)

@@ -10,48 +10,18 @@ for each direction
 
 from __future__ import annotations
 
-import csv
-import json
-import math
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
-from fieldlum.records import parse_utc, utc_text
 from fieldlum.session import replacing
-
-HOUR_COLUMNS = (
-    "dni_wm2",
-    "dhi_wm2",
-    "sun_altitude_deg",
-    "sun_azimuth_deg",
-    "disc_lx",
-    "occupied",
-    "trusted",
-    "expected_log10_mse",
-)
-VIEW_COLUMNS = {  # name: digits written
-    "dgp": 4,
-    "u_dgp": 4,
-    "dgp_low": 4,
-    "dgp_high": 4,
-    "dgps": 4,
-    "ev_lx": 1,
-    "melanopic_edi_lx_estimate": 1,
-    "ugr": 2,
-    "dgi": 2,
-    "task_cdm2": 1,
-    "window_to_task": 2,
-    "uniformity": 3,
-}
-# Years predicted by 0.1.0 lack these columns; they are NaN there.
-LATER_COLUMNS = ("dgp_low", "dgp_high")
+from fieldlum.session.files.hourly_csv import HourlyFile
+from fieldlum.session.files.predict_json import PredictFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,44 +63,16 @@ class Pictures:
     heading_deg: float
 
 
-def azimuth_text(azimuth_deg: float) -> str:
-    return f"{azimuth_deg:g}"
+def write_hourly(annual: Annual, timezone: str) -> None:
+    """Write hourly.csv."""
+    HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views).write(
+        annual.folder, timezone
+    )
 
 
-def write_hourly(path: Path, annual: Annual, timezone: str) -> None:
-    """The year as csv; empty cells are undefined values (no source, no uncertainty)."""
-    zone = ZoneInfo(timezone)
-    names = [f"{name}@{azimuth_text(a)}" for a in annual.azimuths_deg for name in VIEW_COLUMNS]
-    digits = [figure for _ in annual.azimuths_deg for figure in VIEW_COLUMNS.values()]
-    # One block a direction: everything of one view stands together.
-    block = np.stack([annual.views[name] for name in VIEW_COLUMNS], axis=2).reshape(len(annual), -1)
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file)
-        out.writerow(["t_utc", "t_local", *HOUR_COLUMNS, *names])
-        for k, t in enumerate(annual.t_utc):
-            local = t.astimezone(zone).strftime("%Y-%m-%d %H:%M")
-            light = [
-                _cell(annual.hours[name][k], 6 if name == "expected_log10_mse" else 2)
-                for name in HOUR_COLUMNS
-            ]
-            views = [_cell(value, d) for value, d in zip(block[k].tolist(), digits, strict=True)]
-            out.writerow([utc_text(t), local, *light, *views])
-
-
-def _cell(value: float, digits: int) -> str:
-    if not math.isfinite(value):
-        return ""
-    text = f"{value:.{digits}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
-def write_about(path: Path, about: dict[str, Any]) -> None:
-    with replacing(path, "w", encoding="utf-8") as file:
-        json.dump(about, file, indent=1, ensure_ascii=False, default=_plain)
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+def write_about(annual: Annual) -> None:
+    """Write predict.json; it comes last: a folder that has it is complete."""
+    PredictFile.from_table(annual.about, annual.folder).write(annual.folder)
 
 
 def write_pictures(path: Path, pictures: Pictures) -> None:
@@ -159,48 +101,9 @@ def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def read_annual(folder: Path) -> Annual:
     """Raises InputError when `folder` holds no predicted year."""
-    about, path = _read_about(folder), folder / "hourly.csv"
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-    except OSError as error:
-        raise InputError(
-            path, error.strerror or str(error), "hourly.csv", "make it with: fieldlum predict"
-        ) from None
-    try:
-        head, body = rows[0], rows[1:]
-        azimuths = np.array(about["azimuths_deg"], float)
-        if len(body) != about["hours"]:
-            raise ValueError(f"{len(body)} hours, {about['hours']} in predict.json")
-        times = tuple(parse_utc(row[0]) for row in body)
-        values = np.array([[float(cell) if cell else np.nan for cell in row[2:]] for row in body])
-        column = {name: values[:, k] for k, name in enumerate(head[2:])}
-        hours = {name: column[name] for name in HOUR_COLUMNS}
-        blank = np.full(len(body), np.nan)
-        for name in LATER_COLUMNS:
-            for a in azimuths:
-                column.setdefault(f"{name}@{azimuth_text(a)}", blank)
-        views = {
-            name: np.stack([column[f"{name}@{azimuth_text(a)}"] for a in azimuths], axis=1)
-            for name in VIEW_COLUMNS
-        }
-    except (ValueError, KeyError, IndexError) as error:
-        raise InputError(path, str(error), "what fieldlum predict wrote", "predict again") from None
-    return Annual(folder, about, times, azimuths, hours, views)
-
-
-def _read_about(folder: Path) -> dict[str, Any]:
-    path = folder / "predict.json"
-    try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        about["azimuths_deg"]
-    except OSError:
-        raise InputError(
-            folder, "no predict.json in it", "a predicted year", "make one: fieldlum predict"
-        ) from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(path, str(error), "what fieldlum predict wrote", "predict again") from None
-    return about
+    about = PredictFile.read(folder)
+    rows = HourlyFile.read(folder, np.array(about.azimuths_deg), about.hours)
+    return Annual(folder, about.table, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
 
 
 def read_pictures(folder: Path) -> Pictures:

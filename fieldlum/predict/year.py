@@ -20,14 +20,7 @@ from fieldlum.models.disc_in_view import (
     EDGE_SD_DEG,
     drawn_discs_lx,
 )
-from fieldlum.predict.annual import (
-    HOUR_COLUMNS,
-    VIEW_COLUMNS,
-    Annual,
-    write_about,
-    write_hourly,
-    write_pictures,
-)
+from fieldlum.predict.annual import Annual, write_about, write_hourly, write_pictures
 from fieldlum.predict.blocks import ModelRoom, room_of
 from fieldlum.predict.checks import (
     already,
@@ -45,6 +38,7 @@ from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
+from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval
 
@@ -122,11 +116,10 @@ def run(
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     found = judge(annual, doubt, u_of_maps, hours_used, seed)
     annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found, days))
-    # predict.json comes last: a folder that has it is whole.
-    write_hourly(folder / "hourly.csv", annual, zone)
+    write_hourly(annual, zone)
     pictures = telling_pictures(load(model_folder), room, light, annual)
     write_pictures(folder / "pictures.npz", pictures)
-    write_about(folder / "predict.json", annual.about)
+    write_about(annual)
     return PredictedYear(annual, new=True)
 
 

@@ -1,0 +1,121 @@
+"""annual/NAME/hourly.csv: the light, trust and glare of each hour of a predicted year."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.records import parse_utc, utc_text
+from fieldlum.session.writing import replacing
+
+FORMAT = 1
+NAME = "hourly.csv"
+HOUR_COLUMNS = (
+    "dni_wm2",
+    "dhi_wm2",
+    "sun_altitude_deg",
+    "sun_azimuth_deg",
+    "disc_lx",
+    "occupied",
+    "trusted",
+    "expected_log10_mse",
+)
+VIEW_COLUMNS = {  # name: digits written
+    "dgp": 4,
+    "u_dgp": 4,
+    "dgp_low": 4,
+    "dgp_high": 4,
+    "dgps": 4,
+    "ev_lx": 1,
+    "melanopic_edi_lx_estimate": 1,
+    "ugr": 2,
+    "dgi": 2,
+    "task_cdm2": 1,
+    "window_to_task": 2,
+    "uniformity": 3,
+}
+# Years predicted by 0.1.0 lack these columns; they are NaN there.
+LATER_COLUMNS = ("dgp_low", "dgp_high")
+
+
+@dataclass(frozen=True, slots=True)
+class HourlyFile:
+    """One hourly.csv. hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each, which
+    stand as ``metric@azimuth`` in the file. NaN, an empty cell: undefined.
+    """
+
+    t_utc: tuple[datetime, ...]
+    azimuths_deg: NDArray[np.float64]
+    hours: dict[str, NDArray[np.float64]]
+    views: dict[str, NDArray[np.float64]]
+
+    @classmethod
+    def read(cls, folder: Path, azimuths_deg: NDArray[np.float64], count: int) -> HourlyFile:
+        """Read `count` rows of these directions. Raises InputError for other content."""
+        path = folder / NAME
+        try:
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = list(csv.reader(file))
+        except OSError as error:
+            found, remedy = error.strerror or str(error), "make it with: fieldlum predict"
+            raise InputError(path, found, NAME, remedy) from None
+        try:
+            head, body = rows[0], rows[1:]
+            if len(body) != count:
+                raise ValueError(f"{len(body)} hours, {count} in predict.json")
+            times = tuple(parse_utc(row[0]) for row in body)
+            cells = [[float(cell) if cell else np.nan for cell in row[2:]] for row in body]
+            column = dict(zip(head[2:], np.array(cells).T, strict=True))
+            if column.get("format", np.ones(1)).max() > FORMAT:
+                raise ValueError(f"a format over {FORMAT}: read it with a newer fieldlum")
+            blank = np.full(len(body), np.nan)
+            for name in LATER_COLUMNS:
+                for a in azimuths_deg:
+                    column.setdefault(_view_column(name, a), blank)
+            views = {
+                name: np.stack([column[_view_column(name, a)] for a in azimuths_deg], axis=1)
+                for name in VIEW_COLUMNS
+            }
+            return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
+        except (ValueError, KeyError, IndexError) as error:
+            expected, remedy = "what fieldlum predict wrote", "predict again"
+            raise InputError(path, str(error), expected, remedy) from None
+
+    def write(self, folder: Path, timezone: str) -> None:
+        """Write all rows; `t_local` is in the time zone of the site."""
+        zone = ZoneInfo(timezone)
+        names = [_view_column(name, a) for a in self.azimuths_deg for name in VIEW_COLUMNS]
+        digits = [figure for _ in self.azimuths_deg for figure in VIEW_COLUMNS.values()]
+        # One block a direction: everything of one view stands together.
+        block = np.stack([self.views[name] for name in VIEW_COLUMNS], axis=2)
+        block = block.reshape(len(self.t_utc), -1)  # [n, d * metrics]
+        with replacing(folder / NAME, "w", newline="", encoding="utf-8") as file:
+            out = csv.writer(file)
+            out.writerow(["t_utc", "t_local", *HOUR_COLUMNS, *names, "format"])
+            for k, t in enumerate(self.t_utc):
+                local = t.astimezone(zone).strftime("%Y-%m-%d %H:%M")
+                light = [
+                    _cell(self.hours[name][k], 6 if name == "expected_log10_mse" else 2)
+                    for name in HOUR_COLUMNS
+                ]
+                views = [_cell(v, d) for v, d in zip(block[k].tolist(), digits, strict=True)]
+                out.writerow([utc_text(t), local, *light, *views, FORMAT])
+
+
+def _view_column(name: str, azimuth_deg: float) -> str:
+    return f"{name}@{azimuth_deg:g}"
+
+
+def _cell(value: float, digits: int) -> str:
+    if not math.isfinite(value):
+        return ""
+    text = f"{value:.{digits}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
