@@ -1,6 +1,6 @@
 """What each command prints with --json on small inputs, as a list of keys.
 
-`tests/test_contract_json.py` compares it with the kept list, tests/fixtures/json_keys.json: keys
+`tests/test_json_keys.py` compares it with the kept list, tests/fixtures/json_keys.json: keys
 may be added, never lost. After an addition: python tests/json_answers.py
 """
 
