@@ -311,7 +311,10 @@ def test_labels_beside_their_hours_are_refused_with_the_shift(tmp_path, shift_mi
         (lambda y: {"dhi": y.ghi_wm2}, "DHI above the limit of any sky"),
         (lambda y: {"dni": y.ghi_wm2}, "global or diffuse in the column of DNI"),
         (lambda y: {"dni": y.dni_wm2 / 1e3, "dhi": y.dhi_wm2 / 1e3}, "check for kW"),
-        (lambda y: {"dni": 0.5 * y.dni_wm2, "dhi": 0.6 * y.dhi_wm2, "ghi": True}, "GHI differs from DHI"),
+        (
+            lambda y: {"dni": 0.5 * y.dni_wm2, "dhi": 0.6 * y.dhi_wm2, "ghi": True},
+            "GHI differs from DHI",
+        ),
     ],
 )
 def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected: str) -> None:
@@ -325,7 +328,8 @@ def test_columns_and_units_that_cannot_be_are_refused(tmp_path, change, expected
 @pytest.mark.slow
 @pytest.mark.contract
 @pytest.mark.parametrize(
-    ("latitude_deg", "expected"), [(47.6, "sun is down"), (20.0, "check that the file is of this place")]
+    ("latitude_deg", "expected"),
+    [(47.6, "sun is down"), (20.0, "check that the file is of this place")],
 )
 def test_weather_of_the_other_hemisphere_is_refused(
     tmp_path, latitude_deg: float, expected: str
