@@ -12,10 +12,10 @@ check: .venv/ready
 	.venv/bin/ruff format --check -q .
 	@.venv/bin/pyright & types=$$!; .venv/bin/pytest -q -m "not slow"; tests=$$?; wait $$types && exit $$tests
 
+# pyright runs next to the tests: it needs one core for a minute or more.
 test: .venv/ready
 	.venv/bin/ruff check .
-	.venv/bin/pyright
-	.venv/bin/pytest -q -n 2
+	@.venv/bin/pyright & types=$$!; .venv/bin/pytest -q -n 2; tests=$$?; wait $$types && exit $$tests
 
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
