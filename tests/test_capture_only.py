@@ -70,6 +70,7 @@ def test_a_command_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
     shown = _run(tmp_path, "simulate", str(site), "--out", "s", "--set", "4-day")
     assert shown.returncode == 3
     assert "pip install 'fieldlum[compute]'" in shown.stderr
+    assert not (tmp_path / "s").exists()
     assert "Traceback" not in shown.stderr
 
 

@@ -143,7 +143,7 @@ def test_killed_hanging_full_and_other_workers_cost_their_units_alone(
     ]
     running.worker("third")
     running.worker("fourth")
-    limited = replace(scheduler, unit_limit_s=30.0, say=notes.append)
+    limited = replace(scheduler, unit_limit_s=12.0, say=notes.append)
     outcomes = []
     for outcome in run_units(some, limited):
         outcomes.append(outcome)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -113,6 +114,7 @@ def command(
       fieldlum simulate office.toml --set 9-day --size 230x115 --out office-sim
     """
     height = panorama_height(size)
+    import_module("pyradiance")  # so that a missing package is reported before anything is written
     from fieldlum import simulate
     from fieldlum.profiles import load_site
     from fieldlum.session import open_session

@@ -35,7 +35,13 @@ from fieldlum.simulate.truth import QUALITIES as QUALITIES
 from fieldlum.simulate.truth import GroundTruth as GroundTruth
 from fieldlum.simulate.truth import Rendering as Rendering
 from fieldlum.simulate.truth import ground_truth as ground_truth
-from fieldlum.weather import Weather, read_weather, shipped_seattle, synthetic_weather
+from fieldlum.weather import (
+    SHIPPED_SITE,
+    Weather,
+    read_weather,
+    shipped_seattle,
+    synthetic_weather,
+)
 from fieldlum.weather.files import NEAR_KM, distance_km
 
 
@@ -56,8 +62,7 @@ def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Wea
     """Return the weather of a file, or the paper's year near Seattle, or a synthetic year."""
     if path is not None:
         return read_weather(path, setup.site)
-    seattle = shipped_seattle()
-    if distance_km(setup.site, seattle.site) <= NEAR_KM:
+    if distance_km(setup.site, SHIPPED_SITE) <= NEAR_KM:
         return shipped_seattle(setup.site)
     return synthetic_weather(setup.site, seed)
 

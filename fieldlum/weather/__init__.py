@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fieldlum.weather.files import SHIPPED_SITE as SHIPPED_SITE
 from fieldlum.weather.files import SYNTHETIC as SYNTHETIC
 from fieldlum.weather.files import read_weather as read_weather
 from fieldlum.weather.files import shipped_seattle as shipped_seattle

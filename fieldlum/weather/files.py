@@ -162,13 +162,16 @@ def _read(path: Path, lines: list[str], site: Site) -> _File:
     return _read_csv(path, lines, site)
 
 
+# The place of the shipped year: Liu, Colburn, Inanici 2020, section 2.
+SHIPPED_SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+
+
 def shipped_seattle(site: Site | None = None) -> Weather:
     """Return the typical year of Seattle of Liu, Colburn, Inanici 2020, which is shipped.
 
     site : the place to compute the sun for; Seattle by default.
     """
-    place = site or Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
-    return read_weather(shipped("capture_plans") / "seattle_dni_dhi.csv", place)
+    return read_weather(shipped("capture_plans") / "seattle_dni_dhi.csv", site or SHIPPED_SITE)
 
 
 def _lines(path: Path) -> list[str]:
