@@ -167,9 +167,8 @@ def _cloudy(truth: simulate.GroundTruth, times: list[datetime], sd: float, seed:
 
 @pytest.mark.property
 @pytest.mark.slow
-@pytest.mark.parametrize("sd", [0.2, 0.4])
-def test_intervals_hold_under_clouds_and_north_is_not_blamed(sd: float) -> None:
-    """The review's missing test 8."""
+def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
+    sd = 0.4  # of the logarithm of luminance: broken cumulus; the harder of the two that were tried
     truth_of = simulate.ground_truth(SETUP, height=16, quality="draft", workers=1)
     data = _cloudy(truth_of, TIMES, sd, 3)
     asked = [slot.t_utc for slot in simulate.sample_slots(SETUP, WEATHER, 80, 4, TIMES)]
