@@ -1,25 +1,29 @@
-"""A campaign of twelve simulated rooms: simulate, train, predict, report.
+"""A campaign of twelve simulated rooms end to end: plan, capture, merge, train, predict, report.
 
-    python bench/campaign_rooms.py FOLDER [--rooms 12] [--hours 40] [--height 12]
+    python bench/campaign_rooms.py FOLDER [--rooms 12] [--height 30] [--set 4-day]
 
 Rooms differ in orientation and window. One camera loses a quarter of its sensitivity over the
 year, one session is missing and one has a broken session.toml: the overview must name all three.
+Each stage prints its lines, its wall time and its CPU time.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import tomli_w
 from click.testing import CliRunner
 
-from fieldlum import simulate
+from fieldlum import demo, simulate
 from fieldlum.cli import main as fieldlum
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.profiles import load_site, shipped
-from fieldlum.records import SiteFile
-from fieldlum.session import Session, create_session
+from fieldlum.profiles import load_site, shipped, site_table
+from fieldlum.records import SiteFile, quiet
+from fieldlum.session import Session, open_session
 
 DRIFTING, BROKEN = 4, 7
 LOSS = 0.25  # of the sensitivity, from the first to the last capture
@@ -31,33 +35,57 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--rooms", type=int, default=12)
-    parser.add_argument("--hours", type=int, default=40)
-    parser.add_argument("--height", type=int, default=12)
+    parser.add_argument("--height", type=int, default=30)
+    parser.add_argument("--set", default="4-day", help="days of the plan, as in fieldlum plan")
+    parser.add_argument("--scheduler", default="local")
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
     names = [f"room-{k:02d}" for k in range(1, asked.rooms + 1)]
+    path = campaign_file(asked.folder, names, asked.height, asked.set)
+    stage(path, "plan")
+    started = time.monotonic()
     for k, name in enumerate(names, start=1):
-        if not (asked.folder / name).is_dir():
-            session = room(asked.folder / name, k, asked.hours, asked.height)
-            if k == DRIFTING:
-                fade(session)
-    text = 'name = "Twelve rooms"\n[common]\nmodel = "transport"\nviews = 8\n'
-    text += "".join(f'[[room]]\nsession = "{name}"\n' for name in [*names, "room-13"])
-    path = asked.folder / "CAMPAIGN.toml"
-    path.write_text(text, encoding="utf-8")
-    (asked.folder / names[BROKEN - 1] / "session.toml").write_text("broken [", encoding="utf-8")
-    for stage, *options in (
-        ("status",),
-        ("train",),
-        ("predict",),
-        ("report", "--table", str(asked.folder / "hours.csv")),
-    ):
-        result = CliRunner().invoke(fieldlum, ["campaign", stage, str(path), *options])
-        print(f"campaign {stage}: exit {result.exit_code}\n{result.output}", flush=True)
+        if k != BROKEN:
+            photograph(open_session(asked.folder / name), k, asked.height)
+    print(f"simulate and capture: {time.monotonic() - started:.0f} s\n", flush=True)
+    for name in names[BROKEN - 1 : BROKEN]:
+        (asked.folder / name / "session.toml").write_text("broken [", encoding="utf-8")
+    stage(path, "merge", "--scheduler", asked.scheduler)
+    stage(path, "status")
+    stage(path, "train", "--scheduler", asked.scheduler)
+    stage(path, "predict", "--scheduler", asked.scheduler)
+    stage(path, "report", "--table", str(asked.folder / "hours.csv"))
 
 
-def room(root: Path, number: int, hours: int, height: int) -> Session:
-    """Simulate random hours of a year in a room turned by 30 degrees more than the one before."""
+def stage(path: Path, name: str, *options: str) -> None:
+    """Run one campaign command; print what it prints, and what it costs."""
+    wall, cpu = time.monotonic(), _cpu_s()
+    result = CliRunner().invoke(fieldlum, ["campaign", name, str(path), *options])
+    cost = f"{time.monotonic() - wall:.0f} s, CPU {_cpu_s() - cpu:.0f} s"
+    print(f"campaign {name}: exit {result.exit_code}, {cost}\n{result.output}", flush=True)
+
+
+def _cpu_s() -> float:
+    """CPU seconds of this process and of its children that ended."""
+    return sum(os.times()[:4])
+
+
+def campaign_file(folder: Path, names: list[str], height: int, days: str) -> Path:
+    """Write CAMPAIGN.toml and a SITE.toml for each room; the last room has neither."""
+    rooms = [{"session": name, "site": f"{name}.toml"} for name in names]
+    for k, name in enumerate(names, start=1):
+        text = tomli_w.dumps(site_table(site_of(k)))
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    missing = {"session": f"room-{len(names) + 1:02d}"}
+    common = {"model": "transport", "views": 8, "size": f"{2 * height}x{height}", "set": days}
+    table = {"name": "Twelve rooms", "common": common, "room": [*rooms, missing]}
+    path = folder / "CAMPAIGN.toml"
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
+    return path
+
+
+def site_of(number: int) -> SiteFile:
+    """Return the paper's office, turned by 30 degrees more than the room before, windows varied."""
     office = load_site(shipped("capture_plans") / "seattle-office.toml")
     assert office.room is not None
     turned = (180.0 + 30.0 * number) % 360.0
@@ -65,17 +93,22 @@ def room(root: Path, number: int, hours: int, height: int) -> Session:
         replace(window, width_m=window.width_m * (0.6 + 0.1 * (number % 5)))
         for window in office.room.window
     )
-    setup = SiteFile(
+    return SiteFile(
         replace(office.site, name=f"Room {number}"),
         replace(office.camera, heading_deg=turned),
         replace(office.room, wall_azimuth_deg=turned, window=windows),
         office.pyranometer,
     )
-    weather = simulate.weather_for(setup)
-    slots = simulate.sample_slots(setup, weather, hours, number)
-    session = create_session(root, setup, slots, {"set": "year-sample", "count": hours})
-    simulate.run(session, weather, height=height, quality="draft", workers=1)
-    return session
+
+
+def photograph(session: Session, number: int, height: int) -> None:
+    """Render the room at each slot, then take every bracket with the simulated camera."""
+    if not session.truth.is_dir():
+        weather = simulate.weather_for(session.site_file())
+        simulate.run(session, weather, height=height, quality="draft", workers=1)
+        if number == DRIFTING:
+            fade(session)
+    demo.capture(session, number, quiet)
 
 
 def fade(session: Session) -> None:

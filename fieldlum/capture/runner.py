@@ -37,6 +37,7 @@ from fieldlum.records import Exposure, Slot, parse_utc
 from fieldlum.session import (
     Session,
     disk_is_full,
+    paused_until,
     read_journal,
     sole_user,
     store_grace,
@@ -69,7 +70,7 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
 class Live:
     """What a person, or a script far away, wants to know while it runs."""
 
-    state: str  # waiting, capturing, finished
+    state: str  # waiting, paused, capturing, finished
     t_utc: datetime
     planned: int
     done: int
@@ -189,7 +190,7 @@ class _Runner:
             self._learn_sizes(slot, self.states[slot.id])
         self._misses_in_a_row = 0
         self._watched = True
-        self._state, self._next = "waiting", ""
+        self._state, self._next, self._paused_slot = "waiting", "", ""
 
     def _resume_time(self, before: Ledger) -> None:
         if before.opened and before.last_utc is not None:
@@ -286,6 +287,10 @@ class _Runner:
             if not self._wait_until(slot.t_utc):
                 continue
             late_s = (self.clock.now() - slot.t_utc).total_seconds()
+            if late_s <= self.options.grace_s and self._is_paused(state):
+                self._state, self._paused_slot = "paused", slot.id
+                self._sleep_until(self.clock.now() + timedelta(seconds=1), log=True)
+                continue
             if late_s > self.options.grace_s and not (
                 state.outcome == "started" and bracket.resumable(slot, state)
             ):
@@ -304,6 +309,11 @@ class _Runner:
             self._show()
         self._state, self._next = "finished", ""
         self._show()
+
+    def _is_paused(self, state: SlotState) -> bool:
+        """Whether a person paused the capture; a bracket that was begun is finished."""
+        now = self.clock.now()
+        return state.outcome != "started" and paused_until(self.session, now) is not None
 
     def _next_owed(self) -> Slot | None:
         """Of the plan as it stands now: a re-plan beside a running capture adds slots to it."""
@@ -347,8 +357,9 @@ class _Runner:
                 state,
                 f"interrupted, and the slot's window closed {late_s:.0f} s after its start",
             )
-        self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s")
-        return SlotState("missed", why="late")
+        paused = ", the capture was paused" if self._paused_slot == slot.id else ""
+        self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s{paused}")
+        return SlotState("missed", why=f"late{paused}")
 
     def _after_bracket(self, slot: Slot, state: SlotState) -> None:
         """One more sample, so that the bracket's interval is closed on both sides; and what a

@@ -10,6 +10,7 @@ from datetime import datetime
 from typing import Any, Literal
 
 from fieldlum.records import Slot, parse_utc
+from fieldlum.session import BY_PEOPLE
 from fieldlum.session.files.capture_json import Frame as Frame
 from fieldlum.session.files.capture_json import frame_fields as frame_fields
 from fieldlum.session.files.capture_json import frame_from as frame_from
@@ -45,7 +46,8 @@ def fold(events: Iterable[dict[str, Any]], ledger: Ledger | None = None) -> Ledg
         kind = event["event"]
         ledger.counts[kind] = ledger.counts.get(kind, 0) + 1
         t_utc = parse_utc(event["t_utc"])
-        ledger.last_utc = t_utc if ledger.last_utc is None else max(ledger.last_utc, t_utc)
+        if kind not in BY_PEOPLE:
+            ledger.last_utc = t_utc if ledger.last_utc is None else max(ledger.last_utc, t_utc)
         if kind == "open":
             ledger.opened = event
         if "slot" in event:

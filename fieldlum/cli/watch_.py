@@ -42,7 +42,15 @@ DEFAULT_PORT = 8765
     show_default=True,
     help="Merge new brackets and compute the answer so far, at the lowest priority between slots.",
 )
-def command(session_folder: Path, port: int, lan: bool, weather: str, compute: bool) -> None:
+@click.option(
+    "--control",
+    count=True,
+    help="Let the page write notes, mark states, ask for an extra bracket and pause the capture. "
+    "With --lan it must be given twice.",
+)
+def command(
+    session_folder: Path, port: int, lan: bool, weather: str, compute: bool, control: int
+) -> None:
     """Show a session as a page in the browser, live.
 
     The first line is the address, with a token that is new in each run. A capture that runs does
@@ -53,19 +61,26 @@ def command(session_folder: Path, port: int, lan: bool, weather: str, compute: b
       fieldlum watch office-2027
       fieldlum watch office-2027 --lan --port 8080
     """
+    if control and lan and control < 2:
+        raise click.UsageError(
+            "--control with --lan: whoever can listen to the network could pause the capture. "
+            "Give --control twice to accept this, or use one of the two"
+        )
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
     with terminal.web_library():
         from fieldlum.web.server import prepare, watch_routes
     from fieldlum.web.answer import Worker
+    from fieldlum.web.control import Control
     from fieldlum.web.snapshot import Snapshots
 
     if weather != "synthetic" and not Path(weather).is_file():
         raise InputError(weather, "no such file", "a weather year, or the word synthetic")
     snapshots = Snapshots(session)
     worker = Worker(session, snapshots.moment, weather) if compute else None
-    served = prepare(watch_routes(session, snapshots, worker), port, lan=lan)
+    changes = Control(session, snapshots.state) if control else None
+    served = prepare(watch_routes(session, snapshots, worker, changes), port, lan=lan)
     click.echo(served.address)
     sys.stdout.flush()
     if lan:

@@ -180,6 +180,12 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     )
 
 
+def add_slots(session: Session, slots: Sequence[Slot]) -> None:
+    """Add slots to plan.csv, from which none is ever removed; the plan before is stored."""
+    about = _resumed(session)
+    _store_and_write(session, [*session.slots(), *slots], about, session.site_file())
+
+
 def _store_and_write(
     session: Session, slots: list[Slot], about: dict[str, Any], setup: SiteFile
 ) -> dict[str, Any]:

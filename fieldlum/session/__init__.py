@@ -30,7 +30,8 @@ from fieldlum.session.lines import (
     decode_line,
     encode_line,
 )
-from fieldlum.session.marks import mark_slot, marks
+from fieldlum.session.marks import BY_PEOPLE, MAX_NOTE, add_note, mark_slot, marks
+from fieldlum.session.pause import MAX_PAUSE, pause, paused_until, resume
 from fieldlum.session.plan_file import (
     PLAN_COLUMNS,
     exposure_text,
@@ -48,12 +49,16 @@ from fieldlum.session.writing import (
 )
 
 __all__ = [
+    "BY_PEOPLE",
     "DAY_COLUMNS",
     "DEFAULT_GRACE_S",
+    "MAX_NOTE",
+    "MAX_PAUSE",
     "PLAN_COLUMNS",
     "DayFiles",
     "Journal",
     "Session",
+    "add_note",
     "append_durably",
     "append_whole",
     "create_session",
@@ -70,12 +75,15 @@ __all__ = [
     "open_session",
     "outcomes",
     "parse_exposure",
+    "pause",
+    "paused_until",
     "read_day",
     "read_journal",
     "read_plan",
     "remove_scraps",
     "replacing",
     "replacing_path",
+    "resume",
     "sha256",
     "sole_user",
     "store_grace",

@@ -39,6 +39,11 @@ class Session:
         return self.root / "journal.jsonl"
 
     @property
+    def pause(self) -> Path:
+        """Only while a person has paused the capture."""
+        return self.root / "pause.json"
+
+    @property
     def irradiance(self) -> Path:
         """Folder of UTC day files ``2027-03-20.csv`` and of ``clean.csv``."""
         return self.root / "irradiance"

@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import sys
+import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -16,6 +17,10 @@ from typing import Any
 
 from fieldlum.errors import InputError
 
+# A line and its flush take milliseconds. After this time the line is appended without the lock: one
+# append mixes with another only on a file system that splits writes, and the CRC would show it.
+_MAX_LOCK_S = 0.25
+_LOCK_EVERY_S = 0.002
 _TAIL_BYTES = 1 << 20  # how far back a torn tail is looked for
 
 
@@ -39,33 +44,51 @@ def decode_line(line: bytes) -> dict[str, Any] | None:
 def exclusive(handle: int) -> Iterator[None]:
     """Hold an open file alone among processes; wait for another one to finish its line.
 
-    A file system without locks is used as it is.
+    A file system without locks is used as it is. So is a file that another process holds for more
+    than `_MAX_LOCK_S`: a capture must not wait for a program that was stopped in between.
     """
     if sys.platform == "win32":
         import msvcrt
 
         place = os.lseek(handle, 0, os.SEEK_CUR)
         os.lseek(handle, 0, os.SEEK_SET)
-        msvcrt.locking(handle, msvcrt.LK_LOCK, 1)
+        held = _held(lambda: msvcrt.locking(handle, msvcrt.LK_NBLCK, 1))
+        os.lseek(handle, place, os.SEEK_SET)
         try:
             yield
         finally:
-            os.lseek(handle, 0, os.SEEK_SET)
-            msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
+            if held:
+                os.lseek(handle, 0, os.SEEK_SET)
+                msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
             os.lseek(handle, place, os.SEEK_SET)
         return
     import fcntl
 
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-    except OSError as error:
-        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-            raise
+    _held(lambda: fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB))
     try:
         yield
     finally:
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_UN)
+
+
+def _held(lock: Callable[[], None]) -> bool:
+    """Try a lock that does not wait, again and again for `_MAX_LOCK_S`; return whether it is
+    held.
+    """
+    end = time.monotonic() + _MAX_LOCK_S
+    while True:
+        try:
+            lock()
+            return True
+        except OSError as error:
+            if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+                return False
+            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK):
+                raise
+        if time.monotonic() >= end:
+            return False
+        time.sleep(_LOCK_EVERY_S)
 
 
 def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:

@@ -10,6 +10,12 @@ from fieldlum.session.folder import Session
 from fieldlum.session.journal import Journal, read_journal
 
 EVENT = "marked"
+NOTE = "note"
+MAX_NOTE = 500  # characters: a few sentences
+
+# Events that other programs than the capture write, at the time of their own clock. They say
+# nothing about the clock of the capture.
+BY_PEOPLE = frozenset({EVENT, NOTE, "paused", "resumed"})
 
 
 def mark_slot(session: Session, slot: str, state: str) -> str:
@@ -32,6 +38,23 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
     finally:
         journal.close()
     return result
+
+
+def add_note(session: Session, text: str) -> str:
+    """Append a person's note to the journal; return it on one line, without control characters.
+
+    Raises InputError for an empty note and for one of more than `MAX_NOTE` characters.
+    """
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    if not 0 < len(line) <= MAX_NOTE:
+        found = f"a note of {len(line)} characters"
+        raise InputError(session.root, found, f"1 to {MAX_NOTE} characters")
+    journal = Journal(session)
+    try:
+        journal.append(NOTE, datetime.now(UTC), text=line)
+    finally:
+        journal.close()
+    return line
 
 
 def marks(session: Session) -> dict[str, str]:

@@ -22,6 +22,7 @@ from fieldlum.errors import DeviceError, InputError
 from fieldlum.session import Session
 from fieldlum.web.access import SECURITY_HEADERS, Access
 from fieldlum.web.answer import Worker, answer_table
+from fieldlum.web.control import Control, control_routes
 from fieldlum.web.pictures import picture_png, scale_png
 from fieldlum.web.snapshot import Snapshots, known_slot
 
@@ -70,6 +71,14 @@ def static_route(path: str, name: str) -> Route:
     return Route(path, lambda request: Response(body, media_type=kind))
 
 
+def _page(*scripts: str) -> Route:
+    """Return the route of the watch page, with more scripts at the end of its head."""
+    tags = "".join(f'<script src="{name}" defer></script>\n' for name in scripts)
+    text = (STATIC / "watch.html").read_text(encoding="utf-8")
+    body = text.replace("</head>", f"{tags}</head>", 1)
+    return Route("/", lambda request: Response(body, media_type="text/html"))
+
+
 def picture_routes(session: Session) -> list[Route]:
     """Return routes for the panoramas of a session in false colour, and for the scale's colours."""
 
@@ -100,9 +109,14 @@ def _cached() -> dict[str, str]:
 
 
 def watch_routes(
-    session: Session, snapshots: Snapshots, worker: Worker | None = None
+    session: Session,
+    snapshots: Snapshots,
+    worker: Worker | None = None,
+    control: Control | None = None,
 ) -> list[Route]:
-    """Return the routes of the page of `fieldlum watch`. worker: computes the answer, or None."""
+    """Return the routes of the page of `fieldlum watch`. worker: computes the answer, or None.
+    control: changes the session on request, or None for a page that only reads.
+    """
 
     def state() -> dict[str, Any]:
         answers = session.root / "watch" / "answers.json"
@@ -118,7 +132,9 @@ def watch_routes(
         return table(lambda: snapshots.day(wanted))
 
     return [
-        static_route("/", "watch.html"),
+        _page(*([] if control is None else ["/control.js"])),
+        *([] if control is None else [static_route("/control.js", "control.js")]),
+        *([] if control is None else control_routes(control)),
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
         Route("/state.json", lambda request: table(state)),

@@ -23,7 +23,7 @@ from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of
 from fieldlum.plan.makeup import made_up_for
 from fieldlum.records import Slot, parse_utc, slot_id, utc_text
-from fieldlum.session import Session
+from fieldlum.session import Session, paused_until
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.answer import Moment
 from fieldlum.web.follow import BIN_S, IrradianceFollower, JournalFollower, JournalState
@@ -72,6 +72,7 @@ class Snapshots:
                 "now_local": f"{now.astimezone(self._zone):%a %d %b %Y, %H:%M}",
                 "rehearsal": rehearsal,
                 "running": _is_running(journal),
+                "paused_until": self._paused(now),
                 "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
                 "slots": len(slots),
                 "next": self._slot_row(ahead[0], states) if ahead else None,
@@ -219,6 +220,10 @@ class Snapshots:
             return sidecar.verdict
         state = journal.ledger.slots.get(slot)
         return state.why if state else ""
+
+    def _paused(self, now: datetime) -> str | None:
+        until = paused_until(self._session, now)
+        return None if until is None else f"{until.astimezone(self._zone):%H:%M}"
 
     def _devices(self, journal: JournalState) -> dict[str, Any]:
         table = self._session.table().get("devices", {})

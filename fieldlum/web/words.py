@@ -50,6 +50,10 @@ def event_words(event: dict[str, Any]) -> tuple[Level, str] | None:
         return "info", "Two brackets in a row are missing: the command of --on-misses was run."
     if kind == "marked":
         return "info", f"Bracket {slot} was marked: {event.get('state', '')}."
+    if kind == "paused":
+        return "warn", f"The capture was paused until {event.get('until_utc', '')}."
+    if kind == "resumed":
+        return "info", "The pause was ended."
     if kind == "note":
         return "info", f"Note: {event.get('text', '')}"
     return "info", kind

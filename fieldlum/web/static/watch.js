@@ -70,7 +70,7 @@ function drawState(s) {
   const finished = s.running === false && !s.next;
   running.className = `big ${(s.running === false && !finished) || away.length ? "bad" : "good"}`;
   running.textContent = away.length && s.running ? `${away.join(", ")} lost` : s.running === null ? "cannot tell"
-    : s.running ? "running" : finished ? "finished" : "not running";
+    : s.running && s.paused_until ? `paused until ${s.paused_until}` : s.running ? "running" : finished ? "finished" : "not running";
   show("counts", Object.entries(s.counts).map(([word, count]) => `${count} ${word}`).join(", ")
     + ` of ${s.slots}` + (s.devices.camera ? `; ${s.devices.camera}` : ""));
   show("next", s.next ? `${s.next.day}, ${s.next.local}; sun ${s.next.sun_altitude_deg}° high` : "no slot is ahead");

@@ -1,0 +1,49 @@
+"""One more bracket soon, asked for by a person next to a running capture."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from fieldlum import sun
+from fieldlum.errors import InputError
+from fieldlum.plan import make_slots
+from fieldlum.plan.days import DaylightHours
+from fieldlum.plan.makeup import add_slots
+from fieldlum.records import Slot
+from fieldlum.session import Session
+
+EXTRA = "extra"  # tag of such a slot
+LEAD = timedelta(seconds=45)  # the capture reads the plan each second; a camera needs to wake up
+# Between the end of the extra bracket and the next planned one, for a slow card or a retake.
+MARGIN = timedelta(seconds=60)
+
+
+def add_extra(session: Session, now_utc: datetime) -> Slot:
+    """Add a slot at the next full minute after `LEAD` to plan.csv and return it.
+
+    Its exposures are those of the last planned slot before it. Raises InputError when the sun is
+    down, when an extra slot is ahead already, or when the bracket would reach the next planned one.
+    """
+    at = (now_utc + LEAD).replace(second=0, microsecond=0) + timedelta(minutes=1)
+    slots, setup = session.slots(), session.site_file()
+    seconds = float(session.table().get("plan", {}).get("seconds_per_slot", 60.0))
+    busy = timedelta(seconds=seconds) + MARGIN
+    for slot in (slot for slot in slots if slot.t_utc >= now_utc):
+        if EXTRA in slot.tags:
+            raise InputError(session.plan, f"an extra bracket is planned at {slot.id}", "one")
+        if at - busy < slot.t_utc < at + busy:
+            needs = f"{busy.total_seconds():.0f} s without a planned bracket"
+            found = f"bracket {slot.id} is too near"
+            raise InputError(session.plan, found, needs, "ask again after it")
+    where = sun.position([at], setup.site)
+    altitude = float(where.altitude_deg[0])
+    if altitude <= 0:
+        raise InputError(session.plan, f"the sun is {-altitude:.0f} deg below the horizon", "day")
+    like = max((s for s in slots if s.t_utc <= at), key=lambda s: s.t_utc, default=slots[0])
+    hour = DaylightHours((at,), np.array([altitude]), where.azimuth_deg)
+    (slot,) = make_slots(hour, setup, like.exposures)
+    extra = Slot(at, altitude, slot.sun_azimuth_deg, slot.exposures, (*slot.tags, EXTRA))
+    add_slots(session, [extra])
+    return extra

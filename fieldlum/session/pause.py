@@ -1,0 +1,65 @@
+"""A pause that a person asked for: while pause.json is valid, `capture` begins no bracket.
+
+The capture only reads the file, so that it never waits for the program that writes it.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta
+
+from fieldlum.errors import InputError
+from fieldlum.records import parse_utc, utc_text
+from fieldlum.session.folder import Session
+from fieldlum.session.journal import Journal
+from fieldlum.session.writing import replacing
+
+# A forgotten pause must cost less than a day: half a day of daylight at most.
+MAX_PAUSE = timedelta(hours=4)
+
+
+def pause(session: Session, duration: timedelta) -> datetime:
+    """Pause the capture from now on; return the end. A second pause replaces the first.
+
+    Raises InputError for a duration that is not within 0 and `MAX_PAUSE`.
+    """
+    if not timedelta(0) < duration <= MAX_PAUSE:
+        longest = f"{MAX_PAUSE.total_seconds() / 60:.0f}"
+        asked = f"a pause of {duration.total_seconds() / 60:.0f} minutes"
+        raise InputError(session.root, asked, f"1 to {longest} minutes")
+    now = datetime.now(UTC).replace(microsecond=0)
+    until = now + duration
+    with replacing(session.pause, "w", encoding="utf-8") as file:
+        json.dump({"until_utc": utc_text(until)}, file)
+    _journal(session, "paused", now, until_utc=utc_text(until))
+    return until
+
+
+def resume(session: Session) -> None:
+    """End a pause; without one nothing happens."""
+    now = datetime.now(UTC)
+    was_paused = paused_until(session, now) is not None
+    session.pause.unlink(missing_ok=True)
+    if was_paused:
+        _journal(session, "resumed", now)
+
+
+def paused_until(session: Session, now_utc: datetime) -> datetime | None:
+    """Return the end of the present pause; None without one.
+
+    A file that cannot be read is no pause, nor is an end further away than `MAX_PAUSE`: a wrong
+    clock or a wrong file must not cost days of captures.
+    """
+    try:
+        until = parse_utc(json.loads(session.pause.read_text(encoding="utf-8"))["until_utc"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return until if now_utc < until <= now_utc + MAX_PAUSE else None
+
+
+def _journal(session: Session, event: str, t_utc: datetime, **fields: str) -> None:
+    journal = Journal(session)
+    try:
+        journal.append(event, t_utc, **fields)
+    finally:
+        journal.close()

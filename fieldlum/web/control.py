@@ -1,0 +1,131 @@
+"""What `fieldlum watch --control` lets the page change: notes, marks, an extra bracket, a pause.
+
+Each change is a file that the capture reads when it has time, or a journal line; the capture never
+waits for the page. Requests need the cookie and the page's own Origin (`fieldlum.web.access`), and
+a content type that a form of another site cannot send.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from fieldlum.errors import InputError
+from fieldlum.plan.extra import add_extra
+from fieldlum.session import Session, add_note, mark_slot, pause, resume
+
+_MAX_BODY = 8192
+
+
+@dataclass(slots=True)
+class Control:
+    """Changes of one session, one after the other. state: returns the page's table of the present
+    moment.
+    """
+
+    session: Session
+    state: Callable[[], dict[str, Any]]
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def do(self, action: str, asked: dict[str, Any]) -> str:
+        """Carry out one change and return what was done, as a sentence.
+
+        Raises InputError for what cannot be done now; KeyError, TypeError, ValueError for a
+        malformed request.
+        """
+        with self._lock:
+            return self._actions()[action](asked)
+
+    def _actions(self) -> dict[str, Callable[[dict[str, Any]], str]]:
+        return {
+            "note": self._note,
+            "mark": self._mark,
+            "extra": self._extra,
+            "pause": self._pause,
+        }
+
+    def _note(self, asked: dict[str, Any]) -> str:
+        return f"Noted: {add_note(self.session, _text(asked, 'text'))}"
+
+    def _mark(self, asked: dict[str, Any]) -> str:
+        slot = _text(asked, "slot")
+        state = mark_slot(self.session, slot, _text(asked, "state"))
+        return f"{slot}: {state or 'as usual'}."
+
+    def _extra(self, asked: dict[str, Any]) -> str:
+        state = self._running()
+        if state["next"] is not None and state["next"]["state"] == "running":
+            raise InputError(self.session.root, "a bracket is being taken", "none", "ask after it")
+        slot = add_extra(self.session, datetime.now(UTC))
+        return f"An extra bracket is planned at {slot.t_utc:%H:%M} UTC."
+
+    def _pause(self, asked: dict[str, Any]) -> str:
+        minutes = asked["minutes"]
+        if isinstance(minutes, bool) or not isinstance(minutes, int | float):
+            raise TypeError
+        if minutes == 0:
+            resume(self.session)
+            return "The capture goes on."
+        self._running()
+        until = pause(self.session, timedelta(minutes=float(minutes)))
+        return f"No bracket begins before {until:%H:%M} UTC. Slots until then are missed."
+
+    def _running(self) -> dict[str, Any]:
+        """Return the present state; raise InputError unless a capture runs in real time."""
+        state = self.state()
+        if state["rehearsal"]:
+            found = "a rehearsal in simulated time"
+            raise InputError(self.session.root, found, "a capture in real time")
+        if state["running"] is False:
+            raise InputError(self.session.root, "no capture runs here", "a running capture")
+        return state
+
+
+def _text(asked: dict[str, Any], key: str) -> str:
+    if not isinstance(asked[key], str):
+        raise TypeError(key)
+    return asked[key]
+
+
+def control_routes(control: Control) -> list[Route]:
+    """Return one POST route for each change; the answer has the key `text` or `error`."""
+
+    async def change(request: Request) -> Response:
+        asked = await _body(request)
+        try:
+            text = await asyncio.to_thread(control.do, request.path_params["action"], asked)
+        except (InputError, OSError) as error:
+            return JSONResponse({"error": str(error)})
+        except (KeyError, TypeError, ValueError, OverflowError):
+            raise HTTPException(400) from None
+        return JSONResponse({"text": text})
+
+    return [Route("/control/{action}", change, methods=["POST"])]
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """Return the JSON object of a request; a long one is refused before it is read."""
+    if request.headers.get("content-type", "").partition(";")[0] != "application/json":
+        raise HTTPException(415)
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > _MAX_BODY:
+            raise HTTPException(413)
+    try:
+        asked = json.loads(data)
+    except (ValueError, RecursionError):
+        raise HTTPException(400) from None
+    if not isinstance(asked, dict):
+        raise HTTPException(400)
+    return asked
