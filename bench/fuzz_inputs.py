@@ -23,7 +23,7 @@ import numpy as np
 
 from fieldlum.errors import FieldlumError
 from fieldlum.images import read_panorama, read_radiance_hdr, write_panorama, write_radiance_hdr
-from fieldlum.merge import merge_frames
+from fieldlum.merge import MergeOptions, merge_frames
 from fieldlum.profiles import (
     Bracket,
     CameraBody,
@@ -143,13 +143,17 @@ def mutate(data: bytes, head: int, rng: np.random.Generator) -> bytes:
 def read(kind: str, path: Path, originals: list[Path]) -> None:
     """What a user's command would do with the file. Raises whatever the tool raises."""
     if kind == "merge":
-        result = merge_frames([path, *originals[1:]], camera(), height=8, heading_deg=0.0)
+        result = merge_frames(
+            [path, *originals[1:]], camera(), MergeOptions(height=8), heading_deg=0.0
+        )
         light, u = result.panorama.luminance_cdm2, result.panorama.u_cdm2
         if not (np.isfinite(light).all() and u is not None and np.isfinite(u).all()):
             raise AssertionError("a luminance that is no number, without a word")
         return
     if kind == "profile":  # a profile that loads must also merge, or say why not
-        merge_frames(originals[1:], load_camera_profile(path), height=8, heading_deg=0.0)
+        merge_frames(
+            originals[1:], load_camera_profile(path), MergeOptions(height=8), heading_deg=0.0
+        )
         return
     readers: dict[str, Callable[[Path], object]] = {
         "raw": read_mosaic,

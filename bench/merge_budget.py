@@ -24,11 +24,13 @@ import numpy as np
 
 from fieldlum.devices.simulated.sensor import RawSensor
 from fieldlum.linear_light import lens_geometry, true_shutter_s
-from fieldlum.merge.bracket import look_through
+from fieldlum.merge.bracket import merge_headings
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
-from fieldlum.merge.project import SensorMap, blend, finish, u_of_edges, view_through
+from fieldlum.merge.options import MergeOptions
+from fieldlum.merge.project import blend, finish, u_of_edges, view_through
 from fieldlum.merge.ratios import RatioCurve
+from fieldlum.merge.sensor import SensorImage
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots
 from fieldlum.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
 from fieldlum.profiles import (
@@ -257,9 +259,12 @@ def realise(
             shots.append(
                 Shot(_photograph(exposed, e, true_s, true, path, which.quality, rng), e, heading)
             )
-    _, merged = look_through(
-        sorted_shots(shots, profile), profile, target=target, heading_deg=180.0
+    images, _ = merge_headings(
+        sorted_shots(shots, profile), profile, MergeOptions(target.height), heading_deg=180.0
     )
+    merged = [
+        view_through(image, lens, profile, target) for image in images for lens in profile.lens
+    ]
     result = finish(blend(merged), profile, target)
     # The truth through the merge's own blend: how lenses of other sharpness part a pixel is
     # geometry, judged elsewhere.
@@ -304,7 +309,7 @@ def _truth(light, shading, true: CameraProfile, crop: Crop, turn: float, target:
     blank = np.zeros(part.shape, np.uint8)
     none = RatioCurve(np.ones(1), np.zeros(1))
     exact = Merged(part.astype(np.float32), np.zeros(part.shape, np.float32), blank)
-    sensor = SensorMap(exact, crop, turn, 5.6, none)
+    sensor = SensorImage(exact, crop, turn, 5.6, none)
     return [view_through(sensor, lens, true, target) for lens in true.lens]
 
 

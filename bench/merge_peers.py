@@ -123,7 +123,7 @@ def own(files: list[Path], width: int, height: int) -> tuple[np.ndarray, float]:
         Sensor("RGGB", (BLACK,) * 4, (FULL,) * 4, WHITE, GAIN, READ_E, ISO),
     )
     started = time.process_time()
-    merged = merge_sensor(sorted_shots(shots_of_files(files), profile), profile).merged
+    merged = merge_sensor(sorted_shots(shots_of_files(files), profile), profile)[0].merged
     return merged.value_cdm2.reshape(height, width), time.process_time() - started
 
 

@@ -26,7 +26,7 @@ from merge_peers import environment
 
 from fieldlum.calibrate.response import residuals
 from fieldlum.images import read_radiance_hdr
-from fieldlum.merge import files_to_picture
+from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.frames import JpegSignal
 from fieldlum.merge.shift import shifts
@@ -126,7 +126,7 @@ def office(folder: Path, out: Path, use_pooled: bool) -> None:
     if use_pooled:
         profile = pooled(files, profile)
     picture = out / f"office-{name}.hdr"
-    result, facts = files_to_picture(files, profile, picture, pixels=1000, projection="fisheye")
+    result, facts = files_to_picture(files, profile, picture, MergeOptions(1000, "fisheye"))
     print(
         f"\noffice, {name} response: {result.verdict}\n\n| from | to | residual % | pixels "
         f"|\n|---|---|---|---|"

@@ -17,11 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.images import read_panorama
-from fieldlum.merge.bracket import merge_shots
+from fieldlum.merge import MergeOptions, merge_shots
 from fieldlum.merge.project import u_of_edges
 from fieldlum.merge.shots import shots_of_slot
 from fieldlum.profiles import load_camera_profile
-from fieldlum.projection import Equirect
 from fieldlum.records import Flag
 from fieldlum.session import open_session
 
@@ -47,14 +46,14 @@ def pixels_of(root: Path, every: int) -> tuple[str, Pixels]:
         folder, truth = session.raw / truth_path.stem, read_panorama(truth_path)
         if not folder.is_dir():
             continue
-        target = Equirect(len(truth.luminance_cdm2))
-        result = merge_shots(
-            shots_of_slot(folder), profile, target=target, heading_deg=truth.heading_deg
-        )
+        options = MergeOptions(height=len(truth.luminance_cdm2))
+        result = merge_shots(shots_of_slot(folder), profile, options, heading_deg=truth.heading_deg)
         map_, flags = result.panorama, result.panorama.flags
         assert flags is not None and map_.u_cdm2 is not None
         light = map_.luminance_cdm2.astype(float)
-        edges = u_of_edges(light, (flags & Flag.OUTSIDE_LENS) == 0, target, profile)
+        edges = u_of_edges(
+            light, (flags & Flag.OUTSIDE_LENS) == 0, options.target(profile), profile
+        )
         good = (flags == 0) & (truth.luminance_cdm2 > 0)
         known = truth.luminance_cdm2[good]
         found.append(

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.merge import merge_frames, merge_sensor
+from fieldlum.merge import MergeOptions, merge_frames, merge_sensor
 from fieldlum.merge.shots import shots_of_files, sorted_shots
 from fieldlum.photometry import srgb_table
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Colour, Lens, Response, Sensor
@@ -96,7 +96,7 @@ def accumulate(files: list[Path], p: CameraProfile) -> float:
 
 def panorama(files: list[Path], p: CameraProfile) -> float:
     started = time.process_time()
-    merge_frames(files, p, height=512, heading_deg=0.0)
+    merge_frames(files, p, MergeOptions(height=512), heading_deg=0.0)
     return time.process_time() - started
 
 

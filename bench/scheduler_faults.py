@@ -102,7 +102,10 @@ def brackets(shared: Path, count: int) -> Session:
 
 
 def merged(session: Session, how: Scheduler) -> None:
-    states = {v.state for v in merge.run(session, height=32, force=True, scheduler=how)}
+    states = {
+        v.state
+        for v in merge.run(session, merge.MergeOptions(height=32), force=True, scheduler=how)
+    }
     assert states == {"merged"}, states
 
 

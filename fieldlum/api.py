@@ -352,8 +352,8 @@ def merge_frames(
     Returns
     -------
     MergeResult
-        `panorama` (luminance [H, 2H] in cd/m2, standard uncertainty, flags), `quality` (the
-        figures of `merge --json`) and `verdict` (one line).
+        `panorama` (luminance [H, 2H] in cd/m2, standard uncertainty, flags), `report` (a record of
+        the figures; `quality` has them as `merge --json` prints them) and `verdict` (one line).
 
     Raises
     ------
@@ -374,10 +374,8 @@ def merge_frames(
     return merge.merge_frames(
         [Path(file) for file in files],
         camera,
-        height=height,
+        merge.MergeOptions(height=height, fit=fit, drop_moved=drop_moved),
         heading_deg=heading_deg,
-        fit=fit,
-        drop_moved=drop_moved,
         progress=progress,
     )
 

@@ -205,11 +205,10 @@ def run(
     }
     stage("render the room", lambda p: simulate.run(session, year, progress=p, **render))
     stage("capture", lambda p: capture(session, seed, p))
+    options = merge.MergeOptions(height=how.height)
     stage(
         "merge",
-        lambda p: merge.run(
-            session, scheduler=in_processes(workers), height=how.height, progress=p
-        ),
+        lambda p: merge.run(session, options, scheduler=in_processes(workers), progress=p),
     )
     stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
     model = session.models / MODEL

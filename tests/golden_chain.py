@@ -68,7 +68,7 @@ def run_chain(root: Path) -> Session:
     year = simulate.weather_for(session.site_file(), weather)
     simulate.run(session, year, progress=quiet, height=HEIGHT, quality="draft", workers=1)
     demo.capture(session, 1, quiet)
-    merge.run(session, height=HEIGHT, progress=quiet)
+    merge.run(session, merge.MergeOptions(height=HEIGHT), progress=quiet)
     irradiance.run(session, progress=quiet)
     pair.run(session, progress=quiet)
     model = session.models / "transport"

@@ -15,7 +15,7 @@ from fieldlum import merge
 from fieldlum.calibrate import shutter
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.merge import merge_frames
+from fieldlum.merge import MergeOptions, merge_frames
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import (
     Bracket,
@@ -85,7 +85,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
             known = {"shutter_s": nominal, "f_number": 4.0, "iso": 100.0}
             frames.append({"file": path.name, "exposure": known, "t_utc": at})
         (folder / "capture.json").write_text(json.dumps({"frames": frames}), encoding="utf-8")
-    merge.run(session, height=12)
+    merge.run(session, merge.MergeOptions(height=12))
     return session
 
 
@@ -134,7 +134,7 @@ def test_a_merged_session_gives_the_times_to_the_profile(session: Session, tmp_p
                 0.8 / z_per_cdm2(nominal, 4.0, 100.0),
                 np.random.default_rng(number),
             )
-            panorama = merge_frames([path], p, height=12).panorama
+            panorama = merge_frames([path], p, MergeOptions(height=12)).panorama
             seen = np.asarray(panorama.flags) == 0
             values.append(
                 np.median(panorama.luminance_cdm2[seen]) * z_per_cdm2(nominal, 4.0, 100.0) / 0.8
@@ -232,7 +232,7 @@ def test_two_headings_are_told_apart_and_filters_left_out() -> None:
     assert len(found) == 3 and all(1 / 1000 not in r.pair for r in found)
     lame = quality(OFF, headings=2)
     # the second heading's frames do not overlap: or was it the first?
-    lame = replace(lame, neighbours=lame.neighbours[:4])
+    lame = replace(lame, report=replace(lame.report, neighbours=lame.report.neighbours[:4]))
     assert shutter.readings_of(lame) == []
 
 

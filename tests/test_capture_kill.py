@@ -77,7 +77,7 @@ def capture_all(session: Session) -> None:
 
 
 def merge_all(session: Session) -> None:
-    merge.run(session, height=16)
+    merge.run(session, merge.MergeOptions(height=16))
 
 
 def start(work: Callable[[], None]) -> int:

@@ -17,12 +17,12 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.errors import InputError
 from fieldlum.linear_light import vignetting_of
-from fieldlum.merge import MergeResult, Shot, merge_frames, merge_sensor, merge_shots
+from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_sensor, merge_shots
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frame_checks import NO_PLATEAU
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
-from fieldlum.merge.project import LensView, blend
+from fieldlum.merge.project import ProjectedImage, blend
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import (
@@ -32,7 +32,7 @@ from fieldlum.profiles import (
     bracket_exposures,
     load_camera_profile,
 )
-from fieldlum.projection import Equirect, direction, equirect_rays, equirect_solid_angles
+from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.raw import write_dng
 from fieldlum.records import Exposure, Flag, Panorama, SunSource
 
@@ -230,9 +230,7 @@ def bracket(
 
 
 def merge(shots: list[Shot], profile: CameraProfile, heading: float = 180.0) -> MergeResult:
-    return merge_frames(
-        [s.path for s in shots], profile, height=HEIGHT, heading_deg=heading, shots=shots
-    )
+    return merge_shots(shots, profile, MergeOptions(height=HEIGHT), heading_deg=heading)
 
 
 def truth() -> np.ndarray:
@@ -302,7 +300,7 @@ def test_the_order_of_frames_does_not_matter(bracket) -> None:
 def test_frames_that_are_read_again_give_the_same(bracket, name: str, headings: tuple) -> None:
     shots, profile = bracket(name, headings=headings)
     shots = sorted_shots(shots, profile)
-    a, b = (merge_sensor(shots, profile, budget_bytes=n).merged for n in (600_000_000, 0))
+    a, b = (merge_sensor(shots, profile, budget_bytes=n)[0].merged for n in (600_000_000, 0))
     assert np.array_equal(a.value_cdm2, b.value_cdm2) and np.array_equal(a.variance, b.variance)
     assert np.array_equal(a.flags, b.flags)
 
@@ -359,9 +357,7 @@ def test_the_suns_centre_is_measured_on_the_sensor(bracket, through_filter: bool
         for i, s in enumerate(shots)
         if through_filter or not s.exposure.nd
     ]
-    sun = merge_shots(
-        timed, profile, target=Equirect(HEIGHT), heading_deg=180.0, sun_deg=(25.7, 189.2)
-    ).sun
+    sun = merge_shots(timed, profile, MergeOptions(height=HEIGHT), sun_deg=(25.7, 189.2)).sun
     assert sun is not None and sun.sigma_deg < (0.05 if through_filter else 0.25)
     away = direction(25.0, 190.0) @ direction(sun.altitude_deg, sun.azimuth_deg)
     assert np.degrees(np.arccos(min(away, 1.0))) < 3 * np.sqrt(2) * sun.sigma_deg
@@ -437,9 +433,9 @@ def test_a_sun_behind_the_only_lens_takes_nothing_out_and_says_nothing() -> None
 
 @pytest.mark.analytic
 def test_a_spoilt_lens_gives_way() -> None:
-    def view(value: float, flags: int) -> LensView:
+    def view(value: float, flags: int) -> ProjectedImage:
         one = np.ones(3)
-        return LensView(
+        return ProjectedImage(
             value * one,
             one,
             one,

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from fieldlum.merge.frames import RawSignal
-from fieldlum.merge.project import LensView, blend
-from fieldlum.merge.ratios import Neighbours, Sample, ratio_curve, unexplained
+from fieldlum.merge.project import ProjectedImage, blend
+from fieldlum.merge.ratios import Sample, ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
 from fieldlum.photometry import PairRatio, fit_ratios
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, NeutralDensity, ShutterTime
 from fieldlum.records import Exposure
+from fieldlum.session.files.merge_report import NeighbourQuality
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def test_frames_of_one_shutter_time_or_filter_err_together() -> None:
 def test_disagreement_counts_once() -> (
     None
 ):  # 2 % apart, by a response that is 1.5 % uncertain: explained
-    left = [Neighbours(0, 1, 2.0, 0.1, 999), Neighbours(1, 2, -2.0, 0.1, 999)]
+    left = [NeighbourQuality(0, 1, 2.0, 0.1, 999), NeighbourQuality(1, 2, -2.0, 0.1, 999)]
     assert unexplained(left, 0.03) == 0.0
     assert unexplained(left, 0.0) == pytest.approx(1.4826 * 0.02 / np.sqrt(2), rel=0.01)
     assert unexplained([], 0.0) == 0.0
@@ -105,9 +106,9 @@ def test_a_turned_lens_keeps_its_one_curve() -> (
 ):  # two headings of one lens do not average its error
     front, back = Lens((1.0, 1.0), 1.0, 180.0, name="a"), Lens((1.0, 1.0), 1.0, 180.0, name="b")
 
-    def view(lens: Lens) -> LensView:
+    def view(lens: Lens) -> ProjectedImage:
         one = np.ones(1)
-        return LensView(
+        return ProjectedImage(
             10 * one,
             one,
             one,

@@ -209,7 +209,7 @@ def jpeg_motion(folder: Path, dimmed: float, u_rel: float) -> float:
             quality=98,
         )
         shots.append(Shot(path, Exposure(t, 4.0)))
-    flags = merge_sensor(sorted_shots(shots, profile), profile).merged.flags
+    flags = merge_sensor(sorted_shots(shots, profile), profile)[0].merged.flags
     return float(((flags[44:76, 54:71] & Flag.MOTION) > 0).mean())
 
 

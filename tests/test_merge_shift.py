@@ -10,7 +10,7 @@ import pytest
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.merge import Shot, merge_frames
+from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.merge.shift import reduced, shifts
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import CameraProfile, bracket_exposures, load_camera_profile
@@ -90,7 +90,7 @@ def photograph(folder: Path, profile: CameraProfile, turn_px: float, of_frame: i
 def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) -> None:
     profile = small_camera(name)
     shots = photograph(tmp_path, profile, 2.0, 5)
-    result = merge_frames([s.path for s in shots], profile, height=16, shots=shots)
+    result = merge_shots(shots, profile, MergeOptions(height=16))
     assert result.quality["shift_px"] == pytest.approx(2.0, abs=0.2)
     assert f"px) between {shots[4].path.name} and {shots[5].path.name}" in result.verdict
     assert result.verdict.count("turned") == 1
@@ -103,7 +103,7 @@ def test_a_camera_that_turned_by_two_pixels_is_named(tmp_path: Path, name: str) 
 def test_a_camera_that_stood_still_is_not(tmp_path: Path, name: str) -> None:
     profile = small_camera(name)
     shots = photograph(tmp_path, profile, 0.0, 5)
-    result = merge_frames([s.path for s in shots], profile, height=16, shots=shots)
+    result = merge_shots(shots, profile, MergeOptions(height=16))
     assert result.quality["shifts"] and result.quality["shift_px"] < 0.2
     assert "turned" not in result.verdict
 

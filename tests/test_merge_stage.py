@@ -15,7 +15,7 @@ from fieldlum import merge
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, read_radiance_hdr
-from fieldlum.merge import MergeResult, stage
+from fieldlum.merge import MergeOptions, MergeResult, stage
 from fieldlum.merge.session_summary import drift_percent, shutter_table
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import (
@@ -45,6 +45,7 @@ from fieldlum.session.files.sidecar import Sidecar
 
 TIMES_S = (0.5, 1 / 15, 1 / 125)
 START = datetime(2027, 3, 20, 6, 30, tzinfo=UTC)  # night in Greenwich: no sun to take out
+SMALL = MergeOptions(height=16)
 
 
 def profile() -> CameraProfile:
@@ -106,7 +107,7 @@ def session(tmp_path: Path) -> Session:
 @pytest.mark.contract
 def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     slots = [take(session, 0), take(session, 1, complete=False)]
-    first = merge.run(session, height=16)
+    first = merge.run(session, SMALL)
     assert [(v.slot, v.state) for v in first] == [(slots[0], "merged"), (slots[1], "merged")]
     assert "incomplete" in first[1].text and "incomplete" not in first[0].text
     panorama = read_panorama(session.panoramas / f"{slots[0]}.exr")
@@ -118,10 +119,10 @@ def test_brackets_become_panoramas_and_are_kept(session: Session) -> None:
     assert [len(f["sha256"]) for f in note["inputs"]["frames"]] == [64, 64, 64]
     assert note["profile"]["name"] == "small" and note["factors"]["k"] == 1.0
 
-    assert [v.state for v in merge.run(session, height=16)] == ["kept", "kept"]
-    assert [v.state for v in merge.run(session, height=16, force=True)] == ["merged", "merged"]
+    assert [v.state for v in merge.run(session, SMALL)] == ["kept", "kept"]
+    assert [v.state for v in merge.run(session, SMALL, force=True)] == ["merged", "merged"]
     (session.panoramas / f"{slots[0]}.json").unlink()
-    assert [v.state for v in merge.run(session, height=16)] == ["merged", "kept"]
+    assert [v.state for v in merge.run(session, SMALL)] == ["merged", "kept"]
 
 
 @pytest.mark.slow
@@ -132,12 +133,12 @@ def test_two_workers_write_the_files_of_one(session: Session) -> None:
         take(session, number)
 
     def written(workers: int) -> dict[str, bytes]:
-        merge.run(session, height=16, scheduler=in_processes(workers), force=True)
+        merge.run(session, SMALL, scheduler=in_processes(workers), force=True)
         return {path.name: path.read_bytes() for path in session.panoramas.glob("*.*")}
 
     alone = written(1)
     assert len(alone) >= 4 and written(2) == alone
-    assert [v.state for v in merge.run(session, height=20)] == ["merged", "merged"]
+    assert [v.state for v in merge.run(session, MergeOptions(height=20))] == ["merged", "merged"]
 
 
 @pytest.mark.contract
@@ -145,18 +146,21 @@ def test_a_sun_on_few_pixels_says_how_well_it_is_known(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for origin, note in (
-        ("nd-frames", "the sun is 0.2 px wide on the sensor: its illuminance is good to 50 % only"),
+        (
+            "nd-frames",
+            "the sun is 0.2 px wide on the sensor: the uncertainty of its illuminance is 50 %",
+        ),
         ("clipped", ""),
     ):  # a lower bound says so already
         sun = SunSource(25.0, 190.0, 60_000.0, 1.0, origin)
 
         def with_sun(*given: Any, sun: SunSource = sun, **options: Any) -> MergeResult:
-            result = merge.merge_frames(*given, **options)
+            result = merge.merge_shots(*given, **options)
             return replace(result, panorama=replace(result.panorama, sun=sun))
 
-        monkeypatch.setattr(stage, "merge_frames", with_sun)
+        monkeypatch.setattr(stage, "merge_shots", with_sun)
         slot = take(session, 0 if note else 1)
-        verdict = next(v for v in merge.run(session, height=16) if v.slot == slot)
+        verdict = next(v for v in merge.run(session, SMALL) if v.slot == slot)
         assert verdict.text.endswith(note) and ("px wide" in verdict.text) == bool(note)
         side = json.loads((session.panoramas / f"{slot}.json").read_text())
         assert side["sun"]["u_mosaic_percent"] == 50.0 and side["verdict"] == verdict.text
@@ -167,7 +171,7 @@ def test_one_bad_bracket_stops_nothing(session: Session) -> None:
     slots = [take(session, 0), take(session, 1)]
     for name in ("0.dng", "1.dng"):
         (session.raw / slots[0] / name).write_bytes(b"no raw")
-    verdicts = merge.run(session, height=16)
+    verdicts = merge.run(session, SMALL)
     assert [v.state for v in verdicts] == ["failed", "merged"]
     assert "0.dng" in verdicts[0].text
     assert not (session.panoramas / f"{slots[0]}.exr").exists()
@@ -181,7 +185,7 @@ def test_a_frame_that_cannot_be_read_costs_no_bracket(session: Session) -> None:
     data = frame.read_bytes()
     frame.write_bytes(data[: len(data) // 2])
     for _ in range(2):
-        verdict = merge.run(session, height=16)[0]
+        verdict = merge.run(session, SMALL)[0]
         assert verdict.state == "merged"
         assert verdict.text.startswith(
             "without 1.dng, whose pixels cannot be read: copy from the card again; "
@@ -192,7 +196,7 @@ def test_a_frame_that_cannot_be_read_costs_no_bracket(session: Session) -> None:
     assert panorama.flags is not None
     assert np.median(panorama.luminance_cdm2[panorama.flags == 0]) == pytest.approx(200.0, rel=0.02)
     frame.write_bytes(data)
-    assert merge.run(session, height=16)[0].text.startswith("good")
+    assert merge.run(session, SMALL)[0].text.startswith("good")
 
 
 @pytest.mark.contract
@@ -205,7 +209,7 @@ def test_an_empty_session_has_nothing_to_merge(session: Session) -> None:
 def test_a_folder_without_capture_json_is_read_by_exif(session: Session) -> None:
     slot = take(session, 0)
     (session.raw / slot / "capture.json").unlink()
-    assert merge.run(session, height=16)[0].state == "merged"
+    assert merge.run(session, SMALL)[0].state == "merged"
     assert read_panorama(session.panoramas / f"{slot}.exr").t_utc == START
 
 
@@ -216,7 +220,7 @@ def test_the_survey_lists_every_bracket(session: Session) -> None:
         days.append(IrradianceSample(START + timedelta(seconds=second), 300.0 + second))
     days.close()
     slots = [take(session, 0), take(session, 1)]
-    merge.run(session, height=16)
+    merge.run(session, SMALL)
     with (session.panoramas / "quality.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [r["slot"] for r in rows] == slots and rows[0]["frames"] == "3"

@@ -13,7 +13,7 @@ from fieldlum import sun
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.merge import Shot, merge_frames
+from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.profiles import bracket_exposures, load_camera_profile
 from fieldlum.records import Panorama, Room, Site, SunSource, Window, utc_text
 from fieldlum.scene_fit.guess import guess_of
@@ -104,9 +104,7 @@ def test_simulated_frames_give_north_to_a_twentieth_of_a_degree(tmp_path: Path) 
             Shot(camera.expose(e, folder / f"{i:02d}"), e, None)
             for i, e in enumerate(bracket_exposures(profile.bracket))
         ]
-        merged = merge_frames(
-            [s.path for s in shots], profile, height=92, shots=shots, sun_deg=(altitude, azimuth)
-        )
+        merged = merge_shots(shots, profile, MergeOptions(height=92), sun_deg=(altitude, azimuth))
         assert merged.sun is not None
         place = (merged.sun.altitude_deg, merged.sun.azimuth_deg, merged.sun.sigma_deg)
         _write_sidecar(session, _slot(when), when, place)

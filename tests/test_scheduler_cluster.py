@@ -63,12 +63,14 @@ def test_workers_write_the_files_of_one_process(running: Cluster, scheduler: Sch
     session = session_of(running.shared / "room", path)
     slots = [take(session, number) for number in range(3)]
     (session.raw / slots[2] / "1.dng").write_bytes(b"no raw")
-    alone = merge.run(session, height=16)
+    alone = merge.run(session, merge.MergeOptions(height=16))
     expected = files(session)
     assert len(expected) >= 8
-    assert merge.run(session, height=16, force=True, scheduler=scheduler) == alone
+    assert (
+        merge.run(session, merge.MergeOptions(height=16), force=True, scheduler=scheduler) == alone
+    )
     assert files(session) == expected
-    kept = merge.run(session, height=16, scheduler=scheduler)
+    kept = merge.run(session, merge.MergeOptions(height=16), scheduler=scheduler)
     assert [v.state for v in kept] == ["kept", "kept", "merged"], "a lost frame may come back"
 
 

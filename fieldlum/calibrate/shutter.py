@@ -25,7 +25,8 @@ from fieldlum.photometry import AUTO
 from fieldlum.profiles import CameraProfile, ShutterTime
 from fieldlum.records import shutter_text
 from fieldlum.session import Session
-from fieldlum.session.files.sidecar import FrameQuality, NeighbourQuality, Sidecar
+from fieldlum.session.files.merge_report import FrameQuality, NeighbourQuality
+from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.statistics import median_standard_error, robust_sigma
 
 LEAST = 5  # brackets that must have a pair of times; chosen so that a median is robust
@@ -119,8 +120,8 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
 
     Raises InputError if they were merged with several laws.
     """
-    tables = [Sidecar.read(path).quality.get("shutter_law", {}) for path in sidecars]
-    laws = {table.get("law") for table in tables} - {None}
+    reports = [Sidecar.read(path).report for path in sidecars]
+    laws = {report.shutter_law.law for report in reports if report.shutter_law}
     if profile.shutter_law != AUTO or not laws:
         return profile
     if len(laws) > 1:
@@ -139,12 +140,12 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     Frames through a filter and pairs of two ISOs are left out: they have errors of their own.
     """
     headings: list[list[FrameQuality]] = []
-    for frame in sidecar.frames:
+    for frame in sidecar.report.frames:
         if not headings or headings[-1][0].heading_deg != frame.heading_deg:
             headings.append([])
         headings[-1].append(frame)
     runs: list[list[NeighbourQuality]] = []
-    for neighbour in sidecar.neighbours:  # counted from 0 at each heading
+    for neighbour in sidecar.report.neighbours:  # counted from 0 at each heading
         if not runs or neighbour.long <= runs[-1][-1].long:
             runs.append([])
         runs[-1].append(neighbour)

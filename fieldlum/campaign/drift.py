@@ -85,7 +85,7 @@ def drifts_of(session: Session) -> dict[str, DriftSeries]:
     """Return the series k, heading and residual of a session; those without data are empty."""
     sidecars = [note for path in session.sidecar_files() if (note := _sidecar(path)) is not None]
     dated = [(note.t_utc, note) for note in sidecars if note.t_utc is not None]
-    residuals = [(t, _number(note.quality.get("residual_percent"))) for t, note in dated]
+    residuals = [(t, _number(note.report.residual_percent)) for t, note in dated]
     return {
         "k": series("k", *_columns(_sky_ratios(session))),
         "heading": series("heading", *_columns(_headings(session, dated))),

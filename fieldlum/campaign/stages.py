@@ -121,10 +121,8 @@ def _merge(
     from fieldlum import irradiance, merge, pair
 
     session = _session(campaign, room)
-    height = int(room.size.lower().partition("x")[2])
-    verdicts = merge.run(
-        session, scheduler=scheduler, height=height, force=force, progress=progress
-    )
+    options = merge.MergeOptions(height=int(room.size.lower().partition("x")[2]))
+    verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=progress)
     irradiance.run(session, force=force, progress=progress)
     pairs = pair.run(session, scheduler=scheduler, force=force, progress=progress)
     failed = [v.slot for v in verdicts if v.state == "failed"]

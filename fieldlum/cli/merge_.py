@@ -20,6 +20,7 @@ from fieldlum.cli.options import (
 from fieldlum.cli.terminal import emit_json, progress, say
 
 if TYPE_CHECKING:
+    from fieldlum.merge import MergeOptions
     from fieldlum.scheduler import Scheduler
 
 
@@ -88,53 +89,50 @@ def command(
       fieldlum merge my-session --scheduler processes:2
       fieldlum merge --frames *.JPG --camera mine.toml --out office.hdr --projection fisheye
     """
+    from fieldlum.merge import MergeOptions
+
     if session is None:
         raise click.UsageError("name a SESSION, or --frames FILE... --camera PROFILE --out OUT")
     if frames:
         if not camera or out is None:
             raise click.UsageError("--frames needs --camera PROFILE and --out OUT.exr or OUT.hdr")
-        _merge_files(
-            [session, *more], camera, out, size, projection, heading, fit, drop_moved, as_json
-        )
+        options = _file_options(size, projection, fit, drop_moved)
+        _merge_files([session, *more], camera, out, options, heading, as_json)
         return
     if more:
         raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
     if camera or out or projection != "equirect":
-        raise click.UsageError(
-            "--camera, --out and --projection go with --frames; a session knows its own"
-        )
-    scheduler = scheduler_of(scheduler_text, workers)
-    _merge_session(
-        session, panorama_height(size or DEFAULT_SIZE), fit, drop_moved, scheduler, force, as_json
-    )
+        raise click.UsageError("--camera, --out and --projection are for --frames only")
+    height = panorama_height(size or DEFAULT_SIZE)
+    options = MergeOptions(height, fit=fit, drop_moved=drop_moved)
+    _merge_session(session, options, scheduler_of(scheduler_text, workers), force, as_json)
+
+
+def _file_options(
+    size: str | None, projection: str, fit: bool | None, drop_moved: bool
+) -> MergeOptions:
+    from fieldlum.merge import MergeOptions
+
+    if projection == "equirect":
+        height = panorama_height(size or DEFAULT_SIZE)
+    else:
+        width, height = dimensions(size or DEFAULT_FISHEYE_SIZE)
+        if width != height:
+            raise click.UsageError(f"--size {size}: a fisheye picture is square")
+    return MergeOptions(height, projection, fit, drop_moved)
 
 
 def _merge_session(
-    root: Path,
-    height: int,
-    fit: bool | None,
-    drop_moved: bool,
-    scheduler: Scheduler,
-    force: bool,
-    as_json: bool,
+    root: Path, options: MergeOptions, scheduler: Scheduler, force: bool, as_json: bool
 ) -> None:
-    from dataclasses import asdict
-
     from fieldlum import merge
     from fieldlum.session import open_session
 
+    session = open_session(root)
     with progress("Merge") as bar:
-        verdicts = merge.run(
-            open_session(root),
-            scheduler=scheduler,
-            height=height,
-            fit=fit,
-            drop_moved=drop_moved,
-            force=force,
-            progress=bar,
-        )
+        verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=bar)
     if as_json:
-        emit_json({"slots": [asdict(v) for v in verdicts]})
+        emit_json({"slots": [v.table() for v in verdicts]})
         return
     for v in verdicts:
         click.echo(f"{v.slot} {v.state}: {v.text}")
@@ -148,40 +146,24 @@ def _merge_files(
     files: list[Path],
     camera: str,
     out: Path,
-    size: str | None,
-    projection: str,
-    heading: float,
-    fit: bool | None,
-    drop_moved: bool,
+    options: MergeOptions,
+    heading_deg: float,
     as_json: bool,
 ) -> None:
     from fieldlum.merge import files_to_picture
     from fieldlum.profiles import load_camera_profile
 
-    if projection == "equirect":
-        pixels = panorama_height(size or DEFAULT_SIZE)
-    else:
-        width, pixels = dimensions(size or DEFAULT_FISHEYE_SIZE)
-        if width != pixels:
-            raise click.UsageError(f"--size {size}: a fisheye picture is square")
     with progress("Merge") as bar:
         result, facts = files_to_picture(
-            files,
-            load_camera_profile(camera),
-            out,
-            pixels=pixels,
-            projection=projection,
-            heading_deg=heading,
-            fit=fit,
-            drop_moved=drop_moved,
-            progress=bar,
+            files, load_camera_profile(camera), out, options, heading_deg=heading_deg, progress=bar
         )
     if as_json:
         emit_json({"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality})
         return
     click.echo(f"{out}: {result.verdict}")
-    for n in result.quality["neighbours"]:
-        long, short = (result.quality["frames"][n[k]]["file"] for k in ("long", "short"))
-        click.echo(f"  {long} to {short}: {n['residual_percent']:+.2f} % ({n['pixels']} pixels)")
+    frames = result.report.frames
+    for pair in result.report.neighbours:
+        long, short = frames[pair.long].file, frames[pair.short].file
+        click.echo(f"  {long} to {short}: {pair.residual_percent:+.2f} % ({pair.pixels} pixels)")
     for name, value in facts.items():
         click.echo(f"  {name}: {value:.5g}" if isinstance(value, float) else f"  {name}: {value}")

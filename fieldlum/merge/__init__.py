@@ -2,12 +2,15 @@
 uncertainty and flags.
 """
 
-from fieldlum.merge.bracket import MergeResult, merge_frames, merge_sensor, merge_shots
+from fieldlum.merge.bracket import MergeResult, merge_frames, merge_shots
 from fieldlum.merge.merge_files import files_to_picture
+from fieldlum.merge.options import MergeOptions
+from fieldlum.merge.sensor import merge_sensor
 from fieldlum.merge.shots import Shot, shots_of_files, shots_of_slot
 from fieldlum.merge.stage import Verdict, run
 
 __all__ = [
+    "MergeOptions",
     "MergeResult",
     "Shot",
     "Verdict",

@@ -26,8 +26,15 @@ Strip = NDArray[np.float32]
 class Signal(Protocol):
     """One frame, linear and black-subtracted, read in strips along the first axis of its array."""
 
-    per_cdm2: NDArray[np.float32]  # counts per cd/m2, broadcastable to the array
-    through_nd: bool
+    @property
+    def per_cdm2(self) -> NDArray[np.float32]:
+        """Return counts per cd/m2, broadcastable to the array."""
+        ...
+
+    @property
+    def through_nd(self) -> bool:
+        """Return whether a neutral-density filter was in front of the lens."""
+        ...
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
         """Counts above black, and where they, or a near neighbour, are saturated (None:

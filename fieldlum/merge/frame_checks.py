@@ -61,7 +61,7 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
     return FirstLook(found, off)
 
 
-def held_otherwise(shots: Sequence[Shot], profile: CameraProfile) -> str:
+def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     """What the frames' EXIF says against the profile's roll, or "".
 
     A map of a camera that was put on its side lies on its side, with every figure in order.

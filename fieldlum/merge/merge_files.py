@@ -9,25 +9,20 @@ import numpy as np
 
 from fieldlum.errors import InputError
 from fieldlum.images import write_panorama, write_radiance_hdr
-from fieldlum.merge.bracket import MergeResult, merge_shots
-from fieldlum.merge.shots import shots_of_files
+from fieldlum.merge.bracket import MergeResult, merge_frames
+from fieldlum.merge.options import MergeOptions
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile
-from fieldlum.projection import Equirect, Fisheye
+from fieldlum.projection import Equirect
 from fieldlum.projection.resample import Target
 from fieldlum.records import Progress, quiet
 from fieldlum.session import replacing_path
 
 
-def fisheye_target(profile: CameraProfile, pixels: int) -> Fisheye:
-    """Along the axis of the camera's first lens, with its full angle."""
-    lens = profile.lens[0]
-    return Fisheye(pixels, lens.full_angle_deg, lens.geometry)
-
-
 def axis_illuminance_lx(result: MergeResult, target: Target) -> float:
-    """On a plane across the picture's axis: vertical illuminance for a camera that looks
-    horizontally. [lx]
+    """Return the illuminance of a plane perpendicular to the picture's axis. [lx]
+
+    This is the vertical illuminance for a camera that looks horizontally.
     """
     panorama = result.panorama
     if isinstance(target, Equirect):
@@ -43,29 +38,19 @@ def files_to_picture(
     files: Sequence[Path],
     profile: CameraProfile,
     out: Path,
+    options: MergeOptions | None = None,
     *,
-    pixels: int,
-    projection: str = "equirect",
     heading_deg: float = 180.0,
-    fit: bool | None = None,
-    drop_moved: bool = False,
     progress: Progress = quiet,
 ) -> tuple[MergeResult, dict[str, float]]:
-    """Merge and write; returns the result and its illuminance. Raises InputError."""
+    """Merge files and write the picture; return the result and its illuminance.
+
+    Raises InputError for a frame that cannot be merged, or for another suffix than .exr or .hdr.
+    """
     if out.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(out, f"suffix '{out.suffix}'", ".exr or .hdr")
-    target: Target = (
-        Equirect(pixels) if projection == "equirect" else fisheye_target(profile, pixels)
-    )
-    result = merge_shots(
-        shots_of_files(files, profile.camera.fixed_f_number),
-        profile,
-        target=target,
-        heading_deg=heading_deg,
-        fit=fit,
-        drop_moved=drop_moved,
-        progress=progress,
-    )
+    options = options or MergeOptions()
+    result = merge_frames(files, profile, options, heading_deg=heading_deg, progress=progress)
     panorama = result.panorama
     with replacing_path(out) as path:
         if out.suffix.lower() == ".exr":
@@ -74,4 +59,5 @@ def files_to_picture(
             colours = panorama.rgb if panorama.rgb is not None else panorama.luminance_cdm2
             heading = None if result.view else panorama.heading_deg
             write_radiance_hdr(path, colours, view=result.view, heading_deg=heading)
-    return result, {"vertical_illuminance_lx": axis_illuminance_lx(result, target)}
+    illuminance_lx = axis_illuminance_lx(result, options.target(profile))
+    return result, {"vertical_illuminance_lx": illuminance_lx}

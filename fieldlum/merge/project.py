@@ -6,22 +6,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
+from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
 from fieldlum.linear_light import curve_u_rel, lens_geometry, vignetting_of
-from fieldlum.merge.estimator import Merged
-from fieldlum.merge.frames import Crop
 from fieldlum.merge.jpeg_noise import footprint_px
-from fieldlum.merge.ratios import RatioCurve
+from fieldlum.merge.sensor import SensorImage
 from fieldlum.photometry import vignetting_at
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import Equirect, Resampler, resampler
 from fieldlum.projection.resample import Target
-from fieldlum.records import Flag
+from fieldlum.records import Flag, Panorama
 
 # Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it
 # makes a lower bound.
@@ -35,29 +34,17 @@ _TAPER_RAD = 0.06  # over which a lens fades in from its edge, where another len
 
 
 @dataclass(frozen=True, slots=True)
-class SensorMap:
-    """A merged sensor and where it looked: heading offset from the target's heading, aperture,
-    crop.
-    """
+class ProjectedImage:
+    """What one lens, or several blended, show of the target; flat arrays [n] over its pixels.
 
-    merged: Merged
-    crop: Crop
-    turn_deg: float
-    f_number: float
-    u_curve: RatioCurve
-    valid: NDArray[np.bool_] | None = None  # False: bad pixels
-
-
-@dataclass(frozen=True, slots=True)
-class LensView:
-    """Flat arrays [n] of the target: luminance, random variance, share covered, flags, camera
-    RGB, relative u's.
+    variance: of the random error. coverage: share of a pixel that is covered. edge: 0 at the lens's
+    edge, 1 from `_TAPER_RAD` inwards. u_vignetting, u_ratio: relative standard uncertainties.
     """
 
     luminance: NDArray[np.float64]
     variance: NDArray[np.float64]
     coverage: NDArray[np.float64]
-    edge: NDArray[np.float64]  # 0 at the lens's edge, 1 from _TAPER_RAD inwards
+    edge: NDArray[np.float64]
     u_vignetting: NDArray[np.float64]
     u_ratio: NDArray[np.float64]
     flags: NDArray[np.uint8]
@@ -65,21 +52,8 @@ class LensView:
     lens: Lens | None = None  # None: of several
 
 
-@dataclass(frozen=True, slots=True)
-class Map:
-    """[H, W]: luminance, standard uncertainty (all sources), flags; rgb in Radiance's primaries
-    or None.
-    """
-
-    luminance_cdm2: NDArray[np.float32]
-    u_cdm2: NDArray[np.float32]
-    flags: NDArray[np.uint16]
-    rgb: NDArray[np.float32] | None
-    u_random_cdm2: NDArray[np.float32]
-
-
 def _project(
-    sensor: SensorMap, r: Resampler
+    sensor: SensorImage, r: Resampler
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
     """Camera RGB [n, 3], its random variance [n, 3] and flags [n] of one lens."""
     m = sensor.merged
@@ -87,7 +61,7 @@ def _project(
     values, variance = (
         np.reshape(a, (-1, 3) if colours == [""] else -1) for a in (m.value_cdm2, m.variance)
     )
-    valid = None if sensor.valid is None else sensor.valid.ravel().astype(np.float32)
+    valid = None if sensor.good is None else sensor.good.ravel().astype(np.float32)
     if valid is not None and colours == [""]:
         valid = valid[:, None]
     rgb, var = [], []
@@ -120,7 +94,9 @@ def _project(
     return np.stack(rgb, axis=1).astype(np.float64), np.stack(var, axis=1).astype(np.float64), flags
 
 
-def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: Target) -> LensView:
+def view_through(
+    sensor: SensorImage, lens: Lens, profile: CameraProfile, target: Target
+) -> ProjectedImage:
     """One lens's contribution, vignetting undone."""
     geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
@@ -137,12 +113,12 @@ def view_through(sensor: SensorMap, lens: Lens, profile: CameraProfile, target: 
     edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
-    return LensView(
+    return ProjectedImage(
         rgb @ weights, var @ weights**2, coverage, edge, u_vignetting, u_ratio, flags, rgb, lens
     )
 
 
-def blend(views: Sequence[LensView]) -> LensView:
+def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
     """Inverse-variance mean of all lenses and headings that see a pixel.
 
     The variance is that of the common luminance (of the noisy one it would pull towards the darker
@@ -181,7 +157,7 @@ def blend(views: Sequence[LensView]) -> LensView:
         by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
     u_vignetting = np.sqrt(sum(u**2 for u in by_lens.values()))
     u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)  # one shutter
-    return LensView(
+    return ProjectedImage(
         (share * luminance).sum(0),
         (share**2 * variance).sum(0),
         coverage.max(0),
@@ -193,13 +169,21 @@ def blend(views: Sequence[LensView]) -> LensView:
     )
 
 
-def finish(view: LensView, profile: CameraProfile, target: Target) -> Map:
-    """The GUM budget and the flags of the finished map.
+def finish(
+    view: ProjectedImage,
+    profile: CameraProfile,
+    target: Target,
+    *,
+    heading_deg: float = 180.0,
+    t_utc: datetime | None = None,
+) -> Panorama:
+    """Return the finished map with its GUM budget and flags.
 
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
-    + edges^2; a filter is part of its frames' exposure; the glare floor is a share of the mean
-    luminance seen. A clipped pixel is a lower bound: its u is 100 %. bench/merge_budget.py holds it
-    against whole simulated cameras, bench/merge_scene.py the part for edges against a scene.
+    + edges^2. A filter is part of its frames' exposure. The glare floor is a share of the mean
+    luminance seen. A clipped pixel is a lower bound with an uncertainty of 100 %.
+    bench/merge_budget.py compares u with simulated cameras, bench/merge_scene.py its part for edges
+    with a scene.
     """
     p, light = profile, view.luminance
     seen = (view.flags & Flag.OUTSIDE_LENS) == 0
@@ -220,12 +204,15 @@ def finish(view: LensView, profile: CameraProfile, target: Target) -> Map:
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
     shape = target.shape
-    return Map(
+    return Panorama(
         light.reshape(shape).astype(np.float32),
+        heading_deg,
         u.reshape(shape).astype(np.float32),
         flags.reshape(shape),
+        t_utc,
+        None,
         None if rgb is None else rgb.reshape(*shape, 3),
-        np.sqrt(view.variance).reshape(shape).astype(np.float32),
+        calibration_mark(profile),
     )
 
 

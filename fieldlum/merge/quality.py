@@ -1,153 +1,127 @@
-"""What is said about a merged bracket: its figures, and one line."""
+"""The report of a merged bracket, and its one-line verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.merge.shift import Moved
+from fieldlum.merge.frame_checks import orientation_conflict
+from fieldlum.merge.sensor import Findings
+from fieldlum.profiles import CameraProfile
 from fieldlum.projection.resample import Target
-from fieldlum.records import Flag, utc_text
-from fieldlum.session import exposure_text
-from fieldlum.session.files.sidecar import exposure_keys
+from fieldlum.records import Flag
+from fieldlum.session.files.merge_report import FrameQuality, MergeReport, ShiftQuality
 
-if TYPE_CHECKING:
-    from fieldlum.merge.bracket import SensorMerge
-
+# Limits of the verdict, chosen with simulated and real brackets (docs/merge.md, "Verdicts").
 RESIDUAL_WARN_PERCENT = 3.0
 SHIFT_WARN_PX = 1.0  # beyond three standard errors
-OFF_WARN, OFF_SIGMA = (
-    0.02,
-    3.0,
-)  # exposures further off than both, relative and in u of the prior, are told
 BLACK_WARN_DN = 1.0
+_MOTION_WARN_PERCENT, _BELOW_NOISE_WARN_PERCENT = 2.0, 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class Offsets:
-    """How far each frame's exposure was found off what the profile says (logarithm), and the u
-    of that beforehand.
-    """
-
-    found: NDArray[np.float64]
-    u_prior: NDArray[np.float64]
-
-    @property
-    def span_percent(self) -> float:
-        return float(100 * np.ptp(self.found))
-
-    @property
-    def beyond_prior(self) -> bool:
-        return bool((np.abs(self.found) > np.maximum(OFF_WARN, OFF_SIGMA * self.u_prior)).any())
-
-    @property
-    def text(self) -> str:
-        low, high = 100 * np.expm1(self.found.min()), 100 * np.expm1(self.found.max())
-        return f"{low:+.1f} to {high:+.1f}"
-
-
-def quality_of(parts: Sequence[SensorMerge], flags: np.ndarray, target: Target) -> dict[str, Any]:
-    """Figures of one bracket; shares are of the solid angle seen. [%]"""
+def report_of(
+    parts: Sequence[Findings],
+    flags: NDArray[np.integer],
+    target: Target,
+    profile: CameraProfile,
+) -> MergeReport:
+    """Return the figures of one bracket; flags [H, W] of the result on `target`."""
     solid = target.solid_angles()
     seen = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
 
     def share(flag: Flag) -> float:
         return float(100 * (seen * ((flags & flag) > 0)).sum() / max(seen.sum(), 1e-12))
 
-    frames = [
-        {
-            "file": shot.path.name,
-            "heading_deg": shot.heading_deg,
-            "t_utc": utc_text(shot.t_utc) if shot.t_utc else "",
-            "exposure": exposure_text(shot.exposure),
-            **exposure_keys(shot.exposure),
-            "correction": round(float(c), 6),
-            "u_percent": round(float(100 * u), 4),
-            **({"dropped_percent": round(100 * part.dropped[i], 4)} if part.dropped else {}),
-        }
-        for part in parts
-        for i, (shot, c, u) in enumerate(
+    pairs = [n for part in parts for n in part.trust.neighbours]
+    turns = [turn for part in parts for turn in _shifts(part)]
+    surest = max(turns, key=lambda turn: turn.sure_px, default=None)
+    return MergeReport(
+        frames=tuple(frame for part in parts for frame in _frames(part)),
+        neighbours=tuple(pairs),
+        residual_percent=float(max(abs(n.residual_percent) for n in pairs)) if pairs else None,
+        shifts=tuple(turns),
+        shift_px=surest.shift_px if surest else None,
+        shift_u_px=surest.u_px if surest else None,
+        clipped_percent=share(Flag.CLIPPED_HIGH),
+        bloom_percent=share(Flag.BLOOM),
+        motion_percent=share(Flag.MOTION),
+        below_noise_percent=share(Flag.BELOW_NOISE),
+        outside_percent=float(100 * (1 - seen.sum() / max(solid.sum(), 1e-12))),
+        exposure_span_percent=max(p.trust.deviations.span_percent for p in parts),
+        deviations=tuple(p.trust.deviations.text for p in parts if p.trust.deviations.beyond_prior),
+        noise_over_profile=max(p.noise.larger for p in parts),
+        plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].look.plateau_dn.items()},
+        black_off_dn=max((p.look.black_off_dn for p in parts), key=abs),
+        shutter_law=parts[0].law,
+        u_ratio_percent=100 * float(np.sqrt(np.mean([p.trust.u_rel**2 for p in parts]))),
+        orientation_conflict=orientation_conflict([s for p in parts for s in p.shots], profile),
+    )
+
+
+def _frames(part: Findings) -> list[FrameQuality]:
+    return [
+        FrameQuality(
+            shot.path.name,
+            shot.exposure,
+            round(float(correction), 6),
+            round(float(100 * u), 4),
+            shot.heading_deg,
+            shot.t_utc,
+            round(100 * part.dropped[i], 4) if part.dropped else None,
+        )
+        for i, (shot, correction, u) in enumerate(
             zip(part.shots, part.fit.correction, part.fit.u_log, strict=True)
         )
     ]
-    left = [n for part in parts for n in part.neighbours]
-    moved = [
-        {
-            "long": part.shots[m.long].path.name,
-            "short": part.shots[m.short].path.name,
-            **_rounded(m),
-        }
-        for part in parts
+
+
+def _shifts(part: Findings) -> list[ShiftQuality]:
+    return [
+        ShiftQuality(
+            part.shots[m.long].path.name,
+            part.shots[m.short].path.name,
+            *(round(float(value), 3) for value in (m.turn_deg, m.shift_px, m.u_px, m.sure_px)),
+        )
         for m in part.moved
     ]
-    most = max(moved, key=lambda m: m["sure_px"], default=None)
-    return {
-        "frames": frames,
-        "neighbours": [asdict(n) for n in left],
-        "residual_percent": float(max(abs(n.residual_percent) for n in left)) if left else None,
-        "shifts": moved,
-        "shift_px": most["shift_px"] if most else None,
-        "shift_u_px": most["u_px"] if most else None,
-        "clipped_percent": share(Flag.CLIPPED_HIGH),
-        "bloom_percent": share(Flag.BLOOM),
-        "motion_percent": share(Flag.MOTION),
-        "below_noise_percent": share(Flag.BELOW_NOISE),
-        "outside_percent": float(100 * (1 - seen.sum() / max(solid.sum(), 1e-12))),
-        "exposure_span_percent": max(p.off.span_percent for p in parts),
-        "exposure_told": [p.off.text for p in parts if p.off.beyond_prior],
-        "noise_over_said": max(p.noise.larger for p in parts),
-        "plateau_dn": {f"{iso:g}": list(found) for iso, found in parts[0].look.plateau_dn.items()},
-        "black_off_dn": max((p.look.black_off_dn for p in parts), key=abs),
-        "shutter_law": asdict(parts[0].law),
-        "u_ratio_percent": 100 * float(np.sqrt(np.mean([p.u_ratio**2 for p in parts]))),
-    }
 
 
-def _rounded(moved: Moved) -> dict[str, Any]:
-    return {
-        name: round(float(getattr(moved, name)), 3)
-        for name in ("turn_deg", "shift_px", "u_px", "sure_px")
-    }
-
-
-def verdict(quality: dict[str, Any]) -> str:
-    """One line: good, or what to look at."""
-    said = []
-    worst = quality["residual_percent"]
-    if worst is None:
-        said.append("no two frames overlap")
-    elif worst > RESIDUAL_WARN_PERCENT:
-        said.append(f"neighbouring frames disagree by {worst:.1f} %")
-    said += [
-        f"exposures lie {text} % from the profile's: the light changed meanwhile, or calibrate "
-        f"shutter and response"
-        for text in quality["exposure_told"]
+def verdict(report: MergeReport) -> str:
+    """Return one line: good, or what to check."""
+    notes: list[str] = []
+    residual = report.residual_percent
+    if residual is None:
+        notes.append("no two frames overlap")
+    elif residual > RESIDUAL_WARN_PERCENT:
+        notes.append(f"neighbouring frames disagree by {residual:.1f} %")
+    notes += [
+        f"fitted exposures differ from the profile by {text} %: the light changed during the "
+        f"bracket, or shutter and response need calibration"
+        for text in report.deviations
     ]
-    if quality["held_otherwise"]:
-        said.append(quality["held_otherwise"])
-    if abs(quality["black_off_dn"]) > BLACK_WARN_DN:
-        said.append(
-            f"the files' black level lies {quality['black_off_dn']:+.1f} DN from the profile's"
+    if report.orientation_conflict:
+        notes.append(report.orientation_conflict)
+    if abs(report.black_off_dn) > BLACK_WARN_DN:
+        notes.append(
+            f"the files' black level differs from the profile's by {report.black_off_dn:+.1f} DN"
         )
-    if quality["noise_over_said"] > 1.0:
-        said.append(
-            f"noise is {quality['noise_over_said']:.1f} times what the profile's gain and read "
-            f"noise say"
+    if report.noise_over_profile > 1.0:
+        notes.append(
+            f"noise is {report.noise_over_profile:.1f} times that of the profile's gain and read "
+            f"noise"
         )
-    said += [
-        f"the camera turned by {m['turn_deg']:.2f} deg ({m['shift_px']:.1f} px) between "
-        f"{m['long']} and {m['short']}"
-        for m in quality["shifts"]
-        if m["sure_px"] > SHIFT_WARN_PX
+    notes += [
+        f"the camera turned by {m.turn_deg:.2f} deg ({m.shift_px:.1f} px) between "
+        f"{m.long} and {m.short}"
+        for m in report.shifts
+        if m.sure_px > SHIFT_WARN_PX
     ]
-    if quality["clipped_percent"] > 0:
-        said.append(f"clipped in every frame: {quality['clipped_percent']:.2g} % of the view")
-    if quality["motion_percent"] > 2.0:
-        said.append(f"motion in {quality['motion_percent']:.1f} % of the view")
-    if quality["below_noise_percent"] > 5.0:
-        said.append(f"below noise: {quality['below_noise_percent']:.1f} %")
-    return "; ".join(said) or f"good: frames agree within {worst:.2f} %"
+    if clipped := report.clipped_percent or 0.0:
+        notes.append(f"clipped in every frame: {clipped:.2g} % of the view")
+    if (motion := report.motion_percent or 0.0) > _MOTION_WARN_PERCENT:
+        notes.append(f"motion in {motion:.1f} % of the view")
+    if (below := report.below_noise_percent or 0.0) > _BELOW_NOISE_WARN_PERCENT:
+        notes.append(f"below noise: {below:.1f} % of the view")
+    return "; ".join(notes) or f"good: frames agree within {residual:.2f} %"

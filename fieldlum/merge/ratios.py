@@ -12,6 +12,7 @@ from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.merge.frames import RawSignal
 from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
+from fieldlum.session.files.merge_report import NeighbourQuality
 from fieldlum.statistics import robust_sigma
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
@@ -22,17 +23,6 @@ _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
 _REACH = 3  # frames of a bracket that are compared with each frame
 _FREE = 0.3  # relative prior of exposures that are not held to anything
 _LEVELS = 193  # luminances at which the ratios' uncertainty is worked out
-
-
-@dataclass(frozen=True, slots=True)
-class Neighbours:
-    """Disagreement of two frames next to each other in exposure, after all corrections. [%]"""
-
-    long: int
-    short: int
-    residual_percent: float
-    u_percent: float
-    pixels: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +104,11 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
     return [pair for pair in found if pair is not None]
 
 
-def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[Neighbours]:
+def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
     """What is left between frames next to each other once `correction` is applied."""
     delta = np.log(correction)
     return [
-        Neighbours(
+        NeighbourQuality(
             p.long,
             p.short,
             float(100 * (p.log_ratio - delta[p.short] + delta[p.long])),
@@ -130,7 +120,7 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
     ]
 
 
-def unexplained(left: Sequence[Neighbours], explained: float) -> float:
+def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
     """Relative u of one frame against another, from neighbours' disagreement beyond what
     `explained` (relative u of a frame by its time and its response) and the pairs' own noise
     account for.
@@ -143,11 +133,10 @@ def unexplained(left: Sequence[Neighbours], explained: float) -> float:
 
 
 def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
-    """How far each frame's exposure seems off by its pairs alone; the corrections' mean is 1,
-    unseen frames too.
+    """Return the corrections by the pairs alone; their mean is 1, as is that of unseen frames.
 
-    Neighbours that agree within 2 % may still add up to 30 % over a bracket: light that changed, or
-    a response.
+    Neighbours that agree within 2 % may still add up to 30 % over a bracket, if the light changed
+    or the response is wrong.
     """
     return fit_ratios(pairs, np.eye(frames) * _FREE**2)
 

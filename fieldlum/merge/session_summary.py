@@ -53,10 +53,10 @@ def shutter_table(sidecars: Sequence[Sidecar]) -> list[ShutterEntry]:
     """
     corrections: dict[Exposure, list[float]] = defaultdict(list)
     for sidecar in sidecars:
-        residual = sidecar.quality.get("residual_percent")
+        residual = sidecar.report.residual_percent
         if residual is None or abs(residual) > 3.0:
             continue
-        for frame in sidecar.frames:
+        for frame in sidecar.report.frames:
             corrections[frame.exposure].append(frame.correction)
     table = []
     for exposure, values in corrections.items():
@@ -86,7 +86,7 @@ def drift_percent(sidecar: Sidecar, table: Sequence[ShutterEntry]) -> float | No
             float(np.log(f.correction / known[exposure_text(f.exposure)])),
             f.u_percent,
         )
-        for f in sidecar.frames
+        for f in sidecar.report.frames
         if f.t_utc and exposure_text(f.exposure) in known and f.u_percent < 1.0
     ]
     if len(rows) < 3 or max(r[0] for r in rows) - min(r[0] for r in rows) <= 0:
@@ -123,12 +123,12 @@ def read_sidecars(session: Session) -> list[Sidecar]:
     for path in session.sidecar_files():
         with suppress(InputError):
             sidecar = Sidecar.read(path)
-            if sidecar.frames:
+            if sidecar.report.frames:
                 sidecars.append(sidecar)
     return sidecars
 
 
-def write_survey(session: Session) -> None:
+def write_summary(session: Session) -> None:
     """panoramas/quality.csv, panoramas/shutter.csv and contact sheets, of everything merged so
     far.
     """
@@ -145,7 +145,7 @@ def write_survey(session: Session) -> None:
     write_quality(session.quality, [_row(session, note, table) for note in notes])
 
 
-def survey_owed(session: Session) -> bool:
+def summary_due(session: Session) -> bool:
     """Whether a sidecar is newer than quality.csv, which is written last: also after a kill in
     the middle.
     """
@@ -155,10 +155,10 @@ def survey_owed(session: Session) -> bool:
 
 
 def _row(session: Session, note: Sidecar, table: Sequence[ShutterEntry]) -> QualityRow:
-    quality, sun = note.quality, note.sun or {}
-    times = [frame.t_utc for frame in note.frames if frame.t_utc]
+    sun = note.sun or {}
+    times = [frame.t_utc for frame in note.report.frames if frame.t_utc]
     figures = {
-        name: quality.get(name)
+        name: getattr(note.report, name, None)
         for name in QUALITY_COLUMNS
         if name.endswith(("_percent", "_px", "vertical_illuminance_lx"))
     }
@@ -170,7 +170,7 @@ def _row(session: Session, note: Sidecar, table: Sequence[ShutterEntry]) -> Qual
         slot=note.slot,
         t_utc=utc_text(note.t_utc) if note.t_utc else "",
         verdict=note.verdict,
-        frames=len(note.frames),
+        frames=len(note.report.frames),
         sun_lx=sun.get("normal_illuminance_lx"),
         sun_origin=str(sun.get("origin", "")),
         **figures,

@@ -12,14 +12,15 @@ from typing import Any
 
 from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
-from fieldlum.merge.bracket import MergeResult, merge_frames
+from fieldlum.merge.bracket import MergeResult, merge_shots
 from fieldlum.merge.disc import (
     MeasuredSun,
     disc_px,
     expected_sun_deg,
     mosaic_u_rel,
 )
-from fieldlum.merge.session_summary import survey_owed, write_survey
+from fieldlum.merge.options import MergeOptions
+from fieldlum.merge.session_summary import summary_due, write_summary
 from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
@@ -28,47 +29,52 @@ from fieldlum.records import CLIPPED_SUN, Progress, Site, SunSource, quiet, utc_
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_each
 from fieldlum.session import Session, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
+from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.version import __version__
 
-DEFAULT_HEIGHT = 230
-_SUN_WARN = 0.02  # u from which the verdict says so
-_RECIPE = 5  # increase it when the arithmetic changes: earlier panoramas are then merged again
+# Relative uncertainty of the sun's illuminance from which the verdict reports it.
+_SUN_WARN = 0.02
+# Increase it when the arithmetic changes: earlier panoramas are then merged again.
+_RECIPE = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One bracket's outcome. state: merged, kept (done before from the same inputs), failed."""
+    """One bracket's outcome. state: merged, kept (merged before from the same inputs), failed."""
 
     slot: str
     state: str
     text: str
-    quality: dict[str, Any]
+    report: MergeReport | None
+
+    def table(self) -> dict[str, Any]:
+        """Return the object that `merge --json` prints."""
+        quality = self.report.table() if self.report else {}
+        return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}
 
 
 @dataclass(frozen=True, slots=True)
 class _MergeJob:
-    """What one bracket needs besides its files; it goes to workers, so it holds no path."""
+    """What one bracket needs besides its files. It is sent to workers, so it has no path."""
 
     slot: str
     profile: CameraProfile
     profile_sha256: str
     heading_deg: float
     site: Site
-    height: int
-    fit: bool | None
-    drop_moved: bool
+    options: MergeOptions
     force: bool
 
 
 def captured_slots(session: Session) -> list[str]:
-    """Names of the folders in raw/, in order of time."""
+    """Return the names of the folders in raw/, in order of time."""
     return [folder.name for folder in session.captured_folders()]
 
 
 def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
-    """What a panorama depends on; two equal recipes give the same picture."""
+    """Return what a panorama depends on; equal recipes give equal pictures."""
     frames = [
         {
             "file": s.path.name,
@@ -82,16 +88,16 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
         "recipe": _RECIPE,
         "frames": frames,
         "profile_sha256": job.profile_sha256,
-        "height": job.height,
+        "height": job.options.height,
         "heading_deg": job.heading_deg,
-        "fit": job.fit,
-        "drop_moved": job.drop_moved,
+        "fit": job.options.fit,
+        "drop_moved": job.options.drop_moved,
     }
     return {**inputs, "digest": digest(inputs)}
 
 
-def _done_before(session: Session, slot: str, recipe: dict[str, Any]) -> Sidecar | None:
-    """Return the sidecar of a panorama that this very recipe gave, else None."""
+def _merged_before(session: Session, slot: str, recipe: dict[str, Any]) -> Sidecar | None:
+    """Return the sidecar of a panorama that was merged with the same recipe, else None."""
     path, picture = session.sidecar(slot), session.panorama(slot)
     table = made_from(path, recipe, [picture])
     try:
@@ -120,30 +126,18 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
     try:
         shots = shots_of_slot(session.capture_file(job.slot).parent)
         recipe = _recipe(job, shots)
-        known = None if job.force else _done_before(session, job.slot, recipe)
-        if known is not None:
-            return Verdict(job.slot, "kept", known.verdict, known.quality)
-        note = CaptureFile.find(session.capture_file(job.slot))
-        t_utc = _slot_time(note, job.slot, shots)
-        result, lost = _merged_without_lost(job, shots, expected_sun_deg(t_utc, job.site))
-        panorama = replace(result.panorama, t_utc=t_utc)
-        ev = vertical_illuminance_lx(
-            panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
-        )
-        quality = {**result.quality, "vertical_illuminance_lx": ev}
-        whole = note is None or note.complete
-        said = result.verdict if whole else f"incomplete bracket; {result.verdict}"
-        if lost:  # the digest never matches then: once the frames are whole again, so is the map
-            said = (
-                f"without {', '.join(lost)}, whose pixels cannot be read: copy from the card "
-                f"again; {said}"
-            )
-            quality, recipe = {**quality, "lost": lost}, {**recipe, "digest": ""}
-        said += _sun_note(panorama.sun, job.profile)
-        _write(
-            session, job, replace(result, panorama=panorama, quality=quality, verdict=said), recipe
-        )
-        return Verdict(job.slot, "merged", said, quality)
+        before = None if job.force else _merged_before(session, job.slot, recipe)
+        if before is not None:
+            return Verdict(job.slot, "kept", before.verdict, before.report)
+        capture = CaptureFile.find(session.capture_file(job.slot))
+        t_utc = _slot_time(capture, job.slot, shots)
+        result, lost = _merge_readable(job, shots, expected_sun_deg(t_utc, job.site))
+        result = replace(result, panorama=replace(result.panorama, t_utc=t_utc))
+        complete = capture is None or capture.complete
+        result = _with_session_facts(result, job.profile, complete, lost)
+        # Without a digest the slot is merged again once the missing frames are back.
+        _write(session, job, result, {**recipe, "digest": ""} if lost else recipe)
+        return Verdict(job.slot, "merged", result.verdict, result.report)
     except (FieldlumError, OSError) as error:
         if is_worker_trouble(error):
             raise
@@ -151,28 +145,20 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
 
 
 def _failed(slot: str, text: str) -> Verdict:
-    return Verdict(slot, "failed", text, {})
+    return Verdict(slot, "failed", text, None)
 
 
-def _merged_without_lost(
-    job: _MergeJob,
-    shots: list[Shot],
-    sun_deg: tuple[float, float] | None,
+def _merge_readable(
+    job: _MergeJob, shots: list[Shot], sun_deg: tuple[float, float] | None
 ) -> tuple[MergeResult, list[str]]:
-    """The bracket, and which frames it had to do without: a few that cannot be read are no
-    reason to lose an hour.
+    """Merge the frames that can be read, and return the names of the others.
+
+    Raises InputError if less than half of the frames, or less than two, can be read.
     """
 
     def merged(some: list[Shot]) -> MergeResult:
-        return merge_frames(
-            [s.path for s in some],
-            job.profile,
-            height=job.height,
-            heading_deg=job.heading_deg,
-            shots=some,
-            fit=job.fit,
-            drop_moved=job.drop_moved,
-            sun_deg=sun_deg,
+        return merge_shots(
+            some, job.profile, job.options, heading_deg=job.heading_deg, sun_deg=sun_deg
         )
 
     try:
@@ -184,8 +170,26 @@ def _merged_without_lost(
         return merged([s for s in shots if s.path.name not in lost]), lost
 
 
+def _with_session_facts(
+    result: MergeResult, profile: CameraProfile, complete: bool, lost: list[str]
+) -> MergeResult:
+    """Return the result with its illuminance, and with the verdict of its slot."""
+    panorama = result.panorama
+    illuminance_lx = vertical_illuminance_lx(
+        panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
+    )
+    report = replace(result.report, vertical_illuminance_lx=illuminance_lx, lost=tuple(lost))
+    text = result.verdict if complete else f"incomplete bracket; {result.verdict}"
+    if lost:
+        text = (
+            f"without {', '.join(lost)}, whose pixels cannot be read: copy from the card "
+            f"again; {text}"
+        )
+    return replace(result, report=report, verdict=text + _sun_note(panorama.sun, profile))
+
+
 def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
-    """The picture first, then its sidecar: a picture without one is made again."""
+    """Write the picture first, then its sidecar: a picture without sidecar is merged again."""
     picture = session.panorama(job.slot)
     with replacing_path(picture) as path:
         write_panorama(path, result.panorama)
@@ -194,7 +198,7 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: dict[s
         job.slot,
         result.panorama.t_utc,
         result.verdict,
-        result.quality,
+        result.report,
         sun=_sun_table(result.panorama.sun, result.sun, p),
         factors={
             "k": p.scale.k,
@@ -242,14 +246,14 @@ def _sun_u_rel(profile: CameraProfile) -> float:
 
 
 def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
-    """What the verdict adds where a measured sun is too small on the sensor to be measured well."""
+    """Return a note for the verdict if the sun's disc is too small on the sensor, else ""."""
     u_rel = _sun_u_rel(profile)
     if sun is None or sun.origin == CLIPPED_SUN or u_rel < _SUN_WARN:
         return ""
     wide_px = disc_px(profile.lens)
     return (
-        f"; the sun is {wide_px:.1f} px wide on the sensor: its illuminance is good to "
-        f"{100 * u_rel:.0f} % only"
+        f"; the sun is {wide_px:.1f} px wide on the sensor: the uncertainty of its illuminance is "
+        f"{100 * u_rel:.0f} %"
     )
 
 
@@ -258,25 +262,19 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
 
 
 def _units(
-    session: Session,
-    slots: Iterable[str],
-    height: int,
-    fit: bool | None,
-    drop_moved: bool,
-    force: bool,
+    session: Session, slots: Iterable[str], options: MergeOptions, force: bool
 ) -> list[WorkUnit]:
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
-    profile = load_camera_profile(path)
-    profile_sha256 = sha256(path)
+    profile, profile_sha256 = load_camera_profile(path), sha256(path)
     heading_deg = setup.camera.heading_deg
-    jobs = [
-        _MergeJob(
-            s, profile, profile_sha256, heading_deg, setup.site, height, fit, drop_moved, force
+    return [
+        _unit(
+            session,
+            _MergeJob(slot, profile, profile_sha256, heading_deg, setup.site, options, force),
         )
-        for s in slots
+        for slot in slots
     ]
-    return [_unit(session, job) for job in jobs]
 
 
 def _unit(session: Session, job: _MergeJob) -> WorkUnit:
@@ -284,7 +282,7 @@ def _unit(session: Session, job: _MergeJob) -> WorkUnit:
     note = session.capture_file(job.slot)
     try:
         capture = CaptureFile.find(note)
-    except InputError:  # the unit's verdict is about that
+    except InputError:  # merge_slot reports it as the unit's verdict
         capture = None
     folder = note.parent.relative_to(session.root).as_posix()
     frames = capture.frames if capture else ()
@@ -307,31 +305,28 @@ def _verdict(outcome: UnitOutcome) -> Verdict:
 
 def run(
     session: Session,
+    options: MergeOptions | None = None,
     *,
     scheduler: Scheduler = LOCAL,
-    height: int = DEFAULT_HEIGHT,
-    fit: bool | None = None,
-    drop_moved: bool = False,
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
-    """Merge every slot of the session that is not merged yet from the same frames and profile; then
-    survey them all.
+    """Merge every slot that is not merged yet from the same frames and profile; then summarise all.
 
     Raises NotEnoughDataError when nothing was captured; InputError when every bracket failed.
     """
     slots = captured_slots(session)
     if not slots:
         raise NotEnoughDataError(f"{session.raw}: no captured slots, capture or import some first")
-    units = _units(session, slots, height, fit, drop_moved, force)
+    units = _units(session, slots, options or MergeOptions(), force)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     remove_scraps(session.panoramas)  # of killed runs
     verdicts: list[Verdict] = []
     run_each(units, scheduler, lambda outcome: verdicts.append(_verdict(outcome)), progress)
     remove_scraps(session.panoramas)  # of workers killed in this run
     verdicts.sort(key=lambda v: v.slot)
-    if survey_owed(session):
-        write_survey(session)
+    if summary_due(session):
+        write_summary(session)
     if all(v.state == "failed" for v in verdicts):
         raise InputError(
             session.raw,

@@ -1,0 +1,38 @@
+"""What a user decides about a merge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fieldlum.profiles import CameraProfile
+from fieldlum.projection import Equirect, Fisheye
+from fieldlum.projection.resample import Target
+
+DEFAULT_HEIGHT = 230
+
+
+@dataclass(frozen=True, slots=True)
+class MergeOptions:
+    """How brackets are merged.
+
+    height: rows of the result [px]. projection: "equirect" (panorama, twice as wide) or "fisheye"
+    (square, along the first lens). fit: estimate exposure ratios from the frames; None: for raw
+    frames only. drop_moved: leave frames out of pixels where most other frames agree that
+    something moved.
+    """
+
+    height: int = DEFAULT_HEIGHT
+    projection: str = "equirect"
+    fit: bool | None = None
+    drop_moved: bool = False
+
+    def target(self, profile: CameraProfile) -> Target:
+        """Return the grid of the result."""
+        if self.projection == "equirect":
+            return Equirect(self.height)
+        lens = profile.lens[0]
+        return Fisheye(self.height, lens.full_angle_deg, lens.geometry)
+
+    def fits(self, profile: CameraProfile) -> bool:
+        """Return whether exposure ratios are estimated from this camera's frames."""
+        return profile.camera.kind == "raw" if self.fit is None else self.fit

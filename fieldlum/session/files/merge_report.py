@@ -1,0 +1,210 @@
+"""The table `quality` of a panorama's sidecar: how well the frames of a bracket agreed.
+
+`fieldlum merge --json` prints the same table. Its keys are a contract: additions only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from typing import Any
+
+from fieldlum.photometry import ShutterLaw
+from fieldlum.records import Exposure, parse_utc, utc_text
+from fieldlum.session.plan_file import exposure_text, parse_exposure
+
+# Fields whose key in the file is an older name.
+_KEYS = {
+    "deviations": "exposure_told",
+    "noise_over_profile": "noise_over_said",
+    "orientation_conflict": "held_otherwise",
+}
+
+_NUMBERS = (
+    "residual_percent",
+    "shift_px",
+    "shift_u_px",
+    "clipped_percent",
+    "bloom_percent",
+    "motion_percent",
+    "below_noise_percent",
+    "outside_percent",
+    "exposure_span_percent",
+    "u_ratio_percent",
+    "vertical_illuminance_lx",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameQuality:
+    """One frame. correction: fitted over assumed exposure; u_percent: its standard uncertainty.
+
+    dropped_percent: share of its pixels that were left out because something moved; None where
+    this was not requested.
+    """
+
+    file: str
+    exposure: Exposure
+    correction: float
+    u_percent: float
+    heading_deg: float | None = None
+    t_utc: datetime | None = None
+    dropped_percent: float | None = None
+
+    def table(self) -> dict[str, Any]:
+        """Return the row of `quality.frames`."""
+        row = {
+            "file": self.file,
+            "heading_deg": self.heading_deg,
+            "t_utc": utc_text(self.t_utc) if self.t_utc else "",
+            "exposure": exposure_text(self.exposure),
+            **asdict(self.exposure),
+            "correction": self.correction,
+            "u_percent": self.u_percent,
+        }
+        if self.dropped_percent is not None:
+            row["dropped_percent"] = self.dropped_percent
+        return row
+
+
+@dataclass(frozen=True, slots=True)
+class NeighbourQuality:
+    """Disagreement of two frames next to each other in exposure, after all corrections. [%]
+
+    long, short: numbers of the frames within their heading.
+    """
+
+    long: int
+    short: int
+    residual_percent: float
+    u_percent: float
+    pixels: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftQuality:
+    """Turn of the camera between two frames, by their file names.
+
+    shift_px is in sensor pixels at the lens's axis; sure_px is what three standard errors leave.
+    """
+
+    long: str
+    short: str
+    turn_deg: float
+    shift_px: float
+    u_px: float
+    sure_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class MergeReport:
+    """The figures of one merged bracket; shares are percent of the solid angle seen.
+
+    None or empty: not determined, or a sidecar of an earlier version. deviations: a text for each
+    heading whose exposures differ from the profile's. lost: frames that could not be read.
+    """
+
+    frames: tuple[FrameQuality, ...] = ()
+    neighbours: tuple[NeighbourQuality, ...] = ()
+    residual_percent: float | None = None
+    shifts: tuple[ShiftQuality, ...] = ()
+    shift_px: float | None = None
+    shift_u_px: float | None = None
+    clipped_percent: float | None = None
+    bloom_percent: float | None = None
+    motion_percent: float | None = None
+    below_noise_percent: float | None = None
+    outside_percent: float | None = None
+    exposure_span_percent: float | None = None
+    deviations: tuple[str, ...] = ()
+    noise_over_profile: float = 1.0
+    plateau_dn: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
+    black_off_dn: float = 0.0
+    shutter_law: ShutterLaw | None = None
+    u_ratio_percent: float | None = None
+    orientation_conflict: str = ""
+    vertical_illuminance_lx: float | None = None
+    lost: tuple[str, ...] = ()
+
+    def table(self) -> dict[str, Any]:
+        """Return the object of the sidecar; keys that only some brackets have are left out."""
+        values = {f: getattr(self, f) for f in self.__dataclass_fields__}
+        values["frames"] = [frame.table() for frame in self.frames]
+        values["neighbours"] = [asdict(pair) for pair in self.neighbours]
+        values["shifts"] = [asdict(shift) for shift in self.shifts]
+        values["deviations"] = list(self.deviations)
+        values["plateau_dn"] = {iso: list(dn) for iso, dn in self.plateau_dn.items()}
+        values["shutter_law"] = asdict(self.shutter_law) if self.shutter_law else None
+        values["lost"] = list(self.lost)
+        optional = ("shutter_law", "vertical_illuminance_lx", "lost")
+        return {
+            _KEYS.get(name, name): value
+            for name, value in values.items()
+            if value or name not in optional
+        }
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> MergeReport:
+        """Build from the object of a sidecar; unknown keys are ignored.
+
+        Raises KeyError, TypeError or ValueError for other content.
+        """
+        law, plateau = table.get("shutter_law"), table.get("plateau_dn") or {}
+        return cls(
+            frames=tuple(_frame(row) for row in table.get("frames", ())),
+            neighbours=tuple(_neighbour(row) for row in table.get("neighbours", ())),
+            shifts=tuple(_shift(row) for row in table.get("shifts", ())),
+            deviations=tuple(str(text) for text in table.get("exposure_told", ())),
+            noise_over_profile=float(table.get("noise_over_said", 1.0)),
+            plateau_dn={str(iso): tuple(dn) for iso, dn in plateau.items()},
+            black_off_dn=float(table.get("black_off_dn", 0.0)),
+            shutter_law=None if not law else _law(law),
+            orientation_conflict=str(table.get("held_otherwise", "")),
+            lost=tuple(table.get("lost") or ()),
+            **{name: _number(table.get(name)) for name in _NUMBERS},
+        )
+
+
+def _law(table: Mapping[str, Any]) -> ShutterLaw:
+    misfit = {str(name): float(value) for name, value in table.get("misfit_percent", {}).items()}
+    return ShutterLaw(str(table["law"]), str(table.get("decided_by", "")), misfit)
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)
+
+
+def _shift(row: Mapping[str, Any]) -> ShiftQuality:
+    numbers = (float(row[name]) for name in ("turn_deg", "shift_px", "u_px", "sure_px"))
+    return ShiftQuality(str(row["long"]), str(row["short"]), *numbers)
+
+
+def _frame(row: Mapping[str, Any]) -> FrameQuality:
+    """Version 0.1.0 wrote the exposure as text alone, with six digits of the shutter time."""
+    exposure = parse_exposure(row["exposure"])
+    if float(row["correction"]) <= 0.0:
+        raise ValueError(f"correction {row['correction']}")
+    if "shutter_s" in row:
+        shutter_s, f_number, iso = (float(row[name]) for name in ("shutter_s", "f_number", "iso"))
+        exposure = Exposure(shutter_s, f_number, iso, str(row.get("nd", "")))
+    heading, dropped = row.get("heading_deg"), row.get("dropped_percent")
+    return FrameQuality(
+        str(row.get("file", "")),
+        exposure,
+        float(row["correction"]),
+        float(row.get("u_percent", "nan")),
+        None if heading is None else float(heading),
+        parse_utc(row["t_utc"]) if row.get("t_utc") else None,
+        None if dropped is None else float(dropped),
+    )
+
+
+def _neighbour(row: Mapping[str, Any]) -> NeighbourQuality:
+    return NeighbourQuality(
+        int(row["long"]),
+        int(row["short"]),
+        float(row["residual_percent"]),
+        float(row["u_percent"]),
+        int(row.get("pixels", 0)),
+    )
