@@ -126,7 +126,8 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
     assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
     assert (
         len(report.notes) == 1
-        and "DSC_0048.jpg: the camera's clock was set by +1 h between" in report.notes[0]
+        and "DSC_0048.jpg: by the plan, the camera's clock was set by +1 h between"
+        in report.notes[0]
     )
     assert (
         report.slots == tuple(slot.id for slot in plan[:48])
@@ -141,7 +142,7 @@ def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset")) == ""
     said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"))
     assert said.startswith(
-        "--utc-offset: 55 of 60 brackets lie near slots, with an offset +1 h from this 60 would"
+        "--utc-offset: 55 of 60 brackets are near slots; with an offset +1 h from this, 60 would"
     )
 
 
@@ -165,12 +166,12 @@ def test_a_date_that_is_wrong_is_told_and_costs_no_other_bracket(tmp_path: Path)
             )
     report = import_card.run(make_session(tmp_path / "a", plan), tmp_path / "day")
     assert (
-        "60 of 72 brackets lie near slots, with an offset +24 h from this 72 would"
+        "60 of 72 brackets are near slots; with an offset +24 h from this, 72 would"
         in report.notes[0]
     )
     report = import_card.run(make_session(tmp_path / "b", plan), tmp_path / "lost")
     assert report.brackets == 36 and report.slots == tuple(slot.id for slot in plan[:36])
-    assert "DSC_0036.jpg and 35 brackets after it: brackets of 2015-01-01" in report.left_out[0]
+    assert "DSC_0036.jpg and 35 brackets after it: brackets from 2015-01-01" in report.left_out[0]
 
 
 @pytest.mark.contract
@@ -282,7 +283,7 @@ def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> N
     assert report.brackets == 12 and len(report.notes) == 2
     one, filtered = report.notes
     assert f"lacks 1 of {plan[3].id}'s frames: 1/60 f/5.6 ISO100" in one and "filter" not in one
-    assert "ND=nd5; those of 1/250 s are taken for the ones without filter" in filtered
+    assert "ND=nd5; frames of 1/250 s are used as those without a filter" in filtered
     notes = [(session.raw / slot.id / "capture.json").read_text() for slot in plan]
     assert [i for i, note in enumerate(notes) if '"complete": false' in note] == [3, 5]
 

@@ -85,7 +85,7 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(rig: Field) 
                 raise DeviceError("camera shutter: 0.25 s is not offered, the nearest is 1/2")
 
     with pytest.raises(
-        DeviceError, match=r"the plan asks for what the camera does not offer: .*0.25 s"
+        DeviceError, match=r"the plan has exposures that the camera cannot be set to: .*0.25 s"
     ):
         rig.run(open_cam=lambda: Choosy(rig.clock))
     assert {event["event"] for event in read_journal(rig.session)} == {"close"}
@@ -98,7 +98,7 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(rig: Field) 
 def test_a_plan_that_is_past_is_refused_and_nothing_is_called_missed(rig: Field) -> None:
     rig.clock = FastClock(T0 + timedelta(days=30))
     with pytest.raises(
-        NotEnoughDataError, match=r"none of 3 slots is ahead: the last was 2027-03-20 17:30 UTC"
+        NotEnoughDataError, match=r"all 3 slots are past: the last was 2027-03-20 17:30 UTC"
     ):
         rig.run()
     assert read_journal(rig.session) == []

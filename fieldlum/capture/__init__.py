@@ -1,9 +1,8 @@
-"""Capture: run the plan against a camera and a pyranometer, lose nothing; or adopt what a card
-holds.
+"""Capture: run the plan against a camera and a pyranometer, or import frames from a card.
 
-`state` folds the journal into what is owed; `steady` keeps time through clock steps; `keeper`
-reopens devices that fail; `logger` writes irradiance; `bracket` takes one bracket; `runner` is the
-loop; `adopt` imports; `status` counts.
+`state` folds the journal into the state of each slot; `utc_clock` keeps UTC when the computer's
+clock is set; `reconnect` reopens devices that fail; `logger` writes irradiance; `bracket` takes one
+bracket; `runner` is the loop; `import_card` imports; `status` counts what is done.
 """
 
 from fieldlum.capture.runner import Options, prepare, run

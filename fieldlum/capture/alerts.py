@@ -16,16 +16,18 @@ from zoneinfo import ZoneInfo
 from fieldlum.notify import Message
 from fieldlum.records import parse_utc
 
+# Not measured: chosen so that one message means that a person should act, and none is sent for what
+# the capture repairs by itself. A device that reconnects needs at most two retries (30 s each).
 DEVICE_AWAY = timedelta(minutes=10)
-LOW_DISK_DAYS = 3.0
+LOW_DISK_DAYS = 3.0  # leaves a weekend to bring a disk
 ENOUGH_DISK_DAYS = 4.0  # above this the disk alert is armed again
-MISSES_IN_A_ROW = 2
+MISSES_IN_A_ROW = 2  # one missed slot can be a slow bracket before it
 QUIET = timedelta(hours=6)
 
 
 @dataclass(slots=True)
 class DayCount:
-    """What one local day gave so far."""
+    """Outcomes and highest irradiance of one local day."""
 
     done: int = 0
     missed: int = 0
@@ -57,7 +59,7 @@ class Alerts:
     _count: DayCount = field(default_factory=DayCount)
 
     def event(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> list[Message]:
-        """Return the messages that one journal event gives."""
+        """Return the messages to send for one journal event."""
         messages = self._new_day(t_utc)
         if event == "device-lost":
             self._away_since.setdefault(str(fields["device"]), t_utc)
@@ -77,7 +79,11 @@ class Alerts:
         disk_days: float | None,
         ghi_wm2: float | None,
     ) -> list[Message]:
-        """Return the messages that the passing of time gives."""
+        """Return the messages that are due at a time, whether or not an event happened.
+
+        disk_days: days of captures that the free disk space holds. ghi_wm2: latest global
+        irradiance [W/m2].
+        """
         messages = self._new_day(t_utc)
         if ghi_wm2 is not None:
             highest = self._count.highest_ghi_wm2

@@ -1,6 +1,4 @@
-"""One bracket: its frames on disk as the camera gave them, checked at once, acknowledged one by
-one.
-"""
+"""Take one bracket: store each frame as the camera wrote it, check it, and journal it."""
 
 from __future__ import annotations
 
@@ -23,20 +21,23 @@ from fieldlum.records import CameraSetup, Exposure, Slot
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import CaptureFile, interval_of
 
-STALE_S = 60.0  # between two frames of one bracket; the light has changed after a longer one
-_FOLDER_BYTES = 1 << 14
+STALE_S = 60.0  # after a longer pause between frames the light may differ; not measured
+_FOLDER_BYTES = 1 << 14  # a new folder with its entries; four blocks of 4 KiB
 Check = Callable[[Path, Exposure], str]
-"""Looks at a new frame; returns what is wrong with it, or nothing."""
+"""Checks a new frame. Returns what is wrong with it, or an empty text."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRequest:
+    """One frame to take: its place in the bracket, exposure, and heading of a turned head [deg]."""
+
     index: int
     exposure: Exposure
     heading_deg: float | None
 
     @property
     def stem(self) -> str:
+        """File name without suffix: index, shutter time, heading, filter."""
         turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
         return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}" + (
             f"_{self.exposure.nd}" if self.exposure.nd else ""
@@ -44,7 +45,7 @@ class FrameRequest:
 
 
 def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
-    """Every exposure, for every heading of a turned head."""
+    """Return every exposure for every heading of a turned head, in the order of capture."""
     headings: tuple[float | None, ...] = setup.headings or (None,)
     pairs = [(exposure, heading) for heading in headings for exposure in exposures]
     return tuple(FrameRequest(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
@@ -52,8 +53,11 @@ def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameReque
 
 @dataclass(slots=True)
 class BracketCapture:
-    """Takes the frames of one slot. `between` runs after each frame (log a sample, refresh the
-    display).
+    """Takes the frames of one slot.
+
+    check: checks a frame's EXIF; check_opens: reads its pixels; check_shortest: checks the darkest
+    frame for clipping. Each returns what is wrong, or an empty text. between: called after each
+    frame, to log a sample and refresh the display.
     """
 
     session: Session
@@ -66,11 +70,12 @@ class BracketCapture:
     check_shortest: Callable[[Path], str]
     between: Callable[[Frame | None], None]
     meter: Keeper[IlluminanceMeter] | None = None
-    frame_bytes: int = 0  # of the largest frame yet
+    frame_bytes: int = 0  # size of the largest frame so far
 
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
-        """Go on from `state` until done; after a failure try again while a new start is still in
-        the slot's window.
+        """Take the missing frames of a slot and return its final state.
+
+        After a failure, try again until `deadline`, the end of the slot's window.
         """
         folder = self.session.capture_file(slot.id).parent
         wanted = shots(slot.exposures, self.setup)
@@ -94,13 +99,12 @@ class BracketCapture:
                     if whole
                     else [self._expose(missing[0], folder, state.attempt)]
                 )
-            except (
-                Exception
-            ) as error:  # a driver's defect is a failed frame, not the end of the month
+            # A driver's defect costs one frame; it must not end a capture of a month.
+            except Exception as error:
                 why = f"{type(error).__name__}: {error}"[:300]
                 if disk_is_full(error):
                     self.recorder.make_room()
-                    _sweep(folder)  # half a frame takes room
+                    _sweep(folder)  # a frame that was cut off takes up space
                     on = self._wait_for_room(deadline, disk_pause_s)
                     disk_pause_s = min(max(FIRST_PAUSE_S, 2.0 * disk_pause_s), LONGEST_PAUSE_S)
                 else:
@@ -112,14 +116,14 @@ class BracketCapture:
                 continue
             for frame in taken:
                 if not self.recorder.tell("frame", slot=slot.id, frame=frame_fields(frame)):
-                    return self.abort(slot, state, "its frame could not be written down")
+                    return self.abort(slot, state, "could not write the frame to the journal")
                 state = replace(state, frames=(*state.frames, frame))
                 self.between(frame)
             for frame in taken:
                 state = self._again(slot, folder, state, wanted[frame.index], frame, deadline)
 
     def resumable(self, slot: Slot, state: SlotState) -> bool:
-        """Whether an interrupted bracket is whole, or so fresh that its light is still the same."""
+        """Return whether a bracket has all frames, or its pause is short enough to continue it."""
         if len(state.frames) == len(shots(slot.exposures, self.setup)):
             return True
         return bool(state.frames) and self._pause_s(state) <= STALE_S
@@ -137,11 +141,10 @@ class BracketCapture:
         doubtful: Frame,
         deadline: datetime,
     ) -> SlotState:
-        """Take a doubtful frame once more while the slot's window is open; both files stay, the
-        second one counts.
+        """Take a doubtful frame once more while the slot's window is open.
 
-        Not when a second try in this bracket was no better for the same reason: that is how the
-        camera is set.
+        Both files stay; the second one is used. Take no second frame if an earlier second frame of
+        this bracket has a doubt too: then the cause is a setting of the camera.
         """
         in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= deadline
         in_vain = any(frame.instead_of and frame.doubt for frame in state.frames)
@@ -149,7 +152,7 @@ class BracketCapture:
             return state
         try:
             second = self._expose(shot, folder, state.attempt, instead_of=doubtful.file)
-        except Exception as error:  # the doubtful frame is acknowledged: it stays
+        except Exception as error:  # the doubtful frame is in the journal already: keep it
             if disk_is_full(error):
                 self.recorder.make_room()
             elif not isinstance(error, _Away):
@@ -172,10 +175,10 @@ class BracketCapture:
         wanted: Sequence[FrameRequest],
         deadline: datetime,
     ) -> SlotState:
-        """Read each frame's pixels now that the camera is done; one that does not open is taken
-        again in time.
+        """Read each frame's pixels after the camera has finished.
 
-        Second tries were read when they came.
+        Take a frame that does not open again, while the slot's window is open. Second frames were
+        read when they were taken.
         """
         for frame in sorted(state.frames, key=lambda frame: frame.index):
             if not (frame.doubt or frame.instead_of) and (
@@ -193,9 +196,7 @@ class BracketCapture:
         return SlotState("started", attempt)
 
     def _not_too_old(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
-        """A bracket with too long a pause in it begins anew; its frames are kept in a folder
-        beside.
-        """
+        """Start the bracket again if its pause is too long; move its frames to a subfolder."""
         if not state.frames or self.resumable(slot, state):
             return state
         self.recorder.claim(_FOLDER_BYTES)
@@ -217,8 +218,8 @@ class BracketCapture:
         self.recorder.claim(self.frame_bytes)
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
-        # A name of its own for each try: a frame that a hung camera delivers late must not land in
-        # another's place.
+        # Each try has its own name: a frame that a hung camera delivers late must not replace
+        # another frame.
         target = folder / f".{shot.stem}.{os.getpid()}.{attempt}.{boot:.3f}"
         written = self.camera.call(
             lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg),
@@ -242,7 +243,7 @@ class BracketCapture:
         )
 
     def _judged(self, written: Path, asked: Exposure) -> tuple[str, Exposure]:
-        """What looks wrong with a new frame, and the exposure to write down for it."""
+        """Return what is wrong with a new frame, and the exposure to record for it."""
         camera = self.camera.get()
         if isinstance(camera, ReportingCamera):
             asked = camera.exposure_taken(written) or asked
@@ -250,8 +251,9 @@ class BracketCapture:
         return doubt, as_taken(written, asked) if doubt else asked
 
     def _takes_whole_brackets(self, wanted: Sequence[FrameRequest]) -> bool:
-        """A camera that brackets by itself is several times faster than one asked frame by
-        frame.
+        """Return whether the camera can take these frames as one bracket of its own.
+
+        That is several times faster than frame by frame.
         """
         camera = self.camera.get()
         still = all(shot.heading_deg is None and not shot.exposure.nd for shot in wanted)
@@ -260,7 +262,7 @@ class BracketCapture:
         )
 
     def _expose_whole(self, wanted: Sequence[FrameRequest], folder: Path) -> list[Frame]:
-        """All frames in one go; nothing is acknowledged before all are here."""
+        """Take all frames in one call; return them only when all are there."""
         self.recorder.claim(self.frame_bytes * len(wanted))
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
@@ -268,8 +270,8 @@ class BracketCapture:
         targets = [folder / f".{shot.stem}.{os.getpid()}.{boot:.3f}" for shot in wanted]
 
         def take(camera: Camera) -> list[Path]:
-            if not isinstance(camera, BracketingCamera):  # it came back as another one
-                raise DeviceError("the camera takes no whole brackets any more")
+            if not isinstance(camera, BracketingCamera):  # another camera was connected
+                raise DeviceError("the camera no longer takes brackets in one call")
             return camera.expose_bracket(exposures, targets)
 
         try:
@@ -291,8 +293,9 @@ class BracketCapture:
         return frames
 
     def _wait_for_room(self, deadline: datetime, pause_s: float) -> bool:
-        """Until a frame has room; after a pause in any case, for a quota does not show
-        beforehand.
+        """Wait until a frame fits on the disk; return False at the deadline.
+
+        Wait at least `pause_s`: free space does not show that a disk quota is used up.
         """
         earliest = self.clock.now() + timedelta(seconds=pause_s)
         while (now := self.clock.now()) < deadline:
@@ -329,16 +332,14 @@ class BracketCapture:
         except OSError as error:
             if not disk_is_full(error):
                 raise
-            self.recorder.make_room()  # a few kilobytes: the reserve has them
+            self.recorder.make_room()  # frees the reserve; capture.json has a few kilobytes
             write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
         why = "; ".join(again + doubts)
         self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why=why)
         return replace(state, outcome="done", why=why)
 
     def _read_meter(self, slot: Slot, state: SlotState) -> SlotState:
-        """Illuminance at the lens, before and after the frames; a meter that fails costs nothing
-        else.
-        """
+        """Read the illuminance at the lens. A failing meter does not affect the bracket."""
         if self.meter is None or self.meter.get() is None:
             return state
         try:
@@ -350,13 +351,11 @@ class BracketCapture:
         return replace(state, illuminance_lx=(*state.illuminance_lx, reading.illuminance_lx))
 
     def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
-        """Close a slot that will not be finished; the frames there are stay, marked as
-        incomplete.
-        """
+        """Close a slot that will not be finished; its frames stay, marked as incomplete."""
         folder = self.session.capture_file(slot.id).parent
         _sweep(folder)
         if state.frames:
-            with suppress(OSError):  # the journal has it all
+            with suppress(OSError):  # the journal has the same content
                 whole = len(state.frames) == len(shots(slot.exposures, self.setup))
                 write_capture(folder, slot, state, self.setup, self._camera_info(), complete=whole)
         self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
@@ -368,14 +367,14 @@ class BracketCapture:
 
 
 def _sweep(folder: Path) -> None:
-    """What was begun under a passing name and never acknowledged."""
+    """Delete temporary files of frames that were never journalled."""
     with suppress(OSError):
         for scrap in folder.glob(".*"):
             scrap.unlink(missing_ok=True)
 
 
 def _settle(written: Path, final: Path, *, flush: bool) -> None:
-    """Give a frame its name, on the disk when this returns."""
+    """Rename a frame to its final name; with `flush` it is on the disk on return."""
     if flush:
         with written.open("rb+") as file:
             os.fsync(file.fileno())
@@ -385,7 +384,7 @@ def _settle(written: Path, final: Path, *, flush: bool) -> None:
 
 
 class _Away(DeviceError):
-    """The camera is not there; it has been reported already."""
+    """The camera is away, and that has been reported already."""
 
 
 def write_capture(
@@ -397,7 +396,7 @@ def write_capture(
     *,
     complete: bool,
 ) -> None:
-    """raw/<slot>/capture.json: what `merge` needs, whole or not at all (docs/file-formats.md)."""
+    """Write raw/<slot>/capture.json, which merge reads, atomically (docs/file-formats.md)."""
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings = state.illuminance_lx
     CaptureFile(

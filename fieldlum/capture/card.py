@@ -1,4 +1,4 @@
-"""What lies on a card: the frames of the session's camera, and a line for everything else."""
+"""Read a camera's card: the frames of the session's camera, and a line for every other file."""
 
 from __future__ import annotations
 
@@ -49,15 +49,16 @@ _OTHER_PICTURES = (
 
 
 def card_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """Frames under a folder, and a line for each kind of picture that is none. Raises InputError
-    without any frame.
+    """Return the frames under a folder, and a line for each kind of picture that merge cannot use.
+
+    Raises InputError if there is no frame.
     """
     if folder.is_file():
         raise InputError(
             folder,
             "a file",
             "a card's folder, such as DCIM",
-            "a logger's file goes with --irradiance",
+            "import a logger's file with --irradiance",
         )
     if not folder.is_dir():
         raise InputError(
@@ -82,8 +83,9 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
 def read_card(
     files: Sequence[Path], progress: Progress = quiet, *, lens_f_number: float = 0.0
 ) -> tuple[list[CardFrame], list[str]]:
-    """Frames with their EXIF, and a line for each file that cannot be used. lens_f_number: of a
-    lens that no frame states.
+    """Return the frames with their EXIF, and a line for each file that cannot be used.
+
+    lens_f_number: f-number of a lens that writes none to EXIF.
     """
     frames: list[CardFrame] = []
     left_out: list[str] = []
@@ -95,18 +97,19 @@ def read_card(
             left_out.append(str(error))
             continue
         if info.t_camera is None:
-            left_out.append(f"{path}: no time in its EXIF")
+            left_out.append(f"{path}: EXIF has no time")
             continue
         aware = info.t_camera.tzinfo is not None
         when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
-        who = info.model or info.make or "a camera that does not say its name"
+        who = info.model or info.make or "a camera without a name in EXIF"
         frames.append(CardFrame(path, info.exposure, when, aware, who, _body_serial(path)))
     return frames, left_out
 
 
 def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[str]]:
-    """Each picture once: a second file of it would part its bracket in two. A line where there
-    were copies.
+    """Return each picture once, and a line if there were copies.
+
+    Without this a copy would split its bracket in two.
     """
     seen: dict[tuple[datetime, Exposure, int], dict[str, CardFrame]] = {}
     alike = Counter(_likeness(frame) for frame in frames)
@@ -129,13 +132,14 @@ def _likeness(frame: CardFrame) -> tuple[datetime, Exposure, int]:
 
 
 def _body_serial(path: Path) -> str:
-    """Two bodies of one model take pictures that differ in nothing else."""
+    """Return the serial number of the camera body, which distinguishes two bodies of one model."""
     return str(getattr(tags_of(path).get("EXIF BodySerialNumber"), "values", "")).strip("\0 ")
 
 
 def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:
-    """Model and serial number of each; frames that do not tell the number are of the one body of
-    their model.
+    """Return camera model and serial number of each frame.
+
+    A frame without a serial number belongs to the only body of its model, if there is only one.
     """
     told: dict[str, set[str]] = {}
     for frame in frames:
@@ -149,17 +153,15 @@ def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:
 def of_the_session(
     frames: Sequence[CardFrame], setup: SiteFile
 ) -> tuple[list[CardFrame], list[str]]:
-    """The frames of the session's one camera in one format, raw or JPEG; a line for each camera
-    that is another.
+    """Return the frames of the session's camera in one format, and a line for each other camera.
 
-    The camera is the one that the profile names, else the one with most frames: frames of two never
-    make one bracket. JPEGs beside raw frames are passed over without a word, unless the profile is
-    of the JPEGs.
+    The camera is the one that the profile names, else the one with most frames, because frames of
+    two cameras never form a bracket. JPEG copies of raw frames are skipped without a line, unless
+    the profile is for JPEGs.
     """
     body = CameraBody("", "raw", 0, 0)
-    with suppress(
-        InputError
-    ):  # a profile that is gone is told by doctor and merge; the frames are taken over
+    # a missing profile is reported by doctor and merge; the frames are imported anyway
+    with suppress(InputError):
         body = load_camera_profile(setup.camera.profile).camera
     bodies = _bodies(frames)
     count = Counter(bodies)

@@ -1,5 +1,6 @@
-"""What a card's camera clock was: told, in the frames, or fitted to the plan; and where it was
-set in between.
+"""Find the UTC offset of a camera's clock: stated by the user, in EXIF, or fitted to the plan.
+
+Also find where the clock was set during a campaign.
 """
 
 from __future__ import annotations
@@ -23,20 +24,22 @@ from fieldlum.capture.match_card import (
 from fieldlum.errors import InputError
 from fieldlum.records import SiteFile, Slot
 
-_NIGHT_S = 4 * 3600.0  # a clock is set between two days, for brackets of one day follow each other
-_HOURS = range(-26, 27)
-_STEP_S = 1800.0  # less is a clock that drifts
-_EVIDENCE = (
-    3  # brackets more that another whole hour must bring to slots before a clock counts as set
-)
+# Not measured; chosen because brackets of one day follow each other within hours, and a person sets
+# a camera's clock between two days.
+_NIGHT_S = 4 * 3600.0
+_HOURS = range(-26, 27)  # civil time zones span UTC-12 to UTC+14: two of them differ by 26 h
+_STEP_S = 1800.0  # a smaller change is drift of the clock
+# A change of the clock counts only if it brings this many more brackets to slots. Not measured: two
+# brackets can be early or late by chance.
+_EVIDENCE = 3
 
 
 def clock_offset(
     groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile, told_s: float | None
 ) -> Offset:
-    """How far the camera's clock is from UTC: as told, as the frames say, else as it fits the plan.
+    """Return the camera's clock minus UTC: as stated, from EXIF, or fitted to the plan.
 
-    Raises InputError when that is ambiguous.
+    Raises InputError if no offset fits, or several fit equally well.
     """
     if told_s is not None:
         start = Offset(told_s, "--utc-offset")
@@ -49,29 +52,31 @@ def clock_offset(
         near = min(slots, key=lambda slot: abs(slot.t_utc - first), default=None)
         raise InputError(
             "import",
-            f"brackets of {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's clock",
-            f"the plan's slots, the nearest at {near.t_utc:%Y-%m-%d %H:%M} UTC"
+            f"brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's clock",
+            f"brackets near the plan's slots, the nearest at {near.t_utc:%Y-%m-%d %H:%M} UTC"
             if near
             else "a plan with slots",
-            "is it another card? a wrong date is set right by exiftool -AllDates",
+            "check that this is the right card; correct a wrong date with exiftool -AllDates",
         )
     if start is None:
         raise InputError(
             "import",
-            "several UTC offsets of the camera's clock fit the plan alike",
+            "several UTC offsets of the camera's clock fit the plan equally well",
             "the camera's offset from UTC",
-            "give it, like: --utc-offset -08:00",
+            "state it, for example --utc-offset -08:00",
         )
     return refine_offset(groups, slots, start)
 
 
 def tells_utc(groups: Sequence[Group]) -> bool:
+    """Return whether every frame has its UTC offset in EXIF."""
     return all(frame.known_utc for group in groups for frame in group.frames)
 
 
 def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile) -> list[float]:
-    """The place's offsets while these brackets were taken, most frequent first, then those of
-    the plan, then UTC.
+    """Return the likely offsets of the camera's clock from UTC [s], most likely first.
+
+    These are the place's offsets during the brackets, then during the plan, then zero.
     """
     zone = ZoneInfo(setup.site.timezone)
     days = {group.t_camera.date() for group in groups}
@@ -88,12 +93,11 @@ def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile)
 
 
 def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Group]]:
-    """Brackets parted between two days where the camera's clock was set by whole hours, for
-    daylight saving say.
+    """Split brackets between days where the camera's clock was set by a number of hours.
 
-    Hourly slots look like each other: brackets an hour off lie in their neighbours' slots. What
-    tells are the ends of the days, where one of them then lies beside the plan. The fewest settings
-    that the brackets support: each must bring three brackets more to slots.
+    An example is daylight saving time. Hourly slots look the same: brackets that are an hour off
+    match the neighbouring slots, except at the ends of a day. Return the fewest parts that the
+    brackets support: each change must bring three more brackets to slots.
     """
     days: list[list[Group]] = []
     for group in groups:
@@ -112,10 +116,9 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
 
 
 def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.ndarray:
-    """Brackets of each day near slots [days, hours], were the camera's clock so many whole hours
-    before the base.
+    """Return the number of each day's brackets near slots, [days, hours], for each clock offset.
 
-    The base is the quarter of an hour that fits all of them best.
+    The hours count from a base: the quarter of an hour that fits all brackets best.
     """
     everything = [group for day in days for group in day]
     base = next(iter(fitting_offsets(everything, slots)), 0.0) % 3600.0
@@ -131,8 +134,9 @@ def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.n
 
 
 def _steadiest(hits: np.ndarray) -> list[int]:
-    """The hour of each day (an index) with most hits, less `_EVIDENCE` for each change from one
-    day to the next.
+    """Return the best hour of each day, as an index.
+
+    Maximise the brackets near slots, minus `_EVIDENCE` for each change from one day to the next.
     """
     value, came = hits[0].astype(float), []
     for day in hits[1:]:
@@ -147,28 +151,26 @@ def _steadiest(hits: np.ndarray) -> list[int]:
 
 
 def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
-    """A line for each clock that the plan says was set: a person who began an hour early for
-    days looks the same.
+    """Return a line for each change of the camera's clock that the plan suggests.
+
+    A person who starts an hour early for days causes the same pattern.
     """
     said: list[str] = []
     for (before, old), (after, new) in pairwise(clocks):
         step_s = new.seconds - old.seconds
         if abs(step_s) > _STEP_S:
             said.append(
-                f"{before[-1].frames[0].path} to {after[0].frames[0].path}: the camera's clock "
-                f"was set by "
-                f"{step_s / 3600:+.3g} h between them, says the plan; if it was not, and brackets "
-                f"were taken at other "
-                "hours, give --utc-offset"
+                f"{before[-1].frames[0].path} to {after[0].frames[0].path}: by the plan, the "
+                f"camera's clock was set by {step_s / 3600:+.3g} h between them; if it was not, "
+                "and brackets were taken at other hours, state --utc-offset"
             )
     return said
 
 
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
-    """What the plan says against an offset that was told, stands in the frames, or fits best of all
-    civil ones.
+    """Return why the plan contradicts an offset, or an empty text.
 
-    Empty where nothing. A camera whose date is a day off is seen here: no zone is as far away.
+    The check finds a camera whose date is a day off: no time zone is that far away.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
     hits = [
@@ -177,16 +179,15 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
     as_it_is, best = hits[shifts.index(0.0)], int(np.argmax(hits))
     if hits[best] >= as_it_is + _EVIDENCE:
         return (
-            f"{offset.how}: {as_it_is} of {len(groups)} brackets lie near slots, with an offset "
-            f"{shifts[best] / 3600:+g} h from this {hits[best]} would: check the camera's clock "
-            f"and date"
+            f"{offset.how}: {as_it_is} of {len(groups)} brackets are near slots; with an offset "
+            f"{shifts[best] / 3600:+g} h from this, {hits[best]} would be: check the camera's "
+            f"clock and date"
         )
     parts = clock_parts(groups, slots)
     for before, after in pairwise(parts):
         return (
-            f"{offset.how}, taken for all of them: the clock was set between "
-            f"{before[-1].frames[0].path} and "
-            f"{after[0].frames[0].path}, says the plan; import the two parts from folders of "
-            f"their own"
+            f"{offset.how}, used for all brackets: by the plan, the clock was set between "
+            f"{before[-1].frames[0].path} and {after[0].frames[0].path}; import the two parts "
+            "from separate folders"
         )
     return ""

@@ -1,4 +1,4 @@
-"""`fieldlum import`: a card folder, and a logger's file, into the session."""
+"""`fieldlum import`: copy a card's frames and a logger's file into the session."""
 
 from __future__ import annotations
 
@@ -42,25 +42,25 @@ from fieldlum.session import (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What an import did. left_out, notes: a sentence each, of what was left and of what was
-    taken with a doubt.
+    """Result of an import.
+
+    left_out: a sentence for each file or bracket that was not imported. notes: a sentence for each
+    that was imported with a doubt. late_s: start of each bracket minus its slot's time [s].
     """
 
     brackets: int = 0
     frames: int = 0
-    known: int = 0  # brackets that were there already
-    offsets: tuple[Offset, ...] = ()  # one a campaign
+    known: int = 0  # brackets that were in the session already
+    offsets: tuple[Offset, ...] = ()  # one for each campaign on the card
     late_s: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     rows: int = 0
-    withdrawn: int = (
-        0  # rows of the logger's file that it brought before with another clock or other columns
-    )
+    # rows of the logger's file that an earlier import with another clock or other columns added
+    withdrawn: int = 0
     slots: tuple[str, ...] = ()
-    moved: tuple[
-        str, ...
-    ] = ()  # slots that this card's brackets were taken out of: another clock before
+    # slots whose brackets were removed because an earlier import used another clock
+    moved: tuple[str, ...] = ()
 
 
 def run(
@@ -73,16 +73,18 @@ def run(
     progress: Progress = quiet,
 ) -> Report:
     """Copy what matches the plan into raw/ and the journal; add a logger's rows to the day files.
-    Can be run again.
 
-    utc_offset_s: what the clocks of camera and logger show minus UTC; None: the camera's is fitted
-    to the plan. columns: quantity to the logger's name for it, where that is an unusual one. Raises
-    InputError for a folder without frames or an ambiguous clock, NotEnoughDataError when nothing
-    matched. Card and file are never changed.
+    An import can be repeated. The card and the logger's file are never changed.
+
+    utc_offset_s: camera's and logger's clock minus UTC [s]; None fits the camera's to the plan.
+    columns: the logger's column name for each quantity, where it is an unusual one.
+
+    Raises InputError for a folder without frames or an ambiguous clock, NotEnoughDataError if no
+    bracket matched.
     """
     with sole_user(session, "capture"):
         if logger is not None:
-            check_rows(logger, utc_offset_s, columns)  # before the card: all of it or nothing
+            check_rows(logger, utc_offset_s, columns)  # before the card: import both or nothing
         report = (
             Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
         )
@@ -119,9 +121,8 @@ def _adopt_card(
     for part in _parts(groups, slots, utc_offset_s):
         try:
             offset = clock_offset(part, slots, setup, utc_offset_s)
-        except (
-            InputError
-        ) as error:  # of this campaign alone: a date that was lost with the battery, another plan's
+        # An error of one campaign: a wrong date, or brackets of another plan.
+        except InputError as error:
             refused.append(error)
             whose = f"{_range(part[0])} and {len(part) - 1} brackets after it"
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
@@ -167,7 +168,7 @@ def _adopt_card(
 def _parts(
     groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None
 ) -> list[list[Group]]:
-    """Brackets under one setting of the camera's clock each."""
+    """Return the brackets in parts; within each part the camera's clock was not set."""
     parts = campaigns(groups)
     if utc_offset_s is not None or not slots:
         return parts
@@ -181,7 +182,10 @@ def _parts(
 def _one_a_slot(
     matched: Sequence[tuple[Match, Offset]],
 ) -> tuple[list[tuple[Match, Offset]], list[str]]:
-    """Of brackets with several clocks that claim one slot the best; a line for each other."""
+    """Return the best bracket for each slot, and a line for each other that matched the slot.
+
+    Brackets can match one slot twice when the camera's clock was set.
+    """
     best: dict[str, tuple[Match, Offset]] = {}
     said: list[str] = []
     for match, offset in sorted(
@@ -195,7 +199,7 @@ def _one_a_slot(
 
 
 def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
-    """The slot's exposures, at every heading, that a bracket does not hold."""
+    """Return the slot's exposures, at every heading, that a bracket lacks."""
     left, missing = [frame.exposure for frame in group.frames], []
     for shot in shots(slot.exposures, setup):
         found = next(
@@ -209,8 +213,9 @@ def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
 
 
 def _lacking_text(match: Match, setup: CameraSetup) -> str:
-    """A line for a bracket that is not whole; where a filter's frame and its twin cannot be told
-    apart, that too.
+    """Return a line for an incomplete bracket, or an empty text.
+
+    The line also reports frames that could be with or without a filter.
     """
     missing = lacking(match.group, match.slot, setup)
     if not missing:
@@ -223,7 +228,7 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
         and any(e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)
     ]
     unsure = (
-        f"; those of {shutter_text(twins[0].shutter_s)} s are taken for the ones without filter"
+        f"; frames of {shutter_text(twins[0].shutter_s)} s are used as those without a filter"
         if twins
         else ""
     )
@@ -239,8 +244,9 @@ def _adopt_all(
     matched: Sequence[tuple[Match, Offset]],
     progress: Progress,
 ) -> tuple[list[Match], tuple[str, ...]]:
-    """Everything that the journal does not call done; returns what was new, and the slots that
-    were wrong before.
+    """Import every bracket that the journal does not record as done.
+
+    Return the new ones, and the slots that an earlier import had filled wrongly.
     """
     journal = Journal(session)
     new: list[Match] = []
@@ -263,14 +269,14 @@ def _range(group: Group) -> str:
 
 
 def _text(path: Path) -> str:
-    """A path as UTF-8 can hold it: a card's names may be in another coding."""
+    """Return a path as valid UTF-8: file names on a card may use another encoding."""
     return str(path).encode("utf-8", "replace").decode()
 
 
 def _adopt(
     session: Session, setup: CameraSetup, journal: Journal, match: Match, offset: Offset
 ) -> None:
-    """One bracket: frames copied whole, then journalled like captured ones."""
+    """Copy the frames of one bracket and journal them like captured ones."""
     slot, folder = match.slot, session.capture_file(match.slot.id).parent
     now = datetime.now(UTC)
     journal.append("imported", now, slot=slot.id, source=_text(match.group.frames[0].path.parent))
@@ -298,10 +304,10 @@ def _adopt(
 def meant(
     group: Group, index: int, slot: Slot, setup: CameraSetup
 ) -> tuple[Exposure, float | None]:
-    """The plan's exposure and heading that a frame is; neither filter nor heading is in EXIF, but
-    their order is kept.
+    """Return the planned exposure and heading of a frame.
 
-    A frame that is not the plan's stays as EXIF has it.
+    EXIF has neither filter nor heading; the order of the frames has. A frame that is not in the
+    plan keeps its EXIF exposure.
     """
     exposure = group.frames[index].exposure
     before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])

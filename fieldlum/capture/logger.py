@@ -1,4 +1,4 @@
-"""Irradiance beside the brackets: one row a poll, whatever the instrument does."""
+"""Log irradiance during a capture: one row for each poll, even if the instrument fails."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from fieldlum.devices.clock import Clock
 from fieldlum.records import IrradianceSample
 from fieldlum.session import Session, sole_user, update_session
 
-_BAD_IN_A_ROW = 3  # readings that fail before the port is opened anew
-# refused lines that are journalled one by one; a sketch that prints remarks must not fill the disk
+_BAD_IN_A_ROW = 3  # failed readings before the port is opened again; not measured
+# Refused lines that are journalled one by one in an hour. Not measured: it keeps an instrument that
+# prints remarks from filling the disk (under 100 kB a day).
 _TOLD_AN_HOUR = 20
 
 
 class Logger:
-    """Polls a pyranometer every `every_s`; in a thread of its own, or by `poll_if_due` from the
-    capture's loop.
+    """Polls a pyranometer every `every_s`.
+
+    It runs in its own thread (`start`), or the capture's loop calls `poll_if_due`.
     """
 
     def __init__(
@@ -40,20 +42,18 @@ class Logger:
         self._hour, self._refused = -1, 0
 
     def poll(self) -> IrradianceSample | None:
-        """Read and write one row; None when the instrument is away or answered with something
-        broken.
-        """
+        """Read and write one row; return None if the instrument is away or answers invalidly."""
         device = self.keeper.get()
         if device is None:
             return None
         asked: datetime = self._clock.now()
         try:
             sample = self.keeper.call(lambda d: d.read())
-        except Exception as error:  # whatever a driver raises, the log goes on
+        except Exception as error:  # a driver can raise anything; the log must continue
             self._failed, self.bad = self._failed + 1, self.bad + 1
             if (
                 self.keeper.state != "lost"
-            ):  # once an instrument is lost, its readings are not told one by one
+            ):  # once an instrument is lost, do not report each failed reading
                 self._recorder.tell(
                     "bad-reading",
                     device=self.keeper.name,
@@ -74,9 +74,7 @@ class Logger:
         return sample
 
     def _tell_refused(self, device: Pyranometer) -> None:
-        """Journal the lines that gave no number, as they came; of more than twenty an hour how
-        many there were.
-        """
+        """Journal refused lines as received; above `_TOLD_AN_HOUR`, only their number."""
         lines = device.refused() if isinstance(device, Streaming) else []
         hour = int(self._clock.boottime() // 3600)
         if hour != self._hour:
@@ -94,17 +92,20 @@ class Logger:
 
     @property
     def due_in_s(self) -> float:
+        """Time until the next poll [s]; negative when it is overdue."""
         return max(0.0, self._due - self._clock.boottime())
 
     def poll_if_due(self) -> None:
+        """Poll if it is time; skip polls that a sleep of the computer missed."""
         now = self._clock.boottime()
         if now >= self._due:
-            # Keep the beat, but never make up for beats that were slept through.
+            # Keep to the schedule of polls.
             kept = self._due + self.every_s
             self._due = kept if kept > now else now + self.every_s
             self.poll()
 
     def start(self) -> None:
+        """Start polling in a thread."""
         self._thread = threading.Thread(target=self._loop, name="irradiance", daemon=True)
         self._thread.start()
 
@@ -115,15 +116,16 @@ class Logger:
                 self.poll_if_due()
             except (
                 Exception
-            ) as error:  # whatever it was, the irradiance of the rest of the month is worth more
+            ) as error:  # any error: the irradiance of the following days must still be logged
                 why = f"{type(error).__name__}: {error}"[:300]
-                if why != told:  # at every poll it would fill the disk
+                if why != told:  # report a repeated error once: else it would fill the disk
                     with suppress(Exception):
                         self._recorder.tell("bad-reading", device=self.keeper.name, why=why)
                 told = why
             self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
 
     def close(self) -> None:
+        """Stop the thread and close the instrument."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=10.0)
@@ -139,11 +141,12 @@ def log(
     rows: int | None,
     say: Callable[[str], None],
 ) -> int:
-    """Irradiance alone, until `rows` are written or the process is stopped; returns the rows
-    written.
+    """Log irradiance without a camera until `rows` are written or the process is stopped.
 
-    Raises DeviceError when the instrument does not open at the start, InputError when another log
-    runs here.
+    Return the number of rows written.
+
+    Raises DeviceError if the instrument does not open at the start, InputError if another process
+    logs into this session.
     """
     steady = SteadyClock(clock)
     with sole_user(session, "log"):
@@ -159,11 +162,11 @@ def log(
         try:
             info = keeper.insist().info
             known = session.table().get("devices", {})
-            with suppress(OSError):  # a full disk; the rows say so
+            with suppress(OSError):  # a full disk is reported by the next row
                 update_session(session, {"devices": {**known, "pyranometer": plain_info(info)}})
             say(
                 f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every "
-                f"{every_s:g} s; Ctrl-C stops"
+                f"{every_s:g} s; stop with Ctrl-C"
             )
             while rows is None or recorder.rows < rows:
                 for name, fields in steady.check():

@@ -1,5 +1,6 @@
-"""A logger's file into the day files. Told anew with another clock or other columns, it replaces
-what it brought.
+"""Add a logger's file to the day files.
+
+A repeated import with another clock or other columns replaces the rows of the first one.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ from fieldlum.session import (
 
 @dataclass(frozen=True, slots=True)
 class Adopted:
-    """rows: new ones; withdrawn: of the same file, brought before with another clock or other
-    columns.
+    """Result of adding a logger's file.
+
+    rows: rows added. withdrawn: rows of the same file that an earlier import with another clock or
+    other columns had added. left_out: a sentence for each unused part of the file.
     """
 
     rows: int
@@ -44,7 +47,10 @@ def adopt_rows(
     utc_offset_s: float | None,
     columns: Mapping[str, str] | None = None,
 ) -> Adopted:
-    """Raises InputError for a file that cannot be read."""
+    """Add the rows of a logger's file to the day files.
+
+    Raises InputError for a file that cannot be read.
+    """
     told = _told(path, utc_offset_s, columns)
     found = _read(path, told)
     before: list[dict[str, Any]] = session.table().get("logger_files", [])
@@ -68,9 +74,9 @@ def check_rows(
 def _told(
     path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None
 ) -> dict[str, Any]:
-    """Return how a file is to be read, as the session stores it."""
+    """Return how a file is read (clock, columns), as the session stores it."""
     return {
-        "file": path.name,  # it may have grown since, and come from another card
+        "file": path.name,  # not the path: the file may have grown and come from another card
         **({} if utc_offset_s is None else {"utc_offset_s": utc_offset_s}),
         **({"columns": dict(columns)} if columns else {}),
     }
@@ -84,9 +90,7 @@ def _read(path: Path, told: Mapping[str, Any]) -> Any:
 
 
 def _readable(path: Path, told: Mapping[str, Any]) -> Sequence[IrradianceSample]:
-    """The file as it would have been read then; nothing where it has no such columns, or no
-    zone.
-    """
+    """Return the file's rows as an earlier import would have read them; empty if it cannot be."""
     try:
         return _read(path, told).samples
     except InputError:
@@ -94,8 +98,9 @@ def _readable(path: Path, told: Mapping[str, Any]) -> Sequence[IrradianceSample]
 
 
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Append rows that are not there yet, by their time; returns how many. Rows that differ at
-    one moment all stay.
+    """Append rows whose time and values are new; return their number.
+
+    Rows that differ at the same time all stay.
     """
     wanted = sorted(samples, key=lambda s: s.t_utc)
     if not wanted:
@@ -109,9 +114,7 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     last: IrradianceSample | None = None
     try:
         for sample in wanted:
-            if (
-                sample.t_utc not in known and sample != last
-            ):  # a table that was joined with its own copy
+            if sample.t_utc not in known and sample != last:  # a table that contains its own copy
                 log.append(sample)
                 added += 1
             last = sample
@@ -121,10 +124,10 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 
 
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Take rows with these times and texts out of the day files; returns how many.
+    """Remove rows with these times and texts from the day files; return their number.
 
-    A day file that loses rows is kept as it was in irradiance/withdrawn/. clean.csv goes: a day
-    file whose rows only moved has the length that it was made from.
+    The earlier day file is kept in irradiance/withdrawn/. Delete clean.csv: a day file in which
+    rows only moved has the length that clean.csv was computed from.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

@@ -1,6 +1,4 @@
-"""Frames of a card to brackets, and brackets to slots: by exposure pattern and time. Pure
-functions.
-"""
+"""Group a card's frames into brackets and match brackets to slots, by exposures and time."""
 
 from __future__ import annotations
 
@@ -16,20 +14,23 @@ import numpy as np
 
 from fieldlum.records import Exposure, Slot
 
-SAME_EV = 1 / 6
-WITHIN_S = 1200.0  # a bracket taken by hand further from its slot belongs to another hour
-_STEADY_S = 5.0  # spread of an intervalometer's start times; a person's is far larger
-_PAUSE_FACTOR = 10.0  # a pause is so many times the usual step between two frames
-_TURN_FACTOR = 6.0  # more, where a head is turned between two frames
-_CAMPAIGN_S = 5 * 86400.0
-_QUARTER_S = 900.0  # civil clocks differ by whole quarters of an hour
-_HALF_COUNT = 5000  # cameras count their files to 9999
+SAME_EV = 1 / 6  # half the third-stop spacing of camera settings
+WITHIN_S = 1200.0  # a bracket started manually further from its slot belongs to another hour
+# Not measured, unless stated: chosen between the two cases that each must separate.
+_STEADY_S = 5.0  # spread of an intervalometer's start times is about 1 s, a person's over 30 s
+_PAUSE_FACTOR = 10.0  # a pause between brackets, as a multiple of the usual step between frames
+_TURN_FACTOR = 6.0  # additional factor for a head that is turned between two frames
+_CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns
+_QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
+_HALF_COUNT = 5000  # cameras number their files up to 9999 (DCF 2.0)
 
 
 @dataclass(frozen=True, slots=True)
 class CardFrame:
-    """A frame as its EXIF tells. t_camera: the camera's clock as if it were UTC; known_utc when
-    EXIF has its offset.
+    """A frame as EXIF describes it.
+
+    t_camera: the camera's clock, read as if it were UTC. known_utc: EXIF has the clock's UTC
+    offset.
     """
 
     path: Path
@@ -37,7 +38,7 @@ class CardFrame:
     t_camera: datetime
     known_utc: bool = False
     camera: str = ""  # model
-    serial: str = ""  # of its body, where EXIF tells
+    serial: str = ""  # serial number of the body, if EXIF has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +49,13 @@ class Group:
 
     @property
     def t_camera(self) -> datetime:
+        """Start of the bracket by the camera's clock."""
         return self.frames[0].t_camera
 
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """The camera's clock minus UTC, and how that is known."""
+    """The camera's clock minus UTC [s], and how it was found."""
 
     seconds: float
     how: str
@@ -61,6 +63,8 @@ class Offset:
 
 @dataclass(frozen=True, slots=True)
 class Match:
+    """A bracket and the slot it belongs to."""
+
     slot: Slot
     group: Group
     late_s: float  # true start minus planned start
@@ -68,13 +72,16 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Unmatched:
+    """A bracket without a slot, and the reason."""
+
     group: Group
     why: str
 
 
 def same_exposure(a: Exposure, b: Exposure) -> bool:
-    """Within a sixth of a stop in shutter, aperture and ISO, and through the same filter (a
-    camera knows none).
+    """Return whether shutter, aperture and ISO agree within a sixth of a stop.
+
+    The filter must be the same, or not recorded on one side: a camera does not record it.
     """
     stops = (
         math.log2(a.shutter_s / b.shutter_s),
@@ -85,9 +92,7 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:
-    """Median time between the end of a frame and the start of the next, at least the second that
-    EXIF resolves.
-    """
+    """Return the median pause between two frames [s], at least the one second EXIF resolves."""
     gaps = [
         (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
         for a, b in pairwise(frames)
@@ -96,8 +101,9 @@ def usual_step_s(frames: Sequence[CardFrame]) -> float:
 
 
 def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
-    """By the camera's time; of one second by their names, where 9999 is followed by 0001 (or
-    0000).
+    """Return frames by the camera's time, and within a second by their file number.
+
+    Number 9999 is followed by 0001 or 0000.
     """
     found: list[CardFrame] = []
     for _, same in groupby(sorted(frames, key=lambda f: f.t_camera), key=lambda f: f.t_camera):
@@ -114,7 +120,7 @@ def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
 
 
 def _number(frame: CardFrame) -> int:
-    """The camera's own count of its files, the last four digits of a name; 0 for another name."""
+    """Return the camera's file number, the last four digits of the name; 0 for another name."""
     match = re.search(r"(\d{4})$", frame.path.stem)
     return int(match[1]) if match else 0
 
@@ -122,13 +128,14 @@ def _number(frame: CardFrame) -> int:
 def group_frames(
     frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1
 ) -> list[Group]:
-    """Brackets in order of time. A new one begins where an exposure comes once too often, or after
-    a pause.
+    """Return the brackets of the frames, in order of time.
 
-    pattern: the plan's exposures; one that comes twice there (the second time through a filter,
-    which EXIF does not know) comes twice in a bracket, and everything comes once more for each
-    heading of a turned head. A pause is ten usual steps of this very card, never a fixed time: a
-    bracket lasts from three seconds to two minutes.
+    A new bracket begins after a pause, or with an exposure that the bracket has already. The pause
+    is ten usual steps of this card: a bracket can take from three seconds to two minutes.
+
+    pattern: the plan's exposures. An exposure that is twice in the plan (once through a filter,
+    which EXIF does not record) is expected twice. headings: number of headings of a turned head;
+    each exposure is expected once for each.
     """
     ordered = in_order(frames)
     pause = _PAUSE_FACTOR * usual_step_s(ordered) * (_TURN_FACTOR if headings > 1 else 1.0)
@@ -147,7 +154,7 @@ def group_frames(
 
 
 def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
-    """Groups parted where days lie between: a camera's clock may have been set anew."""
+    """Split groups where days are between them: the camera's clock may have been set there."""
     parts: list[list[Group]] = []
     for group in groups:
         if parts and (group.t_camera - parts[-1][-1].t_camera).total_seconds() < _CAMPAIGN_S:
@@ -158,20 +165,21 @@ def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
 
 
 def fits(group: Group, slot: Slot) -> int:
-    """How many of the slot's exposures the group holds."""
+    """Return how many of the slot's exposures the group has."""
     return sum(any(same_exposure(f.exposure, e) for f in group.frames) for e in slot.exposures)
 
 
 def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
-    """Start of each group minus that of its nearest slot, with the camera's clock corrected. [s]"""
+    """Return start of each group minus its nearest slot's time [s], with the clock corrected."""
     starts = np.array([slot.t_utc.timestamp() for slot in slots])
     times = np.array([g.t_camera.timestamp() for g in groups]) - offset_s
     return times - starts[np.abs(times[:, None] - starts[None, :]).argmin(axis=1)]
 
 
 def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[float]:
-    """The whole quarters of an hour that, as the camera's clock minus UTC, fit most brackets to
-    slots; none: empty.
+    """Return the clock offsets [s], in quarters of an hour, that bring most brackets to slots.
+
+    The result is empty if none does.
     """
     if not groups or not slots:
         return []
@@ -185,11 +193,10 @@ def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[floa
 def find_offset(
     groups: Sequence[Group], slots: Sequence[Slot], expected_s: Sequence[float]
 ) -> Offset | None:
-    """The camera's clock minus UTC when nobody told it.
+    """Return the camera's clock minus UTC, fitted to the plan.
 
-    expected_s: the place's own offsets (standard, daylight saving, UTC), preferred when several fit
-    alike. None when two fit alike and neither is expected: hours look like each other; and when
-    none fits.
+    expected_s: offsets to prefer when several fit equally well: standard time, daylight saving
+    time, UTC. Return None if none fits, or if several fit equally well and none is expected.
     """
     among = fitting_offsets(groups, slots)
     if len(among) == 1:
@@ -200,14 +207,15 @@ def find_offset(
     what = "civil time of the place" if chosen else "UTC"
     return Offset(
         chosen,
-        f"taken for {what}; other hours would fit the plan too, so say it by --utc-offset if you "
-        f"know",
+        f"taken for {what}; other hours would fit the plan too: if you know the offset, state it "
+        "with --utc-offset",
     )
 
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
-    """Where all brackets start equally early or late, a timer started them: what is left is the
-    camera's clock.
+    """Refine the offset by the median delay, if all brackets start equally early or late.
+
+    Such brackets were started by a timer, so their common delay is the error of the camera's clock.
     """
     late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
@@ -225,9 +233,7 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 def match_groups(
     groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 ) -> tuple[list[Match], list[Unmatched]]:
-    """Each slot gets the group near it that holds most of its exposures; the rest is reported
-    with its reason.
-    """
+    """Return the group of each slot that has most of its exposures, and the unmatched groups."""
     matches: dict[str, Match] = {}
     unmatched: list[Unmatched] = []
     for group in groups:
@@ -238,7 +244,7 @@ def match_groups(
             continue
         need = 2 if len(slot.exposures) > 1 else 1
         if fits(group, slot) < min(need, len(slot.exposures)):
-            unmatched.append(Unmatched(group, "exposures are not the plan's"))
+            unmatched.append(Unmatched(group, "its exposures are not in the plan"))
             continue
         found, rival = (
             Match(slot, group, (t_utc - slot.t_utc).total_seconds()),
@@ -261,4 +267,5 @@ def match_groups(
 
 
 def true_time(t_camera: datetime, offset: Offset) -> datetime:
+    """Return UTC for a time of the camera's clock."""
     return (t_camera - timedelta(seconds=offset.seconds)).astimezone(UTC)

@@ -1,4 +1,4 @@
-"""How a capture is run, where that is not the plan's to say."""
+"""Options of a capture that are not part of the plan."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from fieldlum.session import DEFAULT_GRACE_S
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    # a bracket may start this late; later it is missed, never caught up in a burst
+    """How a capture runs."""
+
+    # a bracket may start this late [s]; a later one is missed, and not made up for
     grace_s: float = DEFAULT_GRACE_S
     log_every_s: float = 5.0
-    log_around_s: float | None = (
-        None  # log only this long before a slot (simulated time); None: all the time
-    )
-    threaded: bool = (
-        True  # the log in a thread of its own; else from the loop, for a simulated clock
-    )
-    watchdog_s: float = 60.0  # a device that is silent for longer has hung
+    # log only this long before a slot (in simulated time); None: always
+    log_around_s: float | None = None
+    # True: the log has its own thread; False: the loop polls, for a simulated clock
+    threaded: bool = True
+    watchdog_s: float = 60.0  # a device that does not answer for longer is closed and reopened
     on_misses: str = ""  # shell command to run when two slots in a row gave no bracket
     reserve_bytes: int = RESERVE_BYTES
-    flush: bool = True  # False: survives a kill, but not a power cut
-    # which start of the machine this is; lets a restarted capture see a clock step made in between
+    flush: bool = True  # False: files survive a killed process, but not a power cut
+    # identifies the boot of the machine, so that a restarted capture can detect a clock step
     boot: str = ""
 
 

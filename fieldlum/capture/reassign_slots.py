@@ -1,6 +1,4 @@
-"""Brackets of a card that an earlier import, with another clock, put into other slots: they are
-taken out again.
-"""
+"""Remove brackets that an earlier import with another clock put into wrong slots."""
 
 from __future__ import annotations
 
@@ -11,17 +9,16 @@ from fieldlum.capture.match_card import Match, Offset, true_time
 from fieldlum.capture.state import Ledger, SlotState
 from fieldlum.session import Journal, Session, sha256
 
-SAME_TIME_S = 120.0  # a clock refined by other brackets differs by less
+SAME_TIME_S = 120.0  # refining a clock with more brackets changes times by less; not measured
 
 
 def withdraw(
     session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
 ) -> tuple[str, ...]:
-    """Take imported brackets whose frames now belong elsewhere out of the session; returns their
-    slots.
+    """Remove imported brackets whose frames belong to other slots; return the removed slots.
 
-    Their folders are kept under raw/withdrawn/; what was merged from them goes. The slots are owed
-    again.
+    Move their folders to raw/withdrawn/ and delete what merge wrote from them. These slots are then
+    without a bracket again.
     """
     held: dict[str, list[str]] = {}
     for slot, state in ledger.slots.items():
@@ -37,16 +34,16 @@ def withdraw(
             if slot not in gone and _misplaced(ledger.slots[slot], slot, match, offset):
                 _set_aside(
                     session, slot
-                )  # before the journal says so: a kill between them is mended by the next import
+                )  # before the journal entry: after a kill in between, the next import repairs it
                 journal.append(
-                    "withdrawn", datetime.now(UTC), slot=slot, why="the card was told another clock"
+                    "withdrawn", datetime.now(UTC), slot=slot, why="imported with another clock"
                 )
                 gone.append(slot)
     return tuple(gone)
 
 
 def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> bool:
-    """Whether the bracket in a slot is the matched one, but belongs to another slot or time."""
+    """Return whether a slot holds the matched bracket, but it belongs to another slot or time."""
     known = {frame.file: frame for frame in state.frames}
     for card in match.group.frames:
         frame = known.get(card.path.name)

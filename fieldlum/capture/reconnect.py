@@ -1,6 +1,4 @@
-"""Devices that come and go: opened when needed, dropped when they fail, opened again with
-growing pauses.
-"""
+"""Open devices when needed, drop them when they fail, and open them again with growing pauses."""
 
 from __future__ import annotations
 
@@ -13,11 +11,16 @@ from typing import Any, Generic, Protocol, TypeVar
 from fieldlum.devices.clock import Clock
 from fieldlum.errors import DeviceError
 
+# Not measured: the first try follows a loose plug, the longest pause still fits a slot's window.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 
 
 class Closable(Protocol):
-    def close(self) -> None: ...
+    """A device that can be closed."""
+
+    def close(self) -> None:
+        """Close the device."""
+        ...
 
 
 D = TypeVar("D", bound=Closable)
@@ -25,7 +28,7 @@ R = TypeVar("R")
 
 
 class Keeper(Generic[D]):
-    """Holds one device. `tell(event, fields)` hears of device-lost and device-back."""
+    """Holds one device and reopens it. `tell(event, fields)` gets device-lost and device-back."""
 
     def __init__(
         self,
@@ -49,29 +52,31 @@ class Keeper(Generic[D]):
 
     @property
     def state(self) -> str:
+        """State in words for the display."""
         return (
             "lost" if self._lost_at is not None else "ok" if self._device is not None else "closed"
         )
 
     def get(self) -> D | None:
-        """The open device, or None while it is away; tries to open it when a try is due."""
+        """Return the open device, or None while it is away; open it when a try is due."""
         if self._device is None and self._clock.boottime() >= self._next_try:
             try:
                 self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
-            # termios.error, SerialException, a driver's defect: none may stop the capture
+            # termios.error, SerialException, a driver's defect: none of them may end the capture
             except Exception as error:
                 self.lost(error)
         return self._device
 
     def insist(self) -> D:
-        """Open it now. Raises whatever opening raises."""
+        """Open the device now. Raises what opening raises."""
         if self._device is None:
             self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
         return self._device
 
     def call(self, use: Callable[[D], R], extra_s: float = 0.0) -> R:
-        """`use(device)` under the watchdog. Raises DeviceError when the device is away or does
-        not come back.
+        """Return `use(device)`, run under the watchdog.
+
+        Raises DeviceError if the device is away or does not answer in time.
         """
         device = self.get()
         if device is None:
@@ -79,7 +84,7 @@ class Keeper(Generic[D]):
         result = guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
         if (
             self._lost_at is not None
-        ):  # not before it has worked: a full card opens well, and fails again at once
+        ):  # only after a successful call: a camera with a full card opens, then fails again
             self._tell(
                 "device-back",
                 device=self.name,
@@ -89,7 +94,7 @@ class Keeper(Generic[D]):
         return result
 
     def lost(self, error: BaseException) -> None:
-        """Drop the device and try again later: 1, 2, 4 ... 30 s."""
+        """Drop the device and try again after 1, 2, 4 ... 30 s."""
         if self._device is not None:
             device, self._device = self._device, None
             with suppress(Exception):
@@ -104,6 +109,7 @@ class Keeper(Generic[D]):
         self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
 
     def close(self) -> None:
+        """Close the device, if it is open."""
         if self._device is not None:
             with suppress(Exception):
                 guarded(self._device.close, min(self._watchdog_s, 5.0), f"{self.name}: closing")
@@ -111,7 +117,7 @@ class Keeper(Generic[D]):
 
 
 def plain_info(info: Any) -> dict[str, Any]:
-    """Camera or instrument info as JSON and TOML can hold it: nothing empty."""
+    """Return a device's information as JSON and TOML can hold it, without empty fields."""
     table = asdict(info) if is_dataclass(info) and not isinstance(info, type) else dict(vars(info))
     return {
         k: v if isinstance(v, int | float | bool) else str(v)
@@ -121,8 +127,9 @@ def plain_info(info: Any) -> dict[str, Any]:
 
 
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
-    """`work()` in a thread of its own. Raises DeviceError when it does not return in time, and
-    leaves the thread.
+    """Return `work()`, run in its own thread.
+
+    Raises DeviceError if it does not return in time; the thread is then abandoned.
     """
     result: list[Any] = []
 

@@ -1,5 +1,6 @@
-"""Writing on a disk that may be full: a reserve file makes room, and what cannot be written yet
-is kept in memory.
+"""Write the journal and rows to a disk that may be full.
+
+A reserve file gives up its space when the disk is full; what cannot be written waits in memory.
 """
 
 from __future__ import annotations
@@ -19,23 +20,23 @@ from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
 
-RESERVE_BYTES = 16 << 20
+RESERVE_BYTES = 16 << 20  # twelve days of rows (75 bytes every 5 s); a capture notices sooner
 
 Listen = Callable[[str, datetime, dict[str, Any]], None]
 
 
 def unheard(event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
-    """Do nothing with an event."""
+    """Ignore an event."""
 
 
-_KEPT_ROWS = 100_000  # almost six days at 5 s
+_KEPT_ROWS = 100_000  # almost six days at 5 s; 20 MB of memory
 
 
 class Recorder:
     """Journal and day files of one running capture.
 
-    Once open, it raises for no trouble of the disk, full or away: it says so, keeps what it could
-    not write, and tries again at the next event or row.
+    Once open, it raises for no fault of the disk: it reports the fault, keeps what it could not
+    write, and tries again at the next event or row.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class Recorder:
         self.refill()
 
     def tell(self, event: str, **fields: Any) -> bool:
-        """Journal an event at the present moment; True when it is durable."""
+        """Journal an event with the current time; return True when it is on the disk."""
         with self._lock:
             self.last_event = event
             now = self._now()
@@ -75,23 +76,25 @@ class Recorder:
         return durable
 
     def sample(self, sample: IrradianceSample) -> bool:
-        """Add a row to its day file; True when it is durable."""
+        """Add a row to its day file; return True when it is on the disk."""
         with self._lock:
             self.rows_dropped += len(self._rows) == self._rows.maxlen
             self._rows.append(sample)
             return self._flush_rows()
 
     def missing_bytes(self, size: float) -> int:
-        """How much room a file of `size` bytes lacks, half of the reserve left to the journal
-        and the rows.
+        """Return how many bytes a file of `size` lacks.
+
+        Half of the reserve stays for the journal and the rows.
         """
         return max(
             0, round(size) + self._reserve_bytes // 2 - self._free_bytes() - self._reserved_bytes()
         )
 
     def claim(self, size: float) -> None:
-        """See that a file of `size` bytes has room, if need be in the reserve. Raises OSError
-        (ENOSPC) when not.
+        """Make sure that a file of `size` bytes fits, if necessary into the reserve.
+
+        Raises OSError (ENOSPC) if it does not fit.
         """
         with self._lock:
             if missing := self.missing_bytes(size):
@@ -108,7 +111,7 @@ class Recorder:
         return self._reserve.stat().st_size if self._reserve.is_file() else 0
 
     def make_room(self) -> None:
-        """The disk is full: give the reserve back so that this can be written down."""
+        """Free the reserve on a full disk, so that the journal and the rows can be written."""
         with self._lock:
             if not self.full:
                 self.full = True
@@ -116,7 +119,7 @@ class Recorder:
                 self.tell("disk-full", bytes_free=self._free_bytes())
 
     def refill(self) -> None:
-        """Set the reserve aside (again), and write what waited. Called before each bracket."""
+        """Write what waits, and set the reserve aside again. Called before each bracket."""
         with self._lock:
             try:
                 _allocate(self._reserve, self._reserve_bytes)
@@ -147,8 +150,9 @@ class Recorder:
         return True
 
     def _write(self, write: Callable[[], None]) -> bool:
-        """Once more after the reserve is given back, or after the files are opened anew; False
-        when that is in vain.
+        """Write; after a failure, free the reserve or reopen the files, and try once more.
+
+        Return False if that fails too.
         """
         for _ in range(2):
             try:
@@ -167,9 +171,7 @@ class Recorder:
         return False
 
     def _open_anew(self, error: OSError) -> None:
-        """A disk or share that was away gives no second life to open files; a folder may have
-        been moved meanwhile.
-        """
+        """Reopen the files, which are invalid after a disk was away or its folder was moved."""
         self.last_event = f"not written: {error.strerror or error}"
         with suppress(OSError, InputError):
             self.days.close()
@@ -181,6 +183,7 @@ class Recorder:
             self.days = DayFiles(self._session, flush=self.flush)
 
     def close(self) -> None:
+        """Write what waits and close the files."""
         with self._lock:
             self._flush_events()
             self._flush_rows()
@@ -191,7 +194,7 @@ class Recorder:
 
 
 def _allocate(path: Path, size: int) -> None:
-    """A file that really takes `size` bytes of the disk."""
+    """Create a file that occupies `size` bytes of the disk."""
     if path.is_file() and path.stat().st_size == size:
         return
     with path.open("wb") as file:
@@ -200,7 +203,7 @@ def _allocate(path: Path, size: int) -> None:
         except (
             AttributeError,
             OSError,
-        ) as error:  # no such call: macOS, Windows, FAT on some systems
+        ) as error:  # not available: macOS, Windows, FAT on some systems
             if disk_is_full(error):
                 raise
             file.write(b"\0" * size)

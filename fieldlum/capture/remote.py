@@ -1,4 +1,4 @@
-"""The people and monitors far away that a running capture keeps informed."""
+"""Keep people and monitors informed about a running capture."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _SETTLED = ("done", "missed", "aborted")
 class Remote:
     """`listen` takes journal events, `look` the state of the capture; both return at once.
 
-    Events come from the capture and from the thread that logs irradiance: a lock keeps the state of
-    the alerts whole.
+    Events come from the capture and from the thread that logs irradiance, so a lock guards the
+    alerts.
     """
 
     alerts: Alerts
@@ -33,6 +33,7 @@ class Remote:
     _lock: Lock = field(default_factory=Lock)
 
     def listen(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
+        """Send the messages that a journal event causes."""
         if self.heartbeat is not None and event in _SETTLED:
             self.heartbeat.beat()
         with self._lock:
@@ -40,6 +41,7 @@ class Remote:
         self._send(messages)
 
     def look(self, live: Live) -> None:
+        """Send the messages and the heartbeat that are due now."""
         with self._lock:
             messages = self.alerts.look(live.t_utc, live.disk_days, live.ghi_wm2)
         self._send(messages)
@@ -59,10 +61,10 @@ def informed(
     *,
     with_picture: bool = False,
 ) -> Iterator[Remote]:
-    """Yield what a capture calls to keep people and monitors informed; close it afterwards.
+    """Yield the object that a capture calls to inform people and monitors; close it afterwards.
 
-    post: sends one message, None without targets. heartbeat_address: empty for no monitor.
-    with_picture: attach the latest contact sheet to the daily summary; people may be in it.
+    post: sends one message; None without targets. heartbeat_address: empty without a monitor.
+    with_picture: attach the latest contact sheet to the daily summary; it may show people.
     """
     site = session.site_file().site
 
@@ -87,7 +89,7 @@ def informed(
 
 def _latest_contact_sheet(session: Session) -> Path | None:
     """Return the contact sheet that merge wrote last; None without one."""
-    with suppress(OSError):  # a sheet that is being replaced, a disk that is away
+    with suppress(OSError):  # a sheet that is being replaced, or a disk that is away
         sheets = session.panoramas.glob("contact-*.png")
         return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
     return None

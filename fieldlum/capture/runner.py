@@ -1,6 +1,4 @@
-"""The loop that a laptop runs for a month: wait for a slot, take its bracket, go on whatever
-happens.
-"""
+"""The loop of a capture: wait for a slot, take its bracket, continue after every failure."""
 
 from __future__ import annotations
 
@@ -45,15 +43,15 @@ from fieldlum.session import (
 )
 from fieldlum.version import __version__
 
-FAST_LEAD_S = 20.0
-_HOOK_TIMEOUT_S = 300.0
+FAST_LEAD_S = 20.0  # simulated time before a slot; four rows of irradiance at 5 s
+_HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
 
 
 def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
-    """The real clock and a log of its own thread; or a simulated clock that jumps from slot to
-    slot.
+    """Return the clock and the options of a capture.
 
-    The simulated one starts a minute before the first slot, or where the journal ends.
+    fast: a simulated clock that jumps from slot to slot. It starts a minute before the first slot,
+    or where the journal ends.
     """
     grace_s = session.grace.total_seconds()
     if not fast:
@@ -68,7 +66,7 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """What a person, or a script far away, wants to know while it runs."""
+    """State of a running capture, for the display and for monitors."""
 
     state: str  # waiting, paused, capturing, finished
     t_utc: datetime
@@ -85,9 +83,8 @@ class Live:
     camera: str
     pyranometer: str
     bytes_free: int
-    bytes_missing: (
-        int  # what the next bracket lacks, beside what is kept for the journal and the rows
-    )
+    # what the next bracket lacks, without the space reserved for the journal and the rows
+    bytes_missing: int
     disk_days: float | None
     last_event: str
 
@@ -96,16 +93,16 @@ Watch = Callable[[Live], None]
 
 
 def unwatched(live: Live) -> None:
-    """Nobody looks."""
+    """Do nothing: the capture has no display."""
 
 
 def no_check(path: Path, exposure: Exposure) -> str:
-    """Finds nothing wrong."""
+    """Return no doubt."""
     return ""
 
 
 def no_look(path: Path) -> str:
-    """Finds nothing wrong."""
+    """Return no doubt."""
     return ""
 
 
@@ -127,12 +124,14 @@ def run(
     open_pyr: Callable[[], Pyranometer] | None = None,
     open_met: Callable[[], IlluminanceMeter] | None = None,
 ) -> Ledger:
-    """Take all brackets that are owed; returns when the plan is settled.
+    """Take all brackets that are due; return when every slot of the plan has an outcome.
 
-    Raises DeviceError when a device does not open at the start (a person is still there then),
-    InputError for a session that another capture holds, NotEnoughDataError for a plan that was
-    never begun and is past. `listen` is called with each journal event and must return at once.
-    `open_cam`, `open_pyr`, `open_met` replace what the URIs open.
+    `listen` is called with each journal event and must return at once. `open_cam`, `open_pyr`,
+    `open_met` replace what the URIs open.
+
+    Raises DeviceError if a device does not open at the start, while a person is present;
+    InputError if another capture runs in the session; NotEnoughDataError if every slot is past and
+    none was started.
     """
     with sole_user(session, "capture"):
         looks = check, check_opens, check_shortest
@@ -199,7 +198,7 @@ class _Runner:
             seconds=2
         ):
             raise DeviceError(
-                f"the clock says {self.clock.now():%Y-%m-%d %H:%M:%S} UTC, before the last "
+                f"the clock shows {self.clock.now():%Y-%m-%d %H:%M:%S} UTC, before the last "
                 f"journal entry "
                 f"({before.last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
             )
@@ -211,10 +210,10 @@ class _Runner:
         open_met: Callable[[], IlluminanceMeter] | None,
         uris: dict[str, str],
     ) -> None:
-        """Open all devices, or say now what is missing.
+        """Open all devices, or raise for what is missing.
 
-        An instrument that answered once, and does not now that the capture is started again, is
-        waited for: the brackets of the month are worth more.
+        When a capture is started again, wait for an instrument that had answered before: the
+        brackets must not stop for it.
         """
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
@@ -254,7 +253,7 @@ class _Runner:
             self.logger.start()
 
     def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> dict[str, dict[str, Any]]:
-        """What an instrument says it is; nothing where it is the one of before, and away."""
+        """Return the instrument's information; empty if a known instrument is away."""
         known = self.session.table().get("devices", {})
         try:
             return {keeper.name: plain_info(keeper.insist().info)}
@@ -316,13 +315,12 @@ class _Runner:
         return state.outcome != "started" and paused_until(self.session, now) is not None
 
     def _next_owed(self) -> Slot | None:
-        """Of the plan as it stands now: a re-plan beside a running capture adds slots to it."""
+        """Return the next slot without an outcome; a new plan can add slots during a capture."""
         if self._plan_changed():
             self._plan_stamp = self._stamp()
             with suppress(InputError, OSError):
                 slots = self.session.slots()
-                # A re-plan takes nothing out; a file that was spoilt by hand does: the plan before
-                # still holds.
+                # A new plan removes no slot. A damaged file would: keep the plan read before.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
         return next(iter(owed(self.slots, Ledger(dict(self.states)))), None)
@@ -339,7 +337,7 @@ class _Runner:
     def _take(
         self, bracket: BracketCapture, slot: Slot, state: SlotState, deadline: datetime
     ) -> SlotState:
-        """A bracket; whatever goes wrong in it costs this slot, never the month."""
+        """Take a bracket; any failure costs this slot only."""
         try:
             return bracket.take(slot, state, deadline)
         except Exception as error:
@@ -362,9 +360,7 @@ class _Runner:
         return SlotState("missed", why=f"late{paused}")
 
     def _after_bracket(self, slot: Slot, state: SlotState) -> None:
-        """One more sample, so that the bracket's interval is closed on both sides; and what a
-        slot takes on disk.
-        """
+        """Log one more sample, so that samples surround the bracket; measure the slot's size."""
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
@@ -383,7 +379,7 @@ class _Runner:
             )
 
     def _wait_until(self, t_utc: datetime) -> bool:
-        """False when the plan changed while waiting."""
+        """Wait; return False if the plan changed before that time."""
         around = self.options.log_around_s
         if around is not None and self.logger is not None:
             self._sleep_until(t_utc - timedelta(seconds=around), log=False)
@@ -404,7 +400,7 @@ class _Runner:
                 left = min(left, 1.0)
                 self._show()
             if self.camera is not None and left <= 60.0:
-                self.camera.get()  # a camera that went away is back before its slot, if it can be
+                self.camera.get()  # reopen a lost camera before its slot, if possible
             self.clock.sleep(left)
         return False
 
@@ -433,8 +429,9 @@ class _Runner:
             ).start()
 
     def _show(self) -> None:
-        """A terminal that was closed, a pipe that nobody reads, a share that is gone: the
-        capture goes on unseen.
+        """Update the display; continue without one if it fails.
+
+        Causes are a closed terminal, a pipe without a reader, a share that is away.
         """
         try:
             self.watch(self.live())
@@ -489,8 +486,9 @@ class _Runner:
 
 
 def _run_hook(command: str, folder: Path, about: dict[str, str], tell: Callable[..., Any]) -> None:
-    """Run the user's command with the slot, its outcome, the reason and the session's folder in
-    its environment; a failure becomes a journal event.
+    """Run the user's command for missed slots; journal a failure.
+
+    The environment has the slot, its outcome, the reason and the session's folder.
     """
     try:
         code = subprocess.run(

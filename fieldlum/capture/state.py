@@ -1,6 +1,4 @@
-"""What the journal says: the state of each slot, and what is still owed. Pure functions over
-events.
-"""
+"""Fold the journal into the state of each slot, and list the slots that still need a bracket."""
 
 from __future__ import annotations
 
@@ -20,6 +18,8 @@ Outcome = Literal["", "started", "done", "missed", "aborted"]
 
 @dataclass(frozen=True, slots=True)
 class SlotState:
+    """State of one slot."""
+
     outcome: Outcome = ""
     attempt: int = 1
     frames: tuple[Frame, ...] = ()
@@ -29,7 +29,7 @@ class SlotState:
 
 @dataclass(slots=True)
 class Ledger:
-    """All of a journal, folded."""
+    """State of all slots of a journal, and how often each event occurred."""
 
     slots: dict[str, SlotState] = field(default_factory=dict)
     last_utc: datetime | None = None
@@ -38,8 +38,9 @@ class Ledger:
 
 
 def fold(events: Iterable[dict[str, Any]], ledger: Ledger | None = None) -> Ledger:
-    """State = fold(events): resuming needs nothing else. With a ledger the events are added to
-    it.
+    """Return the state after the events; add them to `ledger` if there is one.
+
+    A capture resumes from this state alone.
     """
     ledger = Ledger() if ledger is None else ledger
     for event in events:
@@ -59,8 +60,8 @@ def fold(events: Iterable[dict[str, Any]], ledger: Ledger | None = None) -> Ledg
 
 def _step(state: SlotState, kind: str, event: dict[str, Any]) -> SlotState:
     if kind == "started":
-        # A second start of the same attempt is a resumption and keeps its frames; a new attempt
-        # begins empty.
+        # A second start of the same attempt continues it and keeps its frames; a new attempt
+        # starts without frames.
         attempt = int(event.get("attempt", 1))
         return replace(
             state,
@@ -82,7 +83,7 @@ def _step(state: SlotState, kind: str, event: dict[str, Any]) -> SlotState:
 
 
 def owed(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:
-    """Planned slots that are neither done, missed nor aborted, in time order."""
+    """Return planned slots that are neither done, missed nor aborted, in time order."""
     settled = ("done", "missed", "aborted")
     unsettled = (s for s in slots if ledger.slots.get(s.id, SlotState()).outcome not in settled)
     return sorted(unsettled, key=lambda slot: slot.t_utc)

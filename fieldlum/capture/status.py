@@ -1,4 +1,4 @@
-"""How far a session is, from its files alone."""
+"""Report the progress of each stage from the session's files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fieldlum.session.files.pairs_csv import PairsFile
 
 
 def status(session: Session) -> dict[str, Any]:
-    """Each stage with what is done and what it owes."""
+    """Return for each stage what is done and what is still to do."""
     slots, ledger = session.slots(), fold(read_journal(session))
     captured = {slot.id for slot in slots if _of(ledger, slot).frames}
     merged = {path.stem for path in session.panorama_files()}
@@ -36,7 +36,7 @@ def status(session: Session) -> dict[str, Any]:
 
 
 def next_step(answer: dict[str, Any]) -> str:
-    """Return what to do next, as a command line where one does it."""
+    """Return the next step, as a command line where there is one."""
     root = answer["session"]
     capture, merge, pair = (answer[name] for name in ("capture", "merge", "pair"))
     models = [row["name"] for row in answer["train"]["models"]]
@@ -107,7 +107,7 @@ def _irradiance(session: Session) -> dict[str, Any]:
 
 
 def _models(session: Session) -> list[dict[str, Any]]:
-    """Name and class of each trained model; the class is empty where config.json is damaged."""
+    """Return name and class of each trained model; the class is empty if config.json is damaged."""
     rows: list[dict[str, Any]] = []
     for folder in session.model_folders():
         try:

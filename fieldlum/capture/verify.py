@@ -1,6 +1,4 @@
-"""A look at each new frame while it can still be taken again: it opens, it is what was asked, it
-is not all clipped.
-"""
+"""Check a new frame while it can still be taken again: readable, as requested, not all clipped."""
 
 from __future__ import annotations
 
@@ -14,12 +12,12 @@ from fieldlum.errors import InputError
 from fieldlum.raw import JPEG_SUFFIXES, FrameInfo, read_exif, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
-TOLERANCE_EV = 1 / 6  # a camera that snapped to another setting is at least 1/3 EV away
-ALL_CLIPPED = 0.5  # share of clipped pixels from which even the shortest frame tells little
+TOLERANCE_EV = 1 / 6  # a camera that used another setting is at least 1/3 EV away
+ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is useless; not measured
 
 
 def doubts(path: Path, asked: Exposure) -> str:
-    """What is wrong with a new frame, or nothing."""
+    """Return what is wrong with a new frame's EXIF, or an empty text."""
     try:
         info = read_exif(path, lens_f_number=asked.f_number)
     except InputError as error:
@@ -28,8 +26,9 @@ def doubts(path: Path, asked: Exposure) -> str:
 
 
 def as_taken(path: Path, asked: Exposure) -> Exposure:
-    """The exposure of a doubtful frame: EXIF's where that can be read and departs from the
-    request, else as asked.
+    """Return the exposure to record for a doubtful frame.
+
+    That is EXIF's exposure where it is readable and differs from the request, else the request.
     """
     try:
         info = read_exif(path, lens_f_number=asked.f_number)
@@ -41,7 +40,7 @@ def as_taken(path: Path, asked: Exposure) -> Exposure:
 
 
 def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
-    """Where EXIF and the request differ by more than the rounding of nominal values."""
+    """Return where EXIF and request differ by more than the rounding of nominal values."""
     found = info.exposure
     pairs = (
         ("shutter", found.shutter_s, asked.shutter_s, 1.0),
@@ -57,19 +56,20 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
 
 
 def clipped_share(path: Path) -> float:
-    """Share of a frame's pixels at its highest value, or at the top code of a JPEG. Raises
-    InputError.
+    """Return the share of a frame's pixels at its highest value, or at a JPEG's top code.
+
+    Raises InputError.
     """
     if path.suffix.lower() in JPEG_SUFFIXES:
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
-    mosaic = read_mosaic(path, lens_f_number=1.0)  # counts alone are looked at
+    mosaic = read_mosaic(path, lens_f_number=1.0)  # only the counts are used
     plateau = min(float(mosaic.white_dn), float(mosaic.counts.max()))
     near_white = plateau >= 0.8 * mosaic.white_dn
     return float(np.mean(mosaic.counts >= plateau)) if near_white else 0.0
 
 
 def bracket_doubts(shortest: Path) -> str:
-    """Whether even the shortest frame of a bracket is clipped all over."""
+    """Return a text if more than half of the shortest frame's pixels are clipped."""
     try:
         share = clipped_share(shortest)
     except InputError as error:
