@@ -1,8 +1,8 @@
 """The session folder on disk: the only package that knows its file names.
 
-`writing` makes whole files or none; `lines` appends and recovers; `folder` knows the places;
-`plan_file`, `journal` and `day_files` are the formats; `files` holds the files that cross from
-stage to stage.
+`writing` writes complete files or none; `lines` appends and recovers; `folder` has the paths;
+`plan_file`, `journal` and `day_files` are the formats; `files` has the files that pass from stage
+to stage.
 """
 
 from fieldlum.session.day_files import (

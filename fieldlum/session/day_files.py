@@ -1,4 +1,4 @@
-"""irradiance/2027-03-20.csv: one file a UTC day, appended row by row."""
+"""Read and write irradiance/2027-03-20.csv: one file for each UTC day, appended row by row."""
 
 from __future__ import annotations
 
@@ -21,9 +21,7 @@ _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
 
 
 def encode_sample(sample: IrradianceSample) -> bytes:
-    """One row of a day file; its last column is the CRC-32 of what stands before that column's
-    comma.
-    """
+    """Return one row of a day file; the last column is the CRC-32 of the columns before it."""
     figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
     row = io.StringIO()
     texts = [
@@ -41,7 +39,7 @@ def encode_sample(sample: IrradianceSample) -> bytes:
 
 
 def decode_sample(line: bytes) -> IrradianceSample | None:
-    """The sample of a whole and unharmed row, else None."""
+    """Return the sample of a complete and undamaged row, else None."""
     body, _, crc = line.rstrip(b"\n").rpartition(b",")
     try:
         if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
@@ -63,7 +61,7 @@ class DayFiles:
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def append(self, sample: IrradianceSample) -> None:
-        """Raises OSError on a full disk; half a row is then taken back."""
+        """Append a row. Raises OSError on a full disk, after removing a partly written row."""
         day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
         if day != self._day:
             self._open(day)
@@ -77,7 +75,7 @@ class DayFiles:
             self.cut_bytes += cut_torn_tail(
                 path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None
             )
-        # somebody saved it with a spreadsheet: it stays, is added to, and reading counts its lines
+        # Somebody saved the file with a spreadsheet: append to it; reading counts its lines.
         except InputError:
             spoilt = True
         handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -91,17 +89,19 @@ class DayFiles:
         self._day, self._handle = day, handle
 
     def close(self) -> None:
+        """Close the current day's file."""
         if self._handle >= 0:
             os.close(self._handle)
         self._day, self._handle = "", -1
 
 
 def day_files(session: Session) -> list[Path]:
+    """Return the day files in order of time."""
     return sorted(session.irradiance.glob("[0-9][0-9][0-9][0-9]-[0-9][0-9]-[0-9][0-9].csv"))
 
 
 def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
-    """Samples of one day file and the number of unsound lines that were skipped."""
+    """Return the samples of one day file and the number of damaged lines that were skipped."""
     samples: list[IrradianceSample] = []
     broken = 0
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""The folder itself: where things lie, session.toml, and who may write."""
+"""The session folder: paths, session.toml, and the lock for writers."""
 
 from __future__ import annotations
 
@@ -24,18 +24,23 @@ DEFAULT_GRACE_S = 300.0  # the sun moves by 1.3 degrees; `capture --grace` sets 
 
 @dataclass(frozen=True, slots=True)
 class Session:
+    """A session folder; its properties are paths in it."""
+
     root: Path
 
     @property
     def toml(self) -> Path:
+        """session.toml: site, camera, room, plan and devices."""
         return self.root / "session.toml"
 
     @property
     def plan(self) -> Path:
+        """plan.csv: the slots."""
         return self.root / "plan.csv"
 
     @property
     def journal(self) -> Path:
+        """journal.jsonl: all events."""
         return self.root / "journal.jsonl"
 
     @property
@@ -50,143 +55,163 @@ class Session:
 
     @property
     def raw(self) -> Path:
+        """Folder of the captured brackets, one folder for each slot."""
         return self.root / "raw"
 
     @property
     def panoramas(self) -> Path:
+        """Folder of the merged panoramas."""
         return self.root / "panoramas"
 
     @property
     def sunpatches(self) -> Path:
+        """Folder of the maps of sun patches."""
         return self.root / "sunpatches"
 
     @property
     def pairs(self) -> Path:
+        """pairs.csv: panoramas with their light."""
         return self.root / "pairs.csv"
 
     @property
     def models(self) -> Path:
+        """Folder of the trained models."""
         return self.root / "models"
 
     @property
     def annual(self) -> Path:
+        """Folder of the predicted years."""
         return self.root / "annual"
 
     @property
     def report(self) -> Path:
+        """Folder of the report."""
         return self.root / "report"
 
     @property
     def truth(self) -> Path:
-        """Only in simulated sessions: what the simulator knows."""
+        """Folder of the simulator's truth, only in simulated sessions."""
         return self.root / "truth"
 
     # ------------------------------------------------------------------------------------------
     # files of one slot
 
     def capture_file(self, slot: str) -> Path:
+        """Return the path of a slot's capture.json."""
         return self.raw / slot / "capture.json"
 
     def panorama(self, slot: str) -> Path:
+        """Return the path of a slot's panorama."""
         return self.panoramas / f"{slot}.exr"
 
     def sidecar(self, slot: str) -> Path:
-        """The provenance of a panorama."""
+        """Return the path of a panorama's sidecar."""
         return self.panoramas / f"{slot}.json"
 
     def sunpatch(self, slot: str) -> Path:
+        """Return the path of a slot's map of sun patches."""
         return self.sunpatches / f"{slot}.exr"
 
     def sunpatch_sidecar(self, slot: str) -> Path:
+        """Return the path of the JSON next to a slot's map of sun patches."""
         return self.sunpatches / f"{slot}.json"
 
     def truth_panorama(self, slot: str) -> Path:
+        """Return the path of the simulator's panorama of a slot."""
         return self.truth / f"{slot}.exr"
 
     # ------------------------------------------------------------------------------------------
-    # files of the whole session
+    # files of the complete session
 
     @property
     def clean_irradiance(self) -> Path:
+        """clean.csv: quality-checked irradiance."""
         return self.irradiance / "clean.csv"
 
     @property
     def irradiance_health(self) -> Path:
+        """JSON with the result of the irradiance's quality checks."""
         return self.irradiance / "health.json"
 
     @property
     def quality(self) -> Path:
+        """quality.csv: one row for each merged bracket."""
         return self.panoramas / "quality.csv"
 
     @property
     def suns(self) -> Path:
-        """The sun of each panorama, completed by `pair`."""
+        """suns.csv: the sun of each panorama, completed by `pair`."""
         return self.root / "suns.csv"
 
     def truth_sunpatch(self, slot: str) -> Path:
+        """Return the path of the simulator's map of sun patches of a slot."""
         return self.truth / "sunpatches" / f"{slot}.exr"
 
     @property
     def truth_irradiance(self) -> Path:
+        """The simulator's irradiance."""
         return self.truth / "irradiance.csv"
 
     @property
     def truth_pairs(self) -> Path:
-        """pairs.csv of the simulator's own panoramas."""
+        """pairs.csv of the simulator's panoramas."""
         return self.truth / "pairs.csv"
 
     def captured_folders(self) -> list[Path]:
-        """Folders of raw/ that hold a bracket, in order of time."""
+        """Return the folders in raw/ with a bracket, in order of time."""
         return sorted(path for path in self.raw.glob("[0-9]*Z") if path.is_dir())
 
     def panorama_files(self) -> list[Path]:
-        """Merged panoramas in order of time."""
+        """Return the merged panoramas in order of time."""
         return sorted(self.panoramas.glob("[!.]*.exr"))
 
     def sidecar_files(self) -> list[Path]:
+        """Return the sidecars of the panoramas in order of time."""
         return sorted(self.panoramas.glob("[0-9]*Z.json"))
 
     def sunpatch_files(self) -> list[Path]:
+        """Return the maps of sun patches in order of time."""
         return sorted(self.sunpatches.glob("[!.]*.exr"))
 
     def model_folders(self) -> list[Path]:
-        """Folders of models/ that hold a config.json, by name."""
+        """Return the folders in models/ with a config.json, by name."""
         return sorted(path.parent for path in self.models.glob("*/config.json"))
 
     def annual_folders(self) -> list[Path]:
-        """Folders of annual/ that hold a complete year, by name."""
+        """Return the folders in annual/ with a complete year, by name."""
         return sorted(path.parent for path in self.annual.glob("*/predict.json"))
 
     # ------------------------------------------------------------------------------------------
     # session.toml and plan.csv
 
     def table(self) -> dict[str, Any]:
-        """The whole of session.toml."""
+        """Return the content of session.toml."""
         return tomllib.loads(self.toml.read_text(encoding="utf-8"))
 
     def site_file(self) -> SiteFile:
-        """Site, camera, room and pyranometer, as they stood when the session was planned."""
+        """Return site, camera, room and pyranometer, as recorded when the session was planned."""
         return site_from_table(self.table().get("setup", {}), str(self.toml))
 
     def slots(self) -> list[Slot]:
+        """Return the planned slots."""
         return read_plan(self.plan)
 
     @property
     def grace(self) -> timedelta:
-        """How late a bracket may start: of the last capture, else DEFAULT_GRACE_S."""
+        """How late a bracket may start: as in the last capture, else DEFAULT_GRACE_S."""
         seconds = self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S)
         return timedelta(seconds=float(seconds))
 
 
 def open_session(root: Path) -> Session:
-    """Raises InputError when `root` is no session."""
+    """Return the session of a folder. Raises InputError if `root` is not a session."""
     session = Session(root)
     if not session.toml.is_file():
         raise InputError(
             root,
             "no session.toml in it",
             "a session folder",
-            "make one with: fieldlum plan SITE.toml",
+            "write one with: fieldlum plan SITE.toml",
         )
     try:
         session.table()
@@ -198,11 +223,9 @@ def open_session(root: Path) -> Session:
 def create_session(
     root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: dict[str, Any]
 ) -> Session:
-    """Write plan.csv and session.toml. The plan is immutable: raises InputError when there is one
-    already.
+    """Write plan.csv and session.toml. Raises InputError if there is a plan already.
 
-    A plan.csv without session.toml is what a kill between the two leaves, and is written again;
-    another file is not.
+    A plan.csv without session.toml is the result of a kill between the two, and is written again.
     """
     session = Session(root)
     if session.toml.exists():
@@ -213,7 +236,7 @@ def create_session(
         ",".join(PLAN_COLUMNS).encode()
     ):
         raise InputError(
-            session.plan, "a file of something else", "a new folder", "choose another --out"
+            session.plan, "a plan.csv of another program", "a new folder", "choose another --out"
         )
     write_plan(session.plan, slots, setup.site.timezone)
     update_session(
@@ -228,7 +251,7 @@ def create_session(
 
 
 def update_session(session: Session, tables: dict[str, Any]) -> None:
-    """Merge top-level tables into session.toml (a table given replaces the one of that name)."""
+    """Merge top-level tables into session.toml; a table replaces the one of the same name."""
     import tomli_w
 
     known = session.table() if session.toml.exists() else {}
@@ -237,7 +260,7 @@ def update_session(session: Session, tables: dict[str, Any]) -> None:
 
 
 def store_grace(session: Session, grace_s: float) -> None:
-    """Store how late a bracket may start, so that doctor and re-planning know it too."""
+    """Store how late a bracket may start, for doctor and for planning again."""
     if session.grace.total_seconds() != grace_s:
         capture = session.table().get("capture", {})
         update_session(session, {"capture": {**capture, "grace_s": grace_s}})
@@ -245,10 +268,9 @@ def store_grace(session: Session, grace_s: float) -> None:
 
 @contextmanager
 def sole_user(session: Session, purpose: str) -> Iterator[None]:
-    """Only one `purpose` (capture, log) at a time works on a session; the lock goes with the
-    process, however it ends.
+    """Let one process at a time do `purpose` (capture, log) in a session.
 
-    Raises InputError when another one runs.
+    The lock ends with the process, however it ends. Raises InputError if another one runs.
     """
     with (session.root / f".{purpose}.lock").open("a") as file:
         try:
@@ -258,19 +280,25 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
                 errno.ENOLCK,
                 errno.ENOTSUP,
                 errno.ENOSYS,
-            ):  # a share that knows no locks
+            ):  # a share without locks
                 found = f"a folder that cannot be locked ({error.strerror})"
                 raise InputError(
-                    session.root, found, "a folder on a disk of this computer", "move it there"
+                    session.root,
+                    found,
+                    "a folder on a disk of this computer",
+                    "move the session to one",
                 ) from None
             raise InputError(
-                session.root, f"another fieldlum {purpose} runs here", "one", "stop it first"
+                session.root,
+                f"another fieldlum {purpose} runs in it",
+                "one process at a time",
+                "stop the other one first",
             ) from None
         yield
 
 
 def _lock(number: int) -> None:
-    """Lock an open file for this process alone. Raises OSError when another one holds it."""
+    """Lock an open file for this process. Raises OSError if another process has the lock."""
     if sys.platform == "win32":
         import msvcrt
 

@@ -1,4 +1,4 @@
-"""journal.jsonl: everything that happened, one event a line, never rewritten.
+"""journal.jsonl: all events of a session, one a line, never rewritten.
 
 Several processes may append: a capture runs while `fieldlum status --mark` marks a slot.
 """
@@ -16,32 +16,32 @@ from fieldlum.session.lines import append_whole, cut_torn_tail, decode_line, enc
 
 
 class Journal:
-    """The session's events: appended with a CRC and flushed to disk one by one, by any thread;
-    never rewritten.
-    """
+    """The session's events, appended by any thread with a CRC and flushed to disk."""
 
     def __init__(self, session: Session, *, flush: bool = True) -> None:
-        """flush False: survives a kill, but not a power cut; for simulated time."""
+        """Open the journal. flush=False survives a kill but not a power cut: for simulated time."""
         self._path, self._flush = session.journal, flush
         self._lock = threading.Lock()
         self._handle = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        with exclusive(self._handle):  # another process may be in the middle of a line
+        with exclusive(self._handle):  # another process may be writing a line
             self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
-        """Durable when this returns. Raises OSError on a full disk; half a line is then taken
-        back.
+        """Append an event; it is on disk on return.
+
+        Raises OSError on a full disk, after removing a partly written line.
         """
         data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
         with self._lock, exclusive(self._handle):
             append_whole(self._handle, data, flush=self._flush)
 
     def close(self) -> None:
+        """Close the file."""
         os.close(self._handle)
 
 
 def read_journal(session: Session) -> list[dict[str, Any]]:
-    """All sound events, in the order written; no journal yet is no event."""
+    """Return all valid events in the order written; empty without a journal."""
     if not session.journal.is_file():
         return []
     with session.journal.open("rb") as file:
@@ -49,8 +49,9 @@ def read_journal(session: Session) -> list[dict[str, Any]]:
 
 
 def outcomes(session: Session) -> dict[str, str]:
-    """What became of each slot at last: done, missed or aborted; one that was withdrawn from is
-    owed again.
+    """Return the last outcome of each slot: done, missed or aborted.
+
+    A slot whose bracket was withdrawn has none.
     """
     found: dict[str, str] = {}
     for event in read_journal(session):

@@ -1,6 +1,4 @@
-"""Append-only files: a CRC per line, flushed before the next thing is done, a torn tail cut off
-on opening.
-"""
+"""Append-only files: a CRC for each line, lines flushed to disk, a torn tail removed on opening."""
 
 from __future__ import annotations
 
@@ -21,17 +19,17 @@ from fieldlum.errors import InputError
 # append mixes with another only on a file system that splits writes, and the CRC would show it.
 _MAX_LOCK_S = 0.25
 _LOCK_EVERY_S = 0.002
-_TAIL_BYTES = 1 << 20  # how far back a torn tail is looked for
+_TAIL_BYTES = 1 << 20  # searched for the last valid line; a torn tail is far shorter
 
 
 def encode_line(row: dict[str, Any]) -> bytes:
-    """One journal line: CRC-32 in hex, a space, compact JSON, newline."""
+    """Return one journal line: CRC-32 in hex, a space, compact JSON, newline."""
     text = json.dumps(row, separators=(",", ":"), ensure_ascii=False)
     return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
 
 
 def decode_line(line: bytes) -> dict[str, Any] | None:
-    """The row of a whole and unharmed line, else None."""
+    """Return the row of a complete and undamaged line, else None."""
     crc, _, text = line.rstrip(b"\n").partition(b" ")
     try:
         sound = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
@@ -42,10 +40,10 @@ def decode_line(line: bytes) -> dict[str, Any] | None:
 
 @contextmanager
 def exclusive(handle: int) -> Iterator[None]:
-    """Hold an open file alone among processes; wait for another one to finish its line.
+    """Lock an open file against other processes; wait for another one to finish its line.
 
-    A file system without locks is used as it is. So is a file that another process holds for more
-    than `_MAX_LOCK_S`: a capture must not wait for a program that was stopped in between.
+    On a file system without locks, continue without a lock; so too if another process holds the
+    lock for more than `_MAX_LOCK_S`: a capture must not wait for a stopped program.
     """
     if sys.platform == "win32":
         import msvcrt
@@ -92,9 +90,7 @@ def _held(lock: Callable[[], None]) -> bool:
 
 
 def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
-    """Write all of `data` to a file opened with O_APPEND and flush it to the disk before
-    returning.
-    """
+    """Write all of `data` to a file opened with O_APPEND; flush it to the disk before returning."""
     while data:
         data = data[os.write(handle, data) :]
     if flush:
@@ -102,12 +98,11 @@ def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
 
 
 def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
-    """Cut `path` back to its last sound line; returns how many bytes went (to ``NAME.torn`` beside
-    it, never away).
+    """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
-    A kill or a power cut in the middle of a write leaves half a line, or a page of zeros. Unsound
-    lines further up are left where they are: readers skip and count them. Raises InputError when no
-    line at all is sound.
+    A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
+    before the last valid one stay: readers skip and count them. Raises InputError if no line is
+    valid.
     """
     if not path.is_file():
         return 0
@@ -125,9 +120,9 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
         if keep == 0 and tail.count(b"\n") > 2:
             raise InputError(
                 path,
-                "no line of it is sound",
-                "what fieldlum wrote",
-                "was it edited? restore or move it",
+                "it has no valid line",
+                "a file written by fieldlum",
+                "restore it from a copy, or move it away",
             )
         cut = len(tail) - keep
         if cut:
@@ -139,7 +134,7 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
 
 
 def append_whole(handle: int, data: bytes, *, flush: bool) -> None:
-    """`append_durably`, and back to the length before when the disk has no room for all of it."""
+    """Append all of `data`, or restore the earlier length if the disk has no space for it."""
     before = os.fstat(handle).st_size
     try:
         append_durably(handle, data, flush=flush)

@@ -1,4 +1,4 @@
-"""Slots that the user marked with the state of the room: lamps on, a blind down, snow outside."""
+"""Marks of slots with the state of the room: lamps on, a blind down, snow outside."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ BY_PEOPLE = frozenset({EVENT, NOTE, "paused", "resumed"})
 
 
 def mark_slot(session: Session, slot: str, state: str) -> str:
-    """Append a mark such as ``lamp=on;blind=half`` to the journal; return the slot's whole state.
+    """Append a mark such as ``lamp=on;blind=half`` to the journal; return the slot's full state.
 
-    Safe beside a running capture. Raises InputError for an unknown slot or an unknown word.
+    It is safe during a capture. Raises InputError for an unknown slot or an unknown word.
     """
     known = {planned.id for planned in session.slots()}
     known |= {path.stem for path in session.panoramas.glob("*.exr")}
@@ -58,7 +58,7 @@ def add_note(session: Session, text: str) -> str:
 
 
 def marks(session: Session) -> dict[str, str]:
-    """Return the state of each marked slot; of two marks with one word the later counts."""
+    """Return the state of each marked slot; a later mark replaces an earlier one of its word."""
     states: dict[str, str] = {}
     for event in read_journal(session):
         if event["event"] == EVENT and "slot" in event:

@@ -1,4 +1,4 @@
-"""A panorama with the sun that belongs to it: merge's map joined with pair's table of suns."""
+"""Read a panorama with its sun: merge's map joined with pair's table of suns."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from fieldlum.records import CLIPPED_SUN, Panorama
 from fieldlum.session.files.suns_csv import SunRow, read_suns
 
 MEASURED_ORIGINS = ("nd-frames", "merge", "rendering")  # the picture itself measured the disc
-_SAME_BOUND_REL = 1e-4  # the EXR's attribute keeps six digits
+_SAME_BOUND_REL = 1e-4  # the EXR attribute has six digits
 
 
 def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) -> Panorama:
     """Read a panorama and join the sun that `pair` completed for it.
 
-    The table is suns.csv in the folder above the picture's; `suns` is that table where a caller
-    reads many pictures. A sun that the picture measured is kept. `attributes["note"]` states that
-    the sun is only a lower bound, where it clipped and no row of the table belongs to the picture.
-    Raises InputError for an unusable picture or table.
+    The table is suns.csv in the folder above the picture's; `suns` is that table for a caller that
+    reads many pictures. A sun that the picture measured stays. `attributes["note"]` reports a sun
+    that is only a lower bound: it clipped, and no row of the table belongs to the picture. Raises
+    InputError for an unusable picture or table.
     """
     panorama = read_panorama(path)
     sun = panorama.sun
@@ -33,12 +33,12 @@ def read_panorama_with_sun(path: Path, suns: dict[str, SunRow] | None = None) ->
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
-    """Return the table of suns of the session that a panorama is in; empty without one."""
+    """Return the table of suns of a panorama's session; empty without one."""
     return read_suns(panorama.absolute().parent.parent / "suns.csv")
 
 
 def _key(panorama: Path) -> str:
-    path = panorama.absolute()  # not resolved: panoramas/ may be a link to another disk
+    path = panorama.absolute()  # not resolved: panoramas/ can be a link to another disk
     return f"{path.parent.name}/{path.name}"
 
 

@@ -1,4 +1,4 @@
-"""plan.csv: the slots, immutable."""
+"""plan.csv: the planned slots. The file is never changed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLAN_COLUMNS = (
 
 
 def exposure_text(exposure: Exposure) -> str:
-    """``1/250 f/5.6 ISO100`` with an optional `` ND=name``; read back by `parse_exposure`."""
+    """Return ``1/250 f/5.6 ISO100`` with an optional `` ND=name``; see `parse_exposure`."""
     shown = shutter_text(exposure.shutter_s)
     return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}" + (
         f" ND={exposure.nd}" if exposure.nd else ""
@@ -32,7 +32,7 @@ def exposure_text(exposure: Exposure) -> str:
 
 
 def parse_exposure(text: str) -> Exposure:
-    """Raises ValueError for anything that is no exposure."""
+    """Return the exposure of a text. Raises ValueError for another text."""
     shutter, f_number, iso, *nd = text.split()
     seconds = 1.0 / float(shutter[2:]) if shutter.startswith("1/") else float(shutter)
     if not f_number.startswith("f/") or not iso.startswith("ISO"):
@@ -43,6 +43,7 @@ def parse_exposure(text: str) -> Exposure:
 
 
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
+    """Write the slots; local times are for people only."""
     zone = ZoneInfo(timezone)
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -62,10 +63,10 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
 
 
 def read_plan(path: Path) -> list[Slot]:
-    """Raises InputError naming the line."""
+    """Return the slots of a plan. Raises InputError with the line."""
     if not path.is_file():
         raise InputError(
-            path, "no such file", "the plan of a session", "make one with: fieldlum plan SITE.toml"
+            path, "no such file", "the plan of a session", "write one with: fieldlum plan SITE.toml"
         )
     slots: list[Slot] = []
     with path.open(newline="", encoding="utf-8") as file:
@@ -77,7 +78,7 @@ def read_plan(path: Path) -> list[Slot]:
             )
         for number, row in enumerate(reader, start=2):
             try:
-                if None in row:  # commas in place of semicolons would leave a bracket of one frame
+                if None in row:  # commas instead of semicolons would give brackets of one frame
                     raise ValueError(f"{len(PLAN_COLUMNS) + len(row.get(None) or ())} values")
                 t_utc: datetime = parse_utc(row["t_utc"])
                 if slot_id(t_utc) != row["slot"]:

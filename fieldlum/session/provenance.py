@@ -1,7 +1,7 @@
-"""What a result was computed from: recorded next to it, and the reason not to compute it again.
+"""Record what a result was computed from, and decide whether it must be computed again.
 
 A result has a note, a JSON object written after the result's files. Its key `inputs` holds
-everything that the result depends on, as plain values; large inputs are in it by their digest.
+everything that the result depends on, as plain values; large inputs are stored as a digest.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ import numpy as np
 
 
 def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> dict[str, Any] | None:
-    """Return a result's note where it records these very inputs and all files exist, else None.
+    """Return a result's note if it records the same inputs and all files exist, else None.
 
-    A damaged note is none: the result is computed again. A note without `inputs` is the inputs.
+    A damaged note counts as missing: the result is computed again. A note without the key `inputs`
+    is the inputs itself.
     """
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
@@ -37,7 +38,7 @@ def digest(value: object) -> str:
 
 
 def data_digest(*values: object) -> str:
-    """Return the SHA-256 of values with arrays, dataclasses and times in them, in hex."""
+    """Return the SHA-256 of values with arrays, dataclasses and times, in hex."""
     total = hashlib.sha256()
     for value in values:
         _feed(total, value)

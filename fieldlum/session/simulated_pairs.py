@@ -1,4 +1,4 @@
-"""The pairs of a simulated session: truth/pairs.csv, and pairs.csv until `pair` writes its own."""
+"""Pairs of a simulated session: truth/pairs.csv, and pairs.csv until `pair` writes it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
 
 
 def keep_simulated_pairs(session: Session) -> None:
-    """Keep the simulator's pairs.csv, as 0.1.0 wrote it alone, as truth/pairs.csv."""
+    """Copy the simulator's pairs.csv to truth/pairs.csv, which version 0.1.0 did not write."""
     if session.truth.is_dir() and not session.truth_pairs.is_file():
         pairs = PairsFile.find(session.pairs)
         if pairs.rows and _is_simulated(pairs):

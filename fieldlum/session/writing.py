@@ -1,4 +1,4 @@
-"""Writing so that a kill at any moment leaves the old file or the whole new one."""
+"""Write files so that a kill at any time leaves the old file or the complete new one."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-OLD_SCRAP_S = 86400.0  # no file takes a day to write
+OLD_SCRAP_S = 86400.0  # not measured: no file takes a day to write
 
 
 @contextmanager
 def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
-    """A file that appears under its name only when it is whole: written beside, fsynced, then
-    renamed.
+    """Yield a file that gets its name when it is complete.
+
+    It is written under a temporary name in the same folder, flushed to disk, then renamed.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_host()}.{os.getpid()}.{path.name}.tmp")
@@ -35,7 +36,7 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
 
 @contextmanager
 def replacing_path(path: Path) -> Iterator[Path]:
-    """As `replacing`, for writers that want a path: yields a temporary one with the same suffix."""
+    """Yield a temporary path with the same suffix, for writers that need one; see `replacing`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_host()}.{os.getpid()}.tmp.{path.name}")
     try:
@@ -49,14 +50,14 @@ def replacing_path(path: Path) -> Iterator[Path]:
 
 
 def _host() -> str:
-    """Return this computer's name: processes of two computers may have one number."""
+    """Return this computer's name: processes of two computers can have the same number."""
     return "".join(c if c.isalnum() else "-" for c in platform.node()) or "host"
 
 
 def remove_scraps(folder: Path) -> None:
     """Remove temporary files of processes that ended before they could rename them.
 
-    A process of another computer cannot be asked; its files are removed after a day.
+    Files of a process on another computer are removed after a day, as its state is unknown.
     """
     for scrap in folder.glob(".*.tmp*"):
         host, _, rest = scrap.name[1:].partition(".")
@@ -80,9 +81,7 @@ def _process_runs(number: int) -> bool:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a rename durable (POSIX; elsewhere, and on shared folders that cannot, there is
-    nothing to do).
-    """
+    """Make a rename durable on POSIX; do nothing on systems and shares that cannot."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -95,12 +94,11 @@ def sync_folder(folder: Path) -> None:
 
 
 def disk_is_full(error: BaseException) -> bool:
-    """Whether this says that there is no room left: on the disk, in a quota, for a file so
-    large.
-    """
+    """Return whether an error means no space: on the disk, in a quota, or for so large a file."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,7 +1,6 @@
-"""The files that cross from one stage to another: one module each, with a frozen dataclass that
-reads and writes it.
+"""Files that pass from one stage to another: one module each, with a frozen dataclass for it.
 
 Every reader and writer of such a file uses its module. A file without a format version has version
-1, which is what fieldlum 0.1.0 wrote. Keys that a module does not know are additions and are
-ignored; known keys are checked strictly.
+1, which fieldlum 0.1.0 wrote. Keys that a module does not know are additions and are ignored; known
+keys are checked strictly.
 """

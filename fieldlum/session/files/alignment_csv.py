@@ -1,4 +1,4 @@
-"""NAME.alignment.csv beside NAME.csv of pairs: how the camera of each picture was turned."""
+"""NAME.alignment.csv next to NAME.csv of pairs: how the camera of each picture was turned."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from fieldlum.session.writing import replacing
 
 @dataclass(frozen=True, slots=True)
 class AlignmentRow:
-    """One picture; the fields are the columns. digest: of its pixels, so that another picture of
-    the same name is compared again. Turns against the pose of most pictures: heading clockwise,
-    tilt up, roll clockwise. aligned: 0 for a picture that is left out.
+    """One picture; the fields are the columns.
+
+    digest: of its pixels, so that another picture of the same name is compared again. Turns are
+    relative to the pose of most pictures [deg]: heading clockwise, tilt up, roll clockwise.
+    aligned: 0 for a picture that is not used.
     """
 
     panorama: str
@@ -33,12 +35,12 @@ _COLUMNS = tuple(field.name for field in fields(AlignmentRow))
 
 
 def alignment_path(pairs: Path) -> Path:
-    """Return where the table of a csv of pairs is."""
+    """Return the path of the table that belongs to a csv of pairs."""
     return pairs.with_name(f"{pairs.stem}.alignment.csv")
 
 
 def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
-    """Return the rows of a table; none of one that is missing or cannot be read."""
+    """Return the rows of a table; empty if it is missing or cannot be read."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return tuple(_row(cells) for cells in csv.DictReader(file))
@@ -47,7 +49,7 @@ def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
 
 
 def _row(cells: dict[str, str]) -> AlignmentRow:
-    """Raises KeyError, TypeError or ValueError for a missing or wrong cell."""
+    """Return a row. Raises KeyError, TypeError or ValueError for a missing or wrong cell."""
     numbers = [float(cells[name]) for name in _COLUMNS[2:8]]
     if not all(math.isfinite(number) for number in numbers):
         raise ValueError("a number that is not finite")
@@ -57,7 +59,7 @@ def _row(cells: dict[str, str]) -> AlignmentRow:
 
 
 def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
-    """Write all rows. Raises OSError where the folder cannot be written to."""
+    """Write all rows. Raises OSError if the folder is not writable."""
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_COLUMNS)

@@ -18,18 +18,16 @@ _REMEDY = "restore the file from a copy, or import the card again"
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One acknowledged frame: on disk under `file` (relative to the slot's folder) with this
-    hash.
-    """
+    """One journalled frame: its file, relative to the slot's folder, and the file's hash."""
 
     index: int
     file: str
-    exposure: Exposure  # as requested; EXIF's where that differs, and then `doubt` reports it
+    exposure: Exposure  # as requested; from EXIF where that differs, and then `doubt` is set
     heading_deg: float | None
     t_utc: datetime
     seconds: float  # from the request to the file on disk
     sha256: str
-    doubt: str = ""  # why the frame looked wrong when it was checked at once
+    doubt: str = ""  # what looked wrong when the frame was checked
     instead_of: str = ""  # file of the doubtful frame that this one replaces
 
 
@@ -50,7 +48,7 @@ def frame_fields(frame: Frame) -> dict[str, Any]:
 
 
 def frame_from(fields: dict[str, Any]) -> Frame:
-    """Inverse of `frame_fields`. Raises KeyError, TypeError or ValueError for anything else."""
+    """Return the frame of `frame_fields`. Raises KeyError, TypeError or ValueError."""
     heading = fields.get("heading_deg")
     exposure = {**fields["exposure"], "nd": fields["exposure"].get("nd") or ""}
     return Frame(
@@ -82,12 +80,12 @@ class CaptureFile:
 
     @property
     def t_mid_utc(self) -> datetime:
-        """The bracket's one time: panorama, pair and table of suns carry it."""
+        """The bracket's time, which its panorama, pair and row of suns.csv have too."""
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
     @classmethod
     def read(cls, path: Path) -> CaptureFile:
-        """Raises InputError for a missing file or other content."""
+        """Read the file. Raises InputError for a missing file or other content."""
         table = read_object(path, _EXPECTED, _REMEDY)
         check_format(table, FORMAT, path)
         try:
@@ -112,10 +110,11 @@ class CaptureFile:
 
     @classmethod
     def find(cls, path: Path) -> CaptureFile | None:
-        """Return None where there is no file: frames that somebody copied into raw/SLOT."""
+        """Read the file; return None if it is missing, for frames copied into raw/SLOT."""
         return cls.read(path) if path.is_file() else None
 
     def write(self, path: Path) -> None:
+        """Write the file."""
         lux = {} if self.illuminance_lx is None else {"illuminance_lx": self.illuminance_lx}
         table = {
             "format": FORMAT,
@@ -134,7 +133,7 @@ class CaptureFile:
 
 
 def interval_of(frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
-    """From the first request to the last file on disk. Raises ValueError without frames."""
+    """Return the first request and the last file on disk. Raises ValueError without frames."""
     if not frames:
         raise ValueError("no frames and no t_open_utc")
     opened = min(frame.t_utc for frame in frames)

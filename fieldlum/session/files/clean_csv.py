@@ -1,4 +1,4 @@
-"""irradiance/clean.csv: quality-checked irradiance, all three components in every usable row."""
+"""irradiance/clean.csv: quality-checked irradiance, with three components in every usable row."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fieldlum.session.writing import replacing
 CLEAN_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
 MEASURED, DERIVED = "measured", "derived:dirint"
 _BLOCK_ROWS = 20_000  # texts of a million rows at once would take 300 MB
-_AROUND_ROWS = 30  # rows on either side over which the usual time between rows is taken
+_AROUND_ROWS = 30  # rows on each side for the usual time between rows; not measured
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class CleanIrradiance:
-    """Arrays [n] in order of time; NaN: unusable. flags: words with spaces between. [W/m2]"""
+    """Arrays [n] in order of time [W/m2]; NaN is unusable. flags: words separated by spaces."""
 
     t_unix_s: Array
     ghi_wm2: Array
@@ -31,14 +31,14 @@ class CleanIrradiance:
     flags: NDArray[np.object_]
 
     def every_s(self, moment_unix_s: float) -> float:
-        """Return the usual time between rows around a moment: a session may hold two loggers."""
+        """Return the usual time between rows [s] near a moment: a session can have two loggers."""
         at = int(np.searchsorted(self.t_unix_s, moment_unix_s))
         steps = np.diff(self.t_unix_s[max(at - _AROUND_ROWS, 0) : at + _AROUND_ROWS])
         return float(np.median(steps)) if len(steps) else 60.0
 
     @classmethod
     def read(cls, path: Path) -> CleanIrradiance:
-        """Raises InputError for a missing file or other content."""
+        """Read the file. Raises InputError for a missing file or other content."""
         import pandas as pd
 
         if not path.is_file():
@@ -54,11 +54,12 @@ class CleanIrradiance:
                 table[name].fillna("").to_numpy(object) for name in ("source", "flags")
             )
         except (ValueError, KeyError, TypeError) as error:
-            remedy = "delete it, pair writes it again"
+            remedy = "delete it; fieldlum pair writes it again"
             raise InputError(path, f"{error}", "what fieldlum pair writes", remedy) from None
         return cls(t, ghi, dhi, dni, source, flags)
 
     def write(self, path: Path) -> None:
+        """Write all rows."""
         import pandas as pd
 
         count = len(self.t_unix_s)

@@ -15,18 +15,18 @@ from fieldlum.errors import InputError
 from fieldlum.session.writing import replacing
 
 FORMAT = 1
-MOST_MAPS = 150  # kept in the file, spread evenly: 4 MB at 116 x 58
+MOST_MAPS = 150  # in the file, spread evenly: 4 MB at 116 x 58
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOutMaps:
     """Hours that the fit which predicted them had not seen, in the order of the folds.
 
-    slots [n] ids; sun_altitude_deg, sun_azimuth_deg [n]; log10_mse [n] weighted, as in scores.json;
-    dgp_measured, dgp_predicted [n, 10] with the true disc; contrast_measured, contrast_predicted
-    [n, 5] of each pyramid level [cd/m2]; measured_log10, predicted_log10 [n, h, w] log10 of cd/m2,
-    float16 (to 0.2 %), every f-th pixel, without the disc; season_deg [n] angle to the nearest sun
-    that the fit had seen.
+    slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted, as in
+    scores.json [n]; dgp_measured, dgp_predicted: with the true sun disc [n, 10];
+    contrast_measured, contrast_predicted: of each pyramid level [n, 5] cd/m2; measured_log10,
+    predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2 %), every f-th pixel, without the
+    disc; season_deg: angle to the nearest sun that the fit had seen [n] deg.
     """
 
     slots: NDArray[np.str_]
@@ -45,17 +45,18 @@ class HeldOutMaps:
         return len(self.slots)
 
     def take(self, rows: NDArray[np.intp]) -> HeldOutMaps:
+        """Return some hours, by their row numbers."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
     @classmethod
     def join(cls, parts: Sequence[HeldOutMaps]) -> HeldOutMaps | None:
-        """Return the hours of several tests as of one; None of none."""
+        """Return the hours of several tests as one; None without any test."""
         if not parts:
             return None
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS))
 
     def write(self, folder: Path) -> None:
-        """Write at most `MOST_MAPS` hours, spread evenly from the best to the worst predicted."""
+        """Write at most `MOST_MAPS` hours, spread evenly from best to worst prediction."""
         order = np.argsort(self.log10_mse, kind="stable")
         kept = order[
             np.unique(np.linspace(0, len(order) - 1, min(len(order), MOST_MAPS)).round()).astype(
@@ -69,7 +70,7 @@ class HeldOutMaps:
 
     @classmethod
     def find(cls, folder: Path) -> HeldOutMaps | None:
-        """Return None where there is no file, as in models of 0.1.0. Raises InputError."""
+        """Read the file; return None if it is missing, as in models of 0.1.0. Raises InputError."""
         path = folder / "held_out.npz"
         if not path.is_file():
             return None

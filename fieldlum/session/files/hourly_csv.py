@@ -1,4 +1,4 @@
-"""annual/NAME/hourly.csv: the light, trust and glare of each hour of a predicted year."""
+"""annual/NAME/hourly.csv: light, trust and glare of each hour of a predicted year."""
 
 from __future__ import annotations
 
@@ -42,14 +42,16 @@ VIEW_COLUMNS = {  # name: digits written
     "window_to_task": 2,
     "uniformity": 3,
 }
-# Years predicted by 0.1.0 lack these columns; they are NaN there.
+# Version 0.1.0 did not write these columns; they are NaN for its years.
 LATER_COLUMNS = ("dgp_low", "dgp_high")
 
 
 @dataclass(frozen=True, slots=True)
 class HourlyFile:
-    """One hourly.csv. hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each, which
-    stand as ``metric@azimuth`` in the file. NaN, an empty cell: undefined.
+    """One hourly.csv.
+
+    hours: `HOUR_COLUMNS`, [n] each. views: `VIEW_COLUMNS`, [n, d] each, named ``metric@azimuth`` in
+    the file. NaN, an empty cell, is undefined.
     """
 
     t_utc: tuple[datetime, ...]
@@ -65,7 +67,7 @@ class HourlyFile:
             with path.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.reader(file))
         except OSError as error:
-            found, remedy = error.strerror or str(error), "make it with: fieldlum predict"
+            found, remedy = error.strerror or str(error), "write it with: fieldlum predict"
             raise InputError(path, found, NAME, remedy) from None
         try:
             head, body = rows[0], rows[1:]
@@ -94,7 +96,7 @@ class HourlyFile:
         zone = ZoneInfo(timezone)
         names = [_view_column(name, a) for a in self.azimuths_deg for name in VIEW_COLUMNS]
         digits = [figure for _ in self.azimuths_deg for figure in VIEW_COLUMNS.values()]
-        # One block a direction: everything of one view stands together.
+        # One block for each direction: the columns of a view are next to each other.
         block = np.stack([self.views[name] for name in VIEW_COLUMNS], axis=2)
         block = block.reshape(len(self.t_utc), -1)  # [n, d * metrics]
         with replacing(folder / NAME, "w", newline="", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Read JSON objects strictly, and write them so that a kill leaves the old file or the new one."""
+"""Read JSON objects strictly; write them so that a kill leaves the old file or the new one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def read_object(path: Path, expected: str, remedy: str) -> dict[str, Any]:
 
 
 def check_format(table: dict[str, Any], newest: int, path: Path) -> int:
-    """Return the format version of a file; absent is 1. Raises InputError for a newer one."""
+    """Return a file's format version, 1 if absent. Raises InputError for a newer one."""
     version = table.get("format", 1)
     if not isinstance(version, int) or not 1 <= version <= newest:
         raise InputError(
@@ -38,7 +38,7 @@ def check_format(table: dict[str, Any], newest: int, path: Path) -> int:
 
 
 def build_known(cls: type[T], table: dict[str, Any], where: str) -> T:
-    """Build a frozen dataclass from the keys that it knows, strictly; other keys are additions.
+    """Build a frozen dataclass strictly from its keys; ignore other keys, which are additions.
 
     Raises InputError for a missing key or a value of the wrong type.
     """
@@ -47,7 +47,7 @@ def build_known(cls: type[T], table: dict[str, Any], where: str) -> T:
 
 
 def write_object(path: Path, table: dict[str, Any]) -> None:
-    """Write a JSON object; arrays become lists, other unknown values their text."""
+    """Write a JSON object; arrays become lists, values of unknown types become text."""
     with replacing(path, "w", encoding="utf-8") as file:
         json.dump(table, file, indent=1, ensure_ascii=False, default=_plain)
 

@@ -1,4 +1,4 @@
-"""models/NAME/config.json: what a model is, what it was trained on, and the model's own state."""
+"""models/NAME/config.json: what a model is, its training data, and the model's own state."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from fieldlum.errors import InputError
 from fieldlum.session.files.json_file import build_known, check_format, read_object, write_object
 
 FORMAT = 1
-_EXPECTED, _REMEDY = "a model folder", "make one with: fieldlum train"
+_EXPECTED, _REMEDY = "a model folder", "train one: fieldlum train"
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingNote:
-    """What a model was trained on: the csv, its slots, its local standard dates."""
+    """Training data of a model: the csv, its slots, its local standard dates."""
 
     source: str = ""
     slots: tuple[str, ...] = ()
@@ -24,10 +24,10 @@ class TrainingNote:
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """One config.json. setup: SITE.toml as a table; state: all keys, which `from_state` reads."""
+    """One config.json. setup: SITE.toml as a table; state: all keys, for `from_state`."""
 
     model: str
-    height: int = 0  # of its maps; 0: not stated
+    height: int = 0  # of its maps [px]; 0: not stated
     width: int = 0
     heading_deg: float | None = None
     patch: str = "absolute"
@@ -38,7 +38,7 @@ class ModelConfig:
 
     @classmethod
     def read(cls, folder: Path) -> ModelConfig:
-        """Raises InputError when `folder` is no model folder."""
+        """Read config.json. Raises InputError if `folder` is not a model folder."""
         path = folder / "config.json"
         if not path.is_file():
             raise InputError(folder, "no config.json in it", _EXPECTED, _REMEDY)
@@ -78,5 +78,5 @@ class _Common:
 
 
 def write_config(folder: Path, table: dict[str, Any]) -> None:
-    """Write config.json from a model's state and what is common to all models."""
+    """Write config.json from a model's state and the keys common to all models."""
     write_object(folder / "config.json", {"format": FORMAT, **table})

@@ -1,4 +1,4 @@
-"""pairs.csv: one row a panorama with its light. Any csv with the first four columns is one."""
+"""pairs.csv: one row for each panorama with its light; the first four columns are required."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ PAIR_COLUMNS = (
 )
 NEEDED = PAIR_COLUMNS[:4]
 OPTIONAL = (*PAIR_COLUMNS, "state")
-MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant, with cloud enhancement
+MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement
 MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
-NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # of a row with ok = 0 whose time cannot be read
+NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 and an unreadable time
 _YES, _NO = ("", "1", "1.0", "true", "yes"), ("0", "0.0", "false", "no")
 
 
 @dataclass(frozen=True, slots=True)
 class PairRow:
-    """One row. Paths are relative to the csv, empty: none; NaN: unknown. line: its line number."""
+    """One row. Paths are relative to the csv; empty: none; NaN: unknown. line: its line number."""
 
     t_utc: datetime
     panorama: str
@@ -61,7 +61,7 @@ class PairRow:
 
 @dataclass(frozen=True, slots=True)
 class PairsFile:
-    """A pairs.csv: rows in the file's order, and warnings for the person who reads it."""
+    """A pairs.csv: rows in the file's order, and warnings about the file."""
 
     path: Path
     rows: tuple[PairRow, ...]
@@ -70,15 +70,17 @@ class PairsFile:
 
     @property
     def usable(self) -> tuple[PairRow, ...]:
+        """Rows with ok = 1."""
         return tuple(row for row in self.rows if row.ok)
 
     @property
     def refused(self) -> tuple[PairRow, ...]:
+        """Rows with ok = 0."""
         return tuple(row for row in self.rows if not row.ok)
 
     @classmethod
     def read(cls, path: Path) -> PairsFile:
-        """Raises InputError naming the line. Numbers of rows with ok = 0 are not read."""
+        """Read the file, without numbers of rows with ok = 0. Raises InputError with the line."""
         reader = _reader(path)
         names = reader.fieldnames or ()
         rows = [_row(path, reader.line_num, cells) for cells in reader]
@@ -88,11 +90,11 @@ class PairsFile:
 
     @classmethod
     def find(cls, path: Path) -> PairsFile:
-        """As `read`; a missing file has no rows."""
+        """Read the file; a missing file has no rows."""
         return cls.read(path) if path.is_file() else cls(path, ())
 
     def write(self) -> None:
-        """Write all rows; an unknown number stays empty."""
+        """Write all rows; an unknown number is an empty cell."""
         with replacing(self.path, "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(PAIR_COLUMNS)
@@ -100,12 +102,12 @@ class PairsFile:
 
 
 def _reader(path: Path) -> csv.DictReader[str]:
-    """Raises InputError for an unreadable file, or one without the needed columns."""
+    """Return a reader. Raises InputError for an unreadable file or missing required columns."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(
-            path, "no such file", "a pairs.csv", "make one with: fieldlum pair SESSION"
+            path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, str(error), "a readable pairs.csv") from None
@@ -130,7 +132,7 @@ def _separator_remedy(names: Sequence[str]) -> str:
 
 
 def _format(path: Path, names: Sequence[str]) -> int:
-    """Return the largest version in the column `format`; a file without it has version 1."""
+    """Return the largest version in the column `format`; 1 without that column."""
     if "format" not in names:
         return 1
     texts = {(cells["format"] or "1").strip() for cells in _reader(path)}
@@ -158,7 +160,7 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         return PairRow(moment, panorama, nan, nan, ok=False, why=why, line=line)
     if not text["panorama"]:
         found = f"line {line}: panorama is empty"
-        raise InputError(path, found, "a picture's path", "fill it, or set ok = 0")
+        raise InputError(path, found, "a picture's path", "fill it in, or set ok = 0")
     return PairRow(
         _time(path, line, cells["t_utc"]),
         text["panorama"],
@@ -194,7 +196,10 @@ def _time(path: Path, line: int, text: str) -> datetime:
 
 
 def _is_ok(path: Path, line: int, text: str) -> bool:
-    """An empty cell is yes: a csv of renderings needs no verdicts. Raises InputError."""
+    """Return whether a row is usable; an empty cell means yes, for csv of renderings.
+
+    Raises InputError.
+    """
     word = text.strip().lower()
     if word in _YES or word in _NO:
         return word in _YES

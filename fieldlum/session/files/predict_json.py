@@ -1,4 +1,4 @@
-"""annual/NAME/predict.json: how a year was predicted, and what it means."""
+"""annual/NAME/predict.json: how a year was predicted, and its glare classes."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ class PredictFile:
 
     @classmethod
     def read(cls, folder: Path) -> PredictFile:
-        """Raises InputError when `folder` holds no complete year."""
+        """Read predict.json. Raises InputError if `folder` has no complete year."""
         path = folder / NAME
         if not path.is_file():
-            expected, remedy = "a predicted year", "make one: fieldlum predict"
+            expected, remedy = "a predicted year", "predict one: fieldlum predict"
             raise InputError(folder, f"no {NAME} in it", expected, remedy)
         table = read_object(path, "what fieldlum predict wrote", "predict again")
         check_format(table, FORMAT, path)
         return cls.from_table(table, path)
 
     def write(self, folder: Path) -> None:
+        """Write predict.json."""
         write_object(folder / NAME, {"format": FORMAT, **self.table})

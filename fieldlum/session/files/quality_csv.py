@@ -1,4 +1,4 @@
-"""panoramas/quality.csv: one row a merged bracket, for people and spreadsheets."""
+"""panoramas/quality.csv: one row for each merged bracket, for people and spreadsheets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fieldlum.session.writing import replacing
 
 @dataclass(frozen=True, slots=True)
 class QualityRow:
-    """One row; the fields are the columns. None: could not be determined, an empty cell."""
+    """One row; the fields are the columns. None, an empty cell: could not be determined."""
 
     slot: str
     t_utc: str
@@ -39,6 +39,7 @@ QUALITY_COLUMNS = tuple(field.name for field in fields(QualityRow))
 
 
 def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
+    """Write all rows."""
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(QUALITY_COLUMNS)
@@ -46,7 +47,7 @@ def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
 
 
 def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return the columns and the rows as text; a missing file has none."""
+    """Return the columns and the rows as text; empty for a missing file."""
     if not path.is_file():
         return (), ()
     with path.open(newline="", encoding="utf-8") as file:

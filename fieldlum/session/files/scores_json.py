@@ -1,4 +1,4 @@
-"""models/NAME/scores.json: what `train --json` printed."""
+"""models/NAME/scores.json: what `train --json` prints."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _REMEDY = "train the model again"
 
 @dataclass(frozen=True, slots=True)
 class ScoresFile:
-    """One scores.json. models: one row a model tried, columns as `train --json` (docs/cli.md)."""
+    """One scores.json. models: one row per model, columns as in `train --json` (docs/cli.md)."""
 
     models: tuple[dict[str, Any], ...]
     chosen: str
@@ -28,14 +28,14 @@ class ScoresFile:
 
     @property
     def judged_row(self) -> dict[str, Any] | None:
-        """The chosen model's row; None where it has none, or had no time to be judged."""
+        """The chosen model's row; None if it has none, or there was no time to judge it."""
         rows = (row for row in self.models if row.get("name") == self.chosen)
         row = next(rows, None)
         return row if row is not None and row.get("median") is not None else None
 
     @classmethod
     def read(cls, folder: Path) -> ScoresFile:
-        """Raises InputError for a missing file or other content."""
+        """Read the file. Raises InputError for a missing file or other content."""
         path = folder / "scores.json"
         table = read_object(path, "the scores of a trained model", _REMEDY)
         check_format(table, FORMAT, path)
@@ -62,7 +62,7 @@ class ScoresFile:
 
     @classmethod
     def find(cls, folder: Path) -> ScoresFile | None:
-        """Return None where there is no scores.json."""
+        """Read the file, or return None if there is none."""
         return cls.read(folder) if (folder / "scores.json").is_file() else None
 
     def table(self) -> dict[str, Any]:
@@ -79,4 +79,5 @@ class ScoresFile:
         }
 
     def write(self, folder: Path) -> None:
+        """Write scores.json."""
         write_object(folder / "scores.json", {"format": FORMAT, **self.table()})

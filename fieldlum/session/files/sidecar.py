@@ -1,4 +1,4 @@
-"""panoramas/SLOT.json: how a panorama was merged, how well, and from what."""
+"""panoramas/SLOT.json: how a panorama was merged, its quality, and its inputs."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Sidecar:
 
     @property
     def sun_u_percent(self) -> float:
-        """What too few pixels under the sun's disc may cost its illuminance."""
+        """Uncertainty of the sun's illuminance from few usable pixels on the disc [%]."""
         return float((self.sun or {}).get("u_mosaic_percent") or 0.0)
 
     @classmethod
     def read(cls, path: Path) -> Sidecar:
-        """Raises InputError for a missing file or other content."""
+        """Read the file. Raises InputError for a missing file or other content."""
         return cls.from_table(read_object(path, _EXPECTED, _REMEDY), path)
 
     @classmethod
@@ -67,10 +67,11 @@ class Sidecar:
 
     @classmethod
     def find(cls, path: Path) -> Sidecar | None:
-        """Return None where there is no file: a panorama that somebody copied here."""
+        """Read the file; return None if it is missing, for a panorama copied here."""
         return cls.read(path) if path.is_file() else None
 
     def write(self, path: Path) -> None:
+        """Write the file."""
         write_object(
             path,
             {

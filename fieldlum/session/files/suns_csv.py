@@ -1,4 +1,4 @@
-"""suns.csv: the sun of each merged panorama, completed by `pair`; panoramas are never rewritten."""
+"""suns.csv: the sun of each merged panorama, completed by `pair`; panoramas are not rewritten."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from fieldlum.records import SunSource
 from fieldlum.session.writing import replacing
 
 FORMAT = 1
-_EXPECTED, _REMEDY = "the suns that pair writes", "run fieldlum pair again"
+_EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"
 
 
 @dataclass(frozen=True, slots=True)
 class SunRow:
-    """One row. panorama: path relative to the csv. bound_lx: what the picture itself records.
+    """One row.
 
-    A row belongs to its picture only as long as the picture records `bound_lx`.
+    panorama: path relative to the csv. bound_lx: illuminance of the sun that the picture records.
+    The row belongs to the picture only while the picture records the same `bound_lx`.
     """
 
     panorama: str
@@ -32,6 +33,7 @@ class SunRow:
 
     @property
     def source(self) -> SunSource:
+        """The sun as an object."""
         return SunSource(
             self.altitude_deg,
             self.azimuth_deg,
@@ -45,6 +47,7 @@ COLUMNS = tuple(field.name for field in fields(SunRow))
 
 
 def write_suns(path: Path, rows: list[SunRow]) -> None:
+    """Write all rows."""
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
@@ -52,7 +55,7 @@ def write_suns(path: Path, rows: list[SunRow]) -> None:
 
 
 def read_suns(path: Path) -> dict[str, SunRow]:
-    """Return the rows by panorama; a missing file has none. Raises InputError naming the line."""
+    """Return the rows by panorama; empty for a missing file. Raises InputError with the line."""
     if not path.is_file():
         return {}
     rows: dict[str, SunRow] = {}

@@ -1,4 +1,4 @@
-"""truth/irradiance.csv: the light in which the simulated instruments are."""
+"""truth/irradiance.csv: the irradiance that simulated instruments measure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRUTH_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 
 @dataclass(frozen=True, slots=True)
 class TruthIrradiance:
-    """Rows [n] in order of time; between them readers interpolate. [W/m2]"""
+    """Rows [n] in order of time [W/m2]; readers interpolate between them."""
 
     t_unix_s: NDArray[np.float64]
     ghi_wm2: NDArray[np.float64]
@@ -28,7 +28,7 @@ class TruthIrradiance:
 
     @classmethod
     def read(cls, path: Path) -> TruthIrradiance:
-        """Raises InputError for other content, or rows that are not in order."""
+        """Read the file. Raises InputError for other content, or rows that are not in order."""
         expected, remedy = f"the columns {', '.join(TRUTH_COLUMNS)}", "fieldlum simulate"
         try:
             with path.open(newline="", encoding="utf-8") as file:
@@ -43,6 +43,7 @@ class TruthIrradiance:
         return cls(times, *light)
 
     def write(self, path: Path) -> None:
+        """Write all rows."""
         with replacing(path, "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(TRUTH_COLUMNS)
