@@ -105,7 +105,7 @@ def test_a_broken_room_is_named_and_passed_over(three_rooms: Path, tmp_path: Pat
     answer = json.loads(result.stdout)
     assert answer["passed_over"] == ["missing", "broken"]
     page = (tmp_path / "campaign" / "index.html").read_text(encoding="utf-8")
-    assert "missing was passed over" in page and "Which room has glare" in page
+    assert "missing was skipped" in page and "Which room has glare" in page
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     hours = json.loads((tmp_path / "good/annual/nearest/predict.json").read_text())["hours"]

@@ -182,7 +182,7 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
         ),
         sections=(_glare(rooms), _drift(rooms), _failures(rooms), _next(rooms)),
         footer=f"Made by fieldlum {__version__}. This page needs no network.",
-        warnings=tuple(f"{room.session} was passed over. {room.broken}" for room in broken),
+        warnings=tuple(f"{room.session} was skipped. {room.broken}" for room in broken),
     )
 
 

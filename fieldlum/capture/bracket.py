@@ -22,7 +22,7 @@ from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import CaptureFile, interval_of
 
 STALE_S = 60.0  # after a longer pause between frames the light may differ; not measured
-_FOLDER_BYTES = 1 << 14  # a new folder with its entries; four blocks of 4 KiB
+_FOLDER_BYTES = 1 << 14  # a new folder with its entries; not measured
 Check = Callable[[Path, Exposure], str]
 """Checks a new frame. Returns what is wrong with it, or an empty text."""
 

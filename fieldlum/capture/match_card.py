@@ -17,7 +17,7 @@ from fieldlum.records import Exposure, Slot
 SAME_EV = 1 / 6  # half the third-stop spacing of camera settings
 WITHIN_S = 1200.0  # a bracket started manually further from its slot belongs to another hour
 # Not measured, unless stated: chosen between the two cases that each must separate.
-_STEADY_S = 5.0  # spread of an intervalometer's start times is about 1 s, a person's over 30 s
+_STEADY_S = 5.0  # spread of an intervalometer's start times; a person's is far larger
 _PAUSE_FACTOR = 10.0  # a pause between brackets, as a multiple of the usual step between frames
 _TURN_FACTOR = 6.0  # additional factor for a head that is turned between two frames
 _CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns

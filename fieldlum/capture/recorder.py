@@ -20,7 +20,7 @@ from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
 
-RESERVE_BYTES = 16 << 20  # twelve days of rows (75 bytes every 5 s); a capture notices sooner
+RESERVE_BYTES = 16 << 20  # twelve days of rows (75 bytes each, every 5 s); not measured
 
 Listen = Callable[[str, datetime, dict[str, Any]], None]
 
@@ -29,7 +29,7 @@ def unheard(event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
     """Ignore an event."""
 
 
-_KEPT_ROWS = 100_000  # almost six days at 5 s; 20 MB of memory
+_KEPT_ROWS = 100_000  # almost six days at 5 s; not measured
 
 
 class Recorder:

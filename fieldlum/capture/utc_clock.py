@@ -11,7 +11,7 @@ from typing import Any
 from fieldlum.devices.clock import Clock
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
-# drift and is followed. Not measured: quartz clocks drift under 10 s a day between two checks.
+# drift and is followed. Not measured: the drift between two checks is far smaller.
 STEP_S = 2.0
 
 

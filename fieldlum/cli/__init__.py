@@ -1,5 +1,6 @@
-"""The command line: one small file per command; stdout is the answer, stderr is talk and
-progress.
+"""The command line: one module per command.
+
+stdout has the answer; stderr has notes and progress.
 """
 
 from __future__ import annotations
@@ -15,8 +16,7 @@ import click
 from fieldlum.errors import FieldlumError
 from fieldlum.version import __version__
 
-# In the order of the job, not of the alphabet. Each name is a module of this folder with a click
-# command `command`.
+# In the order of the work. Each name is a module of this folder with a click command `command`.
 COMMANDS = (
     "demo",
     "new",
@@ -42,36 +42,35 @@ COMMANDS = (
     "info",
 )
 
-INTERRUPTED = 130  # as a shell says it of Ctrl-C
+INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C
 BAD_FILE = 3
-# Left out where a small computer only captures; see pyproject.toml.
+# Missing on a small computer that only captures; see pyproject.toml.
 COMPUTE_PACKAGES = ("torch", "pyradiance")
 
-# What a folder or a disk can do to any command: no defect of the tool, and nothing that a stage
-# could mend.
+# Errors of a folder or a disk. Any command can meet them, and no stage can correct them.
 DISK_TROUBLE = {
-    errno.EACCES: "give yourself the right to it, or choose another place",
-    errno.EPERM: "give yourself the right to it, or choose another place",
+    errno.EACCES: "change its permissions, or choose another place",
+    errno.EPERM: "change its permissions, or choose another place",
     errno.EROFS: "it is read-only: choose another place",
-    errno.ENOSPC: "make room on the disk, then start it again: what is done is kept",
-    errno.EDQUOT: "make room on the disk, then start it again: what is done is kept",
+    errno.ENOSPC: "free disk space, then start the command again: finished work is kept",
+    errno.EDQUOT: "free disk space, then start the command again: finished work is kept",
     errno.EIO: "the disk or card does not answer: copy what can be read to another one",
     errno.ENOTDIR: "name a folder",
     errno.EISDIR: "name a file",
-    errno.EEXIST: "name a folder that is new, or a folder that is there",
+    errno.EEXIST: "name a new folder, or an existing one",
     errno.ENAMETOOLONG: "choose shorter names",
 }
 
 
 class _CommandGroup(click.Group):
-    """Loads a command's module only when it is asked for, and shows the tool's own errors as one
-    line.
-    """
+    """Loads a command's module only when it runs, and shows the tool's own errors as one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the command names in the order of the work."""
         return [name for name in COMMANDS if (Path(__file__).parent / f"{name}_.py").is_file()]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command, or None for an unknown name."""
         if cmd_name not in self.list_commands(ctx):
             return None
         return importlib.import_module(f"fieldlum.cli.{cmd_name}_").command
@@ -79,6 +78,7 @@ class _CommandGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command to run; suggest a similar name for an unknown one."""
         from difflib import get_close_matches
 
         near = get_close_matches(args[0], COMMANDS, n=1)
@@ -87,6 +87,7 @@ class _CommandGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
+        """Run the command; print expected errors as one line and exit with their code."""
         _hold_standard_files()
         try:
             return super().invoke(ctx)
@@ -117,8 +118,10 @@ class _CommandGroup(click.Group):
 
 
 def _hold_standard_files() -> None:
-    """Where a standard file was closed (`<&- >&-`), its number would go to the next file that is
-    opened, a journal say, and a library's talk into that.
+    """Open the null device in place of a closed standard file (`<&- >&-`).
+
+    Otherwise the next opened file, such as the journal, would get its number, and libraries would
+    print into it.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
@@ -138,6 +141,6 @@ def main() -> None:
     """From a camera, a pyranometer and a laptop on site to a year of luminance maps of a room.
 
     \b
-    See the whole job on simulated captures:   fieldlum demo
-    Start your own:                            fieldlum new SITE.toml
+    See all stages on simulated captures:   fieldlum demo
+    Describe your own room:                 fieldlum new SITE.toml
     """

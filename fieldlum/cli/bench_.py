@@ -1,4 +1,4 @@
-"""`fieldlum bench`: speed against accuracy on any pairs."""
+"""`fieldlum bench`: compare the models' speed and accuracy on any pairs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.command()
 @pairs_argument
 @click.option(
-    "--test", type=click.Path(path_type=Path), help="Pairs to ask about; without it, held-out days."
+    "--test", type=click.Path(path_type=Path), help="Pairs to test on. [default: held-out days]"
 )
 @click.option(
     "--pool", type=click.Path(path_type=Path), help="Pairs of other seasons, for --stress."
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     "--models",
     default=",".join(MODELS),
     show_default=True,
-    help="Names, NAME:none or NAME:gain, or folders of trained models, parted by commas.",
+    help="Names, NAME:none or NAME:gain, or folders of trained models, separated by commas.",
 )
 @click.option(
     "--seeds",
@@ -44,9 +44,7 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0, min_open=True),
     help="Minutes of training for the dense network.",
 )
-@click.option(
-    "--stress", is_flag=True, help="The regimes where methods fail, beside the normal case."
-)
+@click.option("--stress", is_flag=True, help="Also test the regimes where methods fail.")
 @click.option(
     "--render",
     default=1,
@@ -74,8 +72,8 @@ def command(
     """Chart speed against accuracy of the models.
 
     Writes bench.md, scores.csv and .png, and where the data allow learning_curve, periods and
-    stress. A fitted scene, or a [room] where the csv has no sun patches, holds for --test and
-    --pool too.
+    stress. A fitted scene, or a [room] where the csv has no sun patches, also applies to --test
+    and --pool.
 
     \b
     Example:

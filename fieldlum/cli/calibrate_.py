@@ -1,4 +1,4 @@
-"""`fieldlum calibrate PART`: a module of this folder for each part of a profile."""
+"""`fieldlum calibrate PART`: one module for each part of a profile."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ class _PartGroup(click.Group):
     """Load a part's module only when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the parts in the order of fitting."""
         return list(PARTS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a part's command, or None for an unknown name."""
         if cmd_name not in PARTS:
             return None
         return importlib.import_module(f"fieldlum.cli.calibrate_{cmd_name}").command

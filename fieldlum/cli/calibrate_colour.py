@@ -16,7 +16,7 @@ from fieldlum.cli.options import EXISTING_PATH
 @click.option(
     "--corners",
     metavar="X,Y,...",
-    help="Chart corners in FRAME: dark skin, then clockwise: 8 numbers.",
+    help="Chart corners in FRAME, from the dark skin patch clockwise: 8 numbers.",
 )
 @calibration_options
 def command(
@@ -45,7 +45,7 @@ def command(
     if picture:
         pictures.save(pictures.of_colour(colours, found), picture)
     if source.suffix.lower() == ".csv" and abs(found.scale - 1) > 0.03:
-        terminal.say(f"note: the readings want k times {found.scale:.3f}: run calibrate scale next")
+        terminal.say(f"note: the readings fit k times {found.scale:.3f}: run calibrate scale next")
     figures = {
         "y_from_rgb": list(found.y_from_rgb),
         "u_rel": found.u_rel,
@@ -63,5 +63,5 @@ def _numbers(text: str, count: int) -> tuple[float, ...]:
     except ValueError:
         found = ()
     if len(found) != count:
-        raise click.UsageError(f"--corners wants {count} numbers with commas between")
+        raise click.UsageError(f"--corners needs {count} numbers, separated by commas")
     return found

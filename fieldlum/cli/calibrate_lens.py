@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     "--full-angle",
     "full_angle_deg",
     type=click.FloatRange(10, 330),
-    help="Angle of the whole image circle.",
+    help="Full angle of the image circle.",
 )
 @click.option("--circle", is_flag=True, help="Centre and radius from the edge of one bright FRAME.")
 @click.option(
@@ -72,7 +72,7 @@ def command(
     profile = load_camera_profile(camera)
     if sum((circle, chessboard is not None, against is not None)) > 1:
         raise click.UsageError(
-            "--circle, --chessboard and --against are three ways: give one of them"
+            "--circle, --chessboard and --against exclude each other: use one of them"
         )
     if lens_number > len(profile.lens):
         raise click.UsageError(
@@ -112,7 +112,7 @@ def _edge(
     found = lens.circle(grey)
     if picture:
         pictures.save(pictures.of_circle(grey, found), picture)
-    line = f"lens: circle of radius {found.radius_px:.2f} px, its edge within {found.u_px:.2f} px"
+    line = f"lens: circle of radius {found.radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
     figures = {"centre_px": list(found.centre_px), "radius_px": found.radius_px, "u_px": found.u_px}
     return lens.circle_lens(start, found, start.full_angle_deg), line, figures
 
@@ -133,8 +133,8 @@ def _mapping(
         pictures.save(pictures.of_lens(targets, found), picture)
     if found.widest_deg < 0.9 * start.full_angle_deg / 2:
         terminal.say(
-            f"note: no target beyond {found.widest_deg:.0f} deg from the axis: the rest, up to "
-            f"{start.full_angle_deg / 2:g} deg, is extrapolated"
+            f"note: no target beyond {found.widest_deg:.0f} deg from the axis: the mapping from "
+            f"there to {start.full_angle_deg / 2:g} deg is extrapolated"
         )
     for doubt in found.doubts:
         terminal.say(f"note: {doubt}")
@@ -160,7 +160,7 @@ def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) 
     try:
         columns, rows = (int(part) for part in chessboard.lower().split("x"))
     except ValueError:
-        raise click.UsageError("--chessboard wants inner corners across x down, like 9x6") from None
+        raise click.UsageError("--chessboard needs inner corners across x down, like 9x6") from None
     found = {path: boards.chessboard_corners(path, columns, rows) for path in sources}
     seen = {path: corners for path, corners in found.items() if corners is not None}
     for path in sources:

@@ -18,9 +18,9 @@ def command(
 ) -> None:
     """Fit how raw counts depart from proportion to light.
 
-    FRAMES are raw frames of one steady light (a lit wall, a lamp that has burnt for half an hour)
-    at six or more shutter times, two of each, from dark to nearly full; or their folder. The light
-    must hold to 0.1 %. The smallest order that held-out times support is written to the profile.
+    FRAMES are raw frames of one steady light (a lit wall, a lamp after half an hour) at six or more
+    shutter times, two frames of each, from dark to nearly full; or their folder. The light must be
+    steady to 0.1 %. The profile gets the smallest order that held-out times support.
 
     \b
     Example:

@@ -25,9 +25,9 @@ def command(
 ) -> None:
     """List hot, dead and stuck pixels in the profile (raw cameras).
 
-    Frames of three different views or more, a FOLDER for each (turn the camera: what stays is the
-    sensor's); or two or more long frames with the cap on (--dark), which show no dead pixels.
-    Pixels listed before stay listed.
+    Takes frames of three or more views, a FOLDER for each (turn the camera: what stays in place is
+    the sensor's). Or takes two or more long frames with the cap on (--dark), which show no dead
+    pixels. Pixels that the profile lists already stay listed.
 
     \b
     Example:

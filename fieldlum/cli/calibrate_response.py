@@ -18,7 +18,7 @@ def command(
 ) -> None:
     """Fit JPEG codes to linear light, from brackets of a still scene.
 
-    BRACKETS are folders, one bracket each, or the JPEG files of one.
+    BRACKETS are folders with one bracket each, or the JPEG files of one bracket.
 
     \b
     Example:

@@ -19,7 +19,7 @@ from fieldlum.cli.options import EXISTING_PATH
     type=click.FloatRange(0, 1),
     default=0.02,
     show_default=True,
-    help="The meter's own u, relative.",
+    help="The meter's own relative uncertainty.",
 )
 @calibration_options
 def command(
@@ -27,8 +27,8 @@ def command(
 ) -> None:
     """Fit the absolute factor k from spot and illuminance readings.
 
-    READINGS.csv: panorama, azimuth_deg, altitude_deg, luminance_cdm2 or illuminance_lx; the
-    panoramas merged with the profile that --camera names (only its k may have changed since).
+    READINGS.csv: panorama, azimuth_deg, altitude_deg, luminance_cdm2 or illuminance_lx. The
+    panoramas must be merged with the profile of --camera (only its k may have changed since).
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""What all `fieldlum calibrate` commands share: their options, and the profile that they write."""
+"""Options of all `fieldlum calibrate` commands, and the output of their profile."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def write_profile(
     as_json: bool,
     **changed: Any,
 ) -> None:
-    """Write the profile with its changed parts, and print why and the figures."""
+    """Write the profile with its changed parts, and print the choice and the figures."""
     from fieldlum.calibrate import save_calibration
 
     save_calibration(out, profile, frames, lines, datetime.now(UTC).date(), **changed)

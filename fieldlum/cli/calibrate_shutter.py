@@ -20,9 +20,8 @@ def command(
 ) -> None:
     """Fit the shutter's true times from merged sessions (raw cameras).
 
-    The SESSIONs must have been merged with this profile. A pair of neighbouring times counts when
-    five or more brackets agree on it within 2 %. A merge with the new profile starts from the
-    fitted times.
+    The SESSIONs must be merged with this profile. A pair of neighbouring times is used if five or
+    more brackets agree on it within 2 %. A merge with the new profile starts from the fitted times.
 
     \b
     Example:
@@ -39,7 +38,7 @@ def command(
     if picture:
         pictures.save(pictures.of_shutter(found), picture)
     for why in found.left_out:
-        terminal.say(f"note: left out: {why}")
+        terminal.say(f"note: not used: {why}")
     rows = [
         {
             "nominal_s": t.nominal_s,
@@ -53,8 +52,8 @@ def command(
     for row in [] if as_json else rows:
         off, u = 100 * (row["true_s"] / row["assumed_s"] - 1), 100 * row["u_rel"]
         click.echo(
-            f"  {row['nominal_s']:<10.6g} s is {row['true_s']:<10.6g} s: {off:+6.2f} % on what "
-            f"was assumed, "
+            f"  {row['nominal_s']:<10.6g} s is {row['true_s']:<10.6g} s: {off:+6.2f} % from the "
+            f"profile, "
             f"u {u:.2f} %, {row['brackets']} brackets"
         )
     figures: dict[str, Any] = {"times": rows} if as_json else {"times": len(rows)}

@@ -19,7 +19,7 @@ from fieldlum.cli.options import EXISTING_PATH
     "lens_number",
     type=click.IntRange(min=1),
     default=1,
-    help="Of several lenses, for FRAMEs.",
+    help="Lens of FRAMEs, where the camera has several.",
 )
 @calibration_options
 def command(
@@ -33,7 +33,7 @@ def command(
     """Fit the loss of light towards the edge, for one aperture.
 
     READINGS.csv: file, x_px, y_px (and radius_px, reference) of one patch seen at many angles; or
-    angle_deg, value. FRAMEs: an evenly lit field.
+    angle_deg, value. FRAMEs: pictures of an evenly lit field.
 
     \b
     Example:

@@ -19,7 +19,7 @@ from fieldlum.cli.terminal import emit_json, progress, say
 if TYPE_CHECKING:
     from fieldlum.campaign.stages import Stage
 
-PASSED_OVER = 3  # exit code when a room was passed over
+SKIPPED_EXIT_CODE = 3  # exit code when a room was skipped
 campaign_argument = click.argument(
     "campaign_file", metavar="CAMPAIGN.toml", type=click.Path(path_type=Path)
 )
@@ -29,7 +29,7 @@ campaign_argument = click.argument(
 def command() -> None:
     """Treat many sessions as one campaign.
 
-    CAMPAIGN.toml names the sessions. A room that is missing or broken is named and passed over.
+    CAMPAIGN.toml names the sessions. A room that is missing or broken is reported and skipped.
 
     \b
     Example:
@@ -43,7 +43,7 @@ def command() -> None:
 def _run(
     campaign_file: Path, stage: Stage, scheduler_text: str, force: bool, as_json: bool
 ) -> None:
-    """Print one line a room; exit with 3 when any was passed over."""
+    """Run a stage, print one line a room, exit with 3 if any room was skipped."""
     from fieldlum.campaign import read_campaign, run_stage
 
     campaign = read_campaign(campaign_file)
@@ -59,8 +59,8 @@ def _run(
         emit_json({"campaign": campaign.name, "rooms": rooms})
     failed = sum(result.state == "failed" for result in results)
     if failed:
-        say(f"{failed} of {len(results)} rooms passed over")
-        raise SystemExit(PASSED_OVER)
+        say(f"{failed} of {len(results)} rooms skipped")
+        raise SystemExit(SKIPPED_EXIT_CODE)
 
 
 @command.command("plan")
@@ -80,7 +80,7 @@ def plan_command(campaign_file: Path, as_json: bool) -> None:
 @campaign_argument
 @json_option
 def status_command(campaign_file: Path, as_json: bool) -> None:
-    """Show what each room has done and what it owes.
+    """Show what each room has done and what is still to do.
 
     \b
     Example:
@@ -135,7 +135,7 @@ def predict_command(campaign_file: Path, scheduler_text: str, force: bool, as_js
 
 @command.command("report")
 @campaign_argument
-@out_option("Folder of the overview", default="campaign/ beside CAMPAIGN.toml")
+@out_option("Folder of the overview", default="campaign/ next to CAMPAIGN.toml")
 @click.option(
     "--table",
     type=click.Path(path_type=Path),
@@ -145,7 +145,7 @@ def predict_command(campaign_file: Path, scheduler_text: str, force: bool, as_js
 def report_command(
     campaign_file: Path, out: Path | None, table: Path | None, as_json: bool
 ) -> None:
-    """Write the overview: glare, drift, failed slots, what is next.
+    """Write the overview: glare, drift, failed slots, next steps.
 
     \b
     Example:
@@ -172,4 +172,4 @@ def report_command(
     else:
         click.echo(str(page))
     for name in broken:
-        say(f"passed over: {name}")
+        say(f"skipped: {name}")

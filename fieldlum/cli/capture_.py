@@ -1,4 +1,4 @@
-"""fieldlum capture."""
+"""`fieldlum capture`."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ if TYPE_CHECKING:
     "--camera",
     "camera",
     metavar="URI",
-    help="Like sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",
+    help="For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",
 )
 @click.option(
     "--pyranometer",
     metavar="URI",
-    help="Like serial:/dev/ttyUSB0?kind=spn1; without, none is logged.",
+    help="For example serial:/dev/ttyUSB0?kind=spn1. [default: irradiance is not logged]",
 )
 @click.option(
-    "--meter", metavar="URI", help="Illuminance meter beside the lens, like cl200a:/dev/ttyUSB1."
+    "--meter", metavar="URI", help="Illuminance meter at the lens, like cl200a:/dev/ttyUSB1."
 )
 @click.option(
     "--clock",
     type=click.Choice(["real", "fast"]),
     default="real",
     show_default=True,
-    help="fast: simulated.",
+    help="fast: simulated time.",
 )
 @click.option(
     "--grace",
     "grace_s",
     metavar="S",
     type=click.FloatRange(min=0),
-    help="How late a bracket may start; later it is missed. The session keeps it.  [default: 300]",
+    help="How late a bracket may start, later it is missed; stored in the session. [default: 300]",
 )
 @click.option(
     "--log-every",
@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 @click.option(
     "--status-json",
     type=click.Path(path_type=Path),
-    help="Keep this file up to date for remote watching.",
+    help="Update this file, for watching from elsewhere.",
 )
 @click.option(
     "--on-misses",
@@ -80,13 +80,13 @@ if TYPE_CHECKING:
 @click.option(
     "--notify-picture",
     is_flag=True,
-    help="Attach the latest contact sheet to the daily summary; people may be in it.",
+    help="Attach the latest contact sheet to the daily summary; it may show people.",
 )
 @click.option(
     "--heartbeat",
     metavar="@FILE",
     default="",
-    help="Fetch the address in FILE after each slot and every 10 minutes, for a monitor outside.",
+    help="Fetch the address in FILE after each slot and every 10 minutes, for an external monitor.",
 )
 def command(
     session_folder: Path,
@@ -102,9 +102,9 @@ def command(
     notify_picture: bool,
     heartbeat: str,
 ) -> None:
-    """Take the planned brackets and log irradiance beside.
+    """Take the planned brackets and log irradiance.
 
-    Can be stopped and started again at any moment: at most the frame in flight is taken anew.
+    It can be stopped and started again at any time: at most one frame is then taken again.
 
     \b
     Example:
@@ -122,12 +122,12 @@ def command(
     session = open_session(session_folder)
     if session.table().get("plan", {}).get("sha256") != sha256(session.plan):
         terminal.say(
-            "note: plan.csv is not the file that session.toml was written for: ask fieldlum doctor"
+            "note: plan.csv is not the file that session.toml was written for: run fieldlum doctor"
         )
     camera_uri, pyranometer_uri, meter_uri = _devices(session, camera, pyranometer, meter)
     if clock == "fast" and (real := _real(camera_uri, pyranometer_uri, meter_uri)):
         raise click.UsageError(
-            f"--clock fast is for sim: and replay: devices, its times are made up: not for {real}"
+            f"--clock fast simulates the time: it works with sim: and replay: devices, not {real}"
         )
     ticking, options = capture.prepare(session, fast=clock == "fast")
     options = replace(
@@ -165,7 +165,7 @@ def command(
             meter_uri=meter_uri,
         )
     outcomes = [state.outcome for state in ledger.slots.values()]
-    with suppress(OSError):  # a terminal that was closed since
+    with suppress(OSError):  # the terminal may be closed by now
         click.echo(
             f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} "
             f"missed, "
@@ -175,11 +175,13 @@ def command(
     if aborted:
         terminal.say(f"the last aborted bracket: {aborted[-1]}")
     if len(aborted) > outcomes.count("done"):
-        raise DeviceError("more brackets were aborted than taken: run doctor, then plan --replan")
+        raise DeviceError(
+            "more brackets were aborted than taken: run fieldlum doctor, then plan --replan"
+        )
 
 
 def _post(option: str) -> Post | None:
-    """Return what sends a message to the targets of ``--notify``; None without targets."""
+    """Return the function that sends a message to the targets of --notify; None without targets."""
     from fieldlum.notify.targets import VARIABLE, apprise_post, read_targets
 
     targets, note = read_targets(option, os.environ.get(VARIABLE, ""))
@@ -197,20 +199,20 @@ def _heartbeat(option: str) -> str:
 def _devices(
     session: Session, camera: str | None, pyranometer: str | None, meter: str | None
 ) -> tuple[str, str, str]:
-    """What the command line names, else what the last capture of this session used."""
+    """Return the devices of the command line, else those of the session's last capture."""
     known = session.table().get("devices", {}).get("uris", {})
     camera_uri = camera if camera is not None else known.get("camera", "")
     if not camera_uri:
         raise click.UsageError(
-            "name a camera, like: --camera gphoto: (or --camera sim:office?seed=1 to try it)"
+            "name a camera, for example --camera gphoto: (or --camera sim:office?seed=1 to try it)"
         )
     if pyranometer is None:
         pyranometer = known.get("pyranometer", "")
         if not pyranometer:
-            terminal.say("note: no --pyranometer: irradiance is not logged here")
+            terminal.say("note: no --pyranometer: irradiance is not logged")
     return camera_uri, pyranometer or "", known.get("meter", "") if meter is None else meter
 
 
 def _real(*uris: str) -> str:
-    """The first device that is none of a rehearsal, or nothing."""
+    """Return the first device that is neither simulated nor a replay, or an empty text."""
     return next((uri for uri in uris if uri and not uri.startswith(("sim:", "replay:"))), "")

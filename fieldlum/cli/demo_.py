@@ -1,4 +1,4 @@
-"""`fieldlum demo`: the whole job on simulated captures."""
+"""`fieldlum demo`: all stages on simulated captures."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def _shown(name: str) -> Iterator[Progress]:
     default=1,
     show_default=True,
     type=click.IntRange(0),
-    help="Of the simulated camera, instrument and training.",
+    help="Seed of the simulated camera, the instrument and the training.",
 )
 def command(folder: Path, preset: str, seed: int) -> None:
-    """Do the whole job on simulated captures.
+    """Run all stages on simulated captures.
 
-    Nine days of brackets in the paper's office, rendered by Radiance: plan, capture, merge, pair,
-    train, predict, glare and report. Run it again after an interruption: it goes on where it
-    stopped.
+    Renders nine days of brackets in the paper's office with Radiance, then runs plan, capture,
+    merge, pair, train, predict, glare and report. Run it again after an interruption: it continues
+    where it stopped.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""fieldlum doctor."""
+"""`fieldlum doctor`."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "
 @click.command("doctor")
 @session_argument
 @click.option(
-    "--camera", metavar="URI", help="Like gphoto: or sim:office; else what the last capture used."
+    "--camera", metavar="URI", help="For example gphoto:. [default: as in the last capture]"
 )
 @click.option(
     "--pyranometer",
     metavar="URI",
-    help="Like serial:/dev/ttyUSB0?kind=spn1; else what the last one used.",
+    help="For example serial:/dev/ttyUSB0?kind=spn1. [default: as in the last capture]",
 )
 @click.option(
-    "--meter", metavar="URI", help="Like cl200a:/dev/ttyUSB1; else what the last capture used."
+    "--meter", metavar="URI", help="Like cl200a:/dev/ttyUSB1. [default: as in the last capture]"
 )
 @json_option
 def command(
@@ -35,9 +35,9 @@ def command(
     meter: str | None,
     as_json: bool,
 ) -> None:
-    """Look at devices, clock, disk and plan before you leave.
+    """Check devices, clock, disk and plan before you leave.
 
-    Exit code 0: nothing failed. 4: a device or this computer. 3: a file.
+    Exit code 0: nothing failed. 4: a device or this computer failed. 3: a file is invalid.
 
     \b
     Example:

@@ -50,15 +50,15 @@ CSV_COLUMNS = (
     multiple=True,
     type=float,
     metavar="DEG",
-    help="Judge a panorama in this direction, clockwise from true north; may be given several "
-    "times. [default: ten directions]",
+    help="Judge a panorama in this direction, clockwise from true north; can be repeated. "
+    "[default: ten directions]",
 )
 @click.option(
     "--view",
     "view_options",
     default="",
     metavar="VIEW OPTIONS",
-    help='Where the pictures look, in Radiance\'s words, such as "-vta -vd 0 -1 0 -vh 180 -vv 180";'
+    help='View of the pictures as Radiance options, such as "-vta -vd 0 -1 0 -vh 180 -vv 180";'
     " replaces the VIEW of the file.",
 )
 @click.option(
@@ -73,10 +73,10 @@ CSV_COLUMNS = (
     "csv_path",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Write one row a picture and view.",
+    help="Write one row for each picture and view.",
 )
 @json_lines_option
-@click.option("--reference", is_flag=True, help="Ask evalglare too, and show its answer.")
+@click.option("--reference", is_flag=True, help="Also run evalglare and show its result.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -88,11 +88,11 @@ def command(
     as_json: bool,
     reference: bool,
 ) -> None:
-    """Glare of panoramas and fisheyes (.exr, .hdr).
+    """Compute glare of panoramas and fisheyes (.exr, .hdr).
 
-    A panorama is judged in ten directions unless --view-azimuth names some; a fisheye in its own,
-    on its own pixels. A picture that cannot be read is named, and the others are judged; the exit
-    code is then 3.
+    A panorama is judged in ten directions unless --view-azimuth names some; a fisheye in its own
+    direction, on its own pixels. A picture that cannot be read is reported, the others are judged,
+    and the exit code is 3.
 
     \b
     Example:
@@ -134,7 +134,7 @@ def command(
 
 
 def csv_rows(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row a view, with the names of `CSV_COLUMNS`."""
+    """Return one row for each view, with the names of `CSV_COLUMNS`."""
     whole = {key: answer.get(key) for key in ("file", "t_utc", "covered_share")}
     whole["calibration_factor"] = answer.get("calibration_factor")
     whole["warnings"] = "; ".join(answer["warnings"])

@@ -1,4 +1,4 @@
-"""fieldlum import."""
+"""`fieldlum import`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
 
-_SHOWN = 20
+_SHOWN = 20  # lines of each kind; fits a terminal
 
 
 def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | None:
@@ -19,7 +19,7 @@ def _offset_s(ctx: click.Context, parameter: click.Parameter, text: str | None) 
     found = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", text.strip())
     if not found or int(found[2]) > 14 or int(found[3]) > 59:
         raise click.BadParameter(
-            f"{text} is no UTC offset, write it like -08:00 (or +05:30:12 with seconds)"
+            f"{text} is not a UTC offset: write it like -08:00 (or +05:30:12 with seconds)"
         )
     seconds = int(found[2]) * 3600 + int(found[3]) * 60 + int(found[4] or 0)
     return float(-seconds if found[1] == "-" else seconds)
@@ -36,7 +36,7 @@ def _columns(
         named[quantity] = name
         if quantity not in QUANTITIES or not name:
             raise click.BadParameter(
-                f"{quantity}={name}: write it like ghi_wm2=SlrkW_Avg, for {', '.join(QUANTITIES)}"
+                f"{quantity}={name}: write it like ghi_wm2=SlrkW_Avg, with {', '.join(QUANTITIES)}"
             )
     return named
 
@@ -55,7 +55,7 @@ def _columns(
     "offset_s",
     metavar="+HH:MM",
     callback=_offset_s,
-    help="What camera and logger clocks show minus UTC; else fitted to the plan.",
+    help="Camera's and logger's clock minus UTC. [default: fitted to the plan]",
 )
 @click.option(
     "--column",
@@ -63,7 +63,7 @@ def _columns(
     metavar="QUANTITY=NAME",
     multiple=True,
     callback=_columns,
-    help="What the logger calls ghi_wm2, dhi_wm2 or dni_wm2, where it is unusual.",
+    help="Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, where its name is unusual.",
 )
 def command(
     session_folder: Path,
@@ -72,10 +72,10 @@ def command(
     offset_s: float | None,
     columns: dict[str, str],
 ) -> None:
-    """Bring in a card's folder, and a logger's file.
+    """Import a card's folder and a logger's file.
 
-    Frames are grouped into brackets by their exposures and times, and matched to the plan; what
-    matches nothing is listed. The card is left as it is, and can be imported again.
+    Frames are grouped into brackets by their exposures and times, and matched to the plan; frames
+    without a match are listed. The card is not changed, and can be imported again.
 
     \b
     Example:
@@ -102,11 +102,11 @@ def command(
         f"{session.root}: {report.brackets} brackets with {report.frames} frames, {report.rows} "
         f"rows of irradiance"
         + (
-            f"; {report.withdrawn} that this file brought before are withdrawn"
+            f"; {report.withdrawn} rows that an earlier import of this file added were removed"
             if report.withdrawn
             else ""
         )
-        + (f"; {report.known} brackets were there already" if report.known else "")
+        + (f"; {report.known} brackets were imported before" if report.known else "")
     )
 
 
@@ -118,14 +118,12 @@ def _summary(report: object) -> list[str]:
     assert isinstance(report, Report)
     lines = [f"camera clock: UTC {_hms(offset.seconds)}, {offset.how}" for offset in report.offsets]
     if report.late_s:
-        lines.append(
-            f"brackets begin {median(report.late_s):+.0f} s from their slots in the median"
-        )
+        lines.append(f"brackets start {median(report.late_s):+.0f} s from their slots (median)")
     if report.moved:
         lines.append(
-            f"taken out of {', '.join(report.moved)}, kept in raw/withdrawn: merge and pair again"
+            f"removed from {', '.join(report.moved)}, kept in raw/withdrawn: merge and pair again"
         )
-    for what, texts in (("note", report.notes), ("left out", report.left_out)):
+    for what, texts in (("note", report.notes), ("not imported", report.left_out)):
         lines += [f"{what}: {text}" for text in texts[:_SHOWN]]
         if len(texts) > _SHOWN:
             lines.append(f"{what}: {len(texts) - _SHOWN} more")

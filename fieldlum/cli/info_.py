@@ -1,4 +1,4 @@
-"""`fieldlum info`: what any file of the tool is, in a few lines."""
+"""`fieldlum info`: describe any file of the tool in a few lines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fieldlum.errors import InputError
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @json_lines_option
 def command(files: tuple[Path, ...], as_json: bool) -> None:
-    """Tell what a raw, picture, plan, profile or model is.
+    """Describe a raw, picture, plan, profile or model.
 
     \b
     Example:
@@ -35,7 +35,7 @@ def command(files: tuple[Path, ...], as_json: bool) -> None:
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Facts by the kind of file. Raises InputError for what is no file of the tool."""
+    """Return facts about a file, by its kind. Raises InputError for a file of no known kind."""
     if path.is_dir():
         return _folder(path)
     if not path.is_file():

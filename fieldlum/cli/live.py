@@ -1,6 +1,4 @@
-"""What a running capture shows: a live panel on a terminal, lines in a pipe, a JSON file for a
-watcher far away.
-"""
+"""Display of a running capture: a panel on a terminal, lines in a pipe, a JSON file for others."""
 
 from __future__ import annotations
 
@@ -21,11 +19,11 @@ from fieldlum.session import replacing
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-_JSON_EVERY_S = 10.0
+_JSON_EVERY_S = 10.0  # not measured; small enough for a page that a person looks at
 
 
 def countdown(seconds: float | None) -> str:
-    """``mm:ss``, with hours in front where there are any."""
+    """Return ``mm:ss``, or ``h:mm:ss`` from one hour."""
     if seconds is None:
         return "-"
     whole = max(0, round(seconds))
@@ -34,7 +32,7 @@ def countdown(seconds: float | None) -> str:
 
 
 def panel(live: Live, site: Site) -> RenderableType:
-    """The whole display as one rich renderable."""
+    """Return the display as one rich renderable."""
     from rich.markup import escape
     from rich.panel import Panel
     from rich.progress_bar import ProgressBar
@@ -86,11 +84,12 @@ def _state(state: str) -> str:
 
 
 def as_json(live: Live) -> dict[str, Any]:
+    """Return the state as JSON can hold it."""
     return {k: utc_text(v) if isinstance(v, datetime) else v for k, v in asdict(live).items()}
 
 
 class _StatusFile:
-    """Rewrites a small JSON file, at once when something happened and every ten seconds else."""
+    """Writes a small JSON file at once after a change, and every ten seconds."""
 
     def __init__(self, path: Path | None) -> None:
         self._path, self._key, self._at = path, (), None
@@ -114,13 +113,13 @@ class _StatusFile:
         with (
             suppress(OSError),
             replacing(self._path, "w", encoding="utf-8") as file,
-        ):  # a full disk, a share that is gone
+        ):  # a full disk, or a share that is away
             json.dump(as_json(live), file)
 
 
 @contextmanager
 def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
-    """A watcher for `run`: live on a terminal, else one line an outcome on stderr."""
+    """Yield a watcher for `run`: a panel on a terminal, else one line per outcome on stderr."""
     status_file = _StatusFile(status_json)
     if not terminal.seen():
         plain = _PlainLines()
@@ -144,7 +143,7 @@ def shown(site: Site, status_json: Path | None) -> Iterator[Watch]:
     try:
         yield draw
     finally:
-        with suppress(OSError, ValueError):  # the terminal was closed meanwhile
+        with suppress(OSError, ValueError):  # the terminal was closed
             screen.stop()
 
 

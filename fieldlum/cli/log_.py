@@ -1,4 +1,4 @@
-"""fieldlum log."""
+"""`fieldlum log`."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from fieldlum.cli.options import session_argument
     help="Seconds between rows.",
 )
 @click.option(
-    "--rows", type=click.IntRange(min=1), help="Stop after so many rows; else log until Ctrl-C."
+    "--rows", type=click.IntRange(min=1), help="Stop after this many rows. [default: at Ctrl-C]"
 )
 def command(session_folder: Path, uri: str, every_s: float, rows: int | None) -> None:
-    """Log irradiance alone, until stopped.
+    """Log irradiance without a camera, until stopped.
 
     \b
     Example:
@@ -48,5 +48,5 @@ def command(session_folder: Path, uri: str, every_s: float, rows: int | None) ->
         said = f"{written} rows"
     except KeyboardInterrupt:
         said = "stopped"
-    with suppress(OSError):  # a terminal that was closed since
+    with suppress(OSError):  # the terminal may be closed by now
         click.echo(f"{session.irradiance}: {said}")

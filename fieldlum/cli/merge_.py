@@ -1,4 +1,4 @@
-"""`fieldlum merge`: brackets to calibrated luminance maps."""
+"""`fieldlum merge`: turn brackets into calibrated luminance maps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("session", required=False, type=click.Path(path_type=Path))
 @click.argument("more", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--frames", is_flag=True, help="Merge the FILES named, instead of a session.")
+@click.option("--frames", is_flag=True, help="Merge the named FILES instead of a session.")
 @click.option(
     "--camera", help="Camera profile: a TOML file or a name in calibration/ (with --frames)."
 )
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     type=float,
     default=180.0,
     show_default=True,
-    help="Where the camera looks, with --frames.",
+    help="Azimuth that the camera faces (with --frames).",
 )
 @click.option(
     "--fit/--no-fit",
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     help="Estimate exposure ratios from the frames.  [default: raw only]",
 )
 @click.option(
-    "--drop-moved", is_flag=True, help="Leave frames out of pixels that something moved through."
+    "--drop-moved", is_flag=True, help="Exclude frames from pixels that something moved through."
 )
 @click.option(
     "--workers",

@@ -1,4 +1,4 @@
-"""fieldlum new."""
+"""`fieldlum new`."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 @click.command("new")
 @click.argument("site_file", metavar="SITE.toml", type=click.Path(path_type=Path))
 def command(site_file: Path) -> None:
-    """Ask what a site needs and write its SITE.toml.
+    """Ask for what a site needs and write its SITE.toml.
 
-    Each answer is checked at once. With a room it also draws a plan, SITE.svg, in which a wrong
-    window or azimuth is seen. An existing file is never overwritten.
+    Each answer is checked at once. With a room it also draws a plan, SITE.svg, which shows a wrong
+    window or azimuth. An existing file is never overwritten.
 
     \b
     Example:
@@ -39,7 +39,7 @@ def command(site_file: Path) -> None:
     setup = SiteFile(site, camera)
     if blind := coverage_text(load_camera_profile(camera.profile), camera):
         click.echo(f"note: {blind}")
-    if click.confirm("Describe the room by tape measure? It gives sun patches", default=True):
+    if click.confirm("Describe the room by tape measure? It allows sun patches", default=True):
         setup = _checked_room(site, camera)
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
@@ -47,7 +47,7 @@ def command(site_file: Path) -> None:
     if drawing := room_svg(setup):
         picture = site_file.with_suffix(".svg")
         picture.write_text(drawing.replace("currentColor", "black"), encoding="utf-8")
-        click.echo(f"written: {picture}: look whether windows, camera and north are right")
+        click.echo(f"written: {picture}: check windows, camera and north in it")
     name = site_file.stem
     click.echo(f"next: fieldlum plan {site_file} --set 9-day --out {name}-session --ics --html")
 
@@ -68,8 +68,8 @@ def _site() -> Site:
         off = zone_off_sun_h(site)
         if abs(off) > 4.0:
             raise ValueError(
-                f"its clock is {off:+.1f} h off the sun at longitude {longitude:g}: is east "
-                f"positive and west negative?"
+                f"its clock differs from the sun at longitude {longitude:g} by {off:+.1f} h; check "
+                f"the sign of the longitude: east is positive, west negative"
             )
         return site
 
@@ -92,7 +92,7 @@ def _camera() -> CameraSetup:
         return chosen
 
     chosen = _ask("Camera: a number, or the path of your own profile", profile)
-    heading = _ask("Azimuth that the camera faces, from true north clockwise", _number(0.0, 360.0))
+    heading = _ask("Azimuth that the camera faces, clockwise from true north", _number(0.0, 360.0))
     height = _ask("Height of the lens above the floor in m", _number(0.05, 50.0), default="1.2")
 
     def turned(text: str) -> tuple[float, ...]:
@@ -101,7 +101,7 @@ def _camera() -> CameraSetup:
         return tuple(_number(0.0, 360.0)(part) for part in text.split(","))
 
     headings = _ask(
-        "Headings of a turned head, with commas (- for a fixed camera)", turned, default="-"
+        "Headings of a turned head, separated by commas (- for a fixed camera)", turned, default="-"
     )
     return CameraSetup(chosen, heading, headings, height)
 
@@ -117,21 +117,21 @@ def _checked_room(site: Site, camera: CameraSetup) -> SiteFile:
             build(setup.room)
             return setup
         except InputError as error:
-            click.echo(f"This room cannot be: {error}. Once more, please.")
+            click.echo(f"This room is not possible: {error}. Please answer again.")
 
 
 def _room(camera: CameraSetup) -> Room:
-    click.echo('All lengths in m. The main window wall is called "south", wherever it looks.')
+    click.echo('All lengths in m. The main window wall is called "south", wherever it faces.')
     length = _number(0.3, 200.0)
     width = _ask("Width along that wall", length)
     depth = _ask("Depth away from it", length)
     height = _ask("Height", _number(1.0, 100.0))
-    azimuth = _ask("Azimuth that this wall looks to (180: to the south)", _number(0.0, 360.0))
+    azimuth = _ask("Azimuth that this wall faces (180: south)", _number(0.0, 360.0))
     from_left = _ask("Camera: from the wall's left end, seen from inside", _number(0.0, width))
     from_wall = _ask("Camera: distance from that wall", _number(0.0, depth))
     count = int(_ask("How many windows", _number(0, 20), default="1"))
     windows = tuple(_window(k + 1, width, depth, height) for k in range(count))
-    # camera_x_m runs from the other end: x grows to the right as seen from outside
+    # camera_x_m counts from the other end: seen from outside, x grows to the right
     return Room(
         width_m=width,
         depth_m=depth,
@@ -147,7 +147,7 @@ def _room(camera: CameraSetup) -> Room:
 def _window(number: int, width: float, depth: float, height: float) -> Window:
     def wall(text: str) -> Any:
         if text not in ("south", "west", "north", "east"):
-            raise ValueError("south, west, north or east, in the room's own words")
+            raise ValueError("expected south, west, north or east, in the room's own directions")
         return text
 
     name = _ask(f"Window {number}: wall (south, west, north, east)", wall, default="south")
@@ -166,7 +166,7 @@ def _window(number: int, width: float, depth: float, height: float) -> Window:
 
 
 def _ask(question: str, reader: Callable[[str], T], default: str | None = None) -> T:
-    """Ask until the reader takes the answer."""
+    """Ask until `reader` accepts the answer."""
 
     def checked(text: str) -> T:
         try:
@@ -190,7 +190,7 @@ def _number(low: float, high: float) -> Callable[[str], float]:
         try:
             value = float(text.replace(",", "."))
         except ValueError:
-            raise ValueError(f"'{text}' is no number") from None
+            raise ValueError(f"'{text}' is not a number") from None
         if not low <= value <= high:
             raise ValueError(f"{value:g}: expected {low:g} to {high:g}")
         return value
@@ -203,7 +203,7 @@ def _angle(limit: float, winds: str) -> Callable[[str], float]:
         match = _ANGLE.fullmatch(text)
         if match is None or (match[2] and match[2].upper() not in winds):
             raise ValueError(
-                f"'{text}': decimal degrees, with {winds[0]} or {winds[1]} if you like"
+                f"'{text}': expected decimal degrees, also with {winds[0]} or {winds[1]}"
             )
         value = float(match[1]) * (-1.0 if match[2].upper() == winds[1] else 1.0)
         return _number(-limit, limit)(str(value))
@@ -223,7 +223,7 @@ def _known_zone(text: str) -> str:
 
 
 def _own_zone(longitude_deg: float) -> str | None:
-    """Return this computer's zone where it fits the longitude."""
+    """Return this computer's time zone if it fits the longitude."""
     from fieldlum.sun import zone_off_sun_h
 
     try:

@@ -1,4 +1,4 @@
-"""Options and arguments that several commands have: one name, one meaning, one help text."""
+"""Options and arguments of several commands: each has one name, one meaning, one help text."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ json_lines_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object per file, one a line."
 )
 force_option = click.option(
-    "--force", is_flag=True, help="Compute again what was computed from the same inputs."
+    "--force", is_flag=True, help="Compute again, even from unchanged inputs."
 )
 site_option = click.option(
     "--site",
@@ -41,13 +41,13 @@ scene_option = click.option(
     "--scene",
     metavar="DIR|none",
     default="",
-    help="Folder of a fitted scene, or none. [default: scene/ beside the pairs, where it is]",
+    help="Folder of a fitted scene, or none. [default: scene/ next to the pairs, if it exists]",
 )
 budget_type = click.FloatRange(min=0, min_open=True)
 
 
 def out_option(content: str, *, default: str = "", required: bool = False) -> Decorator:
-    """Return the option --out for a named content: "Session folder", "Model folder" ..."""
+    """Return the option --out for a content such as "Session folder" or "Model folder"."""
     text = f"{content} to write." + (f" [default: {default}]" if default else "")
     return click.option("--out", type=PATH, required=required, help=text)
 
@@ -66,14 +66,14 @@ scheduler_option = click.option(
 def scheduler_of(text: str, workers: int | None = None) -> Scheduler:
     """Return the scheduler of --scheduler, or of --workers N as processes:N.
 
-    Raises click.UsageError when both are given, InputError for a text that names none.
+    Raises click.UsageError if both are set, InputError for an unknown text.
     """
     from fieldlum.cli.terminal import say
     from fieldlum.scheduler import parse_scheduler
 
     if workers is not None:
         if text != "local":
-            raise click.UsageError("give --scheduler or --workers, not both")
+            raise click.UsageError("use --scheduler or --workers, not both")
         text = f"processes:{workers}"
     return parse_scheduler(text, say)
 
@@ -83,11 +83,11 @@ def scheduler_of(text: str, workers: int | None = None) -> Scheduler:
 
 DEFAULT_SIZE = "460x230"  # the maps of Liu, Colburn and Inanici 2020
 DEFAULT_FISHEYE_SIZE = "1000x1000"  # evalglare's usual picture is 800 to 1200 pixels across
-_LARGEST_PX = 16384
+_LARGEST_PX = 16384  # a map of 134 million pixels, 0.5 GB in float32
 
 
 def dimensions(size: str) -> tuple[int, int]:
-    """Return width and height of WxH. [px] Raises click.UsageError for anything else."""
+    """Return width and height of WxH [px]. Raises click.UsageError for anything else."""
     width, _, height = size.lower().partition("x")
     if not (width.isdigit() and height.isdigit()):
         raise click.UsageError(f"--size {size}: write it as {DEFAULT_SIZE}")
@@ -99,7 +99,7 @@ def dimensions(size: str) -> tuple[int, int]:
 
 
 def panorama_height(size: str) -> int:
-    """Return the height of a panorama's WxH. [px] Raises click.UsageError unless W = 2H."""
+    """Return the height of a panorama's WxH [px]. Raises click.UsageError unless W = 2H."""
     width, height = dimensions(size)
     if width != 2 * height:
         raise click.UsageError(f"--size {size}: a panorama is twice as wide as high")

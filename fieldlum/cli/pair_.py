@@ -1,4 +1,4 @@
-"""fieldlum pair."""
+"""`fieldlum pair`."""
 
 from __future__ import annotations
 

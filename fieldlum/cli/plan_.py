@@ -1,4 +1,4 @@
-"""fieldlum plan."""
+"""`fieldlum plan`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     "--start",
     type=click.DateTime(["%Y-%m-%d"]),
     metavar="YYYY-MM-DD",
-    help="First day, local date; else the next that fits.",
+    help="First day, local date. [default: the next that fits]",
 )
 @click.option("--year", type=click.IntRange(1950, 2100), help="Plan the events of this year.")
 @click.option(
@@ -49,7 +49,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     "--next",
     "next_",
     is_flag=True,
-    help="Rank the hours of the coming two weeks by what they would teach the model.",
+    help="Rank the hours of the next two weeks by what they would teach the model.",
 )
 @click.option("--replan", is_flag=True, help="Add make-up slots for the missed ones.")
 @json_option
@@ -68,9 +68,9 @@ def command(
     replan: bool,
     as_json: bool,
 ) -> None:
-    """Choose the hours to capture and make the session.
+    """Choose the hours to capture and write the session.
 
-    On a session: say what to capture next, or add make-ups for missed hours.
+    On a session: list what to capture next, or add make-up slots for missed hours.
 
     \b
     Example:
@@ -79,25 +79,23 @@ def command(
       fieldlum plan office-2027 --replan
     """
     if next_ and replan:
-        raise click.UsageError("--next and --replan do different things: give one of them")
+        raise click.UsageError("--next and --replan exclude each other: use one of them")
     if next_ or replan:
         if set_ or out:
-            raise click.UsageError(
-                "--next and --replan work on a session: leave out --set and --out"
-            )
+            raise click.UsageError("--next and --replan work on a session: omit --set and --out")
         answer, said = (
             _coming(target, weather_file) if next_ else _replanned(target, ics, html, weather_file)
         )
     elif set_ is None or out is None:
         raise click.UsageError(
-            "give --set and --out, like: fieldlum plan SITE.toml --set 9-day --out my-session"
+            "name --set and --out, like: fieldlum plan SITE.toml --set 9-day --out my-session"
         )
     elif set_ == "best" and weather_file is None:
         raise click.UsageError(
-            "the best hours depend on the climate: give a weather year with --weather FILE"
+            "the best hours depend on the climate: name a weather year with --weather FILE"
         )
     elif start and not 1950 <= start.year <= 2100:
-        raise click.UsageError(f"--start {start:%Y-%m-%d}: a year from 1950 to 2100")
+        raise click.UsageError(f"--start {start:%Y-%m-%d}: expected a year from 1950 to 2100")
     elif said := _meaningless(set_, start, year, days, count):
         raise click.UsageError(said)
     else:
@@ -112,9 +110,9 @@ def command(
 def _meaningless(
     set_: str, start: datetime | None, year: int | None, days: int | None, count: int | None
 ) -> str:
-    """What is asked for and would be passed over, or nothing."""
+    """Return why an option would have no effect, or an empty text."""
     if start and year:
-        return "--start and --year both say when: give one of them"
+        return "--start and --year exclude each other: use one of them"
     if count and set_ not in ("even", "best"):
         return f"--count is for even and best; the hours of {set_} follow from its days"
     if days and set_ in ("9-day", "12-day", "4-day"):
@@ -158,8 +156,7 @@ def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
 
         weather = synthetic_weather(session.site_file().site)
         terminal.say(
-            "note: no --weather: clear skies with random clouds stand in for the climate of this "
-            "place"
+            "note: no --weather: clear skies with random clouds replace the climate of this place"
         )
     with terminal.progress("ranking hours") as progress:
         answer = coming.run(session, weather, datetime.now(UTC), progress)

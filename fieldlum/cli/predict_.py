@@ -1,4 +1,4 @@
-"""`fieldlum predict`: a weather year through a trained model."""
+"""`fieldlum predict`: run a weather year through a trained model."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from fieldlum.cli.terminal import emit_json, progress, say
     "weather_path",
     required=True,
     type=click.Path(path_type=Path),
-    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV; or the word synthetic: a made-up "
-    "year, never to judge a place by.",
+    help="EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV; or the word synthetic: an invented "
+    "year, unfit to judge a place.",
 )
 @click.option(
     "--label-shift",
@@ -32,20 +32,20 @@ from fieldlum.cli.terminal import emit_json, progress, say
     type=click.FloatRange(-720, 720),
     default=0.0,
     metavar="MIN",
-    help="Add minutes to the times that the weather file states, where they are known to be wrong.",
+    help="Minutes to add to the times of the weather file, if they are known to be wrong.",
 )
 @out_option("Folder of the year", default="SESSION/annual/NAME")
 @click.option(
     "--maps",
     is_flag=True,
-    help="Keep every map too, as Zarr (about 0.7 GB for a year at 460 x 230).",
+    help="Also write every map, as Zarr (about 0.7 GB for a year at 460 x 230).",
 )
 @click.option(
     "--views",
     default=10,
     show_default=True,
     type=click.IntRange(1, 360),
-    help="View directions around.",
+    help="Number of view directions around.",
 )
 @click.option(
     "--occupancy",
@@ -58,7 +58,7 @@ from fieldlum.cli.terminal import emit_json, progress, say
     "--lamps",
     default="",
     metavar="FILE|off",
-    help="When lamps that were marked in the captures are on: a csv as for --occupancy, or off. "
+    help="When lamps that are marked in the captures are on: a csv as for --occupancy, or off. "
     "[default: as in the captures without a mark]",
 )
 @scheduler_option
@@ -80,7 +80,7 @@ def command(
     """Predict a year of maps and glare from a weather file.
 
     Writes hourly.csv (vertical illuminance, DGP, UGR and more for every hour and direction),
-    predict.json (what it means, by EN 17037, with confidence) and the maps of some telling hours.
+    predict.json (the meaning by EN 17037, with confidence) and the maps of some typical hours.
 
     \b
     Example:
@@ -109,7 +109,7 @@ def command(
     if not new:
         say(
             "nothing to do: this year was predicted from the same model, weather and settings "
-            "(--force does it again)"
+            "(--force predicts it again)"
         )
     for text in about.get("model_warnings", ()):
         say(text)
@@ -119,7 +119,7 @@ def command(
     for row in about["protection"]:
         click.echo(f"  {row['azimuth_deg']:5.1f}°  {row['sentence']}")
     if about["capture_next"]:
-        click.echo("To settle what is open, capture skies like these:")
+        click.echo("To decide what is open, capture skies like these:")
         for hour in about["capture_next"]:
             click.echo(
                 f"  {hour['date']} {hour['hour']}  DNI {hour['dni_wm2']:.0f}, DHI "

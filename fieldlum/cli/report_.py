@@ -1,4 +1,4 @@
-"""`fieldlum report`: one self-contained page of a session."""
+"""`fieldlum report`: write one self-contained page of a session."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fieldlum.cli.terminal import progress, say
 def command(session_folder: Path, out: Path | None) -> None:
     """Write the page that answers where to sit.
 
-    Makes report/index.html, one file without any link outside, and report.json beside it.
+    Writes report/index.html, one file without external links, and report.json next to it.
 
     \b
     Example:

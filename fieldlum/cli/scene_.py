@@ -1,4 +1,4 @@
-"""`fieldlum scene`: the room from its own captures."""
+"""`fieldlum scene`: find the room from its own captures."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def command() -> None:
     type=click.FloatRange(min=0, min_open=True),
     help="Standard uncertainty of the captures' times in minutes; 0.1 for a clock set by NTP.",
 )
-@click.option("--seed", default=0, show_default=True, help="Of the pixels drawn.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the drawn pixels.")
 @json_option
 def fit(
     pairs: Path, site: Path | None, out: Path | None, clock_sd: float, seed: int, as_json: bool
 ) -> None:
     """Find north, clock, windows and furniture from captured sun patches.
 
-    Starts at the `[room]` that was measured by tape and edits nothing of yours: it writes
-    scene.toml, with values before and after and their uncertainties, and pictures to check them.
-    `train` then uses a session's own scene/ unless `--scene none` is given.
+    Starts at the `[room]` that was measured by tape and changes no file of yours. It writes
+    scene.toml, with values before and after and their uncertainties, and pictures for checking.
+    `train` then uses the session's scene/ unless `--scene none` is set.
 
     \b
     Example:

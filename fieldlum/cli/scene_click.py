@@ -1,4 +1,4 @@
-"""fieldlum scene click."""
+"""`fieldlum scene click`."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from fieldlum.cli.options import PATH, json_option, session_argument
     "csv_path",
     type=PATH,
     metavar="FILE",
-    help="Corners from a csv of kind,window,x_px,y_px instead of a page.",
+    help="Read corners from a csv of kind,window,x_px,y_px instead of a page.",
 )
 @click.option(
     "--camera-height",
     "camera_height_m",
     type=click.FloatRange(0.05, 50.0),
     metavar="M",
-    help="Height of the lens above the floor: the one length. [default: the session's]",
+    help="Height of the lens above the floor, the only length needed. [default: the session's]",
 )
 @click.option(
     "--replace",
     "replace_room",
     is_flag=True,
-    help="With --csv: put the room into the session in place of the one it has.",
+    help="With --csv: replace the room that the session has.",
 )
 @click.option(
     "--port",
@@ -54,8 +54,8 @@ def command(
     """Describe the room by clicking its corners on a panorama.
 
     Click corners of floor, ceiling and windows; the box, the windows and the hour's sun patch are
-    drawn over the picture at once. Writes scene/clicked.toml, and the session's [room] where it has
-    none: the start of scene fit.
+    drawn over the picture at once. Writes scene/clicked.toml, and the session's [room] if it has
+    none. This room is the start of scene fit.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""fieldlum simulate."""
+"""`fieldlum simulate`."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.option(
     "--year-sample",
     type=click.IntRange(min=1),
-    help="Instead of a set: this many random daylight hours.",
+    help="Use this many random daylight hours instead of a set.",
 )
 @click.option(
     "--weather",
@@ -60,26 +60,26 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
     help="EPW, TMY3 or CSV of the place.",
 )
 @click.option(
-    "--size", default=DEFAULT_SIZE, show_default=True, metavar="WxH", help="Of the panoramas."
+    "--size", default=DEFAULT_SIZE, show_default=True, metavar="WxH", help="Size of the panoramas."
 )
 @click.option(
     "--quality",
     type=click.Choice(("draft", "quick", "paper")),
-    help="Else quick up to 230x115, paper above.",
+    help="Quality of the rendering. [default: quick up to 230x115, paper above]",
 )
 @click.option("--drift", is_flag=True, help="Let the light change within the hour.")
 @click.option(
     "--troubles",
     "troubles_file",
     type=click.Path(path_type=Path),
-    help="TOML of what goes wrong: clouds, lamps, a knocked camera ... (docs/simulation.md).",
+    help="TOML of troubles: clouds, lamps, a knocked camera ... (docs/simulation.md).",
 )
 @click.option(
     "--seed",
     type=int,
     default=1,
     show_default=True,
-    help="Of random hours and of synthetic weather.",
+    help="Seed of random hours and synthetic weather.",
 )
 @scheduler_option
 @force_option
@@ -104,10 +104,10 @@ def command(
 ) -> None:
     """Render a box room by Radiance at the hours of a plan.
 
-    Writes a session with truth/ (what simulated devices look at) and sun patches. truth/pairs.csv
-    names the truth's own panoramas to train on; pairs.csv is its copy until `pair` writes that of
-    the captures. Without --weather: the paper's year near Seattle, elsewhere a synthetic one, which
-    a note reports. Given a SESSION, it renders the plan of that session.
+    Writes a session with sun patches and truth/, which simulated devices photograph.
+    truth/pairs.csv names the true panoramas, for training; pairs.csv is a copy of it until `pair`
+    writes the captures'. Without --weather it uses the paper's year near Seattle; elsewhere it uses
+    a synthetic year and prints a note. With a SESSION, it renders that session's plan.
 
     \b
     Example:
@@ -121,7 +121,7 @@ def command(
 
     session = open_session(site) if site.is_dir() else None
     if session is None and out is None:
-        raise click.UsageError("give --out, like: fieldlum simulate office.toml --out office-sim")
+        raise click.UsageError("name --out, like: fieldlum simulate office.toml --out office-sim")
     troubles = None if troubles_file is None else simulate.load_troubles(troubles_file)
     setup = session.site_file() if session is not None else load_site(site)
     weather = simulate.weather_for(setup, weather_file, seed)
@@ -170,7 +170,7 @@ def command(
 def _planned(
     out: Path, setup: SiteFile, weather: Weather, asked: tuple, progress: Progress
 ) -> Session:
-    """A new session: a plan's slots, or random hours of the weather year."""
+    """Write a new session with a plan's slots, or with random hours of the weather year."""
     from fieldlum import plan, simulate
 
     set_, start, year, count, year_sample, seed = asked

@@ -1,4 +1,4 @@
-"""The text of a SITE.toml with comments, from answers."""
+"""Write the text of a SITE.toml, with comments, from answers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def site_text(setup: SiteFile) -> str:
     """Return a SITE.toml that `load_site` reads back as `setup`: site, camera and box room."""
     site, camera, room = setup.site, setup.camera, setup.room
     lines = [
-        "# Written by fieldlum new. Edit what is wrong; fieldlum plan checks every key.",
+        "# Written by fieldlum new. You can edit it; fieldlum plan checks every key.",
         "",
         "[site]",
         f"name = {_quoted(site.name)}",
@@ -23,7 +23,7 @@ def site_text(setup: SiteFile) -> str:
         "",
         "[camera]",
         f"profile = {_quoted(camera.profile)} # a name in calibration/, or a path",
-        f"heading_deg = {camera.heading_deg:g} # the panorama's middle, from true north clockwise",
+        f"heading_deg = {camera.heading_deg:g} # the panorama's middle, clockwise from true north",
     ]
     if camera.headings:
         headings = ", ".join(f"{heading:g}" for heading in camera.headings)
@@ -37,16 +37,16 @@ def site_text(setup: SiteFile) -> str:
 def _room_lines(room: Room) -> Sequence[str]:
     lines = [
         "",
-        "# By tape measure, along the floor. For sun patches, the sun in view, simulation.",
+        "# By tape measure, along the floor. For sun patches, the sun in view, and simulation.",
         "[room]",
         'kind = "box"',
         f"width_m = {room.width_m:g} # along the main window wall, called south",
-        f"depth_m = {room.depth_m:g} # away from it",
+        f"depth_m = {room.depth_m:g} # perpendicular to it",
         f"height_m = {room.height_m:g}",
         f"camera_x_m = {room.camera_x_m:g} # from that wall's RIGHT end as seen from inside",
         f"camera_y_m = {room.camera_y_m:g} # from the inside of that wall",
         f"camera_z_m = {room.camera_z_m:g}",
-        f"wall_azimuth_deg = {room.wall_azimuth_deg:g} # where that wall looks",
+        f"wall_azimuth_deg = {room.wall_azimuth_deg:g} # where that wall faces",
     ]
     for window in room.window:
         lines += _window_lines(window)
@@ -68,5 +68,5 @@ def _window_lines(window: Window) -> Sequence[str]:
 
 
 def _quoted(text: str) -> str:
-    """Return a TOML basic string: JSON's escapes are TOML's, but for the delete character."""
+    """Return a TOML basic string: JSON escapes are valid in TOML, except the delete character."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

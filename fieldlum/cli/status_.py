@@ -1,4 +1,4 @@
-"""fieldlum status."""
+"""`fieldlum status`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fieldlum.cli.options import json_option, session_argument
 )
 @json_option
 def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -> None:
-    """Show what a session has done and what it owes.
+    """Show what a session has done and what is still to do.
 
     \b
     Example:
@@ -54,10 +54,10 @@ def _lines(s: dict[str, Any]) -> list[str]:
         f"plan        {plan['slots']} slots" + (f" ({plan['set']})" if plan["set"] else ""),
         f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} "
         f"aborted, "
-        f"{capture['owed']} owed{upcoming}; {capture['frames']} frames",
+        f"{capture['owed']} to do{upcoming}; {capture['frames']} frames",
         f"irradiance  {log['rows']} rows on {log['days']} days",
-        f"merge       {merge['done']} done, {merge['owed']} owed",
-        f"pair        {pair['done']} done, {pair['usable']} usable, {pair['owed']} owed",
+        f"merge       {merge['done']} done, {merge['owed']} to do",
+        f"pair        {pair['done']} done, {pair['usable']} usable, {pair['owed']} to do",
         f"train       {models}",
         f"predict     {', '.join(s['predict']['years']) or 'none'}",
         f"report      {'done' if s['report']['done'] else 'none'}",

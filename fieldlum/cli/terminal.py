@@ -1,4 +1,4 @@
-"""What the commands share: JSON on stdout, talk and progress on stderr."""
+"""Output shared by all commands: JSON on stdout, notes and progress on stderr."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fieldlum.records import Progress
 
 
 def _finite(value: Any) -> Any:
-    """NaN and infinity have no JSON; they become null. Numpy scalars become plain numbers."""
+    """Return a value that JSON can hold: null for NaN and infinity, plain numbers for numpy's."""
     if isinstance(value, dict):
         return {str(k): _finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -28,26 +28,26 @@ def _finite(value: Any) -> Any:
 
 
 def emit_json(answer: Any) -> None:
-    """Exactly one JSON object on one line of stdout."""
+    """Print exactly one JSON object on one line of stdout."""
     click.echo(json.dumps(_finite(answer), ensure_ascii=False, default=str))
 
 
 def say(text: str) -> None:
-    """A sentence for the person, on stderr."""
+    """Print a sentence for the user on stderr."""
     click.echo(text, err=True)
 
 
 def seen() -> bool:
-    """Whether a person looks at stderr."""
+    """Return whether stderr is a terminal."""
     return sys.stderr.isatty()
 
 
 @contextmanager
 def unattended() -> Iterator[None]:
-    """For what runs for weeks: a closed terminal (SIGHUP) ends nothing, and SIGTERM ends as
-    properly as Ctrl-C.
+    """Protect a command that runs for weeks.
 
-    What is started meanwhile, such as a camera's process, ignores the closed terminal too.
+    A closed terminal (SIGHUP) does not end it, and SIGTERM ends it like Ctrl-C. Processes started
+    in it, such as a camera's, ignore the closed terminal too.
     """
 
     def interrupt(number: int, frame: object) -> None:
@@ -66,7 +66,7 @@ def unattended() -> Iterator[None]:
 
 @contextmanager
 def web_library() -> Iterator[None]:
-    """For imports of the web server, an optional part. Raises InputError without it."""
+    """Guard imports of the web server, an optional part. Raises InputError if it is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -79,18 +79,18 @@ def web_library() -> Iterator[None]:
 
 @contextmanager
 def awake() -> Iterator[None]:
-    """Hold the computer awake, or say that nothing does."""
+    """Keep the computer awake, or print that nothing does."""
     from fieldlum.devices.awake import kept_awake
 
     with kept_awake() as what:
         if not what:
-            say("note: this command cannot keep the computer awake here: ask fieldlum doctor")
+            say("note: this command cannot keep the computer awake here: run fieldlum doctor")
         yield
 
 
 @contextmanager
 def progress(label: str) -> Iterator[Progress]:
-    """A bar with the time left on a terminal; silent in a pipe."""
+    """Yield a progress function: a bar with the remaining time on a terminal, silent in a pipe."""
     if not seen():
         yield lambda done, total, text: None
         return

@@ -1,4 +1,4 @@
-"""`fieldlum train`: fit the room's light transport, with scores on days it has not seen."""
+"""`fieldlum train`: fit the room's light transport and score it on held-out days."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from fieldlum.model_registry import MODELS
     default="auto",
     show_default=True,
     type=click.Choice(["auto", *MODELS]),
-    help="auto tries all and picks one.",
+    help="auto tries all and chooses one.",
 )
 @click.option(
     "--patch",
     default="absolute",
     show_default=True,
     type=click.Choice(["absolute", "gain", "none"]),
-    help="Sun patches in cd/m2, up to an unknown factor, or not used.",
+    help="Use sun patches in cd/m2, up to an unknown factor, or not at all.",
 )
 @click.option(
     "--budget",
@@ -43,7 +43,7 @@ from fieldlum.model_registry import MODELS
     type=click.FloatRange(min=0, min_open=True),
     help="Minutes.",
 )
-@click.option("--seed", default=0, show_default=True, help="Of everything random in training.")
+@click.option("--seed", default=0, show_default=True, help="Seed of everything random in training.")
 @scene_option
 @out_option("Model folder", default="models/MODEL in the folder of the pairs")
 @force_option
@@ -63,8 +63,8 @@ def command(
     """Learn the room from pairs; score it on held-out days.
 
     PAIRS is a session or a pairs.csv. The budget is for the dense network, half for its held-out
-    folds and half for the final model; the other models take what they need. A model that was
-    trained from the same captures and options is kept.
+    folds and half for the final model; the other models use the time they need. A model of the same
+    captures and options is not trained again.
 
     \b
     Example:
@@ -95,13 +95,13 @@ def command(
     else:
         _show(answer)
     if answer["kept"]:
-        say(f"{folder}: kept, trained from the same captures and options; --force trains it again")
+        say(f"{folder}: same captures and options as before, not trained again (--force does)")
     else:
         say(f"model written to {folder}")
 
 
 def _show(answer: dict[str, Any]) -> None:
-    """The table that the choice was made from."""
+    """Print the scores that the choice is based on."""
     click.echo(
         "                 by solid angle, held-out days       DGP MSE, disc of     paper mode"
     )
@@ -121,7 +121,7 @@ def _show(answer: dict[str, Any]) -> None:
             f" {row['fit_s']:8.1f} {row['n_test']:5d}"
         )
     click.echo(f"chosen: {answer['chosen']}: {answer['reason']}")
-    click.echo(f"holds {answer['parameters']:,} numbers")
+    click.echo(f"parameters: {answer['parameters']:,}")
     captures = answer["captures"]
     if captures:
         idle = len(captures["added_nothing"])

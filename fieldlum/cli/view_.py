@@ -1,4 +1,4 @@
-"""`fieldlum view`: look at luminance pictures."""
+"""`fieldlum view`: show luminance pictures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BAD_FILE = 3
     multiple=True,
     metavar="REGION",
     help="Statistics of rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,... (pixels from the top "
-    "left) or cone:AZ,ALT,DEG (a radius); may be given several times.",
+    "left) or cone:AZ,ALT,DEG (a radius); can be repeated.",
 )
 @click.option(
     "--csv",
@@ -49,8 +49,8 @@ def command(
 ) -> None:
     """Show pictures (.exr, .hdr) in false colour, with their regions.
 
-    Several pictures have one scale. A file that cannot be read is named, and the others are shown;
-    the exit code is then 3.
+    Several pictures have one scale. A file that cannot be read is reported, the others are shown,
+    and the exit code is 3.
 
     \b
     Example:
@@ -62,7 +62,7 @@ def command(
 
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
     if out.suffix.lower() not in (".png", ".html"):
-        raise click.BadParameter("name a .png or an .html", param_hint="--out")
+        raise click.BadParameter("expected a .png or .html file", param_hint="--out")
     try:
         regions = [parse_region(text) for text in region_texts]
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""fieldlum watch."""
+"""`fieldlum watch`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DEFAULT_PORT = 8765
 @click.option(
     "--lan",
     is_flag=True,
-    help="Let other devices of this network open the page. It is plain HTTP: whoever can listen "
+    help="Let other devices of this network open the page. It is plain HTTP: anyone who can listen "
     "to the network can read it.",
 )
 @click.option(
@@ -40,21 +40,21 @@ DEFAULT_PORT = 8765
     "--compute/--no-compute",
     default=True,
     show_default=True,
-    help="Merge new brackets and compute the answer so far, at the lowest priority between slots.",
+    help="Merge new brackets and compute the answer so far, at lowest priority between slots.",
 )
 @click.option(
     "--control",
     count=True,
     help="Let the page write notes, mark states, ask for an extra bracket and pause the capture. "
-    "With --lan it must be given twice.",
+    "With --lan it is needed twice.",
 )
 def command(
     session_folder: Path, port: int, lan: bool, weather: str, compute: bool, control: int
 ) -> None:
-    """Show a session as a page in the browser, live.
+    """Show a session as a live page in the browser.
 
-    The first line is the address, with a token that is new in each run. A capture that runs does
-    not wait for the page: what is computed for it is stopped before each slot.
+    The first line is the address, with a token that is new in each run. A running capture does not
+    wait for the page: computing for it stops before each slot.
 
     \b
     Example:
@@ -63,8 +63,8 @@ def command(
     """
     if control and lan and control < 2:
         raise click.UsageError(
-            "--control with --lan: whoever can listen to the network could pause the capture. "
-            "Give --control twice to accept this, or use one of the two"
+            "--control with --lan: anyone who can listen to the network could pause the capture. "
+            "Give --control twice to accept this, or omit one of the two"
         )
     from fieldlum.session import open_session
 
@@ -99,5 +99,6 @@ def _show_lan(address: str) -> None:
     from fieldlum.web.qr import qr_lines
 
     terminal.say("note: --lan is plain HTTP without encryption: use it in a network that you trust")
+
     for line in qr_lines(address):
         terminal.say(line)
