@@ -200,7 +200,7 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
     source = session.models / "transport"
     for name, warning, trusted in (
         ("lamp", "WARNING: something changed in the room", None),
-        ("poor", f"WARNING: held-out days are off; {models.POOR_WORDS}", 0.0),
+        ("poor", f"WARNING: held-out days are wrong; {models.POOR_WORDS}", 0.0),
     ):
         folder = tmp_path / name
         shutil.copytree(source, folder)

@@ -1,6 +1,4 @@
-"""A weather year through a trained model: hourly maps, their glare in every direction, and what
-it means.
-"""
+"""Run a weather year through a trained model: hourly maps, their glare, and its classes."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""What a predicted year leaves on disk, and reading it again.
+"""Write and read the files of a predicted year.
 
 annual/<name>/hourly.csv      one row an hour: t_utc, t_local, light, trust, and `metric@azimuth`
-for each direction
+                              for each direction
              predict.json     settings, versions, repairs, and the glare protection of each
-             direction
-             pictures.npz     the maps of some telling hours
-             maps.zarr        all maps, where asked for (Zarr v3; dims time, y, x)
+                              direction
+             pictures.npz     the maps of some typical hours
+             maps.zarr        all maps, with --maps (Zarr v3; dims time, y, x)
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from fieldlum.session.files.predict_json import PredictFile
 
 @dataclass(frozen=True, slots=True)
 class Annual:
-    """A predicted year. hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each;
-    about: predict.json.
+    """A predicted year.
+
+    hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each; about: predict.json.
     """
 
     folder: Path
@@ -42,18 +43,21 @@ class Annual:
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
+        """Whether the room is used in each hour, [n]."""
         return self.hours["occupied"] > 0
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Directions that have figures: not those that no lens saw, [d]."""
+        """Whether each direction has figures: False for directions that no lens saw, [d]."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """Maps of telling hours without the disc [k, H, W]; rows [k] into the year; kinds [k] say
-    why.
+    """Maps of typical hours without the sun's disc [k, H, W].
+
+    rows: [k] row of each in the year; kinds: [k] why each was chosen; disc_lx: [k] illuminance of
+    the disc at the lens [lx].
     """
 
     kinds: tuple[str, ...]
@@ -71,11 +75,12 @@ def write_hourly(annual: Annual, timezone: str) -> None:
 
 
 def write_about(annual: Annual) -> None:
-    """Write predict.json; it comes last: a folder that has it is complete."""
+    """Write predict.json, as the last file: a folder that has it is complete."""
     PredictFile.from_table(annual.about, annual.folder).write(annual.folder)
 
 
 def write_pictures(path: Path, pictures: Pictures) -> None:
+    """Write pictures.npz."""
     with replacing(path) as file:
         np.savez_compressed(
             file,
@@ -88,8 +93,9 @@ def write_pictures(path: Path, pictures: Pictures) -> None:
 
 
 def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Float32 with 12 bits of mantissa left (0.01 %): what is cut could not be known, and
-    compresses badly.
+    """Return float32 with 12 bits of mantissa (0.01 %): the rest is noise.
+
+    values: any shape.
     """
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
     return ((bits + np.uint32(1 << 10)) & np.uint32(0xFFFFF800)).view(np.float32)
@@ -100,14 +106,14 @@ def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def read_annual(folder: Path) -> Annual:
-    """Raises InputError when `folder` holds no predicted year."""
+    """Read a predicted year. Raises InputError if `folder` has none."""
     about = PredictFile.read(folder)
     rows = HourlyFile.read(folder, np.array(about.azimuths_deg), about.hours)
     return Annual(folder, about.table, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
 
 
 def read_pictures(folder: Path) -> Pictures:
-    """Raises InputError when there are none."""
+    """Read pictures.npz. Raises InputError if there is none."""
     path = folder / "pictures.npz"
     try:
         with np.load(path, allow_pickle=False) as found:

@@ -16,9 +16,9 @@ from fieldlum.glare.unseen import ViewCoverage, brightest_cdm2, unseen_dgp_bound
 from fieldlum.models import trusted_hours
 from fieldlum.predict.blocks import HourBlock, ModelRoom
 
-U_DISC = (
-    0.05  # relative standard uncertainty of the disc's illuminance: luminous efficacy and glass
-)
+# Relative standard uncertainty of the disc's illuminance, for luminous efficacy and glass together.
+# Not measured.
+U_DISC = 0.05
 
 
 def unseen_bounds(
@@ -27,10 +27,10 @@ def unseen_bounds(
     coverage: ViewCoverage,
     found: dict[str, NDArray[np.float64]],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """DGP with the least and the most light in the unseen part of each view, [k, d] each.
+    """Return DGP with the least and the most light in the unseen part of each view, [k, d] each.
 
-    The most is the mean luminance of the sky, as a window there would show it, or the brightest
-    hundredth of what was seen.
+    The least is 0 cd/m2. The most is the larger of the sky's mean luminance, as through a window,
+    and the brightest hundredth of the seen pixels.
     """
     most = block.light.diffuse_lx / np.pi
     if room.seen is not None and coverage.partly.any():
@@ -39,6 +39,7 @@ def unseen_bounds(
 
 
 def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
+    """Return `HOUR_COLUMNS` of a block that the model determines, [k] each."""
     light, told = block.light, block.prediction
     return {
         "dni_wm2": light.dni_wm2,
@@ -55,7 +56,7 @@ def hour_figures(block: HourBlock) -> dict[str, NDArray[Any]]:
 def view_figures(
     block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
 ) -> dict[str, NDArray[np.float64]]:
-    """`VIEW_COLUMNS` of a block and the contrast sums behind DGP, [k, d] each."""
+    """Return `VIEW_COLUMNS` of a block and the contrast sums behind DGP, [k, d] each."""
     maps = block.prediction.luminance_cdm2
     found = glare_directions(
         maps,
@@ -75,11 +76,11 @@ def view_figures(
 def relative_uncertainty(
     block: HourBlock, views: Views, found: dict[str, NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Relative standard uncertainty of Ev and of the sources' luminance, [k, d]; NaN where the
-    model says nothing.
+    """Return the relative standard uncertainty of Ev and of the sources' luminance, [k, d] each.
 
-    Pixels of one picture are taken to err together: a model is too bright or too dark in all of a
-    wall. The disc has an uncertainty of its own.
+    NaN where the model states none. Errors of the pixels of one picture are treated as fully
+    correlated, because a model is too bright or too dark in all of a wall. The disc has its own
+    uncertainty.
     """
     map_ev, map_source = _relative_of_map(block, views)
     share_ev = found["sun_ev_lx"] / np.maximum(found["ev_lx"], 1e-6)

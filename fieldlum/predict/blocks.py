@@ -1,4 +1,4 @@
-"""Maps of a year, a block of hours at a time, so that memory does not grow with the year."""
+"""Predict the maps of a year in blocks of hours, so that memory does not grow with the year."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models import Fitted, Prediction
 
-BLOCK = 64  # hours; about 30 MB a map layer at 460 x 230
+BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230
 
 
 @dataclass(frozen=True, slots=True)
 class HourBlock:
-    """Some hours: maps without the disc [k, H, W], the disc's illuminance at the lens [k] lx,
-    the model's doubts.
+    """Some hours: the model's prediction with its uncertainty, and the disc at the lens.
+
+    prediction: maps without the disc [k, H, W] cd/m2; disc_lx: [k] lx.
     """
 
     rows: slice
@@ -37,7 +38,7 @@ class HourBlock:
 
 @dataclass(frozen=True, slots=True)
 class ModelRoom:
-    """What a model folder says about its pictures."""
+    """Place, size and heading of a model's pictures."""
 
     setup: SiteFile
     height: int
@@ -48,16 +49,16 @@ class ModelRoom:
 
     @property
     def disc_from(self) -> str:
-        """Where the sun's visibility comes from."""
+        """How it is known whether the sun's disc is visible."""
         return (
             "the room's geometry"
             if self.setup.room
-            else "guessed: whether the map shows sky where the sun stands"
+            else "guessed: by whether the map shows sky at the sun's position"
         )
 
 
 def wants_patch(config: ModelConfig) -> bool:
-    """Return whether the model of a config.json requires sun patches.
+    """Return whether the model of a config.json needs sun patches.
 
     Models state it as `with_patch`; the transport models of 0.1.0 as a patchwork.
     """
@@ -70,8 +71,10 @@ def wants_patch(config: ModelConfig) -> bool:
 
 
 def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
-    """Raises InputError when the config lacks place or size, or when patches are needed and no
-    room is known.
+    """Return the room of a model.
+
+    Raises InputError if the config lacks place or size, or if the model needs patches and the site
+    has no room.
     """
     from fieldlum.profiles import site_from_table
 
@@ -89,15 +92,16 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         )
     seen = seen_of(folder)
     if seen is not None and seen.shape != (height, width):
-        seen = None  # `blocks` refuses the maps of such a model
+        seen = None  # `blocks` rejects the maps of such a model
     return ModelRoom(setup, height, width, heading, wants_patch(config), seen)
 
 
 def blocks(
     fitted: Fitted, room: ModelRoom, light: Light, *, progress: Progress = quiet
 ) -> Iterator[HourBlock]:
-    """Predict all hours of `light` in blocks. Raises InputError when maps have another size than
-    the model says.
+    """Predict all hours of `light` in blocks.
+
+    Raises InputError if the maps' size differs from the config's.
     """
     count = len(light)
     for patch, known_disc_lx, rows in _patches(room, light):
@@ -109,11 +113,11 @@ def blocks(
                 "the model",
                 f"maps of {maps.shape[2]} x {maps.shape[1]}",
                 f"{room.width} x {room.height}",
-                "train it again: its config and its weights are not of one training",
+                "train it again: its config.json and its weights are from different trainings",
             )
         if not np.isfinite(maps).all():
             raise FloatingPointError(
-                f"hours {rows.start} to {rows.stop}: predicted values that are no numbers"
+                f"hours {rows.start} to {rows.stop}: predicted values that are not finite"
             )
         disc = guessed_disc(maps, part, room) if known_disc_lx is None else known_disc_lx
         progress(rows.stop, count, "hours predicted")
@@ -123,8 +127,9 @@ def blocks(
 def _patches(
     room: ModelRoom, light: Light
 ) -> Iterator[tuple[NDArray[np.float32] | None, NDArray[np.float64] | None, slice]]:
-    """Sun patches where the model wants them, the visible disc [lx] where a room is known, and
-    which hours.
+    """Yield, for each block, the sun patches, the visible disc [lx], and the rows.
+
+    Patches are None if the model needs none, discs if no room is known.
     """
     from fieldlum.scene import iter_sun_patches
 
@@ -151,5 +156,5 @@ def _patches(
 
 
 def guessed_disc(maps: NDArray[np.float32], light: Light, room: ModelRoom) -> NDArray[np.float64]:
-    """The disc's illuminance at the lens where no geometry is known, [k] lx."""
+    """Return the disc's illuminance at the lens without a known geometry, [k] lx."""
     return guessed_disc_lx(maps, light, room.heading_deg)

@@ -1,6 +1,4 @@
-"""Before predicting: where the year goes, whether model and session belong together, whether it
-was done already.
-"""
+"""Checks before predicting: the folder, whether model and session match, whether it is done."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def default_folder(model_folder: Path) -> Path:
-    """SESSION/annual/NAME for SESSION/models/NAME; else `annual` in the model's folder."""
+    """Return SESSION/annual/NAME for SESSION/models/NAME, else `annual` in the model's folder."""
     resolved = model_folder.resolve()
     in_session = (
         resolved.parent.name == "models" and (resolved.parents[1] / "session.toml").is_file()
@@ -37,10 +35,10 @@ def default_folder(model_folder: Path) -> Path:
 
 
 def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | None = None) -> None:
-    """Raise InputError for a model whose place, heading or picture size are not its session's.
+    """Raise InputError if a model's place, heading or picture size differ from its session's.
 
-    scene: of the model's config.json, where it was trained with a fitted scene; what was stated
-    before the fit is compared then.
+    scene: table of the model's config.json, if it was trained with a fitted scene; then compare the
+    room as stated before the fit.
     """
     resolved = model_folder.resolve()
     root = resolved.parents[1]
@@ -66,7 +64,7 @@ def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | N
             model_folder,
             f"a model of {changed[0]}",
             f"{changed[1]} as in {session.toml}",
-            "merge, pair and train again, or take the model that was trained here",
+            "merge, pair and train again, or use the model that was trained on this session",
         )
     pictures = session.panorama_files()[:1]
     if pictures:
@@ -87,8 +85,9 @@ def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | N
 
 
 def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty | None:
-    """Return how well the room is known where the model was trained with a fitted scene, else None:
-    a stated room has the uncertainty of a tape measure.
+    """Return the room's uncertainty if the model was trained with a fitted scene, else None.
+
+    None stands for the uncertainty of a tape measure.
     """
     draws = (config.state.get("scene") or {}).get("room_draws")
     if not draws or room.setup.room is None:
@@ -99,8 +98,9 @@ def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty 
 
 
 def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> tuple[str, str] | None:
-    """What first differs of camera and room, of a model and of its session: both bear on every
-    map.
+    """Return the first difference of camera and room between model and session, or None.
+
+    Both affect every map.
     """
     for table in ("camera", "room"):
         a, b = mine.get(table) or {}, theirs.get(table) or {}
@@ -119,7 +119,7 @@ def inputs_of(
     seed: int,
     label_shift_min: float = 0.0,
 ) -> dict[str, Any]:
-    """What a predicted year depends on, as plain values."""
+    """Return everything that a predicted year depends on, as plain values."""
     from fieldlum.weather import SYNTHETIC
 
     synthetic = str(weather) == SYNTHETIC
@@ -142,8 +142,9 @@ def inputs_of(
 
 
 def already(folder: Path, inputs: dict[str, Any]) -> Annual | None:
-    """The year in `folder` when it came from the same inputs by the same version; more maps than
-    asked for may stay.
+    """Return the year in `folder` if the same version computed it from the same inputs.
+
+    Extra maps in the folder may stay.
     """
     note, maps = folder / "predict.json", folder / "maps.zarr"
     more = [] if inputs["maps"] else [{**inputs, "maps": True}]
@@ -160,10 +161,9 @@ def already(folder: Path, inputs: dict[str, Any]) -> Annual | None:
 
 
 def begin_anew(folder: Path) -> None:
-    """Take away what says that a year is whole, and maps of another one, before anything of a new
-    year is written.
+    """Delete predict.json and maps.zarr first, so that an interrupted run never looks finished.
 
-    Else a kill in between leaves the figures of one weather beside the classes of another.
+    Otherwise a kill could leave the hours of one weather next to the classes of another.
     """
     (folder / "predict.json").unlink(missing_ok=True)
     for name in ("maps.zarr", ".maps.zarr.tmp"):

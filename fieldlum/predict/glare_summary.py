@@ -1,6 +1,4 @@
-"""What a predicted year means: classes of glare protection, what is open, what to capture, what
-to be told.
-"""
+"""Summarise a predicted year: classes of glare protection, hours still to capture, notes."""
 
 from __future__ import annotations
 
@@ -32,17 +30,15 @@ if TYPE_CHECKING:
     from fieldlum.weather import Weather
 
 HOURLY_MEANS = (
-    "Weather files hold hourly means. Under broken cloud the sun comes and goes within the hour: "
-    "the mean shows it "
-    "dimmed all the time, so that single moments are brighter and darker than any hour here, and "
-    "hours of glare are "
-    "shorter or longer than counted."
+    "Weather files hold hourly means. Under broken cloud the sun comes and goes within the hour, "
+    "but the mean shows a constant, dimmed sun: single moments are brighter and darker than any "
+    "hour here, and the count of glare hours can be too low or too high."
 )
-NOISY_TRUST = 0.05  # a larger share of occupied hours outside what was seen is said aloud
-HOURS_NAMED = 12
-WHOLE_YEAR_DAYS = 360
-_WIDE_DGP = 0.2  # an interval that wide spans all classes
-_SUNNY_WM2 = 100.0  # direct normal irradiance that casts a clear shadow
+NOISY_TRUST = 0.05  # report a larger share of occupied hours outside the captures; not measured
+HOURS_NAMED = 12  # one row of the report's table for each month
+WHOLE_YEAR_DAYS = 360  # weather files of a year can lack some days
+_WIDE_DGP = 0.2  # an interval this wide spans all classes (EN 17037: 0.35 to 0.45)
+_SUNNY_WM2 = 100.0  # direct normal irradiance that casts a clear shadow; WMO's limit is 120
 
 
 def judge(
@@ -52,10 +48,10 @@ def judge(
     occupied_hours: int,
     seed: int,
 ) -> Protection:
-    """EN 17037 for each direction over the occupied hours.
+    """Return the classes of EN 17037 for each direction over the occupied hours.
 
-    u_of_maps [n, d]: standard uncertainty of DGP by the model's maps; the disc and what was not
-    seen are in `doubt`.
+    u_of_maps: standard uncertainty of DGP from the model's maps, [n, d]. `doubt` has the
+    uncertainty from the sun's disc and from what was not seen.
     """
     used = annual.occupied
     u_dgp = u_of_maps[used]
@@ -66,9 +62,10 @@ def judge(
 
 
 def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[dict[str, Any]]:
-    """The occupied hours whose uncertainty keeps a class open, most first, at most one a day.
+    """Return the occupied hours whose uncertainty keeps a class open, most uncertain first.
 
-    A direction that was not fully seen stays open whatever is captured with the same lens.
+    At most one hour a day. A direction that was not fully seen stays open, whatever the same lens
+    captures.
     """
     undecided = ~found.certain & np.array([word == SEEN for word in found.seen])
     if found.low is None or not undecided.any():
@@ -106,6 +103,7 @@ def about_year(
     found: Protection,
     days: int,
 ) -> dict[str, Any]:
+    """Return the content of predict.json."""
     used = annual.occupied
     untrusted = float((annual.hours["trusted"][used] < 1).mean()) if used.any() else 0.0
     return {
@@ -146,7 +144,7 @@ def about_year(
 
 
 def poor(config: ModelConfig) -> bool:
-    """Whether training found that no single map of the model can be trusted."""
+    """Return whether training found that no single map of the model can be trusted."""
     return any(POOR_WORDS in text for text in config.state.get("warnings", ()))
 
 
@@ -157,14 +155,15 @@ def _shares(room: ModelRoom, annual: Annual) -> list[float]:
 
 
 def _unseen_notes(found: Protection) -> list[str]:
-    """Which directions have no result, and which have bounds only."""
+    """Return a note on directions without a result, and one on those with bounds only."""
     notes = []
     for word, meaning in (
-        (NOT_SEEN, "have no result: no lens saw enough of them"),
+        (NOT_SEEN, "have no result: the camera's lens saw too little of them"),
         (
             PARTLY_SEEN,
-            "have bounds only: their intervals hold an unseen part of the view between 0 cd/m2 and "
-            "the larger of the sky's mean luminance and the brightest hundredth of what was seen",
+            "have bounds only: the intervals assume that the unseen part of the view has between "
+            "0 cd/m2 and the larger of the sky's mean luminance and the brightest hundredth of "
+            "the seen pixels",
         ),
     ):
         of = [a for a, seen in zip(found.azimuths_deg, found.seen, strict=True) if seen == word]
@@ -175,7 +174,7 @@ def _unseen_notes(found: Protection) -> list[str]:
 
 
 def _disc_note(annual: Annual) -> list[str]:
-    """How often the uncertainty of the room decides whether the sun's disc is seen."""
+    """Return a note if the room's uncertainty often decides whether the sun's disc is seen."""
     gap = annual.views["dgp_high"] - annual.views["dgp_low"]
     lit = annual.occupied & (annual.hours["dni_wm2"] > _SUNNY_WM2)
     if not lit.any() or not annual.judged.any():
@@ -185,30 +184,30 @@ def _disc_note(annual: Annual) -> list[str]:
         return []
     return [
         f"In {100 * open_share:.0f} % of the sunny occupied hours the 95 % interval of DGP is "
-        f"wider than {_WIDE_DGP:g} in some direction, mostly because the stated room does not "
-        f"settle whether the sun's disc is seen: measure the window, its bars and the camera."
+        f"wider than {_WIDE_DGP:g} in some direction, mostly because the stated room is too "
+        f"uncertain to decide whether the sun's disc is seen: measure the window, its bars and "
+        f"the camera's position."
     ]
 
 
 def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> list[str]:
     notes = [HOURLY_MEANS]
     if days < WHOLE_YEAR_DAYS:
-        notes.append(f"the weather holds {days} days, not a year: classes are for these days only")
+        notes.append(f"the weather has {days} days, not a year: classes are for these days only")
     if weather.synthetic:
         notes.append("the weather is synthetic: it must not be used to judge this place")
     if not room.setup.room:
         notes.append(f"whether the sun's disc is in view is {room.disc_from}")
     if untrusted > NOISY_TRUST:
         notes.append(
-            f"{100 * untrusted:.0f} % of the lit occupied hours have a sun or a sky unlike any "
-            f"that was captured: "
-            "their figures, and the intervals, rest on extrapolation"
+            f"{100 * untrusted:.0f} % of the lit occupied hours have a sun position or a sky "
+            f"outside the captured range: their figures and intervals are extrapolated"
         )
     return notes
 
 
 def protection_table(found: Protection) -> list[dict[str, Any]]:
-    """One plain dict a direction; figures of a direction that was not seen are None."""
+    """Return one plain dict for each direction; figures of an unseen direction are None."""
     rows = []
     for i, over in enumerate(found.hours_over):
         judged = bool(found.judged[i])
@@ -232,11 +231,10 @@ def protection_table(found: Protection) -> list[dict[str, Any]]:
 
 
 def best_and_worst(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Return the directions with the least and the most glare, for a page, its figures and the
-    terminal; None where no direction was seen.
+    """Return the directions with the least and the most glare; None if no direction was seen.
 
-    A partly seen direction counts with the upper end of its interval as the best, and with its
-    lower figure as the worst: what was not seen makes no direction a recommendation.
+    A partly seen direction is ranked by the upper end of its interval for the best, and by its
+    lower figure for the worst, so that an unseen part never makes a direction a recommendation.
     """
     judged = [row for row in rows if row["class"] != NOT_SEEN]
     if not judged:

@@ -1,4 +1,4 @@
-"""Some hours of a year as a unit of work: predicted and judged in one process."""
+"""Predict and judge some hours of a year in one process, as a unit of work."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _HoursJob:
-    """What goes to a worker. Folders are relative to the unit's; `maps` is "" for none."""
+    """Input of a worker. Folders are relative to the unit's; `maps` is "" for none."""
 
     model: str
     digest: str  # of the model's files
@@ -44,8 +44,9 @@ class _HoursJob:
 
 @dataclass(frozen=True, slots=True)
 class HourFigures:
-    """Figures of the hours `rows` (first, end): hours [n], views, least and most [n, d], drawn
-    [k, n, d].
+    """Figures of the hours `rows` (first, end).
+
+    hours: [n]; views, least, most: [n, d]; drawn: [k, n, d].
     """
 
     rows: tuple[int, int]
@@ -73,7 +74,7 @@ def hour_units(
     turns_deg: NDArray[np.float64],
     maps: Path | None,
 ) -> list[WorkUnit]:
-    """Return the units of a year's hours, `BLOCK` hours each; the last may be shorter."""
+    """Return the units of a year's hours, `BLOCK` hours each; the last can be shorter."""
     model = model_folder.resolve()
     folder = model if maps is None else Path(os.path.commonpath([model, maps.resolve()]))
     name = model.relative_to(folder).as_posix()
@@ -96,7 +97,7 @@ def hour_units(
 
 
 def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
-    """Predict the hours of a unit and judge their glare; write the maps where they are wanted."""
+    """Predict the hours of a unit and judge their glare; write the maps if `job.maps` is set."""
     ready = _prepared(folder / job.model, job.digest, job.azimuths_deg)
     room = ready.room
     (block,) = blocks(ready.fitted, room, job.light)
@@ -115,7 +116,7 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
 
 @lru_cache(maxsize=1)
 def _prepared(model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]) -> _Prepared:
-    """Load a model and its views once a process; `digest` tells models of one folder apart."""
+    """Load a model and its views once per process; `digest` distinguishes models of one folder."""
     from fieldlum.models import load, read_config
 
     room = room_of(read_config(model_folder), model_folder)

@@ -1,4 +1,4 @@
-"""All maps of a year as one Zarr v3 store. Each unit of work writes one shard of it."""
+"""Store all maps of a year in one Zarr v3 store. Each unit of work writes one shard of it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fieldlum.predict.annual import rounded
 from fieldlum.predict.blocks import BLOCK, ModelRoom
 from fieldlum.projection import column_azimuths_deg, row_altitudes_deg
 
-CHUNK = 8  # hours; what a reader of one hour decompresses
+CHUNK = 8  # hours that a reader of one hour decompresses; not measured
 MAPS = "luminance_cdm2"
 
 
 class MapStore:
     """`maps.zarr` with luminance_cdm2 (time, y, x), disc_lx and trusted (time).
 
-    Units write into `work`; the store gets its name when all of them have ended.
+    Units write into `work`; the store gets its name when all of them have finished.
     """
 
     def __init__(self, path: Path) -> None:
@@ -30,7 +30,7 @@ class MapStore:
         self.work = path.with_name(f".{path.name}.tmp")
 
     def create(self, t_utc: Sequence[datetime], room: ModelRoom, about: dict[str, Any]) -> None:
-        """Write the coordinates and the description of the maps; remove what was left before."""
+        """Write the coordinates and the description of the maps; delete earlier remains."""
         import xarray as xr
         import zarr
 
@@ -64,7 +64,7 @@ class MapStore:
         )
 
     def finish(self, disc_lx: NDArray[np.float64], trusted: NDArray[np.float64]) -> None:
-        """Write the discs [n] and what is trusted [n], and give the store its name."""
+        """Write the discs [n] lx and the trust [n], and give the store its name."""
         import xarray as xr
 
         disc = {
@@ -84,7 +84,7 @@ class MapStore:
 
 
 def write_maps(store: Path, start: int, maps: NDArray[np.float32]) -> None:
-    """Write the maps [n, H, W] of the hours from `start`: a whole shard, which appears at once."""
+    """Write the maps [n, H, W] of the hours from `start`: a complete shard, visible at once."""
     import zarr
 
     array: Any = zarr.open_array(store / MAPS, mode="r+", zarr_format=3)

@@ -26,8 +26,10 @@ HOW = (
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """periods: weekday (0 = Monday), start and end in local clock time; or hourly [8760] of
-    local standard time.
+    """When the room is used.
+
+    periods: weekday (0 is Monday), start and end in local clock time; or hourly: [8760] of local
+    standard time.
     """
 
     text: str
@@ -35,7 +37,7 @@ class Occupancy:
     hourly: NDArray[np.bool_] | None = None
 
     def at(self, times_utc: Sequence[datetime], timezone: str) -> NDArray[np.bool_]:
-        """Whether the room is used at each moment, [n]."""
+        """Return whether the room is used at each moment, [n]."""
         if self.hourly is not None:
             rows = [_hour_of_year(t, timezone) for t in times_utc]
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
@@ -51,9 +53,7 @@ class Occupancy:
 
 
 def default_occupancy() -> Occupancy:
-    """08:00 to 18:00 on every day of the year: 3 650 hours, the usual reading of EN 17037's
-    annex.
-    """
+    """Return 08:00 to 18:00 on every day, 3650 hours, the usual reading of EN 17037's annex."""
     return Occupancy(
         "08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7))
     )
@@ -67,7 +67,7 @@ def _hour_of_year(t_utc: datetime, timezone: str) -> int:
 
 
 def read_occupancy(path: Path) -> Occupancy:
-    """A csv of weekly periods or of 8760 hours. Raises InputError naming the line."""
+    """Read a csv of weekly periods or of 8760 hours. Raises InputError with the line."""
     try:
         rows = list(
             csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)
@@ -141,11 +141,10 @@ def _hourly(path: Path, rows: list[list[str]]) -> Occupancy:
 def occupied_hours(
     occupancy: Occupancy, times_utc: Sequence[datetime], site: Site
 ) -> tuple[int, int]:
-    """Occupied hours, dark ones too, of the local standard dates that the weather holds, and how
-    many dates those are.
+    """Return the number of occupied hours on the weather's local standard dates, and of dates.
 
-    An hour with the sun up of which the weather says nothing is not counted: it would pass for one
-    without glare. Raises NotEnoughDataError when there is no such hour.
+    Dark hours count. An hour with the sun up and no weather does not count, because it would pass
+    as an hour without glare. Raises NotEnoughDataError if no hour counts.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})

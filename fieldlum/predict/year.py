@@ -1,4 +1,4 @@
-"""One run of `predict`: model and weather in, a year of metrics out."""
+"""Run `predict`: from a model and weather to a year of figures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 class PredictedYear(NamedTuple):
-    """What `run` did: the year, and whether it was computed now or read from its folder."""
+    """Result of `run`: the year, and whether it was computed now or read from its folder."""
 
     annual: Annual
     new: bool
@@ -70,13 +70,13 @@ def run(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> PredictedYear:
-    """Predict all daylight hours of a weather file with a trained model; returns the year and
-    whether it is new.
+    """Predict all daylight hours of a weather file with a trained model.
 
-    lamps: "" as in the captures, "off", or a csv as for occupancy that says when lamps marked in
-    the captures are on. Raises InputError for a broken model or weather, and for weather or a
-    session of another place or camera than the model's; NotEnoughDataError for weather without
-    daylight.
+    lamps: "" as in the captures, "off", or a csv as for occupancy with the hours in which lamps
+    that are marked in the captures are on.
+
+    Raises InputError for a broken model or weather, or if weather, session or camera do not belong
+    to the model; NotEnoughDataError for weather without daylight.
     """
     from fieldlum.models import load, read_config
     from fieldlum.weather import read_weather
@@ -124,6 +124,7 @@ def run(
 
 
 def light_of(weather: Weather) -> Light:
+    """Return the hours of a weather year with the sun up."""
     from fieldlum.light import light_at
 
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
@@ -140,12 +141,12 @@ def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
 
 
 def lamps_text(lamps: str) -> str:
-    """Return what predict.json records of the lamps: "off", or the schedule in words."""
+    """Return what predict.json records about the lamps: "off", or the schedule in words."""
     return lamps if lamps in ("", "off") else read_occupancy(Path(lamps)).text
 
 
 # ----------------------------------------------------------------------------------------------
-# measuring
+# figures
 
 
 def measure(
@@ -161,10 +162,10 @@ def measure(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> tuple[Annual, GlareDoubt, NDArray[np.float64]]:
-    """Predict every hour in blocks, the units of work, and keep the figures; with `maps`, the maps.
+    """Predict every hour in blocks, the units of work, and return the figures.
 
-    Figures of directions that no lens saw are NaN. The doubt is of all hours; last comes the
-    standard uncertainty of DGP by the maps alone, [n, d].
+    With `maps`, also write the maps. Figures of directions that no lens saw are NaN. The doubt is
+    of all hours; the last value is the standard uncertainty of DGP from the maps alone, [n, d].
     """
     count, d = len(light), len(azimuths_deg)
     coverage = view_coverage(

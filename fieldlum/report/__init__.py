@@ -1,6 +1,6 @@
-"""One self-contained page of a session: report/index.html, with report.json beside it.
+"""One self-contained page of a session: report/index.html, with report.json next to it.
 
-Whatever stage has not been run yet is left out and said so; nothing is invented.
+A stage that has not run yet is left out of the page, which states so.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SessionArtefacts:
-    """What a session holds that can be reported."""
+    """Results of a session that the report shows; None where there are none yet."""
 
     model: Path | None
     config: ModelConfig | None
@@ -37,7 +37,7 @@ class SessionArtefacts:
 
 
 def find(session: Session) -> SessionArtefacts:
-    """The newest model and the newest predicted year of a session."""
+    """Return the newest model and the newest predicted year of a session."""
     from fieldlum.models import read_config
     from fieldlum.predict import read_annual
 
@@ -85,7 +85,7 @@ def _settings(session: Session, found: SessionArtefacts) -> Section:
 
 
 def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
-    """Nested tables as dotted names."""
+    """Return nested tables with dotted names."""
     if not isinstance(values, dict):
         return [(before, values)]
     return [
@@ -128,7 +128,7 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
         why=why,
         facts=_facts(session, found, len(pairs.usable)),
         sections=tuple(sections),
-        footer=f"Made by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
+        footer=f"Written by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
         f"against evalglare; "
         "see docs/accuracy.md. This page needs no network.",
         polar=annual.polar(year) if year else None,
@@ -170,15 +170,15 @@ def _warnings(year: Annual | None) -> tuple[str, ...]:
 
 
 def _spoken(warning: str) -> str:
-    """A warning of `train` as a sentence of the page."""
+    """Return a warning of `train` as a sentence of the page."""
     text = warning.removeprefix("WARNING: ")
     return f"From training: {text}{'' if text.endswith('.') else '.'}"
 
 
 def run(session: Session, out: Path | None = None, *, progress: Progress = quiet) -> Path:
-    """Write index.html and report.json; returns the page's path.
+    """Write index.html and report.json; return the path of the page.
 
-    Raises NotEnoughDataError when the session holds nothing to report yet.
+    Raises NotEnoughDataError if the session has nothing to report yet.
     """
     from fieldlum.report.page import render
 

@@ -1,4 +1,4 @@
-"""The predicted year: in which direction to sit, when glare comes, what it looks like."""
+"""The report's sections on the predicted year: where to sit, when glare comes, pictures."""
 
 from __future__ import annotations
 
@@ -50,17 +50,18 @@ CLASS_WORDS = {
 
 
 def named(azimuth_deg: float) -> str:
+    """Return a direction by name and degrees."""
     return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
 def answer(annual: Annual) -> tuple[str, str]:
-    """In which direction to sit, and why; in words."""
+    """Return the direction to sit in, and the reason, in words."""
     rows = annual.about["protection"]
     ends = best_and_worst(rows)
     if ends is None:
         return (
-            "No view direction can be judged: the camera saw too little of every one.",
-            "Turn the camera on its head (headings in SITE.toml), or take a lens that sees more.",
+            "No view direction can be judged: the camera saw too little of each.",
+            "Turn the camera on its head (headings in SITE.toml), or use a lens that sees more.",
         )
     best, worst = ends
     hours = annual.about["occupancy"]["hours"]
@@ -79,7 +80,7 @@ def answer(annual: Annual) -> tuple[str, str]:
 
 
 def _unseen_words(rows: list[dict[str, Any]]) -> str:
-    """Which directions the answer is not about."""
+    """Return a sentence that names the directions without an answer."""
     blind = [named(row["azimuth_deg"]) for row in rows if row["class"] == NOT_SEEN]
     if not blind:
         return ""
@@ -89,15 +90,16 @@ def _unseen_words(rows: list[dict[str, Any]]) -> str:
 def _class_words(row: dict[str, Any]) -> str:
     words = f"{CLASS_WORDS[row['class']]} from glare"
     if row.get("seen") == PARTLY_SEEN and not row["certain"]:
-        return f"{words} by the part of the view that was seen"
+        return f"{words}, for the part of the view that was seen"
     if row["low"] is None:
-        return f"{words}, with a confidence that this model cannot give"
+        return f"{words}; this model cannot state a confidence"
     return (
-        words if row["certain"] else f"{words} is likeliest, but the captures do not settle it yet"
+        words if row["certain"] else f"{words} is likeliest, but the captures do not decide it yet"
     )
 
 
 def polar(annual: Annual) -> Figure:
+    """Return the polar plot of DGP by view direction."""
     rows = annual.about["protection"]
     azimuths = np.array([row["azimuth_deg"] for row in rows])
     exceeded, *bounds = (
@@ -111,14 +113,14 @@ def polar(annual: Annual) -> Figure:
         polar_svg(azimuths, exceeded, *bounds),
         f"Polar plot, north up, of the DGP exceeded in 5 % of occupied hours by view direction: "
         f"{spoken}.",
-        "The DGP that is exceeded in 5 % of the occupied hours, by view direction; rings are the "
-        "limits 0.35, 0.40, "
-        f"0.45.{band} Towards the middle is better; above 0.60 is drawn at the rim.",
+        "The DGP that is exceeded in 5 % of the occupied hours, by view direction; the rings are "
+        "the limits 0.35, 0.40, "
+        f"0.45.{band} Nearer the middle is better; values above 0.60 are drawn at the rim.",
     )
 
 
 def _figure(row: dict[str, Any]) -> str:
-    """The DGP that 5 % of the occupied hours exceed, or that it is not known."""
+    """Return the DGP that 5 % of the occupied hours exceed, or that it is unknown."""
     return NOT_SEEN if row["dgp_exceeded"] is None else f"{row['dgp_exceeded']:.2f}"
 
 
@@ -164,6 +166,7 @@ def _direction_table(annual: Annual) -> Table:
 
 
 def directions_section(annual: Annual) -> Section:
+    """Return the section on the view directions."""
     tables = [_direction_table(annual)]
     wanted = annual.about.get("capture_next") or []
     if wanted:
@@ -172,7 +175,7 @@ def directions_section(annual: Annual) -> Section:
         )
         head = ("date", "local time", "direct, W/m²", "diffuse, W/m²")
         tables.append(
-            Table(head, rows, "Hours like these, captured, would settle the open classes")
+            Table(head, rows, "Hours like these, when captured, would decide the open classes")
         )
     ends = best_and_worst(annual.about["protection"])
     curve = svg_figure(
@@ -202,13 +205,14 @@ def directions_section(annual: Annual) -> Section:
 def _local_day_and_hour(
     annual: Annual, zone: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Day of the year from 1 and hour of local standard time; and a year to name the days in."""
+    """Return day of the year from 1, hour of local standard time, and a year for naming days."""
     local = [standard_time(t, zone) for t in annual.t_utc]
     days = np.array([t.timetuple().tm_yday for t in local])
     return days, np.array([t.hour for t in local]), local[len(local) // 2].year
 
 
 def when_section(annual: Annual, zone: str) -> Section:
+    """Return the section with the heat map of hours."""
     day, hour, year = _local_day_and_hour(annual, zone)
     days = max(365, int(day.max()))
     dgp = day_hour_grid(day, hour, annual.views["dgp"], days)
@@ -227,7 +231,7 @@ def when_section(annual: Annual, zone: str) -> Section:
             (True, True, True, True, False, False, False),
         ),
         Quantity(
-            "Light unlike any captured",
+            "Light outside the captured range",
             "",
             np.where(judged, np.repeat(doubt, dgp.shape[2], axis=2), np.nan),
             1.0,
@@ -246,7 +250,7 @@ def when_section(annual: Annual, zone: str) -> Section:
     )
     alt = (
         "Day by hour map of the year; days run to the right, hours of standard time upwards. "
-        "Arrow keys read it."
+        "Read it with the arrow keys."
     )
     picture: HeatMap = heat_map(quantities, names, year, alt, start)
     text = (
@@ -295,6 +299,7 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Figure:
 
 
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
+    """Return the section with predicted pictures of typical and worst hours."""
     single = [k for k, kind in enumerate(pictures.kinds) if kind != "clear day"]
     shown = []
     for k in single:
@@ -329,7 +334,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
 
 
 def _spoken(kind: str) -> str:
-    """``p95 of worst view 180`` in words."""
+    """Return ``p95 of worst view 180`` in words."""
     share, _, which, _, azimuth = kind.split()
     names = {
         "typical": "Typical hour",

@@ -1,6 +1,4 @@
-"""What was captured and how good it was: the sampled light domain, the brackets' quality, the
-irradiance.
-"""
+"""The report's section on the captures: sampled sun and sky, quality of brackets, irradiance."""
 
 from __future__ import annotations
 
@@ -20,12 +18,12 @@ from fieldlum.session.files.quality_csv import read_quality
 
 
 def column(rows: Sequence[PairRow], name: str) -> NDArray[np.float64]:
-    """One number of each row, [n]."""
+    """Return one number of each row, [n]."""
     return np.array([getattr(row, name) for row in rows], float)
 
 
 def year_of_sun(site: Site, year: int) -> sun.SunPosition:
-    """Hour centres of a year with the sun's centre up."""
+    """Return the sun at the hour centres of a year, where its centre is above the horizon."""
     from datetime import UTC, datetime, timedelta
 
     start = datetime(year, 1, 1, 0, 30, tzinfo=UTC)
@@ -37,6 +35,7 @@ def year_of_sun(site: Site, year: int) -> sun.SunPosition:
 def section(
     session: Session, site: Site, pairs: PairsFile, year_dni: NDArray, year_dhi: NDArray
 ) -> Section:
+    """Return the section on the captures; year_dni, year_dhi: irradiance of a year [W/m2]."""
     used = pairs.usable
     year = used[0].t_utc.year if used else 2027
     sky = year_of_sun(site, year)
@@ -50,8 +49,8 @@ def section(
                     column(used, "sun_altitude_deg"),
                 ),
                 f"Sun positions of a year in grey and of the {len(used)} captured hours in red.",
-                "Sun positions of the year and of the captures. Hours far from a red point are "
-                "predicted from afar.",
+                "Sun positions of the year and of the captures. Hours far from every red point are "
+                "extrapolated.",
             ),
             svg_figure(
                 sky_domain_svg(
@@ -85,10 +84,10 @@ def _sentence(session: Session, site: Site, pairs: PairsFile) -> str:
 
 def _tables(session: Session, pairs: PairsFile) -> tuple[Table, ...]:
     tables = []
-    refused = Counter(row.why or "no reason given" for row in pairs.refused)
+    refused = Counter(row.why or "no reason recorded" for row in pairs.refused)
     if refused:
         tables.append(
-            Table(("left out because", "brackets"), tuple(refused.items()), "Brackets left out")
+            Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used")
         )
     events = (
         Counter(str(event.get("event", "?")) for event in read_journal(session))
@@ -100,7 +99,7 @@ def _tables(session: Session, pairs: PairsFile) -> tuple[Table, ...]:
             Table(
                 ("event", "times"),
                 tuple(sorted(events.items())),
-                "The journal, counted",
+                "Events of the journal",
                 folded=True,
             )
         )

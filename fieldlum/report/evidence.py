@@ -1,4 +1,4 @@
-"""How good the numbers are: the scores that `train` wrote, and the held-out maps behind them."""
+"""The report's section on accuracy: the scores of `train`, and the held-out maps behind them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoresFile
 
-# Two planned days of one season are under 1 degree apart, seasons over 20 degrees.
+# Suns of two planned days of one season are under 1 degree apart, of two seasons over 20 degrees.
 SEASON_GAP_DEG = 8.0
-_NO_MAPS = "The model keeps no held-out maps: train it again to see them here."
+_NO_MAPS = "The model has no held-out maps: train it again to show them here."
 SHOWN = ("typical", "one in ten is worse", "worst")
 
 
 def _likeness(held: HeldOutMaps) -> str:
-    """State that the check is harder than the year where no captured day has the held-out suns.
+    """Return a sentence if no captured day has the held-out suns, so the check is too strict.
 
     The model of the year was fitted on these days too, so it knows their season.
     """
@@ -32,8 +32,8 @@ def _likeness(held: HeldOutMaps) -> str:
         return ""
     return (
         f"This check is harder than the year: {100 * alone:.0f} % of these maps have a sun over "
-        f"{SEASON_GAP_DEG:g} degrees from any that was left to learn from, while the model of the "
-        f"year learned from these days too."
+        f"{SEASON_GAP_DEG:g} degrees from every sun in the training data, while the model of the "
+        f"year was trained on these days too."
     )
 
 
@@ -49,8 +49,8 @@ def _maps_row(held: HeldOutMaps) -> Row:
     png = comparison_png(measured, predicted, labels)
     which = ", ".join(text for text, _ in zip(SHOWN, picks, strict=False))
     caption = (
-        f"Measured, predicted and their ratio for held-out hours ({which}); the sun's disc is "
-        "apart from the maps. Red is predicted too bright, blue too dark."
+        f"Measured, predicted and their ratio for held-out hours ({which}), without the sun's "
+        "disc. Red is predicted too bright, blue too dark."
     )
     return Row(
         (png_figure(png, "Measured and predicted luminance panoramas with their ratio.", caption),)
@@ -71,7 +71,7 @@ def _agreement_rows(held: HeldOutMaps) -> tuple[Row, ...]:
             svg_figure(
                 error_by_sun_svg(mean_error, held.sun_altitude_deg, held.sun_azimuth_deg, "DGP"),
                 "Mean DGP error against sun altitude and sun azimuth.",
-                "Where the sun stood when the glare was predicted wrong.",
+                "Sun positions at which the predicted glare was wrong.",
             ),
         ),
         "Glare",
@@ -125,7 +125,7 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
     def cell(row: dict[str, Any], key: str) -> Any:
         value = row.get(key)
         if key == "log10_mse_weighted" and row.get("not_judged_because"):
-            return "no time to judge"
+            return "too little time to judge"
         if key == "name":
             return {"kind": "high", "text": f"{value} (chosen)"} if value == chosen else value
         if isinstance(value, float):
@@ -140,6 +140,7 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
 
 
 def section(held: HeldOutMaps | None, scores: ScoresFile | None) -> Section:
+    """Return the section on accuracy."""
     table = _score_table(scores)
     rows = (_maps_row(held), *_agreement_rows(held)) if held else ()
     judged = None if scores is None else scores.judged_row
@@ -147,13 +148,13 @@ def section(held: HeldOutMaps | None, scores: ScoresFile | None) -> Section:
         median, worst = (10 ** np.sqrt(float(judged[key])) for key in ("median", "worst"))
         maps = _counted(int(judged["n_test"]), "held-out map")
         text = (
-            f"Checked on {maps}, each predicted by a fit that its day was held out from: half of "
+            f"Checked on {maps}, each predicted by a fit without its day: half of "
             f"them are within a factor of {median:.2f} (rms over the map), the worst within "
             f"{worst:.2f}."
         )
         text += f" {_likeness(held)}" if held else f" {_NO_MAPS}"
     else:
-        text = "The numbers of this report are not checked: training held no day out."
+        text = "The numbers of this report are not checked: training had no held-out day."
     return Section(
         "evidence", "How good the numbers are", text.strip(), rows, (table,) if table else ()
     )

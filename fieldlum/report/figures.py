@@ -1,6 +1,4 @@
-"""The report's pictures: pure functions from arrays to SVG text or PNG bytes. No pyplot, no
-global state.
-"""
+"""The report's pictures: pure functions from arrays to SVG text or PNG bytes, without pyplot."""
 
 from __future__ import annotations
 
@@ -18,9 +16,9 @@ from numpy.typing import NDArray
 from fieldlum.projection import compass_name
 from fieldlum.records import Float
 
-LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)
+LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)  # range of the colour scale; not measured
 CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7
-POLAR_RANGE = (0.15, 0.6)  # of DGP; beyond it points sit on the rim
+POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim
 INK, PALE, CAPTURED, PREDICTED = "#1d2733", "#b9c3cd", "#c4441c", "#1f5fa8"
 CLASS_COLOURS = {"high": "#1a7f5a", "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
 _STYLE: dict[Any, Any] = {
@@ -34,13 +32,13 @@ _STYLE: dict[Any, Any] = {
     "ytick.color": INK,
     "text.color": INK,
     "svg.fonttype": "none",
-    "svg.hashsalt": "fieldlum",  # the same data give the same bytes
+    "svg.hashsalt": "fieldlum",  # makes the bytes depend on the data only
     "legend.frameon": False,
 }
 
 
 def _svg(figure: Figure) -> str:
-    """Inline SVG without the XML prologue."""
+    """Return inline SVG without the XML prologue."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
     text = buffer.getvalue()
@@ -58,8 +56,9 @@ def _png(figure: Figure, dpi: int = 110) -> bytes:
 
 
 def false_colour(luminance_cdm2: Float) -> NDArray[np.uint8]:
-    """Log scale from 1 to 10 000 cd/m2, [..., H, W] to RGB [..., H, W, 3]; beyond the range the
-    ends' colours.
+    """Return RGB colours [..., H, W, 3] of luminance [..., H, W] cd/m2.
+
+    The scale is logarithmic from 1 to 10 000 cd/m2; values beyond it get the colours of its ends.
     """
     low, high = np.log10(LUMINANCE_RANGE_CDM2)
     position = (np.log10(np.clip(luminance_cdm2, *LUMINANCE_RANGE_CDM2)) - low) / (high - low)
@@ -67,7 +66,7 @@ def false_colour(luminance_cdm2: Float) -> NDArray[np.uint8]:
 
 
 def picture_png(rgb: NDArray[np.uint8]) -> bytes:
-    """[H, W, 3] as PNG bytes."""
+    """Return an image [H, W, 3] as PNG bytes."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -76,7 +75,7 @@ def picture_png(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def luminance_scale_svg() -> str:
-    """The colour bar of all false-colour pictures."""
+    """Return the colour bar of all false-colour pictures."""
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.0, 0.28))
         axes = figure.add_axes((0, 0, 1, 1))
@@ -95,8 +94,9 @@ def luminance_scale_svg() -> str:
 
 
 def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> bytes:
-    """Rows of measured, predicted and their log10 difference, as the paper's Figures 9 and 23.
-    Inputs [n, H, W].
+    """Return rows of measured, predicted and their log10 difference, for maps [n, H, W].
+
+    As the paper's Figures 9 and 23.
     """
     n = len(measured)
     with rc_context(_STYLE):
@@ -137,8 +137,9 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
 
 
 def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
-    """Labelled fisheye views around one hour, as the paper's Figure 10. views: [d, N, N], NaN
-    outside the circle.
+    """Return labelled fisheye views around one hour, as the paper's Figure 10.
+
+    views: [d, N, N], NaN outside the circle; azimuths_deg, dgp: [d].
     """
     n = len(views)
     columns = min(n, 5)
@@ -159,7 +160,7 @@ def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
 
 
 def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
-    """A day as a column-wise strip of panoramas. maps: [n, H, W]."""
+    """Return the panoramas of a day side by side. maps: [n, H, W]."""
     n = len(maps)
     columns = min(4, n)
     with rc_context(_STYLE):
@@ -173,8 +174,8 @@ def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
         return _png(figure, 90)
 
 
-# ---------------------------------------------------------------------------------------------- the
-# light domain
+# ----------------------------------------------------------------------------------------------
+# the light domain
 
 
 def sun_path_svg(
@@ -183,8 +184,9 @@ def sun_path_svg(
     captured_azimuth_deg: Float,
     captured_altitude_deg: Float,
 ) -> str:
-    """All hours of the year with the sun up, and the captured ones (the paper's Figures 3 and
-    21).
+    """Plot all hours of the year with the sun up, and the captured ones.
+
+    As the paper's Figures 3 and 21.
     """
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.2, 3.4))
@@ -209,7 +211,7 @@ def sun_path_svg(
 def sky_domain_svg(
     year_dni: Float, year_dhi: Float, captured_dni: Float, captured_dhi: Float
 ) -> str:
-    """Diffuse against direct irradiance: the weather file's hours and the captured ones."""
+    """Plot diffuse against direct irradiance [W/m2]: the weather file's hours and the captures."""
     with rc_context(_STYLE):
         figure = Figure(figsize=(5.2, 3.4))
         axes = figure.add_subplot()
@@ -232,11 +234,10 @@ def sky_domain_svg(
 def polar_svg(
     azimuths_deg: Float, dgp_exceeded: Float, low: Float | None, high: Float | None
 ) -> str:
-    """DGP exceeded in 5 % of the occupied hours, per view direction, north up, over the three class
-    limits.
+    """Plot the DGP exceeded in 5 % of the occupied hours by view direction, over the class limits.
 
-    Directions are drawn clockwise from north; low and high bound the 95 % interval. A NaN is a
-    direction that was not seen: the line has a gap there.
+    Directions run clockwise from north; low and high bound the 95 % interval. A NaN is a direction
+    that was not seen: the line has a gap there.
     """
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])
@@ -287,10 +288,10 @@ def exceedance_svg(
     azimuths_deg: Float,
     ends: Sequence[tuple[str, float]],
 ) -> str:
-    """Share of all occupied hours above a DGP, one line per direction; `ends` names the worst and
-    the best by their azimuths.
+    """Plot the share of all occupied hours above a DGP, one line for each direction.
 
-    dgp: [n, d] of the lit ones; the dark ones count as hours without glare, as in EN 17037.
+    dgp: [n, d] of the hours with daylight; dark hours count as hours without glare, as in EN 17037.
+    ends: name and azimuth of the worst and the best direction [deg].
     """
     n = len(dgp)
     share = 100.0 * np.arange(1, n + 1) / max(occupied_hours, 1)
@@ -319,7 +320,7 @@ def exceedance_svg(
 
 
 def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
-    """Predicted against measured, with the 1:1 line and r2 (the paper's Figures 11, 14 and 22)."""
+    """Plot predicted against measured, with the 1:1 line and r2 (paper: Figures 11, 14, 22)."""
     x, y = np.ravel(measured), np.ravel(predicted)
     r2 = (
         float(np.corrcoef(x, y)[0, 1] ** 2)
@@ -338,7 +339,7 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
 
 
 def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
-    """Where in the sky the error sits (the paper's Figure 12)."""
+    """Plot the mean error against the sun's altitude and azimuth (the paper's Figure 12)."""
     with rc_context(_STYLE):
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
@@ -352,7 +353,7 @@ def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quan
 
 
 def contrast_levels_svg(measured: Float, predicted: Float) -> str:
-    """Mean local contrast per pyramid level, [n, levels] (the paper's Figure 13)."""
+    """Plot mean local contrast per pyramid level, [n, levels] (the paper's Figure 13)."""
     levels = np.arange(measured.shape[1])
     with rc_context(_STYLE):
         figure = Figure(figsize=(3.8, 3.0))

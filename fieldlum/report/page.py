@@ -1,6 +1,4 @@
-"""The report as one self-contained HTML page: sections, tables and the heat map's data, filled
-into page.html.j2.
-"""
+"""The report as one self-contained HTML page: sections, tables and heat map fill page.html.j2."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture with the words that stand for it when it cannot be seen."""
+    """A picture with a text for readers who cannot see it."""
 
     alt: str
     caption: str
@@ -30,16 +28,18 @@ class Figure:
 
 
 def svg_figure(svg: str, alt: str, caption: str) -> Figure:
+    """Return a figure of SVG text."""
     return Figure(alt, caption, svg=svg)
 
 
 def png_figure(data: bytes, alt: str, caption: str) -> Figure:
+    """Return a figure of PNG bytes."""
     return Figure(alt, caption, png=base64.b64encode(data).decode())
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Figures side by side under a small title."""
+    """Figures in one row under a small title."""
 
     figures: tuple[Figure, ...]
     title: str = ""
@@ -47,11 +47,13 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Table:
+    """A table with an optional title; folded: opened by a click."""
+
     head: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
     title: str = ""
     folded: bool = False
-    words: bool = False  # cells are words, to be set left
+    words: bool = False  # cells are words, aligned left
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,8 @@ class HeatMap:
 
 @dataclass(frozen=True, slots=True)
 class Section:
+    """One section of the page."""
+
     id: str
     title: str
     text: str = ""
@@ -77,6 +81,8 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Page:
+    """All content of the page."""
+
     title: str
     answer: str
     why: str
@@ -89,12 +95,12 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One layer of the heat map. values: [days, 24, directions], NaN where there is nothing."""
+    """One layer of the heat map. values: [days, 24, directions], NaN where there is no value."""
 
     name: str
     unit: str
     values: Float
-    step: float  # of the stored whole numbers
+    step: float  # resolution of the stored integers
     edges: tuple[float, ...]
     colours: tuple[str, ...]  # one more than edges
     dark: tuple[bool, ...]  # whether white text reads on it
@@ -107,7 +113,7 @@ EV_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", 
 
 
 def _cells(values: Float, step: float) -> str:
-    """[days, 24] as little-endian 16-bit whole numbers in base64."""
+    """Return [days, 24] as little-endian 16-bit integers in base64."""
     whole = np.clip(np.nan_to_num(values, nan=0.0) / step, 0, NOTHING - 1).round().astype("<u2")
     whole[~np.isfinite(values)] = NOTHING
     return base64.b64encode(whole.tobytes()).decode()
@@ -116,6 +122,7 @@ def _cells(values: Float, step: float) -> str:
 def heat_map(
     quantities: Sequence[Quantity], directions: Sequence[str], year: int, alt: str, start: int
 ) -> HeatMap:
+    """Return the heat map's data; start: index of the quantity shown first."""
     shown = tuple(
         {
             "name": q.name,
@@ -142,8 +149,9 @@ def heat_map(
 def day_hour_grid(
     day_of_year: NDArray[np.integer], hour: NDArray[np.integer], values: Float, days: int
 ) -> Float:
-    """Hourly rows [n, d] to [days, 24, d] of local standard time; NaN where there is no row.
-    Days count from 1.
+    """Return hourly rows [n, d] as [days, 24, d] of local standard time.
+
+    Days count from 1. Hours without a row are NaN.
     """
     grid = np.full((days, 24, values.shape[1]), np.nan)
     grid[day_of_year - 1, hour] = values
@@ -151,7 +159,7 @@ def day_hour_grid(
 
 
 def render(page: Page) -> str:
-    """The page as HTML; all text is escaped."""
+    """Return the page as HTML; all text is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
