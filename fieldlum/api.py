@@ -1,4 +1,4 @@
-"""The Python API: what `import fieldlum` offers, each name a thing to call from a notebook.
+"""The Python API: the functions of `import fieldlum`, for scripts and notebooks.
 
 Every function takes paths as text or `Path`, and returns arrays in frozen dataclasses. The command
 line and this module call the same stages; `docs/python.md` shows both in use.
@@ -153,12 +153,12 @@ def read_panorama(file: str | Path) -> Panorama:
         `luminance_cdm2` [H, 2H] with the zenith in row 0 and `heading_deg` in the centre column,
         without the sun's disc; `u_cdm2` (standard uncertainty), `flags` and `sun` where the file
         has them. In a session the sun is that of suns.csv, as `pair` completed it; where it is only
-        a lower bound, `attributes["note"]` says so.
+        a lower bound, `attributes["note"]` reports that.
 
     Raises
     ------
     InputError
-        The file is missing, broken, or no panorama.
+        The file is missing, broken, or not a panorama.
 
     Examples
     --------
@@ -345,7 +345,7 @@ def merge_frames(
     fit
         Estimate the exposure ratios from the frames; None: for raw frames only.
     drop_moved
-        Leave out frames in pixels where something moved.
+        Exclude frames from pixels where something moved.
     progress
         Called as progress(done, total, text).
 
@@ -395,7 +395,7 @@ def evaluate_glare(
     Returns
     -------
     dict
-        The object that `fieldlum glare --json` prints. `views` has one dict a direction with
+        The object that `fieldlum glare --json` prints. `views` has one dict per direction with
         `azimuth_deg`, `dgp`, `dgps` (0 to 1), `ev_lx`, `ugr`, `dgi`, `verdict`; `warnings` lists
         what makes the figures lower bounds.
 
@@ -477,7 +477,7 @@ def fit(
     data
         From `load_pairs`.
     model
-        ``auto`` chooses on held-out days; else the name of one: ``transport``, ``dense``,
+        ``auto`` chooses on held-out days; or the name of one: ``transport``, ``dense``,
         ``nearest`` or ``mean``.
     patch
         Sun patches in cd/m2 (``absolute``), up to an unknown factor (``gain``), or not used
@@ -485,7 +485,7 @@ def fit(
     budget_min
         Time for the dense network. [min]
     seed
-        Of everything random; it is stored in the model folder.
+        Seed of everything random; it is stored in the model folder.
     out
         A model folder for weights.npz, config.json and scores.json; None writes nothing.
     progress

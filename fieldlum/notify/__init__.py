@@ -1,6 +1,4 @@
-"""Messages to people far away, and heartbeats to a monitor: sent in the background, never waited
-for.
-"""
+"""Send messages to people and heartbeats to a monitor, in the background, without waiting."""
 
 from fieldlum.notify.heartbeat import Heartbeat, read_address
 from fieldlum.notify.outbox import Message, Outbox, Post

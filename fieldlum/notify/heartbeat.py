@@ -1,4 +1,4 @@
-"""An address that is fetched regularly, so that an outside monitor notices a dead laptop."""
+"""Fetch an address regularly, so that an external monitor notices a dead laptop."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from urllib.parse import urlsplit
 from fieldlum.errors import InputError
 
 EVERY_S = 600.0  # monitors usually allow a grace of several periods; see docs/capture.md
-TIMEOUT_S = 20.0
+TIMEOUT_S = 20.0  # not measured; for a slow mobile network
 
 
 def read_address(option: str) -> str:
     """Return the address in ``@FILE``: its first line that is neither empty nor a comment.
 
-    Raises InputError for an option that is no ``@FILE``, an unreadable file, and an address that
-    is neither http nor https; no error quotes the address.
+    Raises InputError for an option that is not ``@FILE``, an unreadable file, and an address that
+    is neither http nor https; no error contains the address.
     """
     from fieldlum.notify.targets import read_targets
 
@@ -27,7 +27,7 @@ def read_address(option: str) -> str:
             "--heartbeat",
             "an address on the command line",
             "@FILE",
-            "write the address into a file, for arguments are visible to every user",
+            "write the address into a file, because every user can see arguments",
         )
     address = read_targets(option)[0][0]
     if urlsplit(address).scheme not in ("http", "https"):
@@ -36,13 +36,13 @@ def read_address(option: str) -> str:
 
 
 def fetch(address: str) -> None:
-    """Fetch an address and drop the answer. Raises OSError when there is none in time."""
+    """Fetch an address and ignore the answer. Raises OSError if there is none in time."""
     with urllib.request.urlopen(address, timeout=TIMEOUT_S) as answer:
         answer.read(1024)
 
 
 class Heartbeat:
-    """Fetches the address after each `beat` and every `every_s` seconds, in a thread of its own."""
+    """Fetches the address after each `beat` and every `every_s` seconds, in its own thread."""
 
     def __init__(
         self,
@@ -63,6 +63,7 @@ class Heartbeat:
         self._due.set()
 
     def close(self) -> None:
+        """Stop the thread."""
         self._closing = True
         self._due.set()
 

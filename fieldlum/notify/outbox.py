@@ -1,4 +1,4 @@
-"""Messages that wait until they are sent: a thread of its own, a file that survives a restart."""
+"""Messages that wait until they are sent: in their own thread, and in a file for a restart."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 from fieldlum.session import replacing
 
 MOST_WAITING = 500  # a month without network at ten messages a day; older ones are dropped
-FIRST_PAUSE_S = 30.0
+FIRST_PAUSE_S = 30.0  # not measured: gentle to a service that limits requests
 LONGEST_PAUSE_S = 900.0  # a message leaves at most a quarter of an hour after the network is back
-PATIENCE_AT_END_S = 10.0
+PATIENCE_AT_END_S = 10.0  # not measured: a person waits for the command to end
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What a person is to read. `picture` is attached where it exists."""
+    """A message to a person. `picture` is attached if it exists."""
 
     title: str
     body: str
@@ -36,12 +36,11 @@ def _silent(event: str, why: str) -> None:
 
 
 class Outbox:
-    """Sends messages in the order in which they came. `put` returns at once, whatever the network
-    or the disk does.
+    """Sends messages in order. `put` returns at once, whatever the network or the disk does.
 
     A message that cannot be sent is tried again after 30 s, 1 min ... 15 min, and after a restart.
     `report(event, why)` is called with ``notify-lost`` when sending begins to fail and with
-    ``notify-back`` when it works again; `why` never holds an address.
+    ``notify-back`` when it works again; `why` never contains an address.
     """
 
     def __init__(
@@ -94,15 +93,15 @@ class Outbox:
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _next(self) -> Message | None:
-        """Wait for a message; None when the outbox is closed and empty."""
+        """Wait for a message; return None when the outbox is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closing)
             return self._waiting[0] if self._waiting else None
 
     def _sent(self, message: Message) -> bool:
         try:
-            sent, why = self._post(message), "a service did not take the message"
-        except Exception as error:  # whatever a service's client raises: it may quote the address
+            sent, why = self._post(message), "a service did not accept the message"
+        except Exception as error:  # a service's client can raise anything, with the address in it
             sent, why = False, type(error).__name__
         if sent == self._failing:
             self._failing = not sent
@@ -117,7 +116,7 @@ class Outbox:
     def _save(self) -> None:
         with self._changed:
             waiting = list(self._waiting)
-        with suppress(OSError):  # a full disk costs a restart its messages, never the capture
+        with suppress(OSError):  # on a full disk, messages are lost at a restart; capture goes on
             if not waiting:
                 self._file.unlink(missing_ok=True)
                 return
@@ -129,7 +128,7 @@ class Outbox:
 
 
 def _read(file: Path) -> list[Message]:
-    """Return the messages that an earlier process could not send; damaged lines are left out."""
+    """Return the messages that an earlier process could not send, without damaged lines."""
     messages: list[Message] = []
     with suppress(OSError, UnicodeDecodeError):
         for line in file.read_text(encoding="utf-8").splitlines():

@@ -1,7 +1,7 @@
-"""Where messages go: addresses of apprise, read from a file, never from the command line.
+"""Read where messages go: addresses for apprise, from a file, never from the command line.
 
-An address holds a password or a token. It is therefore read from a file or from the environment,
-and never appears in an argument, an error, the journal or a session.
+An address contains a password or a token. It is therefore read from a file or from the environment,
+and is never part of an argument, an error, the journal or a session.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from fieldlum.errors import InputError
 from fieldlum.notify.outbox import Message, Post
 
 VARIABLE = "FIELDLUM_NOTIFY"
-_READABLE_BY_OTHERS = 0o077
+_READABLE_BY_OTHERS = 0o077  # permission bits of group and others (POSIX)
 
 
 def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]:
     """Return the addresses of ``@FILE`` and a note about the file, empty if there is none.
 
-    option: what stands after ``--notify``; empty: `variable` counts, which holds ``@FILE`` or
+    option: the value of ``--notify``. If it is empty, `variable` counts, which has ``@FILE`` or
     addresses separated by blanks. A file has one address a line; empty lines and lines that begin
-    with # are passed over. Raises InputError for an option that is no ``@FILE`` and for a file
-    that cannot be read or is empty; no error quotes an address.
+    with # are skipped. Raises InputError for an option that is not ``@FILE`` and for a file that
+    cannot be read or is empty; no error contains an address.
     """
     if not option and variable and not variable.startswith("@"):
         return tuple(variable.split()), ""
@@ -37,7 +37,7 @@ def read_targets(option: str, variable: str = "") -> tuple[tuple[str, ...], str]
             "--notify",
             "an address on the command line",
             "@FILE",
-            "write the address into a file, for arguments are visible to every user",
+            "write the address into a file, because every user can see arguments",
         )
     path = Path(text[1:])
     lines = _lines(path)
@@ -50,7 +50,7 @@ def _lines(path: Path) -> tuple[str, ...]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "no UTF-8 text"
+        why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InputError(path, str(why), "a readable file of addresses") from None
     stripped = (line.strip() for line in text.splitlines())
     return tuple(line for line in stripped if line and not line.startswith("#"))
@@ -63,13 +63,13 @@ def _privacy_note(path: Path) -> str:
 
 
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
-    """Return a function that sends one message to all targets and reports whether all took it.
+    """Return a function that sends one message to all targets and returns whether all succeeded.
 
     Raises InputError naming the line of a target that apprise does not understand.
     """
-    logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines quote addresses
+    logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines contain addresses
     try:
-        with warnings.catch_warnings():  # a service that it loads imports a module on its way out
+        with warnings.catch_warnings():  # one of its services imports a deprecated module
             warnings.simplefilter("ignore", DeprecationWarning)
             import apprise
 

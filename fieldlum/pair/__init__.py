@@ -1,7 +1,7 @@
-"""Pair every panorama with the irradiance of its own seconds, its sun and its sun patch.
+"""Pair every panorama with the irradiance during its bracket, its sun and its sun patch.
 
-`interval` is about the light outside, `source` about the sun's strength at the lens, `patches`
-about the room; this file is the stage.
+`interval` computes the irradiance, `sun_strength` the sun's illuminance at the lens, `patches` the
+sun patches; this file is the stage.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from fieldlum.session.files.suns_csv import SunRow, write_suns
 from fieldlum.session.simulated_pairs import keep_simulated_pairs
 from fieldlum.sky import direct_normal_illuminance_lx
 
-POOR_SUN_PERCENT = 5.0  # of a sun's illuminance in the picture, from which its pair says so
-NIGHT_MINUTES = 5  # of light with the sun well down, that a lamp may make
+POOR_SUN_PERCENT = 5.0  # larger uncertainty of the sun's illuminance is reported; not measured
+NIGHT_MINUTES = 5  # minutes of light with the sun well down that a lamp may cause; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One merged bracket: where its picture is, when it was taken, what the merge said of it."""
+    """One merged bracket: its panorama, when it was taken, and what merge recorded about it."""
 
     slot: str
     panorama: Path
@@ -51,11 +51,12 @@ class Taken:
     meter_lx: float | None = None
     complete: bool = True
     frames: frozenset[str] = frozenset()  # sha256 of each
-    double_of: str = ""  # another slot that has the same frames
-    sun_u_percent: float = 0.0  # what too few pixels under the sun's disc may cost its illuminance
+    double_of: str = ""  # another slot with the same frames
+    sun_u_percent: float = 0.0  # uncertainty of its illuminance from few usable pixels on the disc
 
     @property
     def t_utc(self) -> datetime:
+        """Middle of the bracket."""
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
 
@@ -73,11 +74,12 @@ class Pair:
 
     @property
     def ok(self) -> bool:
+        """Whether the row may be used."""
         return not self.why
 
 
 def taken_brackets(session: Session) -> list[Taken]:
-    """Every panorama, in order of time; over its capture.json's interval, else half a minute."""
+    """Return every panorama in order of time, with capture.json's interval, else half a minute."""
     return _doubles_named([_taken(session, path) for path in session.panorama_files()])
 
 
@@ -112,8 +114,9 @@ def _slot_time(path: Path) -> datetime:
 
 
 def _doubles_named(brackets: list[Taken]) -> list[Taken]:
-    """A card that was imported twice, with two clock offsets, stands in two slots: one of them
-    is wrong, or both.
+    """Name brackets with the same frames: a card was imported twice, with two clock offsets.
+
+    One of the two slots is wrong, or both are.
     """
     at: dict[str, list[str]] = {}
     for taken in brackets:
@@ -124,18 +127,18 @@ def _doubles_named(brackets: list[Taken]) -> list[Taken]:
 
 
 def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
-    """A row, with the first reason why it may not be used."""
+    """Return a row, with the first reason why it may not be used."""
     why = light.why
     if taken.double_of:
         why = f"the same frames as {taken.double_of}: imported with two clock offsets"
     elif not why and altitude_deg < 0.0:
-        why = "the sun is down"
+        why = "the sun is below the horizon"
     elif not why and sun.too_weak(
         light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]
     ):
-        why = "less light than any sky lets through: instrument covered or dead, or kW/m2"
+        why = "less light than under any sky: instrument covered or faulty, or values in kW/m2"
     whole = "" if taken.complete else "bracket incomplete"
-    poor = f"sun measured on few pixels, to {taken.sun_u_percent:.0f} %"
+    poor = f"sun measured on few pixels, uncertainty {taken.sun_u_percent:.0f} %"
     poor = poor if taken.sun_u_percent >= POOR_SUN_PERCENT else ""
     return Pair(
         taken,
@@ -152,12 +155,13 @@ def _joined(*texts: str) -> str:
 
 
 def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
-    """Raises InputError for light with the sun well down, which is a clock's fault or a place's."""
+    """Raise InputError for light with the sun well down: the clock or the place is wrong."""
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > NIGHT_MINUTES:
         raise InputError(
             path,
-            f"light in {len(lit)} minutes with the sun well down, first {utc_text(lit[0])}",
+            f"light in {len(lit)} minutes with the sun well below the horizon, the first at "
+            f"{utc_text(lit[0])}",
             "darkness",
             "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's "
             "longitude",
@@ -171,10 +175,10 @@ def run(
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
 ) -> list[Pair]:
-    """Write pairs.csv, suns.csv and sunpatches/; panoramas stay as merge wrote them.
+    """Write pairs.csv, suns.csv and sunpatches/; the panoramas are not changed.
 
-    Needs irradiance/clean.csv. A simulated session's own pairs are kept in truth/pairs.csv. Raises
-    NotEnoughDataError when nothing is merged, InputError for irradiance that is light at night.
+    It needs irradiance/clean.csv. A simulated session's own pairs stay in truth/pairs.csv. Raises
+    NotEnoughDataError if nothing is merged, InputError for irradiance with light at night.
     """
     brackets = taken_brackets(session)
     if not brackets:
@@ -204,7 +208,7 @@ def _with_suns(
     scheduler: Scheduler,
     progress: Progress,
 ) -> list[Pair]:
-    """Write suns.csv, and the patches of the usable rows where a room is given."""
+    """Write suns.csv, and the patches of the usable rows if the site has a room."""
     usable = [p for p in pairs if p.ok]
     full_lx = direct_normal_illuminance_lx(
         [p.light.dni_wm2 for p in usable],
@@ -257,7 +261,7 @@ def _complete(
 
 
 def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
-    """pairs.csv, whole or not at all; a figure that is not known stays empty."""
+    """Write pairs.csv atomically; an unknown figure is an empty cell."""
     PairsFile(path, tuple(_row(path, pair) for pair in pairs)).write()
 
 

@@ -1,6 +1,4 @@
-"""Irradiance over a bracket's own interval: means, steadiness, and whether the data may be used
-at all.
-"""
+"""Irradiance during a bracket: means, steadiness, and whether the bracket may be used."""
 
 from __future__ import annotations
 
@@ -14,15 +12,17 @@ from fieldlum.session.files.clean_csv import MEASURED, CleanIrradiance
 
 Array = NDArray[np.float64]
 
-UNSTEADY = 0.10  # relative range of the global from which a bracket gets a caution
-TOO_UNSTEADY = 0.50  # and from which it is refused: the frames saw different light
-COARSEST_S = 900.0  # rows further apart than this say nothing about a bracket
+# Relative range of the global irradiance in a bracket. Not measured.
+UNSTEADY = 0.10  # a larger one gives a caution
+TOO_UNSTEADY = 0.50  # a larger one excludes the bracket: its frames saw different light
+COARSEST_S = 900.0  # rows further apart do not describe a bracket; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """The light outside while a bracket was taken. NaN: not known. why: refused; caution: read
-    with care.
+    """Irradiance during a bracket.
+
+    NaN: unknown. why: the reason if it may not be used; caution: a doubt about it.
     """
 
     ghi_wm2: float = np.nan
@@ -36,11 +36,10 @@ class Outside:
 
 
 def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside:
-    """Statistics over [opened, closed]; a bracket shorter than three rows takes in one row more on
-    either side.
+    """Return the statistics of rows in [opened, closed].
 
-    Refused (`why`) when any stretch of the interval is further than two poll periods from a usable
-    row: the last value is never carried on.
+    For fewer than three rows, include one more row on each side. Set `why` if any time of the
+    interval is more than two poll periods from a usable row: the last value is never extended.
     """
     start, end = opened.timestamp(), closed.timestamp()
     every = max(log.every_s(start), 1.0)
@@ -60,7 +59,7 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
 
 
 def _worst_distance_s(t_unix_s: Array, start: float, end: float) -> float:
-    """How far the worst-served moment of [start, end] is from a row; infinite without rows."""
+    """Return the largest distance of a time in [start, end] from a row [s]; inf without rows."""
     if len(t_unix_s) == 0:
         return float("inf")
     middles = (t_unix_s[1:] + t_unix_s[:-1]) / 2.0
@@ -88,7 +87,7 @@ def _statistics(log: CleanIrradiance, rows: NDArray[np.bool_]) -> Outside:
     steadiness = spread / mean if mean > 1.0 else 0.0
     caution, why = [], ""
     if dhi.mean() > 1.05 * mean + 10.0:
-        why = "diffuse above global: are the two exchanged?"
+        why = "diffuse above global: the two columns may be exchanged"
     elif steadiness > TOO_UNSTEADY and spread > 10.0:
         why = f"light changed by {100 * steadiness:.0f} % during the bracket"
     elif steadiness > UNSTEADY and spread > 10.0:
@@ -109,9 +108,9 @@ def _statistics(log: CleanIrradiance, rows: NDArray[np.bool_]) -> Outside:
 
 
 _CAUTIONS = {
-    "low-sun": "sun under 5 degrees: DNI from horizontal readings is poor",
+    "low-sun": "sun under 5 degrees: DNI from horizontal readings is inaccurate",
     "closure": "global is not diffuse + direct",
     "diffuse": "diffuse above global",
     "extreme": "irradiance outside BSRN's extremely rare limits",
-    "spike": "one reading departs from its neighbours",
+    "spike": "one reading differs strongly from its neighbours",
 }

@@ -1,6 +1,4 @@
-"""Direct sun in the room, for the hours that were captured: sunpatches/<slot>.exr, and what the
-lens sees of it.
-"""
+"""Compute sunpatches/<slot>.exr of the captured hours, and how much of the disc the lens sees."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.json_file import write_object
 from fieldlum.session.provenance import digest, made_from
 
-SLOTS_A_UNIT = 16  # rays of the room are traced once a process, so a few slots are enough
+SLOTS_A_UNIT = 16  # the room's rays are traced once per process, so few slots are enough
 Item = tuple[str, Path, datetime]  # slot, its panorama, its time
 
 
@@ -36,8 +34,9 @@ def seen_and_patches(
     scheduler: Scheduler = LOCAL,
     progress: Progress,
 ) -> list[tuple[Seen, str]]:
-    """What each slot's lens sees of the sun, and its patch's path relative to the session (""
-    without a room).
+    """Return, for each slot, the visible sun and the patch's path relative to the session.
+
+    The path is "" without a room.
     """
     if setup.room is None or not items:
         return [(Seen(), "")] * len(items)
@@ -87,7 +86,7 @@ def _recipe(
     azimuth: float,
     normal_lx: float,
 ) -> str:
-    """What a patch depends on, as a digest."""
+    """Return the digest of everything that a patch depends on."""
     text = [
         plain(room),
         plain(setup.camera),
@@ -101,7 +100,7 @@ def _recipe(
 
 
 def _known(session: Session, slot: str, recipe: str) -> Seen | None:
-    """From the sidecar of a patch that was made by this very recipe."""
+    """Return the visible sun from a patch's sidecar, if the patch has the same inputs."""
     table = made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)])
     if table is None:
         return None

@@ -1,4 +1,4 @@
-"""The sun as the lens saw it: which of picture, meter, room and DNI says how strong it was."""
+"""Choose the sun's illuminance at the lens: from the picture, a meter, the room or DNI."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ from fieldlum.records import CLIPPED_SUN, Panorama, SunSource
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 
 METER, DNI = "meter", "dni"
-MOST_OVER_DNI, FAINT_SUN_LX = (
-    1.5,
-    10_000.0,
-)  # a picture's sun above both: clock, units or columns are wrong
-_LEAST_COSINE = 0.2  # a meter that sees the sun more aslant tells little about it
+# A picture's sun above both limits shows a wrong clock, unit or column. Not measured.
+MOST_OVER_DNI, FAINT_SUN_LX = 1.5, 10_000.0
+_LEAST_COSINE = 0.2  # a meter under a more oblique sun is too inaccurate (78 degrees); not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Of the disc, from the lens, as the room's geometry has it; 1, 1 when no room is given."""
+    """Visible share of the sun's disc from the lens, by the room's geometry; 1 without a room."""
 
     visible_fraction: float = 1.0
     transmittance: float = 1.0
@@ -31,11 +29,11 @@ class Seen:
 def complete_sun(
     panorama: Panorama, full_normal_lx: float, seen: Seen, meter_lx: float | None
 ) -> tuple[SunSource | None, str]:
-    """The source beside the map, and a caution when picture and room disagree.
+    """Return the source for the sun, and a caution if picture and room disagree.
 
-    full_normal_lx: DNI times Perez's direct luminous efficacy, outside the glass. A sun that the
-    picture measured is kept; one that clipped is completed from the meter, else from DNI and the
-    room; one that the picture does not show is never added.
+    full_normal_lx: DNI times the direct luminous efficacy of Perez et al. (1990), before the glass
+    [lx]. A sun that the picture measured stays. A clipped sun is completed from the meter, else
+    from DNI and the room. A sun that the picture does not show is never added.
     """
     found = panorama.sun
     if found is None:
@@ -58,7 +56,7 @@ def complete_sun(
     caution = (
         ""
         if seen.known or origin == METER
-        else "sun from DNI without the glazing: no [room] is given"
+        else "sun from DNI without the glazing: the site has no [room]"
     )
     source = replace(
         found,
@@ -70,8 +68,9 @@ def complete_sun(
 
 
 def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> float | None:
-    """(measured - image) vertical illuminance at the lens over the cosine of the sun's incidence
-    there. [lx]
+    """Return the sun's normal illuminance from the meter [lx].
+
+    It is the measured minus the image's vertical illuminance, divided by the cosine of incidence.
     """
     if meter_lx is None:
         return None
