@@ -157,7 +157,7 @@ def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     data = stated_otherwise(2.0)
     model = fit(data)
     doubting, said = settle(cast(Fitted, model), data, "absolute")
-    assert said[0].startswith("WARNING") and "north is off by +2." in said[0]
+    assert said[0].startswith("WARNING") and "north is wrong by +2." in said[0]
     assert "wall_azimuth_deg = 182." in said[1] and "heading_deg = 182." in said[1]
     plain = model.predict(data.light, data.patch_cdm2)
     wide = doubting.predict(data.light, data.patch_cdm2)
@@ -214,7 +214,7 @@ def test_every_cause_has_words_and_a_remedy(cause: str) -> None:
     amount = (1.0, 2.0) if cause in ("camera", "north and clock") else (1.0,)
     finding = SettingFinding(cause, amount, (0.1,) * len(amount), 0.02, 0.04, 5.0)
     lines = warnings_of(Setting((finding,), (), 0.5, 40), SETUP, 4.5)
-    assert len(lines) == 2 and lines[0].startswith("WARNING") and lines[1].startswith("to mend")
+    assert len(lines) == 2 and lines[0].startswith("WARNING") and lines[1].startswith("to fix")
     assert warnings_of(Setting((finding,), (), 0.0, 40), SETUP, 4.5) == []
 
 

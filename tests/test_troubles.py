@@ -176,4 +176,4 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
     found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95
     text = " ".join((*doubts(fitted, data), *settle(fitted, data, "absolute")[1]))
-    assert "check clock" not in text and "north is off" not in text
+    assert "check clock" not in text and "north is wrong" not in text

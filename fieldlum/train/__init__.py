@@ -1,4 +1,4 @@
-"""Fit a room's model, score it on days it has not seen, and say why it was chosen.
+"""Fit a room's model, score it on held-out days, and record why it was chosen.
 
 `run` is what the `train` command calls; `evaluate_folds` and `fit_timed` serve the benchmarks too.
 """
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
-FOLD_SHARE = 0.5  # of the budget of slow models; the rest is for the model that is stored
-# all folds of a quick model, unless they take longer than this: the budget is for the slow ones
+FOLD_SHARE = 0.5  # of the budget of slow models; the rest is for the stored model; not measured
+# All folds of a quick model, unless they take longer [s]: the budget is for the slow models.
 QUICK_S = 300.0
-# Under one pass over the training pixels the network's errors show the speed of the processor
-# (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not how well the model suits
-# a room.
+# Under one pass over the training pixels the network's errors depend on the processor's speed
+# (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the model
+# suits a room.
 MIN_PASSES_TO_JUDGE = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What training came to. not_judged: trials that were too short for their scores to count."""
+    """Result of training. not_judged: trials that were too short for their scores to count."""
 
     fitted: Fitted
     trials: tuple[Trial, ...]
@@ -55,7 +55,7 @@ class Result:
 
     @property
     def held_out(self) -> HeldOutMaps | None:
-        """Held-out maps of the chosen model; None where its trial was too short to be judged."""
+        """Held-out maps of the chosen model; None if its trial was too short to be judged."""
         return next((t.scores.maps for t in self.trials if t.name == self.choice.name), None)
 
     def table(self, seed: int) -> list[dict[str, Any]]:
@@ -65,6 +65,7 @@ class Result:
 
 
 def row(trial: Trial, seed: int) -> dict[str, Any]:
+    """Return the row of a trial in `train --json`."""
     return {
         "name": trial.name,
         "fit_s": trial.fit_s,
@@ -85,13 +86,12 @@ def row_without_figures(trial: Trial, seed: int) -> dict[str, Any]:
 
 def _too_short(trial: Trial) -> str:
     return (
-        f"no time to judge: {trial.passes or 0.0:.2f} passes over the data, one is needed; "
-        "raise --budget"
+        f"not judged: {trial.passes or 0.0:.2f} passes over the data, one is needed; raise --budget"
     )
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
-    """Without pictures of the sun patch there is nothing to read."""
+    """Return "none" for data without pictures of the sun patches, else `patch`."""
     return "none" if data.patch_cdm2 is None else patch
 
 
@@ -105,9 +105,9 @@ def fit_and_score(
     checkpoint: Path | None = None,
     progress: Progress = quiet,
 ) -> Result:
-    """Trials on held-out days, the choice, and the model fitted on all of the data.
+    """Run trials on held-out days, choose a model, and fit it on all of the data.
 
-    Raises NotEnoughDataError when there are too few hours to hold any out.
+    Raises NotEnoughDataError if there are too few hours to hold any out.
     """
     patch = patch_mode(data, patch)
     folds = day_folds(data)
@@ -142,7 +142,7 @@ def fit_and_score(
     not_judged = tuple(trial for trial in trials if _is_too_short(trial))
     trials = [trial for trial in trials if not _is_too_short(trial)]
     left_out += [f"{trial.name}: {_too_short(trial)}" for trial in not_judged]
-    choice = choose(trials, data) if model == "auto" else ModelSelection(model, "asked for")
+    choice = choose(trials, data) if model == "auto" else ModelSelection(model, "requested")
     more = {"checkpoint": checkpoint} if checkpoint is not None and MODELS[choice.name].slow else {}
     fitted, spent = fit_timed(
         choice.name,
@@ -164,7 +164,7 @@ def _is_too_short(trial: Trial) -> bool:
 
 
 def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
-    """What a reader of the table must know."""
+    """Return notes for a reader of the scores."""
     notes = list(data.notes)
     if one_day_only(data):
         notes.append(
@@ -173,15 +173,15 @@ def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> 
         )
     if patch == "none" and data.patch_cdm2 is None:
         notes.append(
-            "no sun patches in the data: give a [room] in SITE.toml and run fieldlum pair for a "
+            "no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair for a "
             "better model"
         )
     errors = {trial.name: float(trial.scores.mse_weighted.mean()) for trial in trials}
     floor = min((errors[name] for name in baselines() if name in errors), default=float("inf"))
     if model in errors and not MODELS[model].baseline and errors[model] >= floor:
         notes.append(
-            f"WARNING: {model} is no better than a baseline on held-out days: do not use it as it "
-            f"is"
+            f"WARNING: {model} is no better than a baseline on held-out days: do not use it "
+            f"without finding the cause"
         )
     return tuple(notes)
 
@@ -203,11 +203,11 @@ def run(
     force: bool = False,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Train, keep the model and its scores in `out`, and return what `train --json` prints.
+    """Train, write the model and its scores to `out`, and return what `train --json` prints.
 
-    A model that was trained from the same captures and options by the same version is kept: the
-    answer's `kept` is then True. A dense training that was cut off goes on from its checkpoint in
-    `out`. captures: also say how many captures would have been enough.
+    A model that the same version trained from the same captures and options is not trained again:
+    the answer's `kept` is then True. An interrupted dense training continues from its checkpoint in
+    `out`. captures: also compute how many captures would have been enough.
     """
     from fieldlum.models import distributed
     from fieldlum.train.captures import how_many

@@ -1,4 +1,4 @@
-"""How many captures would have been enough, and which added nothing."""
+"""Estimate how many captures would have been enough, and which added nothing."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from fieldlum.records import Progress, quiet
 from fieldlum.train.folds import day_folds
 from fieldlum.train.trials import evaluate_folds
 
-SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)
-FOLDS = 3
-FEWEST = 12  # captures; under it there is no curve to draw
-THIN_HEIGHT = (
-    20  # the curve is drawn on every few pixels: errors are the same on average, fits take a moment
-)
+SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)  # points of the learning curve
+FOLDS = 3  # enough for a curve, and faster than `folds.MOST_FOLDS`
+FEWEST = 12  # captures; with fewer there are too few points for a curve
+THIN_HEIGHT = 20  # rows; errors are the same on average, and fits take seconds
 
 
 def order_of_use(data: Dataset) -> np.ndarray:
-    """Row numbers, the most telling capture first: each next one lowers the variance over all of
-    them the most.
+    """Return row numbers, the most informative capture first.
+
+    Each next capture is the one that lowers the variance over all captures most.
     """
     kernel = Kernel(facades_of(data.setup.room))
     known = light_features(data.light)
@@ -39,11 +38,11 @@ def how_many(
     model: str = "transport",
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Error on held-out days against the number of captures, taken in the order of use.
+    """Return the error on held-out days against the number of captures, in the order of use.
 
-    Returns curve (captures, error, standard error over days), enough (the fewest within one
-    standard error of all of them) and added_nothing (slots that the order of use puts behind
-    those); empty for too few captures.
+    curve: captures, error, standard error over days. enough: the fewest captures within one
+    standard error of all of them. added_nothing: slots after those in the order of use. The result
+    is empty for too few captures.
     """
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:
         return {}
@@ -72,6 +71,6 @@ def how_many(
 
 
 def _first(data: Dataset, teach: np.ndarray, share: float) -> np.ndarray:
-    """The most telling part of the teaching rows."""
+    """Return the most informative part of the training rows."""
     count = max(4, round(share * len(teach)))
     return np.sort(teach[order_of_use(data.take(teach))[:count]])

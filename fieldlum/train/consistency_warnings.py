@@ -1,6 +1,4 @@
-"""What a fit itself gives away about its captures: said when training, so that nothing wild
-passes unseen.
-"""
+"""Warn about captures that the fitted model cannot explain."""
 
 from __future__ import annotations
 
@@ -15,16 +13,17 @@ if TYPE_CHECKING:
     from fieldlum.models import Fitted
     from fieldlum.models.data import Dataset
 
-POOR_MSE = 0.02  # log10: off by a factor of 1.4, which no steady room with right irradiance shows
-ODD_TIMES = 4.0  # a day so many times worse than the median day
+POOR_MSE = 0.02  # log10: a factor of 1.4, which a steady room with right irradiance does not reach
+ODD_TIMES = 4.0  # a day this many times worse than the median day is reported; not measured
 
 
 HARD_SHARE = 0.1  # of the captures; clean sets have under 2 %, a lamp or a moved camera 20 to 60 %
 
 
 def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
-    """A note when many captures are predicted badly by the other days; none without held-out
-    errors.
+    """Return a note if the other days predict many captures badly.
+
+    The list is empty for a model without held-out errors.
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
@@ -33,14 +32,15 @@ def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
         return []
     return [
         f"WARNING: {share:.0%} of the captures are predicted wrongly by a factor of over "
-        f"{TRUSTED_FACTOR:g} from the other days: something changed in the room, the camera or "
-        f"the light that the model does not know; hours like them are not trusted"
+        f"{TRUSTED_FACTOR:g} from the other days: the room, the camera or the light changed in a "
+        f"way that the model does not know; hours like them are not trusted"
     ]
 
 
 def doubts(fitted: Fitted, data: Dataset) -> list[str]:
-    """Warnings from the errors that the model has on its own captures with their day left out;
-    none without them.
+    """Return warnings from the model's errors on its own captures with their day held out.
+
+    The list is empty for a model without held-out errors.
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
@@ -51,14 +51,14 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     if len(odd):
         shown = ", ".join(str(day) for day in odd[:5]) + (" ..." if len(odd) > 5 else "")
         said.append(
-            f"WARNING: the captures of {shown} disagree with all others: was a blind moved, or a "
-            f"lamp on?"
+            f"WARNING: the captures of {shown} disagree with all others: check whether a blind was "
+            f"moved or a lamp was on"
         )
     if np.median(errors) > POOR_MSE / 4 or errors.mean() > POOR_MSE:
         factor = 10.0 ** np.sqrt(errors.mean())
         said.append(
-            f"WARNING: held-out days are off by a factor of {factor:.2f}: skies of broken cloud, "
-            f"wrong irradiance, or a room that did not stay as it was (a wrong north or clock has "
-            f"a warning of its own); {POOR_WORDS}"
+            f"WARNING: held-out days are wrong by a factor of {factor:.2f}; likely causes are "
+            f"broken cloud, wrong irradiance, or a room that changed (a wrong north or clock has "
+            f"its own warning); {POOR_WORDS}"
         )
     return said

@@ -1,6 +1,4 @@
-"""Held-out days: how training data are parted so that a score says something about hours never
-seen.
-"""
+"""Split training data into held-out days, so that a score describes hours the fit has not seen."""
 
 from __future__ import annotations
 
@@ -11,23 +9,22 @@ from numpy.typing import NDArray
 
 from fieldlum.models.data import Dataset
 
-MOST_FOLDS = 5
+MOST_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 or 10
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Row numbers; no day (no hour, where there is one day only) is on both sides."""
+    """Row numbers of a fold; no day is on both sides (no hour, if there is only one day)."""
 
     teach: NDArray[np.int64]
     check: NDArray[np.int64]
 
 
 def day_folds(data: Dataset, count: int = MOST_FOLDS) -> tuple[Fold, ...]:
-    """Whole days dealt out in turn, so that each fold has some of every season; hours when there is
-    one day only.
+    """Deal days to folds in turn, so that each fold has days of every season.
 
-    Neighbouring days of one season fall into different folds: a fold asks about a day between
-    captured ones, and says nothing about seasons that nobody captured.
+    Deal hours if there is one day only. Neighbouring days of a season are in different folds: a
+    fold tests days between captured ones, not seasons that nobody captured.
     """
     unique, which = np.unique(data.days, return_inverse=True)
     groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))
@@ -39,4 +36,5 @@ def day_folds(data: Dataset, count: int = MOST_FOLDS) -> tuple[Fold, ...]:
 
 
 def one_day_only(data: Dataset) -> bool:
+    """Return whether all hours are of one day."""
     return len(np.unique(data.days)) == 1

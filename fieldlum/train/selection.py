@@ -1,4 +1,4 @@
-"""Which model, by held-out days: the smallest one that is within one standard error of the best."""
+"""Choose a model by held-out days: the smallest within one standard error of the best."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fieldlum.statistics import is_no_worse
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a candidate did on held-out days."""
+    """Scores of a candidate on held-out days."""
 
     name: str
     scores: Scores
@@ -23,22 +23,24 @@ class Trial:
     fit_cpu_s: float
     n_train: int  # mean of its folds
     folds: int
-    passes: float | None = None  # over the data, the least of its folds; None: in closed form
+    passes: float | None = None  # over the data, minimum of its folds; None: solved in closed form
 
 
 @dataclass(frozen=True, slots=True)
 class ModelSelection:
+    """The chosen model and the reason."""
+
     name: str
     reason: str
 
 
 def _size(label: str) -> int:
-    """Of ``NAME``, ``NAME:PATCH`` or ``NAME (folder)``."""
+    """Return the size rank of ``NAME``, ``NAME:PATCH`` or ``NAME (folder)``."""
     return MODELS[label.replace(":", " ").split()[0]].size
 
 
 def _daily(trial: Trial, data: Dataset, slots: set[str]) -> NDArray[np.float64]:
-    """Mean error of each held-out day, over the hours in `slots`."""
+    """Return the mean error of each held-out day, over the hours in `slots`."""
     day_of = dict(zip(data.slots, data.days, strict=True))
     rows = [k for k, slot in enumerate(trial.scores.slots) if slot in slots]
     days = np.array([day_of[trial.scores.slots[k]] for k in rows])
@@ -46,13 +48,12 @@ def _daily(trial: Trial, data: Dataset, slots: set[str]) -> NDArray[np.float64]:
 
 
 def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
-    """One-standard-error rule, smallest first, among the candidates that were asked about the most
-    hours.
+    """Choose by the one-standard-error rule, smallest first, among the most tested candidates.
 
-    One that had time for fewer (the dense network) takes the place of their winner only when it is
-    better on the days that both were asked about, two at least, by more than the standard error of
-    the paired differences: a few days of a slow model must not decide between quick ones that know
-    all days.
+    A candidate that had time for fewer hours (the dense network) replaces the winner only if it is
+    better on the days that both were tested on, at least two, by more than the standard error of
+    the paired differences: a few days of a slow model must not outweigh quick models that were
+    tested on all days.
     """
     widest = max(len(trial.scores.slots) for trial in trials)
     thorough = [trial for trial in trials if len(trial.scores.slots) == widest]
@@ -67,7 +68,7 @@ def choose(trials: list[Trial], data: Dataset) -> ModelSelection:
         if len(gain) > 1 and gain.mean() > standard_error(gain):
             said = (
                 f"{trial.name} is better than {winner.name} by {gain.mean():.2e} on the "
-                f"{len(gain)} days it was asked"
+                f"{len(gain)} days it was tested on"
             )
             winner, choice = trial, ModelSelection(trial.name, said)
     return choice

@@ -1,6 +1,4 @@
-"""Where the captures contradict the stated setting: what is said about it, and how far the model
-then doubts itself.
-"""
+"""Report where the captures contradict the stated setting, and lower the model's trust there."""
 
 from __future__ import annotations
 
@@ -18,10 +16,10 @@ if TYPE_CHECKING:
 def settle(
     fitted: Fitted, data: Dataset, patch: Patch, progress: Progress = quiet
 ) -> tuple[Fitted, list[str]]:
-    """The model, doubting its sun patches as far as the captures contradict them, and warnings for
-    the person.
+    """Return the model with doubt about its sun patches, and warnings.
 
-    Nothing is corrected: a wrong north is to be mended in SITE.toml, where all stages read it.
+    The doubt is as large as the captures contradict the patches. Nothing is corrected: a wrong
+    north must be fixed in SITE.toml, which all stages read.
     """
     from fieldlum.models.transport.model import Transport
     from fieldlum.models.transport.setting_scan import setting_scan
@@ -37,7 +35,7 @@ def settle(
 
 
 def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
-    """One line on what is wrong, one on what to write where; none when nothing is."""
+    """Return one line on what is wrong and one on what to change; empty if nothing is wrong."""
     if found.room is not None:
         return [_measure_warning(found, found.room)]
     cause = found.wrong
@@ -45,23 +43,23 @@ def warnings_of(found: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
         return []
     share = cause.gain / cause.stated
     said = (
-        f"WARNING: captured sun patches lie beside the computed ones ({found.hours} hours): "
-        f"{_words(cause)}, which "
+        f"WARNING: captured sun patches are displaced from the computed ones ({found.hours} "
+        f"hours): {_words(cause)}, which "
     )
-    said += f"takes away {share:.0%} of the misfit"
+    said += f"explains {share:.0%} of the misfit"
     others = [f"{_words(f)} ({f.gain / cause.gain:.0%} of that)" for f in found.alike]
-    said += f"; nearly as well: {', '.join(others)}" if others else ""
-    lines = [f"{said}. Until it is mended, hours that depend on sun patches are doubted"]
-    lines += [f"to mend {f.cause}: {_remedy(f, setup, pixel_deg)}" for f in (cause, *found.alike)]
+    said += f"; nearly as likely: {', '.join(others)}" if others else ""
+    lines = [f"{said}. Until it is fixed, hours that depend on sun patches are doubted"]
+    lines += [f"to fix {f.cause}: {_remedy(f, setup, pixel_deg)}" for f in (cause, *found.alike)]
     return lines
 
 
 def _measure_warning(found: Setting, measure: RoomError) -> str:
-    """What to check where a wrong measure of the room explains as much as north or clock."""
+    """Return a warning where a wrong measure of the room explains as much as north or clock."""
     first = found.findings[0]
     return (
         f"WARNING: captured sun patches are not where [room] puts them ({found.hours} hours): "
-        f"{measure.name} {measure.amount_m:+.2f} m takes away {measure.gain / first.stated:.0%} of "
+        f"{measure.name} {measure.amount_m:+.2f} m explains {measure.gain / first.stated:.0%} of "
         f"the misfit, {first.cause} {first.gain / first.stated:.0%}, so the captures do not show "
         f"which is wrong; measure the camera's place and the windows again before changing north "
         f"or clock. Until then hours that depend on sun patches are doubted"
@@ -71,17 +69,17 @@ def _measure_warning(found: Setting, measure: RoomError) -> str:
 def _words(finding: SettingFinding) -> str:
     a, e = finding.amount, finding.error
     texts = {
-        "north": lambda: f"north is off by {a[0]:+.1f} +- {e[0]:.1f} degrees",
-        "clock": lambda: f"the clock is off by {a[0]:+.1f} +- {e[0]:.1f} minutes",
+        "north": lambda: f"north is wrong by {a[0]:+.1f} +- {e[0]:.1f} degrees",
+        "clock": lambda: f"the clock is wrong by {a[0]:+.1f} +- {e[0]:.1f} minutes",
         "north and clock": lambda: (
-            f"north is off by {a[0]:+.1f} +- {e[0]:.1f} degrees and the clock by {a[1]:+.1f} +- "
+            f"north is wrong by {a[0]:+.1f} +- {e[0]:.1f} degrees and the clock by {a[1]:+.1f} +- "
             f"{e[1]:.1f} minutes"
         ),
         "wall": lambda: (
             f"the room is turned against the camera by {a[0]:+.1f} +- {e[0]:.1f} degrees"
         ),
         "camera": lambda: (
-            f"the camera stood otherwise: patches belong {a[0]:+.1f} +- {e[0]:.1f} pixels to the "
+            f"the camera was displaced: patches belong {a[0]:+.1f} +- {e[0]:.1f} pixels to the "
             f"right and "
             f"{a[1]:+.1f} +- {e[1]:.1f} down"
         ),
@@ -90,7 +88,7 @@ def _words(finding: SettingFinding) -> str:
 
 
 def _remedy(finding: SettingFinding, setup: SiteFile, pixel_deg: float) -> str:
-    """What to write into SITE.toml, or what else to do."""
+    """Return what to write into SITE.toml, or what else to do."""
     a = finding.amount
     room = setup.room
     wall = (

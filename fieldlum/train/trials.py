@@ -1,4 +1,4 @@
-"""One model on held-out days: fits with their times, and a trial over folds."""
+"""Test one model on held-out days: fits with their times, and a trial over folds."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ from fieldlum.train.selection import Trial
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-LEAST_FOLDS = 2
-LEAST_FOLD_S = 60.0  # a dense fold shorter than this says little about the network
+LEAST_FOLDS = 2  # one fold gives no standard error
+LEAST_FOLD_S = (
+    60.0  # a shorter training of a dense fold does not describe the network; not measured
+)
 
 
 def passes_over_data(fitted: Fitted) -> float | None:
@@ -31,7 +33,7 @@ def passes_over_data(fitted: Fitted) -> float | None:
 
 
 class Spent(NamedTuple):
-    """Seconds by the clock, and of computing: on a busy machine only the second means anything."""
+    """Seconds of wall clock and of computing; on a busy machine only the second is meaningful."""
 
     wall_s: float
     cpu_s: float
@@ -47,7 +49,7 @@ def fit_timed(
     progress: Progress = quiet,
     **more: Any,
 ) -> tuple[Fitted, Spent]:
-    """A fitted model and the time it took."""
+    """Return a fitted model and the time it took."""
     wall, cpu = time.monotonic(), time.process_time()
     limit = {"budget_s": budget_s} if MODELS[name].slow else {}
     fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **limit, **more)
@@ -67,11 +69,11 @@ def evaluate_folds(
     progress: Progress = quiet,
     **more: Any,
 ) -> Trial:
-    """Fit on each fold's teaching rows and compare on the rows held out; budget_s is for all folds
-    together.
+    """Fit on each fold's training rows and compare on its held-out rows.
 
-    A slow model divides it over the folds; a quick one, once it is spent, leaves the folds that
-    remain (never under two), so that a month of large maps does not hold anybody up.
+    budget_s: for all folds together [s]. A slow model divides it over the folds. A quick one skips
+    the remaining folds once it is used up, but never runs fewer than two, so that large maps of a
+    month do not delay the result.
     """
     parts: list[Scores] = []
     passes: list[float] = []
@@ -109,7 +111,7 @@ def evaluate_folds(
 
 
 def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64]:
-    """Return the angle from the sun of each kept map to the nearest one that taught, [n]. [deg]"""
+    """Return the angle from the sun of each stored map to the nearest training sun [n] deg."""
     assert scores.maps is not None
     row = {data.slots[k]: k for k in fold.check}
     suns = data.light.sun_direction
@@ -118,7 +120,7 @@ def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> NDArray[np.float64
 
 
 def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
-    """As many folds as the dense network can be trained for within its share, at least one."""
+    """Return as many folds as the dense network can be trained for in its share, at least one."""
     return tuple(folds[: max(1, min(MOST_FOLDS, int(budget_s / LEAST_FOLD_S / 2)))])
 
 
