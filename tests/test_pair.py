@@ -356,7 +356,7 @@ def test_a_sun_of_few_pixels_is_said(tmp_path: Path) -> None:
     note.write_text(json.dumps({**json.loads(note.read_text()), "sun": {"u_mosaic_percent": 20.0}}))
     pair.run(session)
     assert (
-        "sun measured on few pixels, to 20 %" in rows_of(session)[0]["why"]
+        "sun measured on few pixels, uncertainty 20 %" in rows_of(session)[0]["why"]
         and rows_of(session)[0]["ok"] == "1"
     )
 
