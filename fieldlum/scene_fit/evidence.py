@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import timedelta
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,7 +74,10 @@ class SceneEvidence:
 
     def thinned(self, every: int) -> SceneEvidence:
         """The same at every n-th pixel."""
-        keep = np.arange(0, len(self.pixels), every)
+        return self.at_pixels(np.arange(0, len(self.pixels), every))
+
+    def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
+        """The same at some of the pixels."""
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -108,6 +112,26 @@ class SceneEvidence:
         unit, ends = self.unit(guess)
         return self.direct_lx[:, None] * unit * self.pixel_albedo(ends, albedo) / np.pi
 
+    def mean_misfit(self, guess: Guess, albedo: Array) -> float:
+        """Return the mean over the hours of `misfit`, computed at the sunlit entries alone."""
+        unit, ends = self.unit(guess)
+        lit = np.flatnonzero(unit)
+        hour, pixel = np.divmod(lit, len(self.pixels))
+        tone = (self.pixel_albedo(ends, albedo) / np.pi).astype(np.float32)
+        patch = unit.ravel()[lit] * self.direct_lx.astype(np.float32)[hour] * tone[pixel]
+        dark = self.dark_loss
+        gain = dark.ravel()[lit] - self.loss(lit, patch)
+        return float((dark @ self.weights).mean() - gain @ self.weights[pixel] / len(self))
+
+    @cached_property
+    def dark_loss(self) -> Array:
+        """Saturated squared log error of each entry without a patch, [n, m]."""
+        return _saturated(np.log(self.below) - self.log_seen)
+
+    def loss(self, entry: NDArray[np.intp], patch: Array) -> Array:
+        """Return the saturated squared log error of entries [k] (flat indices) with patches [k]."""
+        return _saturated(np.log(self.below.ravel()[entry] + patch) - self.log_seen.ravel()[entry])
+
     def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
         """Mean albedo of what a pixel's rays end on, [m]."""
         value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
@@ -136,8 +160,7 @@ class SceneEvidence:
         """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log
         errors that saturate.
         """
-        error = (np.log(self.below + patch) - self.log_seen) ** 2
-        return (error / (error + WIDTH**2)) @ self.weights
+        return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
 
     def albedos(self, guess: Guess, start: Array) -> Array:
         """Albedo of each surface [6 + solids]: the median over entries that a patch dominates;
@@ -157,6 +180,11 @@ class SceneEvidence:
             if use.sum() >= 30:
                 albedo[surface] = float(np.clip(np.median(excess[use] / full[use]), 0.02, 0.95))
         return albedo
+
+
+def _saturated(log_error: Array) -> Array:
+    squared = log_error**2
+    return squared / (squared + WIDTH**2)
 
 
 def require_box(room: Room) -> None:

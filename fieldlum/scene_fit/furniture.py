@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from fieldlum.scene_fit.evidence import SUB, WIDTH, SceneEvidence
+from fieldlum.scene_fit.evidence import SUB, SceneEvidence
 from fieldlum.scene_fit.guess import Guess, Solid
-from fieldlum.scene_fit.renderer import Surfaces, lit_entries, surfaces
+from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
 from fieldlum.scene_fit.search import Parameter
 
 Array = NDArray[np.floating]
@@ -47,29 +47,24 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
     Each pixel has its own pattern of sunlit and dark hours. Where the guess explains it worse than
     a surface at another depth would, something stands there that the guess does not know.
     """
-    pixels = len(evidence.pixels)
-    first = np.searchsorted(
-        evidence.pixel[np.argsort(evidence.pixel, kind="stable")], range(pixels)
-    )
     order = np.argsort(evidence.pixel, kind="stable")
-    middle = order[first + SUB**2 // 2]
-    rays = evidence.rays[middle]
+    first = np.searchsorted(evidence.pixel[order], range(len(evidence.pixels)))
+    rays = evidence.rays[order[first + SUB**2 // 2]]
     ends = surfaces(guess, rays)
-    eye = np.array(guess.camera_m, np.float32)
-    full_m = np.linalg.norm(ends.position_m - eye, axis=1)  # [m]
-    patch = evidence.patches(guess, albedo)
-    stated = _loss(evidence, patch)  # [m]
+    stated = _loss(evidence, evidence.patches(guess, albedo))  # [m]
+    pixels = len(rays)
+    position, face = ends.position_m.astype(float), np.zeros(pixels, np.intp)
+    tone, gain = np.full(pixels, 0.35), np.zeros(pixels)
+    # No depth can gain more than a pixel's own loss.
+    open_ = np.flatnonzero(stated > MIN_PIXEL_GAIN)
+    few = evidence.at_pixels(open_)
     suns = evidence.suns_room(guess)
-    best = PixelDepths(
-        ends.position_m.astype(float),
-        np.zeros(pixels, np.intp),
-        np.full(pixels, 0.35),
-        np.zeros(pixels),
-    )
-    position, face, tone, gain = best.position_m, best.face, best.albedo, best.gain
-    room_rays = (ends.position_m - eye) / np.maximum(full_m, 1e-6)[:, None]
-    shares = np.linspace(0.0, 1.0, DEPTHS + 1)[:-1]
-    for share in shares:
+    eye = np.array(guess.camera_m, np.float32)
+    full_m = np.linalg.norm(ends.position_m[open_] - eye, axis=1)  # [o]
+    room_rays = (ends.position_m[open_] - eye) / np.maximum(full_m, 1e-6)[:, None]
+    dark = few.dark_loss.ravel()
+    least = stated[open_] - few.dark_loss.mean(axis=0)  # [o] what no patch at all would gain
+    for share in np.linspace(0.0, 1.0, DEPTHS + 1)[:-1]:
         depth = NEAREST_M + share * np.maximum(full_m - NEAREST_M, 0.0)
         at = (eye + room_rays * depth[:, None]).astype(np.float32)
         for number, (axis, sign) in enumerate(FACES):
@@ -78,26 +73,29 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
                 continue
             point = Surfaces(
                 at,
-                np.full(pixels, axis, np.int8),
-                np.full(pixels, sign, np.float32),
-                np.where(sees, 0, -1).astype(np.int16),
+                np.full(len(at), axis, np.int8),
+                np.full(len(at), sign, np.float32),
+                np.where(sees, 0, OUTSIDE).astype(np.int16),
             )
             lit = lit_entries(guess, point, suns)
-            unit = np.zeros((len(evidence), pixels))
-            unit[lit.hour, lit.ray] += lit.strength
-            luminance = evidence.direct_lx[:, None] * unit / np.pi
+            entry = lit.hour * len(at) + lit.ray
+            luminance = evidence.direct_lx[lit.hour] * lit.strength / np.pi
             for value in ALBEDOS:
-                better = stated - _loss(evidence, value * luminance)
-                take = sees & (better > gain)
-                position[take], face[take] = at[take], number
-                tone[take], gain[take] = value, better[take]
-    return best
+                better = dark[entry] - few.loss(entry, value * luminance)
+                trial = least + np.bincount(lit.ray, better, len(at)) / len(evidence)
+                take = sees & (trial > gain[open_])
+                rows = open_[take]
+                position[rows], face[rows] = at[take], number
+                tone[rows], gain[rows] = value, trial[take]
+    return PixelDepths(position, face, tone, gain)
 
 
 def _loss(evidence: SceneEvidence, patch: Array) -> Array:
     """Mean misfit of each pixel over the hours, [m]."""
-    error = (np.log(evidence.below + patch) - evidence.log_seen) ** 2
-    return (error / (error + WIDTH**2)).mean(axis=0)
+    lit = np.flatnonzero(patch)
+    loss = evidence.dark_loss.copy()
+    loss.ravel()[lit] = evidence.loss(lit, patch.ravel()[lit])
+    return loss.mean(axis=0)
 
 
 def propose_solids(found: PixelDepths, guess: Guess) -> list[Solid]:

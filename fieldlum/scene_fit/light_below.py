@@ -48,11 +48,13 @@ def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array
     fit = np.maximum(np.minimum(y, 1.5), 0.05)
     weight = trust / (y * fit)
     least = 0.05
+    terms = basis.shape[1]
+    products = np.einsum("nk,nl->nkl", basis, basis).reshape(len(basis), -1)  # [n, k k]
     for _ in range(ROUNDS):
-        normal = np.einsum("nm,nk,nl->mkl", weight, basis, basis, optimize=True)
+        normal = (weight.T @ products).reshape(-1, terms, terms)  # [m, k, k]
         ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / normal.shape[1]
         normal = normal + ridge * np.eye(basis.shape[1])
-        right = np.einsum("nm,nk->mk", weight * y, basis, optimize=True)
+        right = (weight * y).T @ basis  # [m, k]
         coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # [m, k]
         fit = np.maximum(basis @ coefficients.T, least)
         q = np.log(y / fit)
@@ -78,12 +80,13 @@ def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)
     off = np.log(np.maximum(seen - patch, 0.02 * seen) / below)  # [n, m]
     first = weights * _trust(patch, seen)
+    products = np.einsum("mk,ml->mkl", terms, terms).reshape(len(terms), -1)  # [m, 81]
     field = np.zeros_like(off)
     for number in range(LEVEL_ROUNDS):
         q = off - field
         doubt = np.where(q > 0.0, q / BRIGHTER, q / LEVEL_DARKER) ** 2
         weight = first / (1.0 + doubt) if number else first
-        normal = np.einsum("nm,mk,ml->nkl", weight, terms, terms, optimize=True)
+        normal = (weight @ products).reshape(-1, 9, 9)
         normal = normal + 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(9)
         right = (weight * off) @ terms
         field = np.linalg.solve(normal, right[..., None])[..., 0] @ terms.T

@@ -25,6 +25,7 @@ SHELL = 6  # solids are numbered from here on
 OUTSIDE = -1  # a ray that leaves through a window
 _AHEAD_M = 1e-3  # a surface does not shade itself
 _GRAZING = 1e-4
+_SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero
 
 
 @dataclass(frozen=True)
@@ -41,40 +42,52 @@ class Surfaces:
 
 def surfaces(guess: Guess, rays_world: Float32) -> Surfaces:
     """Return where rays [r, 3] from the camera end, world axes as stated."""
-    rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).astype(np.float32)  # [r, 3]
+    rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).T  # [3, r]
+    rays = np.where(np.abs(rays) < _SMALLEST, np.float32(_SMALLEST), rays).astype(np.float32)
+    inverse = 1.0 / rays
     eye = np.array(guess.camera_m, np.float32)
-    bounds = np.where(rays > 0.0, np.array(guess.size_m, np.float32), np.float32(0.0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = np.where(rays != 0.0, (bounds - eye) / rays, np.inf)  # [r, 3]
-    axis = distance.argmin(axis=1).astype(np.int8)
-    rows = np.arange(len(rays))
-    nearest = distance[rows, axis]
-    high = rays[rows, axis] > 0.0
+    size = np.array(guess.size_m, np.float32)
+    nearest = np.full(rays.shape[1], np.inf, np.float32)
+    axis = np.zeros(rays.shape[1], np.int8)
+    for number in range(3):
+        bound = np.where(rays[number] > 0.0, size[number], np.float32(0.0))
+        distance = (bound - eye[number]) * inverse[number]
+        nearer = distance < nearest
+        nearest = np.where(nearer, distance, nearest)
+        axis[nearer] = number
+    high = rays[axis, np.arange(len(axis))] > 0.0
     surface = (2 * axis + high).astype(np.int16)
-    sign = np.where(high, -1.0, 1.0).astype(np.float32)  # normals point into the room
     for number, solid in enumerate(guess.solids):
-        enters, entry_axis = _entry(solid, eye, rays)
-        nearer = enters < nearest
-        nearest = np.where(nearer, enters, nearest)
-        axis = np.where(nearer, entry_axis, axis).astype(np.int8)
-        facing = -np.sign(rays[rows, entry_axis])
-        sign = np.where(nearer, facing, sign).astype(np.float32)
-        surface = np.where(nearer, SHELL + number, surface).astype(np.int16)
-    position = eye + rays * nearest[:, None].astype(np.float32)
+        rows, enters, entry_axis = _entries(solid, eye, inverse, nearest)
+        nearest[rows], axis[rows] = enters, entry_axis
+        surface[rows] = SHELL + number
+    # Normals point into the room, and out of solids: against the ray.
+    sign = np.where(rays[axis, np.arange(len(axis))] > 0.0, -1.0, 1.0).astype(np.float32)
+    position = np.ascontiguousarray((eye[:, None] + rays * nearest).T)
     surface[_in_window(guess, position, surface)] = OUTSIDE
-    return Surfaces(position.astype(np.float32), axis, sign, surface)
+    return Surfaces(position, axis, sign, surface)
 
 
-def _entry(solid: Solid, eye: Array, rays: Float32) -> tuple[Array, NDArray[np.intp]]:
-    """Distance at which rays [r, 3] enter a solid (inf: never), and the axis of the face, [r]."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a = (np.array(solid.low_m, np.float32) - eye) / rays  # [r, 3]
-        b = (np.array(solid.high_m, np.float32) - eye) / rays
-    near, far = np.minimum(a, b), np.maximum(a, b)
-    axis = np.nan_to_num(near, nan=-np.inf).argmax(axis=1)
-    enters = near[np.arange(len(rays)), axis]
-    hit = (enters > 0.0) & (enters < np.nanmin(far, axis=1))
-    return np.where(hit, enters, np.inf), axis
+def _entries(
+    solid: Solid, eye: Float32, inverse: Float32, nearest: Float32
+) -> tuple[NDArray[np.intp], Float32, NDArray[np.int8]]:
+    """Return which rays enter a solid before `nearest` [r], at which distance and by which axis.
+
+    inverse [3, r]: one over the rays' direction.
+    """
+    near = np.zeros_like(nearest)
+    far = nearest
+    axis = np.full(len(nearest), -1, np.int8)
+    for number in range(3):
+        a = np.float32(solid.low_m[number] - eye[number]) * inverse[number]
+        b = np.float32(solid.high_m[number] - eye[number]) * inverse[number]
+        first = np.minimum(a, b)
+        later = first > near
+        near = np.where(later, first, near)
+        axis[later] = number
+        far = np.minimum(far, np.maximum(a, b))
+    rows = np.flatnonzero((near < far) & (axis >= 0))
+    return rows, near[rows], axis[rows]
 
 
 def _wall_surface(wall: str) -> int:
@@ -126,32 +139,53 @@ def _through(
     inner = np.float32(guess.size_m[axis] if side else 0.0)
     toward = suns[:, axis] * outward  # [n] component of the sun's direction out of this wall
     before = np.flatnonzero((toward > _GRAZING) & (suns[:, 2] > 0.0))
-    inside = np.flatnonzero(ends.surface != OUTSIDE)
-    p = ends.position_m[inside]  # [r, 3]
-    across = (inner - p[:, axis]) * outward  # [r] distance to the wall's inner face
+    across = (inner - ends.position_m[:, axis]) * outward  # [r] distance to the wall's inner face
+    faces_down = (ends.axis == 2) & (ends.sign < 0.0)
+    inside = np.flatnonzero((ends.surface != OUTSIDE) & (across > 0.0) & ~faces_down)
+    across = across[inside]
+    position = ends.position_m[inside]  # [r, 3]
     slope_u = suns[before, along] / toward[before]  # [n]
     slope_z = suns[before, 2] / toward[before]
-    u = p[:, along] + slope_u[:, None] * across  # [n, r] where the line crosses the inner face
-    z = p[:, 2] + slope_z[:, None] * across
     t = np.float32(guess.thickness_m)
-    du, dz = (slope_u * t)[:, None], (slope_z * t)[:, None]
-    passes = (across > 0.0) & _within(u, rect.u_m) & _within(z, rect.z_m)
-    passes &= _within(u + du, rect.u_m) & _within(z + dz, rect.z_m)
-    h, r = np.nonzero(passes)
-    cosine = ends.sign[inside[r]] * suns[before[h], ends.axis[inside[r]]]
+    low_u, high_u = _both(rect.u_m, slope_u * t)  # [n]
+    low_z, high_z = _both(rect.z_m, slope_z * t)
+    across = np.ascontiguousarray(across)
+    p_u, p_z = (np.ascontiguousarray(position[:, k]) for k in (along, 2))
+    parts: list[tuple[NDArray[np.intp], Float32, Float32]] = []
+    for k in range(len(before)):  # hour by hour: arrays that stay in the processor's cache
+        u = p_u + slope_u[k] * across  # [r] where the line crosses the wall's inner face
+        rows = np.flatnonzero((u > low_u[k]) & (u < high_u[k]))
+        z = p_z[rows] + slope_z[k] * across[rows]
+        passes = np.flatnonzero((z > low_z[k]) & (z < high_z[k]))
+        rows = rows[passes]
+        parts.append((rows, u[rows], z[passes]))
+    if not parts:
+        empty = np.zeros(0, np.intp)
+        return empty, empty, np.zeros(0, np.float32)
+    h = np.repeat(np.arange(len(before)), [len(part[0]) for part in parts])
+    r, u, z = (np.concatenate(column) for column in zip(*parts, strict=True))
+    # The component of the sun towards the surface, by hour and signed axis.
+    facing = np.concatenate([suns[before], -suns[before]], axis=1)  # [n, 6]
+    column = ends.axis[inside] + np.where(ends.sign[inside] > 0.0, 0, 3)  # [r]
+    cosine = facing[h, column[r]]
     keep = cosine > 0.0
-    h, r, cosine = h[keep], r[keep], cosine[keep]
     for bar in guess.bars:
         if bar.window == number:
             at, slope = (u, slope_u) if bar.upright else (z, slope_z)
-            free = ~_meets(bar, at[h, r], slope[h])
-            h, r, cosine = h[free], r[free], cosine[free]
-    hour, ray = before[h], inside[r]
+            keep &= ~_meets(bar, at, slope[h])
+    h, r, cosine = h[keep], r[keep], cosine[keep]
     for solid in guess.solids:
-        free = ~_shades(solid, ends.position_m[ray], suns[hour])
-        hour, ray, cosine = hour[free], ray[free], cosine[free]
-    glass = glass_optics(rect.transmittance, suns[hour, axis])[0]
-    return hour, ray, (cosine * glass).astype(np.float32)
+        free = ~shades(solid, position, suns[before], h, r)
+        h, r, cosine = h[free], r[free], cosine[free]
+    glass = glass_optics(rect.transmittance, suns[before, axis])[0].astype(np.float32)  # [n]
+    return before[h], inside[r], cosine * glass[h]
+
+
+def _both(span: tuple[float, float], shift: Array) -> tuple[Array, Array]:
+    """Return the part of a span, in [n] hours, that lines shifted by `shift` [n] pass too."""
+    low = span[0] - np.minimum(shift, 0.0)
+    high = span[1] - np.maximum(shift, 0.0)
+    return low.astype(np.float32), high.astype(np.float32)
 
 
 def _meets(bar: Bar, at_inner: Array, slope: Array) -> NDArray[np.bool_]:
@@ -161,13 +195,23 @@ def _meets(bar: Bar, at_inner: Array, slope: Array) -> NDArray[np.bool_]:
     return (np.maximum(first, last) > bar.span_m[0]) & (np.minimum(first, last) < bar.span_m[1])
 
 
-def _shades(solid: Solid, position: Float32, suns: Float32) -> NDArray[np.bool_]:
-    """Whether the solid stands between positions [k, 3] and suns [k, 3]."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a = (np.array(solid.low_m, np.float32) - position) / suns  # [k, 3]
-        b = (np.array(solid.high_m, np.float32) - position) / suns
-    enters = np.nanmax(np.minimum(a, b), axis=1)
-    leaves = np.nanmin(np.maximum(a, b), axis=1)
+def shades(
+    solid: Solid, position: Float32, suns: Float32, hour: NDArray[np.intp], ray: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Return whether a solid is between position and sun, for pairs of hour and ray [k].
+
+    position [r, 3], suns [n, 3].
+    """
+    enters = np.full(len(hour), -np.inf, np.float32)
+    leaves = np.full(len(hour), np.inf, np.float32)
+    for axis in range(3):
+        sun = suns[:, axis]
+        inverse = (1.0 / np.where(np.abs(sun) < _SMALLEST, _SMALLEST, sun)).astype(np.float32)
+        scale = inverse[hour]  # [k]
+        low = (np.float32(solid.low_m[axis]) - position[:, axis])[ray] * scale
+        extent = np.float32(solid.high_m[axis] - solid.low_m[axis]) * scale
+        enters = np.maximum(enters, low + np.minimum(extent, 0.0))
+        leaves = np.minimum(leaves, low + np.maximum(extent, 0.0))
     return (leaves > enters) & (leaves > _AHEAD_M) & (enters > -_AHEAD_M)
 
 

@@ -209,8 +209,7 @@ class Objective:
 
     def __call__(self, guess: Guess) -> float:
         self.count += 1
-        patch = self.evidence.patches(guess, self._albedo(guess))
-        return float(self.evidence.misfit(patch).mean()) + self.prior(guess)
+        return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.prior(guess)
 
     def _albedo(self, guess: Guess) -> Array:
         missing = 6 + len(guess.solids) - len(self.albedo)
