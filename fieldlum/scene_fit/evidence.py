@@ -17,7 +17,7 @@ from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import Room
 from fieldlum.scene_fit.guess import Guess, guess_of
 from fieldlum.scene_fit.light_below import LEAST_CDM2, levelled, light_below
-from fieldlum.scene_fit.renderer import SHELL, Surfaces, surfaces, unit_patches
+from fieldlum.scene_fit.renderer import SHELL, Surfaces, lit_entries, surfaces, unit_patches
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -109,19 +109,38 @@ class SceneEvidence:
 
     def patches(self, guess: Guess, albedo: Array) -> Array:
         """Luminance of the sun patches [n, m] cd/m2; albedo [6 + solids] of the surfaces."""
-        unit, ends = self.unit(guess)
-        return self.direct_lx[:, None] * unit * self.pixel_albedo(ends, albedo) / np.pi
+        ends = surfaces(guess, self.rays)
+        tone = albedo[ends.surface]
+        suns, count = self.suns_room(guess), len(self.pixels)
+        shine = unit_patches(guess, ends, suns, self.pixel, count, SUB, tone)
+        return self.direct_lx[:, None] * shine / np.pi
 
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
         """Return the mean over the hours of `misfit`, computed at the sunlit entries alone."""
-        unit, ends = self.unit(guess)
-        lit = np.flatnonzero(unit)
-        hour, pixel = np.divmod(lit, len(self.pixels))
-        tone = (self.pixel_albedo(ends, albedo) / np.pi).astype(np.float32)
-        patch = unit.ravel()[lit] * self.direct_lx.astype(np.float32)[hour] * tone[pixel]
-        dark = self.dark_loss
-        gain = dark.ravel()[lit] - self.loss(lit, patch)
-        return float((dark @ self.weights).mean() - gain @ self.weights[pixel] / len(self))
+        ends = surfaces(guess, self.rays)
+        lit = lit_entries(guess, ends, self.suns_room(guess))
+        shine = lit.strength * albedo.astype(np.float32)[ends.surface[lit.ray]]
+        return self.misfit_of_lit(lit.hour, lit.ray, shine)
+
+    def misfit_of_lit(
+        self, hour: NDArray[np.intp], ray: NDArray[np.intp], shine: NDArray[np.float32]
+    ) -> float:
+        """Return the mean misfit where the sun reaches pairs of hour and ray [k] alone.
+
+        shine [k]: cosine of incidence times transmittance times albedo.
+        """
+        count = len(self.pixels)
+        total = np.bincount(hour * count + self.pixel[ray], shine, len(self) * count)
+        lit = np.flatnonzero(total)
+        at_hour, at_pixel = np.divmod(lit, count)
+        patch = total[lit] * self.direct_lx[at_hour] / (np.pi * SUB**2)
+        gain = self.dark_loss.ravel()[lit] - self.loss(lit, patch)
+        return self.dark_misfit - float(gain @ self.weights[at_pixel]) / len(self)
+
+    @cached_property
+    def dark_misfit(self) -> float:
+        """Mean misfit without any patch."""
+        return float((self.dark_loss @ self.weights).mean())
 
     @cached_property
     def dark_loss(self) -> Array:

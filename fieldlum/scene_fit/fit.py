@@ -30,6 +30,7 @@ from fieldlum.scene_fit.search import (
     room_parameters,
     stated_albedo,
 )
+from fieldlum.scene_fit.solid_cost import SolidCost
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
@@ -265,8 +266,8 @@ class _Search:
         """
         albedo = np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
         depths = pixel_depths(self.fit_evidence, guess, albedo)
-        coarse = self.objective(self.fit_evidence.thinned(3))
-        limit = coarse(guess) * (1.0 - SOLID_GAIN)
+        coarse = self._solid_cost(self.fit_evidence.thinned(COARSE_PIXELS_EVERY), guess, albedo)
+        limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
         trials: list[tuple[float, Guess]] = []
         parameters = solid_parameters(len(guess.solids))
         for solid in propose_solids(depths, guess):
@@ -274,12 +275,15 @@ class _Search:
             trial, cost = pattern_search(coarse, trial, parameters, fine=4.0)
             if cost < limit:
                 trials.append((cost, trial))
-        objective = self.objective(self.fit_evidence)
+        fine = self._solid_cost(self.fit_evidence, guess, albedo)
         for _, trial in sorted(trials, key=lambda pair: pair[0])[:2]:
-            better, _ = pattern_search(objective, trial, parameters, coarse=0.5)
+            better, _ = pattern_search(fine, trial, parameters, coarse=0.5)
             if self._pays(guess, better, SOLID_GAIN):
                 return better
         return guess
+
+    def _solid_cost(self, evidence: SceneEvidence, guess: Guess, albedo: Array) -> SolidCost:
+        return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def relight(self, guess: Guess) -> None:
         """Find the light below the patches again, now that the patches are known better."""

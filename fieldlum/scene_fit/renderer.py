@@ -40,47 +40,80 @@ class Surfaces:
     surface: NDArray[np.int16]
 
 
-def surfaces(guess: Guess, rays_world: Float32) -> Surfaces:
-    """Return where rays [r, 3] from the camera end, world axes as stated."""
+@dataclass(frozen=True)
+class CameraRays:
+    """Rays from the camera in room axes: directions and one over them, each [3, r], and the eye."""
+
+    eye_m: Float32
+    direction: Float32
+    inverse: Float32
+
+
+def camera_rays(guess: Guess, rays_world: Float32) -> CameraRays:
+    """Return rays [r, 3], stated world axes, as the guess's camera sends them."""
     rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).T  # [3, r]
     rays = np.where(np.abs(rays) < _SMALLEST, np.float32(_SMALLEST), rays).astype(np.float32)
-    inverse = 1.0 / rays
-    eye = np.array(guess.camera_m, np.float32)
-    size = np.array(guess.size_m, np.float32)
-    nearest = np.full(rays.shape[1], np.inf, np.float32)
-    axis = np.zeros(rays.shape[1], np.int8)
+    return CameraRays(np.array(guess.camera_m, np.float32), rays, 1.0 / rays)
+
+
+def surfaces(guess: Guess, rays_world: Float32) -> Surfaces:
+    """Return where rays [r, 3] from the camera end, world axes as stated."""
+    return ends_of(guess, camera_rays(guess, rays_world))[0]
+
+
+def ends_of(guess: Guess, rays: CameraRays) -> tuple[Surfaces, Float32]:
+    """Return where camera rays end, and at which distance [r]."""
+    count = rays.direction.shape[1]
+    nearest = np.full(count, np.inf, np.float32)
+    axis = np.zeros(count, np.int8)
     for number in range(3):
-        bound = np.where(rays[number] > 0.0, size[number], np.float32(0.0))
-        distance = (bound - eye[number]) * inverse[number]
+        bound = np.where(
+            rays.direction[number] > 0.0, np.float32(guess.size_m[number]), np.float32(0.0)
+        )
+        distance = (bound - rays.eye_m[number]) * rays.inverse[number]
         nearer = distance < nearest
         nearest = np.where(nearer, distance, nearest)
         axis[nearer] = number
-    high = rays[axis, np.arange(len(axis))] > 0.0
+    high = rays.direction[axis, np.arange(count)] > 0.0
     surface = (2 * axis + high).astype(np.int16)
     for number, solid in enumerate(guess.solids):
-        rows, enters, entry_axis = _entries(solid, eye, inverse, nearest)
+        rows, enters, entry_axis = entries(solid, rays, nearest)
         nearest[rows], axis[rows] = enters, entry_axis
         surface[rows] = SHELL + number
-    # Normals point into the room, and out of solids: against the ray.
-    sign = np.where(rays[axis, np.arange(len(axis))] > 0.0, -1.0, 1.0).astype(np.float32)
-    position = np.ascontiguousarray((eye[:, None] + rays * nearest).T)
-    surface[_in_window(guess, position, surface)] = OUTSIDE
-    return Surfaces(position, axis, sign, surface)
+    ends = _ends(rays, np.arange(count), nearest, axis, surface)
+    ends.surface[_in_window(guess, ends.position_m, surface)] = OUTSIDE
+    return ends, nearest
 
 
-def _entries(
-    solid: Solid, eye: Float32, inverse: Float32, nearest: Float32
+def _ends(
+    rays: CameraRays, rows: NDArray[np.intp], distance: Float32, axis: NDArray[np.int8],
+    surface: NDArray[np.int16],
+) -> Surfaces:  # fmt: skip
+    """Return the ends of some of the rays; normals are against the ray."""
+    position = rays.eye_m[:, None] + rays.direction[:, rows] * distance
+    sign = np.where(rays.direction[axis, rows] > 0.0, -1.0, 1.0).astype(np.float32)
+    return Surfaces(np.ascontiguousarray(position.T), axis, sign, surface)
+
+
+def ends_on_solid(
+    solid: Solid, number: int, rays: CameraRays, nearest: Float32
+) -> tuple[NDArray[np.intp], Surfaces]:
+    """Return which rays end on a solid before `nearest` [r], and where; `number` of the solid."""
+    rows, enters, axis = entries(solid, rays, nearest)
+    surface = np.full(len(rows), SHELL + number, np.int16)
+    return rows, _ends(rays, rows, enters, axis, surface)
+
+
+def entries(
+    solid: Solid, rays: CameraRays, nearest: Float32
 ) -> tuple[NDArray[np.intp], Float32, NDArray[np.int8]]:
-    """Return which rays enter a solid before `nearest` [r], at which distance and by which axis.
-
-    inverse [3, r]: one over the rays' direction.
-    """
+    """Return which rays enter a solid before `nearest` [r], at which distance and by which axis."""
     near = np.zeros_like(nearest)
     far = nearest
     axis = np.full(len(nearest), -1, np.int8)
     for number in range(3):
-        a = np.float32(solid.low_m[number] - eye[number]) * inverse[number]
-        b = np.float32(solid.high_m[number] - eye[number]) * inverse[number]
+        a = np.float32(solid.low_m[number] - rays.eye_m[number]) * rays.inverse[number]
+        b = np.float32(solid.high_m[number] - rays.eye_m[number]) * rays.inverse[number]
         first = np.minimum(a, b)
         later = first > near
         near = np.where(later, first, near)
@@ -216,14 +249,22 @@ def shades(
 
 
 def unit_patches(
-    guess: Guess, ends: Surfaces, suns_room: Float32, pixel: NDArray[np.intp], pixels: int, sub: int
+    guess: Guess,
+    ends: Surfaces,
+    suns_room: Float32,
+    pixel: NDArray[np.intp],
+    pixels: int,
+    sub: int,
+    tone: Array | None = None,
 ) -> Float32:
     """Return irradiance of the pixels' surfaces per lx of the sun on its normal, [n, m].
 
-    pixel [r]: which of the m pixels a ray belongs to; sub x sub rays make a pixel. Times
-    illuminance, times albedo over pi, this is the luminance of the sun patch.
+    pixel [r]: which of the m pixels a ray belongs to; sub x sub rays make a pixel. tone [r]: a
+    factor of each ray, such as albedo. Times illuminance, times albedo over pi, this is the
+    luminance of the sun patch.
     """
     lit = lit_entries(guess, ends, suns_room)
+    strength = lit.strength if tone is None else lit.strength * tone[lit.ray]
     flat = lit.hour * pixels + pixel[lit.ray]
-    total = np.bincount(flat, lit.strength, len(suns_room) * pixels)
+    total = np.bincount(flat, strength, len(suns_room) * pixels)
     return (total / sub**2).reshape(len(suns_room), pixels).astype(np.float32)

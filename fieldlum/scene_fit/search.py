@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,6 +192,15 @@ def _deepened_bar(bar: Bar, by: float) -> Bar:
     return replace(bar, depth_m=(bar.depth_m[0], max(bar.depth_m[1] + by, bar.depth_m[0] + 0.005)))
 
 
+class Cost(Protocol):
+    """What a search makes small: a function of a guess; pose as in `Objective`."""
+
+    @property
+    def pose(self) -> PosePrior | None: ...
+
+    def __call__(self, guess: Guess) -> float: ...
+
+
 @dataclass(slots=True)
 class Objective:
     """Misfit plus prior of a guess, at some evidence; counts its evaluations.
@@ -237,7 +246,7 @@ def stated_albedo(room: Room) -> Array:
 
 
 def pattern_search(
-    objective: Objective,
+    objective: Cost,
     guess: Guess,
     parameters: Sequence[Parameter],
     *,
