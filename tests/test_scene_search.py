@@ -21,7 +21,7 @@ from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
 from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import Misfits, fit_scene
-from fieldlum.scene_fit.guess import guess_of, room_of
+from fieldlum.scene_fit.guess import Solid, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.renderer import surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
@@ -32,6 +32,7 @@ from fieldlum.scene_fit.search import (
     room_parameters,
     stated_albedo,
 )
+from fieldlum.scene_fit.solid_cost import SolidCost
 from fieldlum.scene_fit.stage import choose_by_misfit
 
 HEIGHT = 64
@@ -249,3 +250,21 @@ def test_the_simplest_geometry_that_explains_is_chosen() -> None:
     assert chosen(0.10, 0.05, 0.05) == "stated"
     assert chosen(0.10, 0.12, 0.11) == "none"
     assert chosen(0.10, 0.12, 0.05) == "fitted"
+
+
+@pytest.mark.analytic
+def test_costs_of_sunlit_entries_and_of_one_solid_are_those_of_everything(
+    evidence: SceneEvidence,
+) -> None:
+    shelf = Solid((0.0, 1.0, 0.0), (0.5, 2.0, 1.8), 0.4)
+    table = Solid((1.0, 1.0, 0.0), (2.4, 2.0, 0.7), 0.3)
+    guess = replace(guess_of(ROOM), solids=(shelf,))
+    parameters = room_parameters(guess)
+    objective = Objective(evidence, guess, parameters, stated_albedo(ROOM), 1e-4)
+    albedo = np.append(objective.albedo, shelf.albedo)
+    more = replace(guess, solids=(shelf, table), north_deg=0.7)
+    everything = evidence.misfit(evidence.patches(more, np.append(albedo, table.albedo))).mean()
+    cost = SolidCost(evidence, replace(guess, north_deg=0.7), albedo, objective.prior(more))
+    assert objective(more) == pytest.approx(everything + objective.prior(more), rel=1e-6)
+    assert cost(more) == pytest.approx(objective(more), rel=1e-6)
+    assert cost.without != pytest.approx(cost(more) - cost.prior, rel=1e-3)

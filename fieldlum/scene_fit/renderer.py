@@ -92,7 +92,7 @@ def _ends(
     """Return the ends of some of the rays; normals are against the ray."""
     position = rays.eye_m[:, None] + rays.direction[:, rows] * distance
     sign = np.where(rays.direction[axis, rows] > 0.0, -1.0, 1.0).astype(np.float32)
-    return Surfaces(np.ascontiguousarray(position.T), axis, sign, surface)
+    return Surfaces(np.ascontiguousarray(position.T, np.float32), axis, sign, surface)
 
 
 def ends_on_solid(
