@@ -41,7 +41,7 @@ class Surfaces:
 
 
 @dataclass(frozen=True)
-class CameraRays:
+class RoomRays:
     """Rays from the camera in room axes: directions and one over them, each [3, r], and the eye."""
 
     eye_m: Float32
@@ -49,11 +49,11 @@ class CameraRays:
     inverse: Float32
 
 
-def camera_rays(guess: Guess, rays_world: Float32) -> CameraRays:
+def camera_rays(guess: Guess, rays_world: Float32) -> RoomRays:
     """Return rays [r, 3], stated world axes, as the guess's camera sends them."""
     rays = (rays_world @ guess.camera_turn.T.astype(np.float32)).T  # [3, r]
     rays = np.where(np.abs(rays) < _SMALLEST, np.float32(_SMALLEST), rays).astype(np.float32)
-    return CameraRays(np.array(guess.camera_m, np.float32), rays, 1.0 / rays)
+    return RoomRays(np.array(guess.camera_m, np.float32), rays, 1.0 / rays)
 
 
 def surfaces(guess: Guess, rays_world: Float32) -> Surfaces:
@@ -61,7 +61,7 @@ def surfaces(guess: Guess, rays_world: Float32) -> Surfaces:
     return ends_of(guess, camera_rays(guess, rays_world))[0]
 
 
-def ends_of(guess: Guess, rays: CameraRays) -> tuple[Surfaces, Float32]:
+def ends_of(guess: Guess, rays: RoomRays) -> tuple[Surfaces, Float32]:
     """Return where camera rays end, and at which distance [r]."""
     count = rays.direction.shape[1]
     nearest = np.full(count, np.inf, np.float32)
@@ -86,7 +86,7 @@ def ends_of(guess: Guess, rays: CameraRays) -> tuple[Surfaces, Float32]:
 
 
 def _ends(
-    rays: CameraRays, rows: NDArray[np.intp], distance: Float32, axis: NDArray[np.int8],
+    rays: RoomRays, rows: NDArray[np.intp], distance: Float32, axis: NDArray[np.int8],
     surface: NDArray[np.int16],
 ) -> Surfaces:  # fmt: skip
     """Return the ends of some of the rays; normals are against the ray."""
@@ -96,7 +96,7 @@ def _ends(
 
 
 def ends_on_solid(
-    solid: Solid, number: int, rays: CameraRays, nearest: Float32
+    solid: Solid, number: int, rays: RoomRays, nearest: Float32
 ) -> tuple[NDArray[np.intp], Surfaces]:
     """Return which rays end on a solid before `nearest` [r], and where; `number` of the solid."""
     rows, enters, axis = entries(solid, rays, nearest)
@@ -105,7 +105,7 @@ def ends_on_solid(
 
 
 def entries(
-    solid: Solid, rays: CameraRays, nearest: Float32
+    solid: Solid, rays: RoomRays, nearest: Float32
 ) -> tuple[NDArray[np.intp], Float32, NDArray[np.int8]]:
     """Return which rays enter a solid before `nearest` [r], at which distance and by which axis."""
     near = np.zeros_like(nearest)

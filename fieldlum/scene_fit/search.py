@@ -192,7 +192,7 @@ def _deepened_bar(bar: Bar, by: float) -> Bar:
     return replace(bar, depth_m=(bar.depth_m[0], max(bar.depth_m[1] + by, bar.depth_m[0] + 0.005)))
 
 
-class Cost(Protocol):
+class GuessCost(Protocol):
     """What a search makes small: a function of a guess; pose as in `Objective`."""
 
     @property
@@ -246,7 +246,7 @@ def stated_albedo(room: Room) -> Array:
 
 
 def pattern_search(
-    objective: Cost,
+    objective: GuessCost,
     guess: Guess,
     parameters: Sequence[Parameter],
     *,

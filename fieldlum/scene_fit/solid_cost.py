@@ -11,7 +11,7 @@ from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.pose_prior import PosePrior
 from fieldlum.scene_fit.renderer import (
-    CameraRays,
+    RoomRays,
     LitEntries,
     camera_rays,
     ends_of,
@@ -36,7 +36,7 @@ class SolidCost:
     albedo: Array  # [6 + solids] of the guess
     prior: float  # of the guess: a solid has none
     pose: PosePrior | None = None  # moves of the pose are none of a solid's
-    _rays: CameraRays = field(init=False)
+    _rays: RoomRays = field(init=False)
     _nearest: NDArray[np.float32] = field(init=False)
     _position: NDArray[np.float32] = field(init=False)
     _suns: NDArray[np.float32] = field(init=False)
