@@ -11,8 +11,8 @@ from fieldlum.scene_fit.evidence import SceneEvidence
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.pose_prior import PosePrior
 from fieldlum.scene_fit.renderer import (
-    RoomRays,
     LitEntries,
+    RoomRays,
     camera_rays,
     ends_of,
     ends_on_solid,
