@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 )
 @click.option("--out", type=click.Path(path_type=Path), help="OUT.exr or OUT.hdr (with --frames).")
 @click.option(
-    "--size", help=f"WxH of the result. [default: {DEFAULT_SIZE}; fisheye {DEFAULT_FISHEYE_SIZE}]"
+    "--size",
+    help=f"WxH of the result. [default: that of the session's panoramas, else {DEFAULT_SIZE}; "
+    f"fisheye {DEFAULT_FISHEYE_SIZE}]",
 )
 @click.option(
     "--projection",
@@ -103,9 +105,19 @@ def command(
         raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
     if camera or out or projection != "equirect":
         raise click.UsageError("--camera, --out and --projection are for --frames only")
-    height = panorama_height(size or DEFAULT_SIZE)
+    height = panorama_height(size) if size else _present_height(session)
     options = MergeOptions(height, fit=fit, drop_moved=drop_moved)
     _merge_session(session, options, scheduler_of(scheduler_text, workers), force, as_json)
+
+
+def _present_height(root: Path) -> int:
+    """Return the height of the session's panoramas, so that a later bracket gets the same size."""
+    from fieldlum.session import open_session
+    from fieldlum.session.files.sidecar import newest_sidecar
+
+    before = newest_sidecar(open_session(root))
+    height = None if before is None else before.inputs.get("height")
+    return height if isinstance(height, int) else panorama_height(DEFAULT_SIZE)
 
 
 def _file_options(

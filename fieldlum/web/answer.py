@@ -22,6 +22,7 @@ from typing import IO, Any
 
 from fieldlum.records import utc_text
 from fieldlum.session import Session, replacing
+from fieldlum.session.files.sidecar import newest_sidecar
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
 QUIET_BEFORE_S = 90.0
@@ -101,7 +102,9 @@ class Worker:
             return
         if now.captured != self._merged_at:
             root = str(self.session.root)
-            good = self._run("merge", "merge", root, "--workers", "1")
+            before = newest_sidecar(self.session)  # what the user merged is not merged otherwise
+            options = () if before is None else before.command_options
+            good = self._run("merge", "merge", root, "--workers", "1", *options)
             good = good and self._run("pair", "pair", root)
             if not self._stop.is_set():
                 self._merged_at = now.captured

@@ -11,6 +11,7 @@ from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.files.json_file import check_format, read_object, write_object
 from fieldlum.session.files.merge_report import MergeReport
+from fieldlum.session.folder import Session
 
 FORMAT = 1
 _EXPECTED, _REMEDY = "the sidecar of a merged panorama", "merge the bracket again"
@@ -31,6 +32,14 @@ class Sidecar:
     inputs: dict[str, Any] = field(default_factory=dict)
     size_bytes: int = -1
     fieldlum: str = ""
+
+    @property
+    def command_options(self) -> tuple[str, ...]:
+        """Options of `fieldlum merge` that merge another bracket in the same way."""
+        height, fit = self.inputs.get("height"), self.inputs.get("fit")
+        size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
+        fitted = () if fit is None else ("--fit" if fit else "--no-fit",)
+        return (*size, *fitted, *(("--drop-moved",) if self.inputs.get("drop_moved") else ()))
 
     @property
     def sun_u_percent(self) -> float:
@@ -88,3 +97,13 @@ class Sidecar:
                 "software": {"fieldlum": self.fieldlum},
             },
         )
+
+
+def newest_sidecar(session: Session) -> Sidecar | None:
+    """Return the sidecar of the latest panorama that has a readable one; None without any."""
+    for path in reversed(session.sidecar_files()):
+        try:
+            return Sidecar.read(path)
+        except InputError:
+            continue
+    return None
