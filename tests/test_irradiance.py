@@ -309,8 +309,8 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
     assert np.isnan(found.dni_wm2).all() and np.isnan(found.dhi_wm2).all()
     told = health(lone, found, altitude, top, 0, SEATTLE).warnings
     assert told == (
-        "100 % of the rows by day are global alone without neighbours within half an hour: "
-        "no direct can be derived from them",
+        "100 % of the rows by day have global only, and no neighbour within half an hour: "
+        "direct irradiance cannot be derived from them",
     )
 
 
@@ -340,7 +340,7 @@ def test_rows_of_one_moment_that_differ_are_marked() -> None:
 @pytest.mark.parametrize(
     ("ghi", "dhi", "said"),
     [
-        (0.8, 0.15, "is it kW/m2?"),
+        (0.8, 0.15, "whether they are in kW/m2"),
         (150.0, 800.0, "more diffuse than global"),
         (1600.0, 150.0, "extremely rare"),
     ],

@@ -1,6 +1,4 @@
-"""Irradiance: the day files of a session to one quality-checked series, irradiance/clean.csv,
-and its health.
-"""
+"""Turn the day files of a session into one quality-checked series, irradiance/clean.csv."""
 
 from __future__ import annotations
 
@@ -24,15 +22,16 @@ from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.session.files.json_file import write_object
 from fieldlum.session.provenance import made_from
 
-STUCK_S = 600.0  # daylight that does not change by a digit for so long is a dead reading
-_SEGMENT_GAP_S = 1800.0  # DIRINT looks at neighbouring minutes, never across a longer gap
-SPIKE_WM2 = 20.0  # a departure by less is no spike, whatever is around it
-SPIKE_OVER_NEIGHBOURS = 8.0  # by so much more than the neighbours differ
-SPIKE_OVER_USUAL = 3.0  # and than the light changes around it
-_SPIKE_ROWS = 120  # "around it": rows on either side, ten minutes at 5 s
-_SPIKE_RANK = 9  # of the steps around it: four other spikes there hide none
-_BLOCK_ROWS = 20_000  # what is made of rows at a time, where a copy of all would take much memory
-_RECIPE = 7  # raise it when the arithmetic changes: clean.csv is then made again
+STUCK_S = 600.0  # the same daylight figure for this long is a faulty reading; not measured
+_SEGMENT_GAP_S = 1800.0  # DIRINT uses neighbouring minutes, never across a longer gap
+SPIKE_WM2 = 20.0  # a smaller deviation is never a spike; not measured
+# The next four are tested by bench/damaged_series.py: spikes found, and false alarms.
+SPIKE_OVER_NEIGHBOURS = 8.0  # deviation over the difference of the two neighbours
+SPIKE_OVER_USUAL = 3.0  # deviation over the usual step around it
+_SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
+_SPIKE_RANK = 9  # rank of the usual step, so that four other spikes in the window do not hide one
+_BLOCK_ROWS = 20_000  # rows processed at a time, where a copy of all would need much memory
+_RECIPE = 7  # raise it when the arithmetic changes: clean.csv is then computed again
 
 
 # ----------------------------------------------------------------------------------------------
@@ -40,8 +39,9 @@ _RECIPE = 7  # raise it when the arithmetic changes: clean.csv is then made agai
 
 
 def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
-    """True sun altitude [n] deg and extraterrestrial normal irradiance [n] W/m2, interpolated
-    between whole minutes.
+    """Return true sun altitude [n] deg and extraterrestrial normal irradiance [n] W/m2.
+
+    Both are interpolated between whole minutes.
     """
     minute = np.floor(t_unix_s / 60.0)
     grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])
@@ -51,9 +51,9 @@ def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
 
 
 def check(series: Series, altitude: Array, top: Array) -> Series:
-    """Mark what cannot be, and complete GHI, DHI or DNI by closure where two of them are measured.
+    """Mark impossible values, and complete GHI, DHI or DNI by closure where two are measured.
 
-    altitude, top [n]: of `sky_geometry`.
+    altitude, top [n]: from `sky_geometry`.
     """
     marks = series.marks.copy()
     ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
@@ -87,18 +87,19 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
 
 
 def _beam(ghi: Array, dhi: Array, altitude: Array) -> Array:
-    """As `sun.dni_by_closure`, but noise may take it below zero: a mean over rows is then
-    without bias.
+    """Return DNI [W/m2] as `sun.dni_by_closure`, but negative where noise makes it so.
+
+    A mean over rows is then without bias.
     """
     sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
     return np.where(altitude > 2.0, (ghi - dhi) / sine, 0.0)
 
 
 def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
-    """Rows in a run of equal figures that lasts over ten minutes of daylight, while the sun moved
-    enough to change one.
+    """Return rows in a run of equal values over ten minutes of daylight, in a moving sun.
 
-    In whole W/m2 a clear noon stands still for up to half an hour.
+    The sun must have moved enough to change the value. In integers of W/m2, a clear noon is
+    constant for up to half an hour.
     """
     if len(ghi) < 3:
         return np.zeros(len(ghi), bool)
@@ -109,7 +110,7 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
     highest, lowest = np.maximum.reduceat(sine, starts), np.minimum.reduceat(sine, starts)
     digit = steps[steps > 0.0].min(
         initial=np.inf
-    )  # the smallest step that the log shows; none at all: all is stuck
+    )  # the smallest step in the log; without any step, all rows are stuck
     with np.errstate(invalid="ignore"):
         due = (
             (ghi[starts] <= 0.0)
@@ -122,12 +123,11 @@ def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
 
 
 def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
-    """Rows [n] that depart from both neighbours, to the same side, by far more than these differ
-    and than is usual.
+    """Return rows [n] that deviate from both neighbours, to the same side, far more than usual.
 
-    Usual is the ninth largest of the other steps within 120 rows on either side: where the light
-    jumps often, as under broken clouds, nothing stands out (bench/damaged_series.py). Rows beside a
-    gap, and short series, are not judged.
+    The usual step is the ninth largest of the other steps within 120 rows on each side. Where the
+    light changes often, as under broken clouds, no row is a spike (bench/damaged_series.py). Rows
+    next to a gap, and short series, are not judged.
     """
     out = np.zeros(len(value), bool)
     if len(value) < 3 + 2 * _SPIKE_ROWS:
@@ -141,7 +141,7 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
         far = (departure > SPIKE_WM2) & (
             departure > SPIKE_OVER_NEIGHBOURS * np.abs(from_left - from_right)
         )
-    # Steps around candidate row k + 1, less its own two (k and k + 1).
+    # Steps around candidate row k + 1, without its own two (k and k + 1).
     around = np.r_[-_SPIKE_ROWS:0, 2 : 2 + _SPIKE_ROWS]
     size = np.abs(np.nan_to_num(step))
     candidates = np.flatnonzero(far)
@@ -162,11 +162,10 @@ def spikes(t_unix_s: Array, value: Array) -> NDArray[np.bool_]:
 
 
 def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[np.integer]]:
-    """Means by UTC minute: the minutes' centres [m] (unix s), means [m], and each row's minute [n]
-    as an index.
+    """Return means by UTC minute: centres [m] (unix s), means [m], and each row's minute [n].
 
-    A minute without a figure stands wherever more than half an hour is missing, so that neighbours
-    are neighbours.
+    For more than half an hour without a row, insert one minute without a value, so that minutes
+    next to each other in the result are also neighbours in time. The row's minute is an index.
     """
     minute = np.floor(t_unix_s / 60.0).astype(np.int64)
     present, row_minute = np.unique(minute, return_inverse=True)
@@ -185,8 +184,9 @@ def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[n
 
 
 def derive(series: Series, altitude: Array, site: Site) -> Series:
-    """DNI and DHI of a lone global pyranometer by DIRINT on minute means, shared out to the rows
-    of each minute.
+    """Return DNI and DHI from global irradiance alone, by DIRINT on minute means.
+
+    Each row gets its share of its minute.
     """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():
@@ -209,8 +209,9 @@ def derive(series: Series, altitude: Array, site: Site) -> Series:
 
 
 def _without_neighbours(value: Float) -> NDArray[np.bool_]:
-    """[m]: numbers with none right before or after them. DIRINT goes by how the light changes:
-    it says nothing then.
+    """Return [m]: values without a value directly before or after.
+
+    DIRINT uses the change of the light, so it has no result there.
     """
     known = np.r_[False, np.isfinite(value), False]
     return known[1:-1] & ~known[:-2] & ~known[2:]
@@ -221,13 +222,13 @@ def _without_neighbours(value: Float) -> NDArray[np.bool_]:
 
 
 def mark_text(marks: int) -> str:
-    """``low-sun gap``; empty for a row without fault."""
+    """Return marks in words, such as ``low-sun gap``; empty for a row without a mark."""
     shown = (mark for mark in Mark if marks & mark and mark is not Mark.DERIVED)
     return " ".join((mark.name or "").lower().replace("_", "-") for mark in shown)
 
 
 def clean_of(series: Series) -> CleanIrradiance:
-    """Return what clean.csv holds: the figures, where they are from, and the marks in words."""
+    """Return the content of clean.csv: values, their source, and the marks in words."""
     texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
     source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
     flags = np.array([texts[int(m)] for m in series.marks], object)
@@ -237,10 +238,9 @@ def clean_of(series: Series) -> CleanIrradiance:
 
 
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
-    """Day files to irradiance/clean.csv and irradiance/health.json; kept when nothing was added
-    since.
+    """Write irradiance/clean.csv and irradiance/health.json, unless both are up to date.
 
-    Raises NotEnoughDataError when nothing was logged.
+    Raises NotEnoughDataError if nothing was logged.
     """
     files = day_files(session)
     note, clean = session.irradiance_health, session.clean_irradiance
@@ -265,7 +265,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
 
 
 def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
-    """All day files; one day's samples at a time are held as objects."""
+    """Read all day files; only one day's samples at a time are Python objects."""
     days, broken = [], 0
     for done, path in enumerate(files, start=1):
         samples, harmed = read_day(path)

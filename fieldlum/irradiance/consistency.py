@@ -1,9 +1,10 @@
-"""Do three components, a clear sky and the days before agree: closure, k-indices, a tracker that
-points elsewhere, a shaded horizon, and a sensitivity that changed.
+"""Check whether three components, a clear sky and the days before agree.
 
-pvlib has none of these tests; pvanalytics has QCRad's limits and closure, without the average that
-broken clouds require. Limits of k-indices and the tracker test: Forstinger et al. 2021, Expert
-quality control of solar radiation ground data sets (ISES SWC 2021; IEA PVPS Task 16).
+The checks are closure, k-indices, a tracker that points elsewhere, a shaded horizon, and a
+sensitivity that changed. pvlib has none of them; pvanalytics has QCRad's limits and closure,
+without the average that broken clouds require. Limits of k-indices and the tracker test:
+Forstinger et al. 2021, Expert quality control of solar radiation ground data sets (ISES SWC 2021;
+IEA PVPS Task 16).
 """
 
 from __future__ import annotations
@@ -26,40 +27,39 @@ _CLEAR_GRID_S = 300.0  # a clear sky changes by 2 % in five minutes near sunrise
 # the sunny minutes of a good station (bench/station_qc.py); a fault lasts.
 CLOSURE_WINDOW_S = 1800.0
 
-_K_LEAST_WM2 = (
-    50.0  # GHI from which indices are tested (Forstinger et al. 2021, as all that follow)
-)
+# Limits of the k-indices, all from Forstinger et al. 2021.
+_K_LEAST_WM2 = 50.0  # GHI from which indices are tested
 _KT_MOST = 1.35
 _KD_MOST, _KD_MOST_LOW_SUN, _KD_ALTITUDE_DEG = 1.05, 1.10, 15.0
 _KD_CLEAR, _KT_CLEAR, _CLEAR_LEAST_WM2, _CLEAR_ALTITUDE_DEG = 0.96, 0.6, 150.0, 5.0
 _KN_TOP_WM2, _KN_PER_M = 1100.0, 0.03
-_K_LASTS_S = 900.0  # a cloud's edge crosses two instruments one after the other: a fault lasts
+# A cloud's edge crosses two instruments one after the other; a fault lasts longer. Not measured.
+_K_LASTS_S = 900.0
 
-# Forstinger's 0.2 for global and 5 degrees mark bright overcast hours; a clear sky's global is met
-# within 18 % by the monthly turbidity.
+# Forstinger's 0.2 for global and 5 degrees mark bright overcast hours; the monthly turbidity gives
+# a clear sky's global within 18 %.
 _TRACKER_GHI, _TRACKER_DNI, _TRACKER_ALTITUDE_DEG = 0.1, 0.95, 10.0
 
-_HORIZON_DEG = 20.0  # what is higher than this is part of the scene that somebody would see
+_HORIZON_DEG = 20.0  # higher obstructions are visible in the scene; not measured
 _BIN_AZIMUTH_DEG, _BIN_ALTITUDE_DEG = 4.0, 1.0
-_BLOCKED, _FREE = 0.05, 0.5  # of the clear sky's DNI
-_FREE_WITHIN_S = 2700.0  # the sun was free so short a time before or after
+_BLOCKED, _FREE = 0.05, 0.5  # of the clear sky's DNI; not measured
+_FREE_WITHIN_S = 2700.0  # the sun was free within this time before or after
 _BLOCKED_DAYS = 4  # days that agree; clouds at one place of the horizon on four such days are rare
 
 _STEP_ALTITUDE_DEG, _STEP_DNI_WM2 = 20.0, 300.0
 _STEADY, _STEADY_WINDOW_S = 0.05, 600.0  # DNI against its mean over these seconds
-_DAY_STEADY_S = 1800.0  # steady sun in a day from which its median counts
+_DAY_STEADY_S = 1800.0  # minimum steady sun of a day whose median is used; not measured
 # A day's scatter is (1 + this / steady seconds)^0.5 times that of an endless clear day: an hour of
 # steady sun between clouds scatters by 1.3 %, seven hours by 0.5 % (three months at Lyngby).
 _FULL_DAY_S = 28800.0
-_STEP_SIGMA = (
-    4.0  # of the day-to-day scatter; in 2 % of 20-day records without a step a split reaches it
-)
-_STEP_DAYS = 3  # on either side
+# Times the day-to-day scatter; a split reaches it in 2 % of 20-day records without a step.
+_STEP_SIGMA = 4.0
+_STEP_DAYS = 3  # minimum on each side
 _LEAST_SCATTER = 0.001  # of daily medians: no instrument repeats better from day to day
 
 
 def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, NDArray[np.int64]]:
-    """Mean [n] over a window around each row, and how many finite rows it has [n]; NaN for none."""
+    """Return the mean and the number of finite rows in a window around each row [n]; NaN if 0."""
     good = np.isfinite(value)
     total = np.r_[0.0, np.cumsum(np.where(good, value, 0.0))]
     count = np.r_[0, np.cumsum(good)]
@@ -73,14 +73,16 @@ def window_mean(t_unix_s: Array, value: Array, window_s: float) -> tuple[Array, 
 
 
 def lasting(t_unix_s: Array, marked: Rows, window_s: float) -> Rows:
-    """Marked rows [n] around which at least half of the rows of a window are marked too."""
+    """Return marked rows [n] with at least half of the rows of a window around them marked too."""
     share, _ = window_mean(t_unix_s, marked.astype(float), window_s)
     return marked & (share >= 0.5)
 
 
 def closure_fails(t_unix_s: Array, ghi: Array, dhi: Array, dni: Array, altitude: Array) -> Rows:
-    """QCRad: within 8 % above 15 degrees of sun, 15 % below; a row counts where at least half of
-    the half hour around it fails too. Not testable under 50 W/m2 or with two components only.
+    """Return rows [n] that fail QCRad's closure: 8 % above 15 degrees of sun, 15 % below.
+
+    A row fails if at least half of the half hour around it fails too. It is not testable under
+    50 W/m2, or with two components only.
     """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
     allowed = np.where(altitude > 15.0, 0.08, 0.15)
@@ -103,10 +105,10 @@ def k_index_fails(
     top: Array,
     altitude_m: float = 0.0,
 ) -> Rows:
-    """Rows [n] whose clearness, diffuse share or beam transmittance no sky has, for a while.
+    """Return rows [n] whose clearness, diffuse share or beam transmittance is impossible for long.
 
-    top [n]: irradiance above the air on a plane normal to the sun. Of the two components that
-    contradict each other the test cannot name the wrong one. [W/m2]
+    top: irradiance above the atmosphere on a plane normal to the sun [n] W/m2. The test cannot
+    decide which of two contradicting components is wrong.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         kt = ghi / (top * np.maximum(np.sin(np.radians(altitude)), 1e-3))
@@ -123,8 +125,9 @@ def k_index_fails(
 def tracker_off(
     t_unix_s: Array, ghi: Array, dni: Array, altitude: Array, clear: sun.Irradiance
 ) -> Rows:
-    """Rows [n] with a clear sky's global and next to no direct for half an hour: the tracker points
-    elsewhere, or the pyrheliometer is covered.
+    """Return rows [n] with a clear sky's global but almost no direct for half an hour.
+
+    The tracker points elsewhere, or the pyrheliometer is covered.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         near = np.abs(clear.ghi_wm2 - ghi) / (clear.ghi_wm2 + ghi) < _TRACKER_GHI
@@ -137,8 +140,10 @@ def tracker_off(
 def shaded_horizon(
     t_unix_s: Array, dni: Array, altitude: Array, azimuth: Array, clear_dni: Array
 ) -> Rows:
-    """Rows [n] whose part of the sky, 4 x 1 degrees under 20 degrees of altitude, never shows the
-    sun on at least four days on which it is free shortly before or after.
+    """Return rows [n] in a part of the low sky in which the sun is never seen.
+
+    A part is 4 x 1 degrees, under 20 degrees of altitude. The sun must be hidden there on at least
+    four days on which it is free shortly before or after.
     """
     out = np.zeros(len(t_unix_s), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -167,8 +172,10 @@ def shaded_horizon(
 
 @dataclass(frozen=True, slots=True)
 class SensitivitySteps:
-    """Days from which global against diffuse + direct is another one, with the relative change; the
-    smallest change that would be found in the middle of the record; days compared.
+    """Days from which the ratio of global to diffuse + direct is another one.
+
+    steps: day and relative change. smallest: the smallest change that would be found in the middle
+    of the record. days: number of days compared.
     """
 
     steps: tuple[tuple[date, float], ...]
@@ -181,8 +188,8 @@ def sensitivity_steps(
 ) -> SensitivitySteps:
     """Find days at which one of three instruments changed its sensitivity, or was exchanged.
 
-    Each day's figure is the median closure ratio while the direct sun was steady. Closure cannot
-    tell which of the three changed. Fewer than six such days: nothing is found.
+    Each day's value is the median closure ratio while the direct sun was steady. Closure cannot
+    show which of the three changed. Fewer than six such days give no result.
     """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
     mean, _ = window_mean(t_unix_s, dni, _STEADY_WINDOW_S)
@@ -210,19 +217,22 @@ def sensitivity_steps(
 
 
 def _level(value: Array, spread: Array) -> tuple[float, float]:
-    """Weighted mean of daily figures, and its standard error in units of a clear day's scatter."""
+    """Return the weighted mean of daily values, and its standard error in clear-day scatters."""
     weight = spread**-2
     return float(np.sum(weight * value) / np.sum(weight)), float(np.sum(weight) ** -0.5)
 
 
 def _scatter(value: Array, spread: Array) -> float:
-    """Scatter of a clear day's figure, from neighbouring differences: a step hardly counts."""
+    """Return the scatter of a clear day's value, from neighbouring differences.
+
+    A step affects it little.
+    """
     differences = np.abs(np.diff(value)) / np.hypot(spread[1:], spread[:-1])
     return max(float(np.median(differences)) * 1.4826, _LEAST_SCATTER)
 
 
 def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
-    """Indices before which the level changes, by the largest contrast first, then in both parts."""
+    """Return indices before which the level changes: largest contrast first, then in both parts."""
     n = len(value)
     if n < 2 * _STEP_DAYS:
         return []
@@ -238,7 +248,7 @@ def _cuts(value: Array, spread: Array, offset: int) -> list[int]:
 
 
 def _contrast(value: Array, spread: Array, k: int) -> float:
-    """Difference of the levels before and from index k on, in standard errors of unit scatter."""
+    """Return the difference of the levels before and from index k on, in unit standard errors."""
     (before, u_before), (after, u_after) = (
         _level(value[:k], spread[:k]),
         _level(value[k:], spread[k:]),
@@ -249,7 +259,7 @@ def _contrast(value: Array, spread: Array, k: int) -> float:
 def _smallest(
     value: Array, spread: Array, parts: list[tuple[int, int]], levels: list[float]
 ) -> float | None:
-    """Step in the middle of the record that would reach the limit, relative."""
+    """Return the relative step in the middle of the record that would reach the limit."""
     n = len(value)
     if n < 2 * _STEP_DAYS:
         return None
@@ -261,9 +271,9 @@ def _smallest(
 
 
 def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[np.int64]:
-    """Marks [n] of rows that a clear sky or their own k-indices contradict. No value is blanked.
+    """Return marks [n] of rows that a clear sky or their own k-indices contradict.
 
-    altitude, top [n]: of `sky_geometry`.
+    No value is deleted. altitude, top [n]: from `sky_geometry`.
     """
     t, dni = series.t_unix_s, series.dni_wm2
     marks = np.zeros(len(t), np.int64)
@@ -282,7 +292,7 @@ def doubts(series: Series, altitude: Array, top: Array, site: Site) -> NDArray[n
 
 
 def _clear_sky(t_unix_s: Array, site: Site) -> tuple[Array, sun.Irradiance]:
-    """Azimuth [n] deg and clear-sky irradiance [n], interpolated between five minutes."""
+    """Return azimuth [n] deg and clear-sky irradiance [n] W/m2, interpolated in five minutes."""
     step = np.floor(t_unix_s / _CLEAR_GRID_S)
     grid = _CLEAR_GRID_S * np.unique(np.r_[step, step + 1.0])
     times = [datetime.fromtimestamp(t, UTC) for t in grid]

@@ -1,4 +1,4 @@
-"""Rows of a pyranometer as arrays, each with the reasons why it must be read with care."""
+"""Rows of a pyranometer as arrays, each with marks for what may be wrong with it."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 from fieldlum.records import IrradianceSample
 
 Array = NDArray[np.float64]
-_BLOCK = 64  # rows over which a usual time is taken
+_BLOCK = 64  # rows over which the usual time between rows is computed; not measured
 
 
 class Mark(IntFlag):
-    """Why a row must be read with care. After IMPOSSIBLE and STATUS its figures are blank."""
+    """What may be wrong with a row. IMPOSSIBLE and STATUS set its values to NaN."""
 
     IMPOSSIBLE = 1  # outside BSRN's physically possible limits
     EXTREME = 2  # outside BSRN's extremely rare limits
     CLOSURE = 4  # for half an hour global is not diffuse + direct, where all three are measured
     DIFFUSE = 8  # diffuse above global
-    STUCK = 16  # the same figure for over ten minutes of daylight
+    STUCK = 16  # the same value for over ten minutes of daylight
     STATUS = 32  # the instrument reported an error
-    LOW_SUN = 64  # sun under 5 degrees: DNI from horizontal readings is poor
+    LOW_SUN = 64  # sun under 5 degrees: DNI from horizontal readings is inaccurate
     GAP = 128  # the first row after a gap
-    DISORDER = 256  # a row that stood later in the file than its time
-    DERIVED = 512  # DNI and DHI are a model's, not an instrument's
-    # one reading alone departs from both neighbours: a damaged line, a bird, a very small cloud
+    DISORDER = 256  # the row is later in the file than its time
+    DERIVED = 512  # DNI and DHI are from a model, not from an instrument
+    # one reading alone deviates from both neighbours: a damaged line, a bird, a very small cloud
     SPIKE = 1024
-    DOUBLE = 2048  # another row of the same moment has other figures; the first one counts
-    K_INDEX = 4096  # clearness, diffuse share or beam transmittance that no sky has, lasting
+    DOUBLE = 2048  # another row of the same time has other values; the first one is used
+    K_INDEX = 4096  # clearness, diffuse share or beam transmittance that is impossible for so long
     TRACKER = 8192  # a clear sky's global without direct sun: the tracker points elsewhere
     HORIZON = 16384  # a part of the low sky where the sun is never seen
 
@@ -41,7 +41,7 @@ UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Arrays [n] in order of time; NaN where a component is not known. [W/m2]"""
+    """Arrays [n] in order of time [W/m2]; NaN where a component is unknown."""
 
     t_unix_s: Array
     ghi_wm2: Array
@@ -54,13 +54,14 @@ class Series:
 
 
 def poll_period_s(t_unix_s: Array) -> float:
-    """The usual time between two rows."""
+    """Return the usual time between two rows [s]."""
     return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
 
 
 def local_period_s(t_unix_s: Array) -> Array:
-    """The usual time between two rows around each of them [n]: one session may hold several
-    loggers.
+    """Return the usual time between two rows around each row [n] s.
+
+    One session can have several loggers.
     """
     step = np.diff(t_unix_s, prepend=t_unix_s[:1] - poll_period_s(t_unix_s))
     blocks = [step[first : first + _BLOCK] for first in range(0, len(step), _BLOCK)]
@@ -71,8 +72,9 @@ def local_period_s(t_unix_s: Array) -> Array:
 
 
 def series_of(samples: Sequence[IrradianceSample]) -> Series:
-    """Samples as arrays in order of time, the first one of each moment; STATUS, DISORDER and
-    DOUBLE are marked.
+    """Return samples as arrays in order of time, the first one of each time.
+
+    STATUS, DISORDER and DOUBLE are marked.
     """
     t = np.array([s.t_utc.timestamp() for s in samples])
     ghi, dhi, dni = (
@@ -92,7 +94,7 @@ def series_of(samples: Sequence[IrradianceSample]) -> Series:
 
 
 def _mark_of_status(status: str) -> Mark:
-    """An instrument's complaint makes its reading unusable; a driver's doubt only asks for care."""
+    """Return the mark of a status: STATUS makes a reading unusable, DIFFUSE is only a doubt."""
     if not status:
         return Mark(0)
     return Mark.DIFFUSE if status == "total below diffuse" else Mark.STATUS

@@ -1,6 +1,4 @@
-"""How an instrument and its logger did: what the person responsible wants to know, and what to
-do about it.
-"""
+"""Report how an instrument and its logger worked, and what to do about faults."""
 
 from __future__ import annotations
 
@@ -15,15 +13,15 @@ from fieldlum.irradiance.series import Array, Mark, Series, local_period_s, poll
 from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 from fieldlum.records import Site
 
-NIGHT_SUN_DEG = -6.0
-NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: from here on nights are blanked as impossible
-NIGHT_LIGHT_WM2 = 20.0  # no instrument's offset
-MOST_BY_DAY = 0.05  # share of the rows by day with one mark, from which the person hears of it
+NIGHT_SUN_DEG = -6.0  # end of civil twilight
+NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
+NIGHT_LIGHT_WM2 = 20.0  # larger than any instrument's offset; not measured
+MOST_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What the person responsible wants to know about the instrument."""
+    """State of the instrument and its logger, for the person responsible."""
 
     rows: int
     broken_lines: int
@@ -31,20 +29,19 @@ class Health:
     every_s: float
     gaps: int
     longest_gap_s: float
-    night_offset_wm2: (
-        float | None
-    )  # median of the global with the sun under -6 degrees; never subtracted
+    # median of the global with the sun under -6 degrees; never subtracted
+    night_offset_wm2: float | None
     closure_pass: float | None  # share of testable rows, where direct is measured too
-    clock_off_s: (
-        float | None
-    )  # by the light itself (`light_clock`); None without a whole day, dark on either side
+    # from the light itself (`light_clock`); None without a complete day, dark before and after
+    clock_off_s: float | None
     marks: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    sensitivity_steps: tuple[tuple[str, float], ...] = ()  # from that day on, relative change
-    smallest_step: float | None = None  # that would be found; None: too few days to tell
+    sensitivity_steps: tuple[tuple[str, float], ...] = ()  # first day of the step, relative change
+    smallest_step: float | None = None  # that would be found; None: too few days
 
     @classmethod
     def from_json(cls, known: dict[str, Any]) -> Health:
+        """Return the state that health.json records."""
         steps = tuple((str(day), float(change)) for day, change in known["sensitivity_steps"])
         return cls(**{**known, "warnings": tuple(known["warnings"]), "sensitivity_steps": steps})
 
@@ -52,8 +49,10 @@ class Health:
 def health(
     raw: Series, clean: Series, altitude: Array, top: Array, broken: int, site: Site
 ) -> Health:
-    """raw and clean: the same rows before and after the checks. altitude, top [n]: of
-    `sky_geometry`.
+    """Return the state of an instrument from its rows.
+
+    raw, clean: the same rows before and after the checks. altitude, top [n]: from `sky_geometry`.
+    broken: number of damaged lines.
     """
     night = raw.ghi_wm2[(altitude < NIGHT_SUN_DEG) & np.isfinite(raw.ghi_wm2)]
     offset = float(np.median(night)) if len(night) >= 10 else None
@@ -79,7 +78,7 @@ def health(
     warnings += _by_day(clean, altitude, top)
     if passed is not None and passed < 0.8:
         warnings.append(
-            f"global = diffuse + direct holds in {100 * passed:.0f} % of the rows only: check "
+            f"global = diffuse + direct is true for only {100 * passed:.0f} % of the rows: check "
             f"clock and tilt"
         )
     clock_off = clock_off_s(raw.t_unix_s, raw.ghi_wm2, site)
@@ -87,21 +86,21 @@ def health(
         warnings.append(
             f"the days' light is centred {clock_off / 60:+.0f} min from solar noon: check the "
             f"logger's clock, its "
-            "--utc-offset (daylight saving?) and longitude_deg, and import it anew"
+            "--utc-offset (daylight saving?) and longitude_deg, and import the file again"
         )
     if (was_set := clock_set_s(raw.t_unix_s, raw.ghi_wm2, site)) is not None:
         day, step_s = was_set
         warnings.append(
             f"from {day:%Y-%m-%d} on the days' light is centred {step_s / 60:+.0f} min from that "
             f"of the days before: "
-            "was the logger's clock set (daylight saving)? import the two parts as files of their "
-            "own, by --utc-offset"
+            "the logger's clock was probably set (daylight saving?); split the file there, and "
+            "import each part with its own --utc-offset"
         )
     steps = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
     warnings += [
         f"from {day:%Y-%m-%d} on global over diffuse + direct differs by {100 * change:+.1f} % "
-        f"from the days before: the sensitivity of an instrument changed, or an instrument; check "
-        f"the logger's sensitivities and calibration dates"
+        f"from the days before: an instrument or its sensitivity changed; check the logger's "
+        f"sensitivities and calibration dates"
         for day, change in steps.steps
     ]
     if broken:
@@ -125,43 +124,43 @@ def health(
     )
 
 
-_ASKED = {
-    Mark.IMPOSSIBLE: "outside what is physically possible: units, columns, clock?",
-    Mark.EXTREME: "outside what is extremely rare: units, columns, clock?",
-    Mark.DIFFUSE: "with more diffuse than global: are the two exchanged?",
-    Mark.K_INDEX: "in a ratio of global, diffuse and direct that no sky has: is one of them wrong?",
-    Mark.TRACKER: "a clear sky's global without direct sun: does the tracker follow the sun?",
-    Mark.HORIZON: "where the sun never shows: something on the horizon shades the instrument",
-    Mark.STUCK: "the same for over ten minutes: is the instrument dead?",
-    Mark.STATUS: "with an error of the instrument",
-    Mark.SPIKE: "lone spikes: is the line disturbed?",
-    Mark.DOUBLE: "there twice with other figures, and the first counts: a clock put back, or two "
-    "instruments?",
+_FAULTS = {
+    Mark.IMPOSSIBLE: "are physically impossible: check units, columns and clock",
+    Mark.EXTREME: "are extremely rare: check units, columns and clock",
+    Mark.DIFFUSE: "have more diffuse than global: check whether the two are exchanged",
+    Mark.K_INDEX: "have an impossible ratio of global, diffuse and direct: check which is wrong",
+    Mark.TRACKER: "have a clear sky's global without direct sun: check whether the tracker follows",
+    Mark.HORIZON: "are in a part of the sky that never shows the sun: something shades the sensor",
+    Mark.STUCK: "were constant for over ten minutes: check the instrument",
+    Mark.STATUS: "have an error of the instrument",
+    Mark.SPIKE: "are isolated spikes: check the cable",
+    Mark.DOUBLE: "repeat a time with other values (the first is used): check for a clock that "
+    "was set back, or a second instrument",
 }
 
 
 def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
-    """What too many rows have in common while the sun is well up."""
+    """Return a sentence for each mark that too many rows have while the sun is well up."""
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return []
     said = [
-        f"{100 * share:.0f} % of the rows by day are {asked}"
-        for mark, asked in _ASKED.items()
+        f"{100 * share:.0f} % of the rows by day {fault}"
+        for mark, fault in _FAULTS.items()
         if (share := float(np.mean((clean.marks[up] & mark) != 0))) > MOST_BY_DAY
     ]
     with np.errstate(invalid="ignore"):
         weak = float(np.mean(sun.too_weak(clean.ghi_wm2, altitude, top)[up]))
     if weak > MOST_BY_DAY:
         said.append(
-            f"{100 * weak:.0f} % of the rows by day hold less light than any sky lets through: is "
-            f"it kW/m2?"
+            f"{100 * weak:.0f} % of the rows by day have less light than under any sky: check "
+            f"whether they are in kW/m2"
         )
     lone = float(np.mean(np.isfinite(clean.ghi_wm2[up]) & np.isnan(clean.dni_wm2[up])))
     if lone > MOST_BY_DAY:
         said.append(
-            f"{100 * lone:.0f} % of the rows by day are global alone without neighbours within "
+            f"{100 * lone:.0f} % of the rows by day have global only, and no neighbour within "
             f"half an hour: "
-            "no direct can be derived from them"
+            "direct irradiance cannot be derived from them"
         )
     return said
