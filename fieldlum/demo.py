@@ -1,9 +1,8 @@
-"""The whole job on simulated captures: one real session, every stage's own `run`, and at the end
-the truth.
+"""All stages on simulated captures: one session, each stage's own `run`, then a comparison.
 
-Radiance renders the paper's office at every planned hour; a simulated camera photographs it into
-raw brackets, a simulated SPN1 is read over a pseudo-terminal; from there on nothing knows that it
-is a simulation. What was merged, paired and predicted is then held against the rendered truth.
+Radiance renders the paper's office at every planned hour. A simulated camera takes raw brackets of
+it, and a simulated SPN1 is read over a pseudo-terminal; no later stage knows that it is a
+simulation. The merged, paired and predicted results are then compared with the rendered truth.
 """
 
 from __future__ import annotations
@@ -32,6 +31,8 @@ YEAR = 2027
 
 @dataclass(frozen=True, slots=True)
 class Preset:
+    """Size and duration of a demo."""
+
     height: int  # of the panoramas; they are twice as wide
     quality: str  # of the rendered truth
     budget_min: float  # for the dense network
@@ -45,12 +46,12 @@ PRESETS = {
 }
 
 Show = Callable[[str], Any]
-"""Called with a stage's name; gives a context manager that yields a Progress."""
+"""Called with a stage's name; returns a context manager that yields a Progress."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the demo found. seconds: stage to time; figures: name, value, remark."""
+    """Result of the demo. seconds: time of each stage [s]; figures: name, value, remark."""
 
     report: Path
     seconds: dict[str, float]
@@ -58,9 +59,7 @@ class Outcome:
 
 
 def prepare(folder: Path) -> Session:
-    """The session of the nine days of the paper's office; an earlier demo in `folder` is taken
-    up again.
-    """
+    """Return the session with nine days in the paper's office; continue an earlier demo."""
     from fieldlum import plan
 
     if (folder / "session.toml").is_file():
@@ -71,7 +70,7 @@ def prepare(folder: Path) -> Session:
 
 
 def capture(session: Session, seed: int, progress: Progress) -> None:
-    """Brackets and irradiance of all owed slots, on a clock that jumps from slot to slot."""
+    """Capture brackets and irradiance of all due slots, on a clock that jumps between slots."""
     from fieldlum import capture as stage
     from fieldlum.capture.runner import Live
     from fieldlum.capture.verify import doubts
@@ -85,8 +84,9 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:
-    """Median error, share of unflagged pixels within 5 %, and the number of maps; over all
-    merged panoramas.
+    """Return, over all merged panoramas, median error, share within 5 %, and number of maps.
+
+    The share is of the unflagged pixels.
     """
     from fieldlum.images import read_panorama
 
@@ -109,8 +109,9 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
 
 
 def irradiance_against_truth(session: Session) -> tuple[float, float]:
-    """Root-mean-square error of paired DNI and DHI against the simulator's own, sun above 10
-    degrees. [W/m2]
+    """Return the rms error of paired DNI and DHI against the simulator's [W/m2].
+
+    Only the sun above 10 degrees counts.
     """
     truth = TruthIrradiance.read(session.truth_irradiance)
     rows_of_hours = {int(t // 3600): k for k, t in enumerate(truth.t_unix_s)}
@@ -175,9 +176,9 @@ def run(
     workers: int = 2,
     weather: Path | None = None,
 ) -> Outcome:
-    """Do the whole job in `folder`, in the paper's weather unless another is given.
+    """Run all stages in `folder`, with the paper's weather unless `weather` names another.
 
-    Every stage is skipped where it is done already.
+    Skip every stage that is done.
     """
     from fieldlum import irradiance, merge, pair, predict, report, simulate, train
     from fieldlum.models.data import load_pairs

@@ -72,7 +72,7 @@ def full_dn(
 
 
 def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -> NDArray[_T]:
-    """Return counts above black [...] made proportional to light, by the profile's curve. [DN]"""
+    """Return counts above black [...] DN, made linear in light by the profile's curve."""
     sensor = profile.sensor
     if not sensor.linearity:
         return above_dn
@@ -81,8 +81,9 @@ def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -
 
 
 def curve_u_rel(profile: CameraProfile) -> float:
-    """Return what counts or codes to light may be off by, relative: a JPEG's response, a raw
-    sensor's linearity.
+    """Return the relative uncertainty of the curve from counts or codes to light.
+
+    It is a JPEG's response, or a raw sensor's linearity.
     """
     raw = profile.camera.kind == "raw"
     return profile.sensor.linearity_u_rel if raw else profile.response.u_rel

@@ -1,5 +1,4 @@
-"""The models that `train` can fit: one entry each. The command line reads it, so nothing heavy is
-imported here.
+"""The models that `train` can fit, one entry each; without heavy imports for the command line.
 
 A model is a module with ``fit(data, *, patch, seed, budget_s, progress) -> Fitted`` and
 ``from_state(config, arrays) -> Fitted`` (`fieldlum/models/__init__.py`). To add one, write the

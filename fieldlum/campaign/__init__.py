@@ -1,6 +1,6 @@
 """Many sessions as one campaign: every stage for each room, and one overview of all of them.
 
-Rooms are independent: what fails in one is named, and the others go on.
+Rooms are independent: a failure in one is reported, and the other rooms continue.
 """
 
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom, read_campaign

@@ -44,6 +44,7 @@ class CampaignFile:
     rooms: tuple[CampaignRoom, ...]
 
     def session_folder(self, room: CampaignRoom) -> Path:
+        """Return the session folder of a room."""
         return self.path.parent / room.session
 
     def file(self, name: str) -> Path:

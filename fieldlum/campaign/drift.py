@@ -1,4 +1,4 @@
-"""Whether a camera drifts: k by the window sky, the heading, the residuals of merging."""
+"""Detect drift of a camera: of k by the sky in the window, of the heading, and of residuals."""
 
 from __future__ import annotations
 
@@ -48,12 +48,13 @@ class DriftSeries:
 
     @property
     def drifts(self) -> bool:
-        """Return whether the change is larger than its limit and than its uncertainty."""
+        """Whether the change is larger than its limit and its uncertainty."""
         error = (self.high - self.low) / (2 * NORMAL_95)
         return bool(abs(self.change) > max(LIMITS[self.kind], SURE_ERRORS * error))
 
     @property
     def text(self) -> str:
+        """The change with its interval, for a table."""
         if not np.isfinite(self.change):
             return f"{len(self.values)} values" if len(self.values) else "–"
         unit = UNITS[self.kind]
@@ -111,7 +112,7 @@ def _columns(rows: Sequence[tuple[datetime, float]]) -> tuple[list[datetime], li
 def _headings(
     session: Session, dated: Sequence[tuple[datetime, Sidecar]]
 ) -> list[tuple[datetime, float]]:
-    """Azimuth of the sun's disc in the pictures minus its true azimuth. [degrees]"""
+    """Return the azimuth of the sun's disc in the pictures minus its true azimuth [deg]."""
     from fieldlum import sun
 
     site = session.site_file().site
@@ -127,10 +128,10 @@ def _headings(
 
 
 def _sky_ratios(session: Session) -> list[tuple[datetime, float]]:
-    """Measured over expected luminance of the sky in the window, in percent of its median.
+    """Return measured over expected luminance of the sky in the window, in percent of its median.
 
-    Expected is the Perez sky of the logged irradiance, which is wrong by tens of percent in one
-    hour and right on average: only its change over many hours tells of k.
+    Expected is the Perez sky of the logged irradiance. It is wrong by tens of percent in one hour
+    and right on average, so only its change over many hours shows a drift of k.
     """
     from fieldlum.scene import window_fraction
 

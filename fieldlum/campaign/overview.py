@@ -46,19 +46,22 @@ class RoomOverview:
 
     @property
     def judged(self) -> list[dict[str, Any]]:
+        """Directions with a result."""
         return [row for row in self.protection if row["class"] != NOT_SEEN]
 
     @property
     def worst(self) -> dict[str, Any] | None:
-        """Return the direction with the largest DGP in 5 % of the hours; None without a year."""
+        """Direction with the largest DGP in 5 % of the hours; None without a year."""
         return max(self.judged, key=lambda row: row["dgp_exceeded"], default=None)
 
     @property
     def best(self) -> dict[str, Any] | None:
+        """Direction with the smallest DGP in 5 % of the hours; None without a year."""
         return min(self.judged, key=lambda row: row["dgp_exceeded"], default=None)
 
     @property
     def drifting(self) -> list[DriftSeries]:
+        """Quantities that drift."""
         return [series for series in self.drifts.values() if series.drifts]
 
 
@@ -94,7 +97,7 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
 
 
 def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
-    """Slots that were missed or aborted, not merged, or refused by pair, each with its reason."""
+    """Return slots that were missed, aborted, not merged, or rejected by pair, with the reason."""
     from fieldlum.capture.state import fold
     from fieldlum.session import read_journal
 
@@ -109,7 +112,7 @@ def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
         if folder.name not in merged:
             reasons.setdefault(folder.name, "captured, not merged")
     for row in pairs.refused:
-        reasons.setdefault(Path(row.panorama).stem or "?", row.why or "refused by pair")
+        reasons.setdefault(Path(row.panorama).stem or "?", row.why or "rejected by pair")
     return tuple(sorted(reasons.items()))
 
 
@@ -181,7 +184,7 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
             ("predicted years", f"{len(judged)}"),
         ),
         sections=(_glare(rooms), _drift(rooms), _failures(rooms), _next(rooms)),
-        footer=f"Made by fieldlum {__version__}. This page needs no network.",
+        footer=f"Written by fieldlum {__version__}. This page needs no network.",
         warnings=tuple(f"{room.session} was skipped. {room.broken}" for room in broken),
     )
 
@@ -225,7 +228,7 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
         "class",
     )
     text = (
-        "Rooms with a predicted year, the worst first. A grey class is not settled by the "
+        "Rooms with a predicted year, the worst first. A grey class is not decided by the "
         "captures so far."
     )
     return Section("glare", "Which room has glare", text, (), (Table(head, tuple(body)),))
@@ -303,7 +306,7 @@ def _failures(rooms: Sequence[RoomOverview]) -> Section:
         for why, slots in reasons.items():
             more = f" and {len(slots) - _SLOTS} more" if len(slots) > _SLOTS else ""
             body.append((room.session, why, f"{len(slots)}", ", ".join(slots[:_SLOTS]) + more))
-    text = "Slots missed or aborted, captured but not merged, or refused by pair."
+    text = "Slots missed or aborted, captured but not merged, or rejected by pair."
     table = Table(("room", "reason", "slots", "which"), tuple(body), words=True)
     return Section("failed", "Which slots failed", text, (), (table,) if body else ())
 
@@ -318,6 +321,6 @@ def _next(rooms: Sequence[RoomOverview]) -> Section:
         )
         if owed > 0 or hours:
             body.append((room.session, f"{max(owed, 0)}", hours or "nothing is open"))
-    text = "Slots of the plan that are still owed, and hours whose capture would settle a class."
-    table = Table(("room", "slots owed", "hours like these"), tuple(body), words=True)
+    text = "Slots that are still to be captured, and hours that would decide an open class."
+    table = Table(("room", "slots to do", "hours like these"), tuple(body), words=True)
     return Section("next", "What to capture next", text, (), (table,) if body else ())

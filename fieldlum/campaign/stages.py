@@ -1,4 +1,4 @@
-"""One stage for every room of a campaign; a room that fails is named, and the others go on."""
+"""Run one stage for every room of a campaign; report a room that fails, and continue."""
 
 from __future__ import annotations
 
@@ -105,8 +105,8 @@ def _status(campaign: CampaignFile, room: CampaignRoom) -> str:
     years = len(found["predict"]["years"])
     return (
         f"{capture['done']} captured, {capture['missed']} missed, {capture['aborted']} aborted, "
-        f"{capture['owed']} owed; {merge['done']} merged; {pair['usable']} usable pairs; {models}; "
-        f"{years} year{'' if years == 1 else 's'}"
+        f"{capture['owed']} to do; {merge['done']} merged; {pair['usable']} usable pairs; "
+        f"{models}; {years} year{'' if years == 1 else 's'}"
     )
 
 

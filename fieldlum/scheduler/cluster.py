@@ -59,7 +59,7 @@ class ClusterCrew:
     # workers
 
     def _look(self) -> None:
-        """Learn which workers there are; ask new ones what they have installed."""
+        """Update the list of workers; ask new ones for their software."""
         self._looked_s = time.monotonic()
         self._threads = dict(self._client.nthreads())
         for name in self._threads.keys() - self._asked.keys():
@@ -106,6 +106,7 @@ class ClusterCrew:
     # units
 
     def free(self) -> int:
+        """Return how many more units the usable workers can take."""
         if time.monotonic() - self._looked_s > POLL_S:
             self._look()
         self._check_patience()
@@ -113,6 +114,7 @@ class ClusterCrew:
         return UNITS_A_THREAD * threads - len(self._running)
 
     def submit(self, key: int, unit: WorkUnit) -> None:
+        """Send a unit to the scheduler."""
         places = frozenset(self._usable)
         future = self._client.submit(
             perform_here,
@@ -126,6 +128,7 @@ class ClusterCrew:
         self._finished.add(future)
 
     def ended(self) -> list[Ended]:
+        """Return the units that ended, or that no worker can run."""
         end_s = time.monotonic() + POLL_S
         while not self._finished.has_ready() and time.monotonic() < end_s:
             time.sleep(TURN_S)
@@ -169,6 +172,7 @@ class ClusterCrew:
         return Ended(key, "worker", text=f"worker {worker}: {why}")
 
     def give_up(self, key: int) -> str:
+        """Cancel a unit and use its worker no more; return why."""
         future, _, _ = self._running.pop(key)
         processing = self._client.processing()
         names = [name for name, keys in processing.items() if future.key in keys]
@@ -178,6 +182,7 @@ class ClusterCrew:
         return f"worker {names[0]} hangs" if names else "no worker took it"
 
     def status(self) -> str:
+        """Return the number of workers, in words."""
         count = len(self._usable)
         text = f"{count} worker{'' if count == 1 else 's'}"
         return f"{text}, {len(self._avoided)} not used" if self._avoided else text
@@ -194,7 +199,7 @@ def _failure(key: int, future: Any, value: Any) -> Ended:
 
 
 def _collector(client: Any) -> Any:
-    """Return what fetches answers in the background, so that a lost worker blocks nothing here."""
+    """Return a function that fetches answers in the background, so a lost worker blocks nothing."""
     from distributed import as_completed
 
     return as_completed(with_results=True, raise_errors=False, loop=client.loop)

@@ -19,9 +19,11 @@ POLL_S = 0.5  # how often time limits and new workers are looked at
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A unit that ended somewhere. kind "lost": its worker is gone; "worker": trouble of the
-    worker's machine; "changed": try `value` instead, the unit with other recorded inputs. text:
-    what to report, with the name of the worker.
+    """A unit that ended.
+
+    kind: "lost" if its worker is gone; "worker" for a fault of the worker's machine; "changed" to
+    try `value` instead, the unit with other recorded inputs. text: what to report, with the name of
+    the worker.
     """
 
     key: int
@@ -72,12 +74,15 @@ class LocalCrew:
         pass
 
     def free(self) -> int:
+        """Return 1 if no unit is waiting, else 0."""
         return 0 if self._next else 1
 
     def submit(self, key: int, unit: WorkUnit) -> None:
+        """Store the unit for the next `ended`."""
         self._next = (key, unit)
 
     def ended(self) -> list[Ended]:
+        """Run the stored unit and return it."""
         assert self._next is not None
         (key, unit), self._next = self._next, None
         try:
@@ -86,9 +91,11 @@ class LocalCrew:
             return [Ended(key, "error", error=error)]
 
     def give_up(self, key: int) -> str:
+        """Raise NotImplementedError: a unit of this process always ends."""
         raise NotImplementedError("a unit of this process is never given up")
 
     def status(self) -> str:
+        """Return an empty text: there is no worker to name."""
         return ""
 
 
@@ -103,8 +110,9 @@ def _start_worker() -> None:
 
 
 class ProcessCrew:
-    """Some processes on this computer. Each has its own pool, so that a killed process names its
-    unit and costs no other.
+    """Processes on this computer.
+
+    Each has its own pool, so that a killed process is matched to its unit and affects no other.
     """
 
     def __init__(self, count: int) -> None:
@@ -135,6 +143,7 @@ class ProcessCrew:
         return sum(self._pids[pool].done() for pool in self._idle)
 
     def submit(self, key: int, unit: WorkUnit) -> None:
+        """Start a unit in a free process."""
         pool = self._idle.pop()
         try:
             future = pool.submit(unit.call, unit.folder, unit.argument)
@@ -149,6 +158,7 @@ class ProcessCrew:
         return self._pool()
 
     def ended(self) -> list[Ended]:
+        """Return units that ended, after at most `POLL_S`."""
         if not self._running:  # every process is still starting
             starting = [self._pids[pool] for pool in self._idle]
             wait(starting, timeout=POLL_S, return_when=FIRST_COMPLETED)
@@ -170,6 +180,7 @@ class ProcessCrew:
         return Ended(key, "error", error=error)
 
     def give_up(self, key: int) -> str:
+        """Kill the process of a unit and replace it."""
         future, (_, pool) = next(
             (future, entry) for future, entry in self._running.items() if entry[0] == key
         )
@@ -186,4 +197,5 @@ class ProcessCrew:
                 os.kill(known.result(), getattr(signal, "SIGKILL", signal.SIGTERM))
 
     def status(self) -> str:
+        """Return the number of processes, in words."""
         return f"{self._count} processes"

@@ -41,10 +41,12 @@ class _Pace:
         self.done = 0
 
     def count(self, took_s: float) -> None:
+        """Add the time of one unit [s]."""
         self._took_s.append(took_s)
         self.done += 1
 
     def limit_s(self) -> float:
+        """Return the time after which a unit counts as hanging [s]."""
         if self._limit_s is not None:
             return self._limit_s
         if len(self._took_s) < FEW:
@@ -52,6 +54,7 @@ class _Pace:
         return max(SHORTEST_LIMIT_S, LIMIT_TIMES_MEDIAN * statistics.median(self._took_s))
 
     def text(self) -> str:
+        """Return units per second and the time left, for the progress line."""
         rate = self.done / max(time.monotonic() - self._start_s, 1e-3)
         left_s = (self._total - self.done) / rate if rate else 0.0
         minutes, seconds = divmod(round(left_s), 60)

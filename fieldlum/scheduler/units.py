@@ -93,8 +93,10 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What comes back. kind "stale": input `text` has the content `seen`; "worker": trouble of the
-    worker's machine, in words.
+    """Answer of a worker.
+
+    kind "stale": input `text` has the content `seen`; "worker": a fault of the worker's machine, in
+    words.
     """
 
     value: Any = None
@@ -157,11 +159,11 @@ def _inside(name: str) -> PurePosixPath:
 
 
 def corrected(unit: WorkUnit, answer: Answer) -> WorkUnit | None:
-    """Return the unit with the recorded sha256 replaced, where this computer sees what the worker
-    saw; None where the worker's file system is stale.
+    """Return the unit with the recorded sha256 replaced if this computer sees the same content.
 
-    A frame that was damaged after its capture has another content than capture.json records; the
-    stage decides what to do with it, on a worker as on this computer.
+    Return None if the worker's file system is stale. A frame that was damaged after its capture
+    has another content than capture.json records; the stage decides what to do with it, on a worker
+    as on this computer.
     """
     recorded = dict(unit.recorded)
     if answer.text not in recorded or _digest(unit.folder / answer.text) != answer.seen:

@@ -1,4 +1,4 @@
-"""A false-colour PNG: log scale, legend, regions, glare sources, isolines on request."""
+"""Draw a false-colour PNG: log scale, legend, regions, glare sources, isolines with --isolines."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fieldlum.view.regions import Region, region_mask, shared_scale
 
 _INCHES, _DPI = 6.4, 150
 _MOST_PIXELS = 1200  # drawn along an edge; more is not visible at this size
-COLOURS = "inferno"  # even steps, and readable without red and green
+COLOURS = "inferno"  # perceptually uniform, and readable without red and green
 
 
 def write_png(
     path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region], isolines: bool
 ) -> None:
-    """Draw the pictures side by side on one scale."""
+    """Draw the pictures next to each other on one scale."""
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 

@@ -22,9 +22,11 @@ Outline = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPicture:
-    """luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr : [H, W] of whole pixels, 0
-    where the view has no direction. u_cdm2 : [H, W] or None. view : None for a panorama. outlines :
-    pixels (x, y) around the strongest glare sources of a fisheye.
+    """A picture with its figures.
+
+    luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr : [H, W] of complete pixels, 0
+    where the view has no direction. u_cdm2 : [H, W] or None. view : None for a panorama.
+    outlines : pixels (x, y) around the strongest glare sources of a fisheye.
     """
 
     name: str
@@ -39,7 +41,7 @@ class MeasuredPicture:
     notes: tuple[str, ...]
 
     def cosine_to(self, towards: Float) -> NDArray[np.float64]:
-        """Cosine between each pixel and a unit vector (x east, y north, z up), [H, W]."""
+        """Return the cosine between pixels and a unit vector (x east, y north, z up), [H, W]."""
         height, width = self.luminance_cdm2.shape
         if self.view is None:
             return equirect_rays(height, width, self.heading_deg) @ towards
@@ -75,7 +77,7 @@ def read_measured_picture(path: Path) -> MeasuredPicture:
 
 
 def _solid_angles(picture: Picture) -> NDArray[np.float32]:
-    """Solid angle of each whole pixel, behind the observer too, [H, W]."""
+    """Return the solid angle of each complete pixel [sr], also behind the observer, [H, W]."""
     height, width = picture.panorama.luminance_cdm2.shape
     if picture.view is None:
         return equirect_solid_angles(height, width).astype(np.float32)
@@ -86,7 +88,7 @@ def _solid_angles(picture: Picture) -> NDArray[np.float32]:
 
 
 def _outlines(picture: Picture, luminance: NDArray[np.float32]) -> tuple[Outline, ...]:
-    """Polygons around the strongest sources; none for a panorama, which has no single view."""
+    """Return polygons around the strongest sources; none for a panorama, which has many views."""
     import cv2
 
     if picture.view is None:

@@ -28,8 +28,10 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """kind rect, circle and polygon in pixels from the top left corner; cone: azimuth, altitude
-    and radius [deg]. text : as the user wrote it.
+    """A region of a picture.
+
+    kind rect, circle and polygon: in pixels from the top left corner; cone: azimuth, altitude and
+    radius [deg]. text : as the user wrote it.
     """
 
     kind: str
@@ -53,7 +55,7 @@ def parse_region(text: str) -> Region:
 
 
 def region_mask(region: Region, picture: MeasuredPicture) -> NDArray[np.bool_]:
-    """Pixels whose centres lie in the region, [H, W]."""
+    """Return the pixels whose centres are in the region, [H, W]."""
     height, width = picture.luminance_cdm2.shape
     y, x = (np.arange(height) + 0.5)[:, None], (np.arange(width) + 0.5)[None, :]
     if region.kind == "rect":
@@ -72,8 +74,10 @@ def region_mask(region: Region, picture: MeasuredPicture) -> NDArray[np.bool_]:
 
 
 def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
-    """Return the row of `COLUMNS`: mean and standard deviation by solid angle, the median by
-    pixels; pixels that no lens saw do not count. Values are None where nothing remains.
+    """Return the row of `COLUMNS` of a region; values are None if it has no pixel.
+
+    Mean and standard deviation are weighted by solid angle, the median by pixels. Pixels that no
+    lens saw do not count.
     """
     mask = region_mask(region, picture) & np.isfinite(picture.luminance_cdm2)
     mask &= picture.solid_angle_sr > 0
@@ -95,8 +99,9 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
 
 
 def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
-    """Return the luminance of the scale's ends: 1 % and 99.9 % of all pixels, at least a factor of
-    ten, rounded outwards to one digit. [cd/m2]
+    """Return the luminances of the scale's ends [cd/m2]: 1 % and 99.9 % of all pixels.
+
+    They are rounded outwards to one digit, and at least a factor of ten apart.
     """
     lows, highs = [], []
     for picture in pictures:

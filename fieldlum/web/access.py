@@ -33,8 +33,10 @@ SECURITY_HEADERS = {
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """What happens to a request. status 200: it is answered, 303: the token becomes a cookie and
-    leaves the address, else: it is refused with `text`.
+    """Decision about a request.
+
+    status 200: it is answered; 303: the token becomes a cookie and leaves the address; other: it is
+    refused with `text`.
     """
 
     status: int

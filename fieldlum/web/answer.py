@@ -40,8 +40,10 @@ PROGRAM = (
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What decides whether there is time to compute. seconds_to_slot: None without a coming slot.
-    busy: a bracket is being taken, or time is simulated and runs fast.
+    """State that decides whether there is time to compute.
+
+    seconds_to_slot: None without a coming slot. busy: a bracket is being taken, or time is
+    simulated and runs fast.
     """
 
     seconds_to_slot: float | None
@@ -155,8 +157,9 @@ class Worker:
             json.dump(rows, file)
 
     def _run(self, name: str, *arguments: str) -> bool:
-        """Run one command at the lowest priority; it is stopped while a slot is near. Return
-        whether it ended well.
+        """Run one command at the lowest priority and return whether it succeeded.
+
+        It is stopped while a slot is near.
         """
         if self._stop.is_set():
             return False
@@ -212,8 +215,9 @@ class Worker:
 
 
 def _signal(process: subprocess.Popen[bytes], name: str) -> None:
-    """Send a signal to a step and its children. On Windows, which cannot stop a process, a step
-    near a slot goes on at idle priority.
+    """Send a signal to a step and its children.
+
+    Windows cannot stop a process: there, a step near a slot continues at idle priority.
     """
     if sys.platform == "win32":
         if name == "SIGKILL":

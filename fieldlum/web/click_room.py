@@ -78,8 +78,10 @@ def clicked_table(found: ClickedRoom) -> dict[str, Any]:
 
 
 def save_room(session: Session, found: ClickedRoom, *, replace_room: bool) -> tuple[Path, bool]:
-    """Write scene/clicked.toml, a whole SITE.toml. Put the room into the session where it has
-    none, or where `replace_room`; return the file and whether the session has the room now.
+    """Write scene/clicked.toml, a complete SITE.toml.
+
+    Also write the room into the session if it has none, or if `replace_room`. Return the file, and
+    whether the session now has this room.
     """
     setup = session.site_file()
     room = found.room

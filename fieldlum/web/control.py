@@ -29,9 +29,7 @@ _MAX_BODY = 8192
 
 @dataclass(slots=True)
 class Control:
-    """Changes of one session, one after the other. state: returns the page's table of the present
-    moment.
-    """
+    """Changes of one session, one after the other. state: returns the page's current table."""
 
     session: Session
     state: Callable[[], dict[str, Any]]

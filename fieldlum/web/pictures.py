@@ -19,7 +19,7 @@ _KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more
 
 
 def luminance_ends(path: Path) -> tuple[float, float]:
-    """Return the 1 % and 99.9 % percentiles of a panorama's seen pixels. [cd/m2]"""
+    """Return the 1 % and 99.9 % percentiles of a panorama's seen pixels, in cd/m2."""
     return _ends(path, path.stat().st_mtime_ns)
 
 
@@ -34,16 +34,16 @@ def _ends(path: Path, stamp: int) -> tuple[float, float]:
 
 
 def scale_of(paths: list[Path]) -> tuple[float, float]:
-    """Return one scale for several panoramas, rounded outwards to one digit. [cd/m2]"""
+    """Return one scale for several panoramas in cd/m2, rounded outwards to one digit."""
     ends = [luminance_ends(path) for path in paths] or [(1.0, 1000.0)]
     return rounded_scale(min(low for low, _ in ends), max(high for _, high in ends))
 
 
 def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
-    """Return a panorama in false colour, logarithmic from low to high [cd/m2], at most `width`
-    pixels wide.
+    """Return a panorama in false colour as PNG, at most `width` pixels wide.
 
-    Raises InputError for a damaged file, OSError for one that is away.
+    The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
+    for one that is away.
     """
     return _png(path, path.stat().st_mtime_ns, min(width, MAX_WIDTH), low, high)
 

@@ -6,9 +6,7 @@ import numpy as np
 
 
 def qr_lines(text: str) -> list[str]:
-    """Return lines of half blocks: dark modules on a light ground, with the margin that readers
-    need.
-    """
+    """Return lines of half blocks: dark modules on a light ground, with the required margin."""
     import cv2
 
     code = np.asarray(cv2.QRCodeEncoder.create().encode(text)) > 127  # light modules are true

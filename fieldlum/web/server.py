@@ -39,6 +39,7 @@ class Guard:
         self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or refuse it."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -114,8 +115,10 @@ def watch_routes(
     worker: Worker | None = None,
     control: Control | None = None,
 ) -> list[Route]:
-    """Return the routes of the page of `fieldlum watch`. worker: computes the answer, or None.
-    control: changes the session on request, or None for a page that only reads.
+    """Return the routes of the page of `fieldlum watch`.
+
+    worker: computes the answer, or None. control: changes the session on request, or None for a
+    page that only reads.
     """
 
     def state() -> dict[str, Any]:

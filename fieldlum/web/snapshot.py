@@ -282,7 +282,7 @@ class Snapshots:
         return self._findings[1]
 
     def _coverage(self, slots: list[Slot], states: dict[str, str]) -> dict[str, float]:
-        """Return the share of the year's sun band that the plan and the captures reach. [%]"""
+        """Return the share of the year's sun band that the plan and the captures reach, in %."""
         done = [slot for slot in slots if states[slot.id] == "done"]
         key = len(slots), tuple(slot.id for slot in done)
         if self._band[0] != key:
@@ -294,8 +294,9 @@ class Snapshots:
         return self._band[1]
 
     def _curve(self, day: date) -> dict[str, Any]:
-        """Return the irradiance of a local day in bins, with what is impossible or was flagged by
-        the instrument.
+        """Return the irradiance of a local day in bins, with the flags of its rows.
+
+        Flags are for impossible values and for errors of the instrument.
         """
         start = datetime(day.year, day.month, day.day, tzinfo=self._zone).astimezone(UTC)
         # 25 hours on the day when clocks go back: bins belong to a day by their local date
@@ -360,8 +361,9 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 
 def _is_running(journal: JournalState) -> bool | None:
-    """Return whether the capture of the last `open` event runs on this computer; None where that
-    cannot be found out.
+    """Return whether the capture of the last `open` event runs on this computer.
+
+    Return None if that cannot be determined.
     """
     if journal.opened is None:
         return False
