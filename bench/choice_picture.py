@@ -14,7 +14,8 @@ import numpy as np
 
 from fieldlum.bench.charts import COLOURS
 from fieldlum.models.data import load_pairs
-from fieldlum.models.scores import by_day, standard_error
+from fieldlum.models.scores import by_day
+from fieldlum.statistics import standard_error
 from fieldlum.train import fit_and_score
 
 if TYPE_CHECKING:

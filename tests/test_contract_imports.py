@@ -15,6 +15,7 @@ RANKS = (
     {"errors", "records", "model_registry", "room_states", "version"},
     {
         "photometry",
+        "plot_style",
         "projection",
         "rowwise",
         "statistics",

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from fieldlum.plot_style import GRID, open_axes
+
 # Liu et al. 2020, Table 1 and section 5: training 30 min, 0.1 s for a map, log10 MSE 9.54e-3.
 PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"
 PAPER = {"fit_cpu_s": 1800.0, "predict_cpu_s_per_map": 0.1, "error": 9.54e-3}
@@ -26,10 +28,9 @@ def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
     figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
     axes = figure.subplots(1, panels)
     for axis in np.atleast_1d(axes):
-        axis.grid(True, which="major", color="#e5e7eb", linewidth=0.7)
+        axis.grid(True, which="major", color=GRID, linewidth=0.7)
         axis.set_axisbelow(True)
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
+        open_axes(axis)
     return figure, axes
 
 

@@ -23,6 +23,7 @@ from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import angle_of_radius
 from fieldlum.raw import JPEG_SUFFIXES, channel_positions, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
+from fieldlum.statistics import standard_error
 
 FULL = 0.97  # of the saturation: brighter pixels are left out. Chosen, not measured.
 _MOST_CLIPPED = 0.2  # share of a patch's pixels. Chosen, not measured.
@@ -87,8 +88,8 @@ def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
     from scipy.stats import trim_mean
 
     rgb = np.asarray(trim_mean(values.astype(float), 0.1, axis=0), float)
-    spread = float(values[:, 1].std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-    return Patch(rgb, spread / max(float(rgb[1]), 1e-12), clipped)
+    error = float(np.nan_to_num(standard_error(values[:, 1])))
+    return Patch(rgb, error / max(float(rgb[1]), 1e-12), clipped)
 
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.statistics import is_no_worse
+
 LEAVE_ONE_OUT = 24  # up to this many groups each is held out separately; decides time
 
 
@@ -41,17 +43,14 @@ def choose(
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best.
 
-    The standard error is that of the difference to the best, datum by datum, because all share the
-    noise of the data. negligible : an rms that is larger by this is not worse.
+    negligible : an rms that is larger by at most this is not worse.
     """
     means = np.array([candidate.errors.mean() for candidate in candidates])
     best = int(np.argmin(means))
     allowed = []
     for i, candidate in enumerate(candidates):
-        difference = candidate.errors - candidates[best].errors
-        error = difference.std(ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
         small = np.sqrt(means[i]) - np.sqrt(means[best]) <= negligible
-        if difference.mean() <= error or small or i == best:
+        if small or is_no_worse(candidate.errors, candidates[best].errors):
             allowed.append(i)
     chosen = min(allowed, key=lambda i: (candidates[i].size, means[i]))
     tried = ", ".join(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.photometry import linearity_factor, response_table, vignetting_at
+from fieldlum.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
         vignette,
     )
 
-INK, POINT, CURVE = "#1d2733", "#c4441c", "#1f5fa8"
-
 
 def _two(title: str, shares: tuple[float, float] = (3, 2)) -> tuple[Figure, Any, Any]:
     from matplotlib.figure import Figure
@@ -34,8 +33,7 @@ def _two(title: str, shares: tuple[float, float] = (3, 2)) -> tuple[Figure, Any,
     left, right = figure.subplots(1, 2, width_ratios=shares)
     figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=INK)
     for axes in (left, right):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(labelsize=8, colors=INK)
+        open_axes(axes)
     return figure, left, right
 
 
@@ -58,8 +56,8 @@ def _plain_log(axes: Any) -> None:
 
 
 def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> None:
-    axes.axhline(0, color=CURVE, linewidth=1)
-    axes.plot(x, 100 * residual, "o", color=POINT, markersize=3.5)
+    axes.axhline(0, color=BLUE, linewidth=1)
+    axes.plot(x, 100 * residual, "o", color=RED, markersize=3.5)
     axes.set(xlabel=label, ylabel="reading less fit [%]")
 
 
@@ -70,7 +68,7 @@ def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
     )
     r = found.response
     tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
-    for c, (table, name) in enumerate(zip(tables, ("#c0392b", "#1a7f5a", "#1f5fa8"), strict=True)):
+    for c, (table, name) in enumerate(zip(tables, (RED, GREEN, BLUE), strict=True)):
         codes, counts = (
             places.codes[..., c],
             (places.codes[..., c] >= r.low_code) & (places.codes[..., c] <= r.high_code),
@@ -83,7 +81,7 @@ def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
         mean = np.nansum(light, axis=1) / np.maximum(n, 1)
         off = (light - mean[:, None])[counts & (n >= 2)[:, None]]
         right.plot(codes[counts & (n >= 2)[:, None]], 100 * off, ",", color=name, alpha=0.5)
-    left.axvspan(r.low_code, r.high_code, color="#f5e3bf", alpha=0.5, linewidth=0)
+    left.axvspan(r.low_code, r.high_code, color=SAND, alpha=0.5, linewidth=0)
     left.set(xlabel="code", ylabel="linear light z", yscale="log", xlim=(0, 255), ylim=(1e-4, 1.3))
     right.set(xlabel="code", ylabel="place's light less its mean [%]", ylim=(-15, 15))
     return figure
@@ -101,14 +99,14 @@ def of_vignette(
         samples.r * half_angle_deg,
         samples.value / found.level,
         "o",
-        color=POINT,
+        color=RED,
         markersize=3.5,
         label="readings",
     )
     left.plot(
         r * half_angle_deg,
         vignetting_at(found.coefficients, r),
-        color=CURVE,
+        color=BLUE,
         linewidth=1.4,
         label="fit",
     )
@@ -135,12 +133,12 @@ def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> F
                 meter[rows],
                 image[rows],
                 mark,
-                color=POINT,
+                color=RED,
                 markersize=4.5,
                 label=f"{kind} [{unit}]",
             )
     ends = np.array([min(meter.min(), image.min()) * 0.8, max(meter.max(), image.max()) * 1.25])
-    left.loglog(ends, ends, color=CURVE, linewidth=1)
+    left.loglog(ends, ends, color=BLUE, linewidth=1)
     left.set(xlabel="meter", ylabel="picture, corrected")
     _plain_log(left)
     left.legend(frameon=False, fontsize=8)
@@ -155,16 +153,16 @@ def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
     )
     turn = np.linspace(0, 2 * np.pi, 200)
     (x, y), r = found.lens.centre_px, found.lens.radius_px
-    left.plot(x + r * np.cos(turn), y + r * np.sin(turn), color=CURVE, linewidth=1.2)
-    left.plot([x], [y], "+", color=CURVE)
-    left.scatter(targets.x_px, targets.y_px, s=10, color=POINT, linewidths=0)
+    left.plot(x + r * np.cos(turn), y + r * np.sin(turn), color=BLUE, linewidth=1.2)
+    left.plot([x], [y], "+", color=BLUE)
+    left.scatter(targets.x_px, targets.y_px, s=10, color=RED, linewidths=0)
     left.set(xlabel="x [px]", ylabel="y [px]", aspect="equal")
     left.invert_yaxis()
     right.plot(
         np.hypot(targets.x_px - x, targets.y_px - y) / r,
         found.residual_px,
         "o",
-        color=POINT,
+        color=RED,
         markersize=3.5,
     )
     right.set(xlabel="distance from the centre / radius", ylabel="miss [px]", ylim=(0, None))
@@ -180,8 +178,8 @@ def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
     axes.imshow(picture, cmap="gray")
     turn = np.linspace(0, 2 * np.pi, 400)
     (x, y), r = found.centre_px, found.radius_px
-    axes.plot(x - 0.5 + r * np.cos(turn), y - 0.5 + r * np.sin(turn), color=POINT, linewidth=1.2)
-    axes.plot([x - 0.5], [y - 0.5], "+", color=POINT)
+    axes.plot(x - 0.5 + r * np.cos(turn), y - 0.5 + r * np.sin(turn), color=RED, linewidth=1.2)
+    axes.plot([x - 0.5], [y - 0.5], "+", color=RED)
     axes.set_title(
         f"centre {x:.1f}, {y:.1f}, radius {r:.1f} px, edge within {found.u_px:.2f} px",
         fontsize=9,
@@ -197,7 +195,7 @@ def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
     left.scatter(colours.y, new, s=60, c=shown, edgecolors=INK, linewidths=0.5)
     ends = np.array([colours.y.min() * 0.8, colours.y.max() * 1.25])
-    left.plot(ends, ends, color=CURVE, linewidth=1)
+    left.plot(ends, ends, color=BLUE, linewidth=1)
     left.set(
         xlabel="reading, or chart [%]",
         ylabel="picture, at the readings' scale",
@@ -221,13 +219,13 @@ def of_shutter(found: shutter.ShutterFit) -> Figure:
         (left, nominal, "true over nominal [%]"),
         (right, assumed, "over assumed [%]"),
     ):
-        axes.axhline(0, color=CURVE, linewidth=1)
+        axes.axhline(0, color=BLUE, linewidth=1)
         axes.errorbar(
             nominal,
             100 * (true / against - 1),
             200 * u,
             fmt="o",
-            color=POINT,
+            color=RED,
             markersize=3.5,
             linewidth=1,
         )
@@ -241,9 +239,9 @@ def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figu
         f"bad pixels: {len(found.bad_px)}, the same in {found.views} views", (2, 1)
     )
     x, y = np.array(found.bad_px, float).reshape(-1, 2).T
-    left.plot(x, y, "o", color=POINT, markersize=3)
+    left.plot(x, y, "o", color=RED, markersize=3)
     left.set(xlim=(0, width_px), ylim=(height_px, 0), aspect="equal", xlabel="column", ylabel="row")
-    right.hist(np.hypot(x - width_px / 2, y - height_px / 2), bins=12, color=CURVE)
+    right.hist(np.hypot(x - width_px / 2, y - height_px / 2), bins=12, color=BLUE)
     right.set(xlabel="from the middle [px]", ylabel="pixels")
     return figure
 
@@ -259,7 +257,7 @@ def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Fig
     ):
         off = np.log(light / time_s)
         off -= np.nanmean(off, axis=0)
-        axes.plot(100 * levels.share.ravel(), 100 * off.ravel(), ",", color="#1a7f5a")
+        axes.plot(100 * levels.share.ravel(), 100 * off.ravel(), ",", color=GREEN)
         axes.set(xlabel="share of the full scale [%]", ylim=(-2, 2))
     left.set(ylabel="light over time less its mean [%]", title="as recorded")
     right.set(title="corrected")

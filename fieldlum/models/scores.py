@@ -273,15 +273,6 @@ def by_day(
     return unique, np.bincount(which, weights=values) / np.bincount(which)
 
 
-def standard_error(day_means: NDArray[np.float64]) -> float:
-    """Of the mean over days; NaN for a single day."""
-    return (
-        float(day_means.std(ddof=1) / np.sqrt(len(day_means)))
-        if len(day_means) > 1
-        else float("nan")
-    )
-
-
 def _mean(values: NDArray[np.float64]) -> float | None:
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else None

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fieldlum import sun
 from fieldlum.plan.days import DaylightHours
+from fieldlum.plot_style import AMBER, INK, RED, SAND, open_axes
 from fieldlum.records import Site
 from fieldlum.weather import Weather
 
@@ -23,7 +24,7 @@ NEAR_DEG = 10.0
 DNI_CELL_WM2 = 100.0
 DHI_CELL_WM2 = 50.0
 OBLIQUITY_DEG = 23.44  # of the ecliptic, in this century (IAU)
-INK, PALE, PLANNED, BAND, REACHED = "#1d2733", "#8a96a3", "#c4441c", "#f5e3bf", "#edb95c"
+LINE = "#8a96a3"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +124,8 @@ def sun_figure(hours: DaylightHours, site: Site) -> Figure:
         else altitude < 0
     )
     for part, colour, label in (
-        (~reached, BAND, "not reached"),
-        (reached, REACHED, f"within {NEAR_DEG:g} deg"),
+        (~reached, SAND, "not reached"),
+        (reached, AMBER, f"within {NEAR_DEG:g} deg"),
     ):
         axes.scatter(
             azimuth[part],
@@ -157,17 +158,17 @@ def sun_figure(hours: DaylightHours, site: Site) -> Figure:
         np.radians(hours.azimuth_deg),
         90 - hours.altitude_deg,
         s=9,
-        color=PLANNED,
+        color=RED,
         linewidths=0,
         label="planned",
     )
     axes.set_ylim(0, 90)
-    axes.set_yticks((30, 60), ("60", "30"), fontsize=7, color=PALE)
+    axes.set_yticks((30, 60), ("60", "30"), fontsize=7, color=LINE)
     axes.set_xticks(np.radians(range(0, 360, 45)), ("N", "", "E", "", "S", "", "W", ""))
     axes.tick_params(colors=INK, labelsize=8)
-    axes.tick_params(axis="y", colors=PALE)
-    axes.grid(color=PALE, linewidth=0.4)
-    axes.spines["polar"].set_color(PALE)
+    axes.tick_params(axis="y", colors=LINE)
+    axes.grid(color=LINE, linewidth=0.4)
+    axes.spines["polar"].set_color(LINE)
     reach = f"{len(hours)} captures reach {100 * reached.mean():.0f} % of the year's sun band"
     figure.suptitle(f"{site.name}: {reach}", fontsize=10, x=0.01, ha="left")
     figure.legend(frameon=False, fontsize=8, markerscale=2, loc="outside right upper")
@@ -223,6 +224,5 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
     )
     axes.set_title(title, fontsize=10, loc="left")
     axes.legend(frameon=False, fontsize=8, loc="upper right")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(colors=INK, labelsize=8)
+    open_axes(axes)
     return figure

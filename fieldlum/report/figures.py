@@ -5,36 +5,22 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fieldlum.plot_style import BLUE, GREEN, INK, PALE, RED, styled
 from fieldlum.projection import compass_name
 from fieldlum.records import Float
 
 LUMINANCE_RANGE_CDM2 = (1.0, 10_000.0)  # range of the colour scale; not measured
 CLASS_LIMITS = ((0.35, "high"), (0.40, "medium"), (0.45, "minimum"))  # EN 17037:2018, table A.7
 POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim
-INK, PALE, CAPTURED, PREDICTED = "#1d2733", "#b9c3cd", "#c4441c", "#1f5fa8"
-CLASS_COLOURS = {"high": "#1a7f5a", "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 10,
-    "axes.edgecolor": PALE,
-    "axes.labelcolor": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "text.color": INK,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "fieldlum",  # makes the bytes depend on the data only
-    "legend.frameon": False,
-}
+CAPTURED, PREDICTED = RED, BLUE
+CLASS_COLOURS = {"high": GREEN, "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
 
 
 def _svg(figure: Figure) -> str:
@@ -76,7 +62,7 @@ def picture_png(rgb: NDArray[np.uint8]) -> bytes:
 
 def luminance_scale_svg() -> str:
     """Return the colour bar of all false-colour pictures."""
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(5.0, 0.28))
         axes = figure.add_axes((0, 0, 1, 1))
         ramp = np.geomspace(*LUMINANCE_RANGE_CDM2, 128)[None, :]
@@ -99,7 +85,7 @@ def comparison_png(measured: Float, predicted: Float, labels: Sequence[str]) -> 
     As the paper's Figures 9 and 23.
     """
     n = len(measured)
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(12.0, 2.0 * n + 0.9))
         grid = figure.add_gridspec(
             n + 1, 3, height_ratios=[*[1.0] * n, 0.07], hspace=0.12, wspace=0.09
@@ -143,7 +129,7 @@ def fisheyes_png(views: Float, azimuths_deg: Float, dgp: Float) -> bytes:
     """
     n = len(views)
     columns = min(n, 5)
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(2.3 * columns, 2.55 * -(-n // columns)), layout="constrained")
         cells = figure.subplots(-(-n // columns), columns, squeeze=False).ravel()
         colours = colormaps["inferno"].with_extremes(bad="white")
@@ -163,7 +149,7 @@ def strip_png(maps: Float, labels: Sequence[str]) -> bytes:
     """Return the panoramas of a day side by side. maps: [n, H, W]."""
     n = len(maps)
     columns = min(4, n)
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(3.1 * columns, 1.8 * -(-n // columns)), layout="constrained")
         cells = figure.subplots(-(-n // columns), columns, squeeze=False).ravel()
         for axes in cells:
@@ -188,7 +174,7 @@ def sun_path_svg(
 
     As the paper's Figures 3 and 21.
     """
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(5.2, 3.4))
         axes = figure.add_subplot()
         axes.scatter(
@@ -212,7 +198,7 @@ def sky_domain_svg(
     year_dni: Float, year_dhi: Float, captured_dni: Float, captured_dhi: Float
 ) -> str:
     """Plot diffuse against direct irradiance [W/m2]: the weather file's hours and the captures."""
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(5.2, 3.4))
         axes = figure.add_subplot()
         if len(year_dni):
@@ -242,7 +228,7 @@ def polar_svg(
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])
     angle = np.radians(np.append(azimuths_deg[order], azimuths_deg[order[0]] + 360.0))
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(4.6, 4.6))
         axes = figure.add_subplot(projection="polar")
         axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
@@ -296,7 +282,7 @@ def exceedance_svg(
     n = len(dgp)
     share = 100.0 * np.arange(1, n + 1) / max(occupied_hours, 1)
     ranked = np.sort(dgp, axis=0)[::-1]
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(5.6, 3.4))
         axes = figure.add_subplot()
         for limit, name in CLASS_LIMITS:
@@ -328,7 +314,7 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
         else float("nan")
     )
     span = [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(3.6, 3.6))
         axes = figure.add_subplot()
         axes.plot(span, span, color=PALE, lw=1)
@@ -340,7 +326,7 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
 
 def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
     """Plot the mean error against the sun's altitude and azimuth (the paper's Figure 12)."""
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         left.scatter(altitude_deg, error, s=8, c=PREDICTED, alpha=0.6, lw=0)
@@ -355,7 +341,7 @@ def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quan
 def contrast_levels_svg(measured: Float, predicted: Float) -> str:
     """Plot mean local contrast per pyramid level, [n, levels] (the paper's Figure 13)."""
     levels = np.arange(measured.shape[1])
-    with rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(3.8, 3.0))
         axes = figure.add_subplot()
         axes.plot(levels, measured.mean(axis=0), color=CAPTURED, marker="o", label="measured")

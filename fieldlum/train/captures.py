@@ -9,8 +9,9 @@ import numpy as np
 from fieldlum.light import Kernel, facades_of, greedy_hours, light_features
 from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
-from fieldlum.models.scores import by_day, standard_error
+from fieldlum.models.scores import by_day
 from fieldlum.records import Progress, quiet
+from fieldlum.statistics import standard_error
 from fieldlum.train.folds import day_folds
 from fieldlum.train.trials import evaluate_folds
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from fieldlum.model_registry import MODELS
 from fieldlum.models.data import Dataset
-from fieldlum.models.scores import Scores, by_day, standard_error
-from fieldlum.statistics import is_no_worse
+from fieldlum.models.scores import Scores, by_day
+from fieldlum.statistics import is_no_worse, standard_error
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from fieldlum.models.transport.pixel_fit import (
     with_patches,
 )
 from fieldlum.models.transport.ridge import held_out_days, held_out_days_shared, pair_products
+from fieldlum.statistics import is_no_worse, standard_error
 
 Array = NDArray[Any]
 
@@ -176,15 +177,13 @@ def choose(
         if alone not in firsts:
             firsts[alone] = _hold_out_first(arrays, basis, recipe)
         judged = hold_out(arrays, basis, recipe, firsts[alone]).judged
-        table.append((recipe, float(judged.mean()), day_standard_error(judged, arrays.days)))
+        table.append((recipe, float(judged.mean()), _day_error(judged, arrays.days)))
     return min(table, key=lambda row: row[1])[0], table
 
 
-def day_standard_error(per_hour: Array, days: NDArray) -> float:
-    """Standard error of the mean over hours, days being what is independent."""
-    sums = np.array([(per_hour[days == day] - per_hour.mean()).sum() for day in np.unique(days)])
-    count = len(sums)
-    return float(np.sqrt((sums**2).sum() * count / max(count - 1, 1)) / len(per_hour))
+def _day_error(per_hour: Array, days: NDArray) -> float:
+    """Return the standard error of the mean over hours; 0 for one day."""
+    return float(np.nan_to_num(standard_error(per_hour, days)))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -248,7 +247,7 @@ def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe, days: NDArray) -> 
     """Whether a constant light takes away much of the held-out error, on most days."""
     gain = without.held.judged - lit.held.judged
     large = gain.mean() > LAMP_GAIN * without.held.judged.mean()
-    return bool(large and gain.mean() > 2.0 * day_standard_error(gain, days))
+    return bool(large and gain.mean() > 2.0 * _day_error(gain, days))
 
 
 def _choose_recipe(
@@ -289,8 +288,8 @@ def _choose_kernel(
     if bounced is None:
         return without
     with_room = tried(replace(kernel, facade=BESIDE_ROOM), replace(drawn.features, bounced=bounced))
-    worse = with_room.held.judged - without.held.judged
-    kept = with_room if worse.mean() <= day_standard_error(worse, drawn.days) else without
+    as_good = is_no_worse(with_room.held.judged, without.held.judged, drawn.days)
+    kept = with_room if as_good else without
     return replace(kept, table=[*without.table, *with_room.table])
 
 
@@ -322,7 +321,7 @@ def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRe
         recipe, basis = replace(chosen.recipe, rank=rank), leading(chosen.basis, rank)
         held = hold_out(drawn, basis, recipe)
         mean = float(held.judged.mean())
-        table.append((recipe, mean, day_standard_error(held.judged, drawn.days)))
+        table.append((recipe, mean, _day_error(held.judged, drawn.days)))
         if mean <= FEWER_COST * chosen.held.judged.mean():
             return replace(chosen, recipe=recipe, basis=basis, held=held, table=table)
     return replace(chosen, table=table)
