@@ -369,6 +369,17 @@ def test_the_suns_centre_is_measured_on_the_sensor(bracket, through_filter: bool
     )
 
 
+@pytest.mark.analytic
+def test_the_suns_centre_is_measured_at_a_heading_of_north(tmp_path: Path) -> None:
+    """A camera that turns takes the sun at 0 deg, while the panorama's centre is at 180 deg."""
+    profile = smaller(load_camera_profile("sim-dual-fisheye"))
+    shots = photograph(tmp_path, profile, headings=(0.0,), sun=SunSource(25.0, 190.0, 60_000.0))
+    sun = merge_shots(shots, profile, MergeOptions(height=HEIGHT), sun_deg=(25.7, 189.2)).sun
+    assert sun is not None
+    away = direction(25.0, 190.0) @ direction(sun.altitude_deg, sun.azimuth_deg)
+    assert np.degrees(np.arccos(min(away, 1.0))) < 0.5
+
+
 @pytest.mark.property
 @pytest.mark.parametrize("wide_px", [1.3, 3.0, 8.0])
 def test_a_small_disc_scatters_as_stated(

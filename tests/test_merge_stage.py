@@ -16,7 +16,7 @@ from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.images import read_panorama, read_radiance_hdr
 from fieldlum.merge import MergeOptions, MergeResult, stage
-from fieldlum.merge.session_summary import drift_percent, shutter_table
+from fieldlum.merge.session_summary import drift_percent, typical_corrections
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import (
     Bracket,
@@ -231,7 +231,6 @@ def test_the_survey_lists_every_bracket(session: Session) -> None:
         rows[1]["ghi_change_percent"] == "" and rows[0]["drift_percent"] == ""
     )  # two brackets: cannot tell
     assert (session.panoramas / "contact-1.png").read_bytes().startswith(b"\x89PNG")
-    assert "1/125" in (session.panoramas / "shutter.csv").read_text()
 
 
 @pytest.mark.analytic
@@ -255,11 +254,13 @@ def test_shutter_and_drift_part_over_many_brackets() -> None:
         table = {"quality": {"frames": frames, "residual_percent": 0.1}}
         return Sidecar.from_table(table, Path("20270320T120000Z.json"))
 
-    table = shutter_table([quality(0.0) for _ in range(20)] + [quality(0.03)])
-    assert [e.correction for e in table] == pytest.approx([1.0, 1.0, 1.02, 1.0], abs=3e-4)
+    table = typical_corrections([quality(0.0) for _ in range(20)] + [quality(0.03)])
+    assert [table[exposure_text(e)] for e in exposures] == pytest.approx(
+        [1.0, 1.0, 1.02, 1.0], abs=3e-4
+    )
     assert drift_percent(quality(0.03), table) == pytest.approx(3.0, abs=0.1)
     assert drift_percent(quality(0.0), table) == pytest.approx(0.0, abs=0.1)
-    assert drift_percent(quality(0.0), table[:2]) is None
+    assert drift_percent(quality(0.0), {}) is None
 
 
 # ----------------------------------------------------------------------------------------------
