@@ -97,9 +97,15 @@ def round_table() -> tuple[Room, str]:
     room = _room(
         203.0,
         Window("south", 0.6, 3.2, 0.85, 1.9, GLASS, 1, 0.0),
-        width_m=4.6, depth_m=6.2, height_m=3.0, camera_x_m=2.4, camera_y_m=3.4, camera_z_m=1.4,
-        wall_thickness_m=0.3, reflectance_floor=0.3,
-    )  # fmt: skip
+        width_m=4.6,
+        depth_m=6.2,
+        height_m=3.0,
+        camera_x_m=2.4,
+        camera_y_m=3.4,
+        camera_z_m=1.4,
+        wall_thickness_m=0.3,
+        reflectance_floor=0.3,
+    )
     things = disc("wood", (1.7, 1.9, 0.74), 0.65) + disc("wood", (1.7, 1.9, 0.70), 0.65)
     things += block("wood", (1.62, 1.82, 0.0), (1.78, 1.98, 0.7))
     things += block("wood", (3.9, 0.6, 0.0), (4.5, 2.2, 1.1))
@@ -112,9 +118,16 @@ def canopy() -> tuple[Room, str]:
     room = _room(
         156.0,
         Window("south", 0.9, 2.4, 0.5, 2.0, GLASS, 1, 0.0),
-        width_m=4.2, depth_m=5.4, height_m=2.9, camera_x_m=2.0, camera_y_m=2.9, camera_z_m=1.5,
-        wall_thickness_m=0.5, reflectance_floor=0.35, reflectance_walls=0.6,
-    )  # fmt: skip
+        width_m=4.2,
+        depth_m=5.4,
+        height_m=2.9,
+        camera_x_m=2.0,
+        camera_y_m=2.9,
+        camera_z_m=1.5,
+        wall_thickness_m=0.5,
+        reflectance_floor=0.35,
+        reflectance_walls=0.6,
+    )
     things = block("facade", (0.2, -1.5, 2.62), (4.0, -0.5, 2.75))
     things += block("wood", (0.4, 1.2, 0.0), (1.2, 2.6, 0.75)) + block(
         "wood", (3.3, 3.6, 0.0), (4.2, 5.2, 1.9)
@@ -127,9 +140,14 @@ def upstairs() -> tuple[Room, str]:
     room = _room(
         187.0,
         Window("south", 0.5, 4.0, 0.8, 1.8, GLASS, 1, 0.0),
-        width_m=5.0, depth_m=7.0, height_m=2.8, camera_x_m=2.6, camera_y_m=2.6, camera_z_m=1.5,
+        width_m=5.0,
+        depth_m=7.0,
+        height_m=2.8,
+        camera_x_m=2.6,
+        camera_y_m=2.6,
+        camera_z_m=1.5,
         wall_thickness_m=0.3,
-    )  # fmt: skip
+    )
     things = block("facade", (-14.0, -22.0, -7.0), (20.0, -14.0, 3.4))
     things += block("wood", (0.5, 1.2, 0.68), (2.0, 2.0, 0.74)) + block(
         "wall", (3.6, 1.6, 0.0), (3.9, 1.9, 2.8)
@@ -142,9 +160,15 @@ def blind() -> tuple[Room, str]:
     room = _room(
         171.0,
         Window("south", 0.4, 2.8, 0.9, 1.7, GLASS, 1, 0.0),
-        width_m=3.8, depth_m=5.0, height_m=2.8, camera_x_m=1.9, camera_y_m=2.7, camera_z_m=1.4,
-        wall_thickness_m=0.25, reflectance_floor=0.25,
-    )  # fmt: skip
+        width_m=3.8,
+        depth_m=5.0,
+        height_m=2.8,
+        camera_x_m=1.9,
+        camera_y_m=2.7,
+        camera_z_m=1.4,
+        wall_thickness_m=0.25,
+        reflectance_floor=0.25,
+    )
     slats = ""
     for z in np.arange(1.8, 2.59, 0.07):
         slats += quad(
@@ -160,9 +184,15 @@ def sloping() -> tuple[Room, str]:
     room = _room(
         214.0,
         Window("south", 0.7, 2.9, 0.7, 2.2, GLASS, 1, 0.0),
-        width_m=4.4, depth_m=5.8, height_m=3.4, camera_x_m=2.1, camera_y_m=3.1, camera_z_m=1.4,
-        wall_thickness_m=0.35, reflectance_floor=0.28,
-    )  # fmt: skip
+        width_m=4.4,
+        depth_m=5.8,
+        height_m=3.4,
+        camera_x_m=2.1,
+        camera_y_m=3.1,
+        camera_z_m=1.4,
+        wall_thickness_m=0.35,
+        reflectance_floor=0.28,
+    )
     roof = quad("ceiling", [(0, 0, 3.39), (0, 5.8, 2.2), (4.4, 5.8, 2.2), (4.4, 0, 3.39)])
     things = roof + block("wood", (2.9, 1.0, 0.0), (3.9, 2.4, 0.45))
     things += block("wood", (0.0, 2.2, 0.0), (0.4, 4.6, 2.0))
@@ -174,9 +204,15 @@ def arch() -> tuple[Room, str]:
     room = _room(
         149.0,
         Window("south", 1.1, 2.0, 0.6, 2.3, GLASS, 1, 0.0),
-        width_m=4.2, depth_m=6.0, height_m=3.2, camera_x_m=1.9, camera_y_m=3.2, camera_z_m=1.4,
-        wall_thickness_m=0.4, reflectance_floor=0.3,
-    )  # fmt: skip
+        width_m=4.2,
+        depth_m=6.0,
+        height_m=3.2,
+        camera_x_m=1.9,
+        camera_y_m=3.2,
+        camera_z_m=1.4,
+        wall_thickness_m=0.4,
+        reflectance_floor=0.3,
+    )
     spandrels = ""
     for k in range(20):  # steps of the two spandrels: what of a square the half circle leaves
         x = -1.0 + 0.1 * k
@@ -192,9 +228,14 @@ def trees() -> tuple[Room, str]:
     room = _room(
         178.0,
         Window("south", 0.5, 3.4, 0.8, 1.9, GLASS, 1, 0.0),
-        width_m=4.6, depth_m=6.4, height_m=3.0, camera_x_m=2.5, camera_y_m=3.2, camera_z_m=1.4,
+        width_m=4.6,
+        depth_m=6.4,
+        height_m=3.0,
+        camera_x_m=2.5,
+        camera_y_m=3.2,
+        camera_z_m=1.4,
         wall_thickness_m=0.3,
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(3)
     leaves = ""
 
@@ -223,9 +264,15 @@ def mullions() -> tuple[Room, str]:
     room = _room(
         192.0,
         Window("south", 0.3, 4.4, 0.4, 2.3, GLASS, 1, 0.0),
-        width_m=5.0, depth_m=6.6, height_m=3.0, camera_x_m=2.4, camera_y_m=3.0, camera_z_m=1.4,
-        wall_thickness_m=0.25, reflectance_floor=0.22,
-    )  # fmt: skip
+        width_m=5.0,
+        depth_m=6.6,
+        height_m=3.0,
+        camera_x_m=2.4,
+        camera_y_m=3.0,
+        camera_z_m=1.4,
+        wall_thickness_m=0.25,
+        reflectance_floor=0.22,
+    )
     things = block("wall", (1.2, 1.3, 0.0), (1.5, 1.6, 3.0))
     things += block("wood", (3.2, 1.5, 0.0), (4.6, 2.2, 0.74))
     text = shell(room) + things + ground(-0.1)

@@ -180,9 +180,18 @@ def load(path: Path, room: Room, north_deg: float, clock_min: float) -> tuple[Da
     n = len(times)
     days = np.array([sun.standard_date(t, SITE.timezone) for t in times], "datetime64[D]")
     data = Dataset(
-        light, maps, z["patches"], np.zeros(n), heading, days, tuple(map(slot_id, times)), setup,
-        np.ones(maps.shape[1:], bool), np.zeros(n), path.stem,
-    )  # fmt: skip
+        light,
+        maps,
+        z["patches"],
+        np.zeros(n),
+        heading,
+        days,
+        tuple(map(slot_id, times)),
+        setup,
+        np.ones(maps.shape[1:], bool),
+        np.zeros(n),
+        path.stem,
+    )
     train, test = data.take(~z["test"]), data.take(z["test"])
     return replace(train, light=late(train.light, clock_min)), test
 

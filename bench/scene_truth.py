@@ -171,9 +171,20 @@ def build_truth(
         tree, sky, starts.reshape(-1, 3), gather.reshape(-1, 3), hits, GATHER, low, high, glass
     )
     return Truth(
-        octree, eye, low, high, glass, sky, tree, middle, normal, albedos[first], sun_start,
-        form, to_sky,
-    )  # fmt: skip
+        octree,
+        eye,
+        low,
+        high,
+        glass,
+        sky,
+        tree,
+        middle,
+        normal,
+        albedos[first],
+        sun_start,
+        form,
+        to_sky,
+    )
 
 
 def within(point: Array, low: Array, high: Array) -> Array:
@@ -188,9 +199,16 @@ def glass_between(origin: Array, end: Array, direction: Array, low: Array, high:
 
 
 def operators(
-    tree: cKDTree, sky: Array, origin: Array, direction: Array, hits: Hits, per: int,
-    low: Array, high: Array, glass: float,
-) -> tuple[csr_matrix, csr_matrix]:  # fmt: skip
+    tree: cKDTree,
+    sky: Array,
+    origin: Array,
+    direction: Array,
+    hits: Hits,
+    per: int,
+    low: Array,
+    high: Array,
+    glass: float,
+) -> tuple[csr_matrix, csr_matrix]:
     """Sparse weights of cells and sky patches for groups of `per` rays."""
     groups = np.arange(len(direction)) // per
     end = np.where(hits.any[:, None], hits.point, origin + 1e4 * direction)

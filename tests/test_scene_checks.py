@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_captures import room_captures
 
-from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.light import Light
 from fieldlum.models.data import Dataset
-from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.scene import sun_patches
+from fieldlum.records import Room, Site, Window
 from fieldlum.scene.view import look
 from fieldlum.scene_fit.checks import check_captures
 from fieldlum.scene_fit.stage import run
@@ -35,43 +33,14 @@ ROOM = Room(
 @pytest.fixture(scope="module")
 def captures() -> Dataset:
     """Clear and overcast hours of a room: skylight, a bright window, the sun's own light."""
-    days = ("2027-03-20", "2027-06-21", "2027-12-21")
-    times = [
-        datetime.fromisoformat(day).replace(tzinfo=UTC) + timedelta(hours=hour)
-        for day in days
-        for hour in np.arange(15.5, 26.0, 1.0)
-    ]
-    at = sun.position(times, SITE)
-    up = at.altitude_deg > 4.0
-    times = [t for t, u in zip(times, up, strict=True) if u]
-    count = len(times)
-    light = Light(
-        tuple(times),
-        np.where(np.arange(count) % 4 == 3, 0.0, 700.0),
-        np.full(count, 90.0),
-        at.altitude_deg[up],
-        at.azimuth_deg[up],
-    )
-    setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), ROOM)
-    patch = sun_patches(
-        ROOM, setup, light.sun_direction, light.direct_lx, height=HEIGHT, heading_deg=180.0
-    ).luminance_cdm2
-    facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0) * light.direct_lx
-    base = 0.004 * light.diffuse_lx + 0.002 * facing
-    glass = look(ROOM, HEIGHT, 180.0).sky
-    maps = base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass + patch
-    return Dataset(
-        light,
-        maps.astype(np.float32),
-        None,
-        np.zeros(count),
-        180.0,
-        np.array([sun.standard_date(t, SITE.timezone) for t in times], "datetime64[D]"),
-        tuple(slot_id(t) for t in times),
-        setup,
-        np.ones((HEIGHT, 2 * HEIGHT), bool),
-        np.zeros(count),
-    )
+
+    def rest_cdm2(light: Light) -> np.ndarray:
+        facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
+        base = 0.004 * light.diffuse_lx + 0.002 * facing * light.direct_lx
+        glass = look(ROOM, HEIGHT, 180.0).sky
+        return base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass
+
+    return room_captures(SITE, ROOM, HEIGHT, rest_cdm2)
 
 
 @pytest.mark.property

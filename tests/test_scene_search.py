@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scene_captures import DAYS, room_captures
 
 from fieldlum import sun
 from fieldlum.cli import main
 from fieldlum.errors import InputError, NotEnoughDataError
-from fieldlum.light import Light
 from fieldlum.models.data import Dataset
-from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window, slot_id
+from fieldlum.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
 from fieldlum.scene import sun_patches
 from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
 from fieldlum.scene_fit.bars import propose_bars, window_picture
@@ -48,41 +47,12 @@ ROOM = Room(
 )
 
 
-def captures(room: Room, days: tuple[str, ...] = ("2027-03-20", "2027-06-21", "2027-12-21")):
+def captures(room: Room, days: tuple[str, ...] = DAYS) -> Dataset:
     """Clear hours of a linear room: skylight that falls off with depth, and its sun patches."""
-    times = [
-        datetime.fromisoformat(day).replace(tzinfo=UTC) + timedelta(hours=hour)
-        for day in days
-        for hour in np.arange(15.5, 26.0, 1.0)
-    ]
-    at = sun.position(times, SITE)
-    up = at.altitude_deg > 4.0
-    times = [t for t, u in zip(times, up, strict=True) if u]
-    count = len(times)
-    light = Light(
-        tuple(times),
-        np.where(np.arange(count) % 4 == 3, 0.0, 700.0),
-        np.full(count, 90.0),
-        at.altitude_deg[up],
-        at.azimuth_deg[up],
-    )
-    setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), room)
-    patch = sun_patches(
-        room, setup, light.sun_direction, light.direct_lx, height=HEIGHT, heading_deg=180.0
-    ).luminance_cdm2
     shade = 1.0 + np.cos(np.linspace(0, 2 * np.pi, 2 * HEIGHT))[None, :] * 0.3
-    base = light.total_lx[:, None, None] * 0.004 * shade * np.ones((1, HEIGHT, 1))
-    return Dataset(
-        light,
-        (base + patch).astype(np.float32),
-        None,
-        np.zeros(count),
-        180.0,
-        np.array([sun.standard_date(t, SITE.timezone) for t in times], "datetime64[D]"),
-        tuple(slot_id(t) for t in times),
-        setup,
-        np.ones((HEIGHT, 2 * HEIGHT), bool),
-        np.zeros(count),
+    shade = shade * np.ones((1, HEIGHT, 1))
+    return room_captures(
+        SITE, room, HEIGHT, lambda light: light.total_lx[:, None, None] * 0.004 * shade, days
     )
 
 

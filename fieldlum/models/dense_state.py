@@ -9,7 +9,7 @@ import pickle
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -17,9 +17,6 @@ from torch import Tensor
 from fieldlum.errors import InputError
 from fieldlum.models.dense_network import Net, Shape, pick_device
 from fieldlum.session import replacing
-
-if TYPE_CHECKING:
-    pass
 
 STAGES = (6, 3, 1)  # batch in images' worth of pixels
 STAGE_EPOCHS = 30

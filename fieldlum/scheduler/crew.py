@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from fieldlum.scheduler.units import WorkUnit, is_worker_trouble, trouble_text
 
@@ -52,12 +52,17 @@ class Crew(Protocol):
         """Return units that ended, after waiting for `POLL_S` at most where none did."""
         ...
 
-    def give_up(self, key: int) -> str:
-        """Stop waiting for a unit that takes too long; return what was done to its worker."""
-        ...
-
     def status(self) -> str:
         """Return who works, in a few words."""
+        ...
+
+
+@runtime_checkable
+class RemoteCrew(Crew, Protocol):
+    """A crew of other processes, whose units can be abandoned."""
+
+    def give_up(self, key: int) -> str:
+        """Stop waiting for a unit that takes too long; return what was done to its worker."""
         ...
 
 
@@ -89,10 +94,6 @@ class LocalCrew:
             return [Ended(key, "value", unit.call(unit.folder, unit.argument))]
         except Exception as error:
             return [Ended(key, "error", error=error)]
-
-    def give_up(self, key: int) -> str:
-        """Raise NotImplementedError: a unit of this process always ends."""
-        raise NotImplementedError("a unit of this process is never given up")
 
     def status(self) -> str:
         """Return an empty text: there is no worker to name."""

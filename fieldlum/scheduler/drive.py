@@ -13,7 +13,7 @@ from itertools import chain
 from fieldlum.records import Progress, quiet
 from fieldlum.scheduler.address import Scheduler
 from fieldlum.scheduler.cluster import ClusterCrew
-from fieldlum.scheduler.crew import Crew, Ended, LocalCrew, ProcessCrew
+from fieldlum.scheduler.crew import Crew, Ended, LocalCrew, ProcessCrew, RemoteCrew
 from fieldlum.scheduler.units import UnitOutcome, WorkUnit
 
 # A unit counts as hanging after this many times the median of those that ended, and never before
@@ -126,7 +126,7 @@ def _hanging(crew: Crew, running: dict[int, _Attempt], pace: _Pace) -> Iterator[
 
     A generator: it looks at `running` only after the units that ended have left it.
     """
-    if isinstance(crew, LocalCrew):
+    if not isinstance(crew, RemoteCrew):
         return
     limit_s = pace.limit_s()
     oldest_s = time.monotonic() - limit_s

@@ -1,0 +1,61 @@
+"""Captures of a box room on three days, with its exact sun patches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from fieldlum import sun
+from fieldlum.light import Light
+from fieldlum.models.data import Dataset
+from fieldlum.records import CameraSetup, Room, Site, SiteFile, slot_id
+from fieldlum.scene import sun_patches
+
+DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
+
+
+def room_captures(
+    site: Site,
+    room: Room,
+    height: int,
+    rest_cdm2: Callable[[Light], np.ndarray],
+    days: tuple[str, ...] = DAYS,
+) -> Dataset:
+    """Return clear hours, every fourth one overcast.
+
+    rest_cdm2: what the room shows besides its sun patches, broadcastable to [n, H, 2H].
+    """
+    times = [
+        datetime.fromisoformat(day).replace(tzinfo=UTC) + timedelta(hours=hour)
+        for day in days
+        for hour in np.arange(15.5, 26.0, 1.0)
+    ]
+    at = sun.position(times, site)
+    up = at.altitude_deg > 4.0
+    times = [t for t, u in zip(times, up, strict=True) if u]
+    count = len(times)
+    light = Light(
+        tuple(times),
+        np.where(np.arange(count) % 4 == 3, 0.0, 700.0),
+        np.full(count, 90.0),
+        at.altitude_deg[up],
+        at.azimuth_deg[up],
+    )
+    setup = SiteFile(site, CameraSetup(heading_deg=180.0), room)
+    patch = sun_patches(
+        room, setup, light.sun_direction, light.direct_lx, height=height, heading_deg=180.0
+    ).luminance_cdm2
+    return Dataset(
+        light,
+        (rest_cdm2(light) + patch).astype(np.float32),
+        None,
+        np.zeros(count),
+        180.0,
+        np.array([sun.standard_date(t, site.timezone) for t in times], "datetime64[D]"),
+        tuple(slot_id(t) for t in times),
+        setup,
+        np.ones((height, 2 * height), bool),
+        np.zeros(count),
+    )
