@@ -105,9 +105,10 @@ def command(
         raise click.UsageError(f"one SESSION, not {1 + len(more)} paths; for files use --frames")
     if camera or out or projection != "equirect":
         raise click.UsageError("--camera, --out and --projection are for --frames only")
+    scheduler = scheduler_of(scheduler_text, workers)
     height = panorama_height(size) if size else _present_height(session)
     options = MergeOptions(height, fit=fit, drop_moved=drop_moved)
-    _merge_session(session, options, scheduler_of(scheduler_text, workers), force, as_json)
+    _merge_session(session, options, scheduler, force, as_json)
 
 
 def _present_height(root: Path) -> int:
