@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,22 @@ def test_an_absurd_start_is_a_usage_error(start: str, tmp_path: Path) -> None:
     words = ["plan", str(PLANS / "template.toml"), "--set", "9-day", "--start", start]
     shown = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "s")])
     assert shown.exit_code == 2 and "1950 to 2100" in shown.output
+
+
+def test_info_goes_on_after_a_bad_file(tmp_path: Path) -> None:
+    good = str(PLANS / "template.toml")
+    shown = CliRunner().invoke(main, ["info", good, str(tmp_path / "missing"), good])
+    assert shown.exit_code == 3
+    assert shown.output.count("kind                     site") == 2
+    assert "no such file" in shown.output
+
+
+def test_info_of_a_predicted_year(tmp_path: Path) -> None:
+    about = {"model": "transport", "hours": 4390, "protection": [{"class": "high"}] * 10}
+    (tmp_path / "predict.json").write_text(json.dumps(about), encoding="utf-8")
+    shown = CliRunner().invoke(main, ["info", str(tmp_path)])
+    assert shown.exit_code == 0
+    assert "predicted year" in shown.output and "10 entries" in shown.output
 
 
 def test_a_maker_is_named_once() -> None:

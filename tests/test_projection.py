@@ -210,7 +210,9 @@ def test_fisheye_target_looks_along_the_lens() -> None:
     assert target.solid_angles().sum() == pytest.approx(
         2 * np.pi * (1 - np.cos(np.radians(93.0))), rel=5e-3
     )
-    assert target.view == "-vta -vv 186 -vh 186"
+    # analytic: 70 degrees right of a heading of 20 degrees is east
+    level = "-vta -vd 1.000000 0.000000 0.000000 -vu 0.000000 0.000000 1.000000 -vv 186 -vh 186"
+    assert target.view(20.0) == level
 
 
 # ----------------------------------------------------------------------------------------------

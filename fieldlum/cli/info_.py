@@ -9,8 +9,10 @@ from typing import Any
 import click
 
 from fieldlum.cli.options import json_lines_option
-from fieldlum.cli.terminal import emit_json
+from fieldlum.cli.terminal import emit_json, say
 from fieldlum.errors import InputError
+
+_LINE = 200  # characters of a value without --json
 
 
 @click.command()
@@ -23,15 +25,37 @@ def command(files: tuple[Path, ...], as_json: bool) -> None:
     Example:
       fieldlum info raw/20270320T193000Z/f00.dng panoramas/20270320T193000Z.exr plan.csv
     """
+    bad = 0
     for path in files:
-        facts = {"file": str(path), **describe(path)}
+        try:
+            facts = {"file": str(path), **describe(path)}
+        except InputError as error:
+            if len(files) == 1:
+                raise
+            say(f"fieldlum info: {error}")
+            bad += 1
+            continue
         if as_json:
             emit_json(facts)
         else:
             click.echo(str(path))
             for name, value in facts.items():
                 if name != "file":
-                    click.echo(f"  {name:24} {value}")
+                    click.echo(f"  {name:24} {_short(value)}")
+    if bad:
+        raise SystemExit(InputError.exit_code)
+
+
+def _short(value: Any) -> str:
+    """Return a value as one readable line; `--json` has all of it."""
+    if isinstance(value, dict):
+        return ", ".join(value) if value else "none"
+    if isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        return f"{len(value)} entries"
+    if isinstance(value, list):
+        return f"{len(value)}: {', '.join(map(str, value[:3]))}" if value else "none"
+    text = str(value)
+    return text if len(text) <= _LINE else f"{text[:_LINE]} ..."
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -210,6 +234,18 @@ def _folder(path: Path) -> dict[str, Any]:
         from fieldlum.session.files.model_config import ModelConfig
 
         return {"kind": "model", **ModelConfig.read(path).state}
+    if (path / "predict.json").is_file():
+        return _year(path)
     raise InputError(
-        path, "neither a session nor a model", "a folder with session.toml or config.json"
+        path,
+        "no session, model or predicted year",
+        "a folder with session.toml, config.json or predict.json",
     )
+
+
+def _year(path: Path) -> dict[str, Any]:
+    from fieldlum.session.files.json_file import read_object
+
+    about = read_object(path / "predict.json", "a predicted year", "predict again")
+    names = ("model", "width", "height", "hours", "first", "last", "weather", "protection")
+    return {"kind": "predicted year", **{name: about.get(name) for name in names}}

@@ -96,7 +96,7 @@ def merge_shots(
     if sun_deg is not None and isinstance(target, Equirect):
         panorama, disc = take_out_disc(panorama, *sun_deg)
         sun = None if disc is None else _measured_sun(images, findings, profile, panorama, disc)
-    view = "" if isinstance(target, Equirect) else target.view
+    view = "" if isinstance(target, Equirect) else target.view(heading_deg)
     return MergeResult(panorama, report, verdict(report), view, sun)
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.model_registry import MODELS
 from fieldlum.session import replacing
+from fieldlum.session.files.arrays_npz import read_arrays
 from fieldlum.session.files.model_config import ModelConfig, write_config
 from fieldlum.version import __version__
 
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 
 Patch = Literal["absolute", "gain", "none"]
 """How the sun patches are to be read: in cd/m2, up to an unknown factor, or not at all."""
+
+
+# What reading and rebuilding a damaged or hostile model raises.
+_BROKEN = (ValueError, KeyError, IndexError, TypeError, EOFError, ArithmeticError, MemoryError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +143,9 @@ def load(folder: Path) -> Fitted:
     config = read_config(folder)
     path = folder / "weights.npz"
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+        arrays = read_arrays(path)
         return importlib.import_module(MODELS[config.model].module).from_state(config.state, arrays)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, *_BROKEN, zipfile.BadZipFile) as error:
         found = f"weights that cannot be used ({error})".replace("\n", " ")
         raise InputError(
             path, found, "the arrays of config.json", "train the model again"

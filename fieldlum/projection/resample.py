@@ -107,10 +107,16 @@ class Fisheye:
             p.roll_deg,
         )
 
-    @property
-    def view(self) -> str:
-        """The view options of Radiance for this picture."""
-        return f"-vta -vv {self.full_angle_deg:g} -vh {self.full_angle_deg:g}"
+    def view(self, heading_deg: float) -> str:
+        """Return Radiance's view options; `heading_deg` is the azimuth of the panorama's centre."""
+        turn = np.radians(heading_deg)
+        rotation = np.array(
+            [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+        )
+        _, up, forward = self.geometry.axes() @ rotation.T
+        vd, vu = (" ".join(f"{value:.6f}" for value in np.round(v, 6) + 0.0) for v in (forward, up))
+        angle = f"{self.full_angle_deg:g}"
+        return f"-vta -vd {vd} -vu {vu} -vv {angle} -vh {angle}"
 
     def rays(
         self, rows: NDArray[np.floating], columns: NDArray[np.floating]

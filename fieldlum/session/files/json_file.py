@@ -22,6 +22,8 @@ def read_object(path: Path, expected: str, remedy: str) -> dict[str, Any]:
         raise InputError(path, "no such file", expected, remedy) from None
     except (OSError, ValueError) as error:
         raise InputError(path, f"{error}", expected, remedy) from None
+    except RecursionError:
+        raise InputError(path, "JSON nested too deeply", expected, remedy) from None
     if not isinstance(table, dict):
         raise InputError(path, f"JSON of type {type(table).__name__}", expected, remedy)
     return table

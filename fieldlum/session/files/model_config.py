@@ -10,6 +10,8 @@ from fieldlum.errors import InputError
 from fieldlum.session.files.json_file import build_known, check_format, read_object, write_object
 
 FORMAT = 1
+# Ten times the rows that EN 17037's glare needs; a model of more pixels is no model of this tool.
+MAX_HEIGHT = 4096
 _EXPECTED, _REMEDY = "a model folder", "train one: fieldlum train"
 
 
@@ -53,6 +55,9 @@ class ModelConfig:
             if name in table
         }
         typed = build_known(_Common, common, str(path))
+        if not (0 <= typed.height <= MAX_HEIGHT and typed.width in (0, 2 * typed.height)):
+            found = f"maps of {typed.width} x {typed.height}"
+            raise InputError(path, found, f"W = 2H, at most {MAX_HEIGHT} rows", _REMEDY)
         return cls(
             typed.model,
             typed.height,
