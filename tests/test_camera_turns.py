@@ -123,4 +123,4 @@ def test_a_day_out_of_reach_is_left_out_and_named(tmp_path: Path) -> None:
     read = load_pairs(write_pairs(tmp_path, data))
     day = np.unique(data.days)[1]
     assert day not in read.days and len(read) == (data.days != day).sum()
-    assert any(t.startswith("WARNING") and str(day) in t and "left out" in t for t in read.notes)
+    assert any(t.startswith("WARNING") and str(day) in t and "not used" in t for t in read.notes)

@@ -67,9 +67,9 @@ def test_a_bad_cell_is_named_with_its_line(pairs: Path, column: str, text: str, 
         (
             "dhi_wm2",
             lambda _: "1200",
-            "more diffuse light than any sky gives; expected W/m2; is it the global",
+            "more diffuse light than under any sky; expected W/m2; check whether it is the global",
         ),
-        ("dni_wm2", lambda _: "1500", "more direct light than there is above the air"),
+        ("dni_wm2", lambda _: "1500", "more direct light than above the atmosphere"),
     ],
 )
 def test_rows_that_contradict_each_other_are_named(
@@ -108,7 +108,7 @@ def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
         [*row[:2], *(str(float(cell) / 1e3) for cell in row[2:4]), *row[4:]] for row in rows[1:]
     ]
     pairs.write_text("\n".join(",".join(row) for row in (rows[0], *kilowatts)))
-    with pytest.raises(InputError, match="is it in kW/m2"):
+    with pytest.raises(InputError, match="it is in kW/m2"):
         load_pairs(pairs)
     pairs.write_text(text.replace(",", ";").replace(".", ","))
     with pytest.raises(InputError, match="separated by ';'"):
@@ -159,7 +159,7 @@ def test_a_missing_column_a_missing_site_and_another_size_are_errors(pairs: Path
     with pytest.raises(InputError, match="8 x 4 pixels"):
         load_pairs(pairs)
     (pairs.parent / "site.toml").unlink()
-    with pytest.raises(InputError, match="no site known"):
+    with pytest.raises(InputError, match="no site for it"):
         load_pairs(pairs)
     pairs.write_text("t_utc,dni_wm2\n")
     (pairs.parent / "site.toml").write_text(

@@ -1,9 +1,9 @@
-"""Models of a room: what a fitted model must be able to do, and its folder on disk.
+"""Models of a room: what a fitted model must provide, and its folder on disk.
 
 A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) ->
-Fitted``, and one that loads, ``from_state(config, arrays) -> Fitted``. Model folders hold
-`config.json` and `weights.npz`: plain arrays, no pickle, so that a stranger's model cannot run
-code.
+Fitted``, and one that loads, ``from_state(config, arrays) -> Fitted``. Model folders contain
+`config.json` and `weights.npz`: plain arrays without pickle, so that a model from another person
+cannot run code.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 Patch = Literal["absolute", "gain", "none"]
-"""How the sun patches are to be read: in cd/m2, up to an unknown factor, or not at all."""
+"""How sun patches are used: in cd/m2, up to an unknown factor, or not at all."""
 
 
 # What reading and rebuilding a damaged or hostile model raises.
@@ -38,11 +38,11 @@ _BROKEN = (ValueError, KeyError, IndexError, TypeError, EOFError, ArithmeticErro
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Maps without the sun's disc, and how far to believe them.
+    """Maps without the sun's disc, and their uncertainty.
 
-    luminance_cdm2 [n, H, W] float32; log10_sd [n, H, W] standard deviation of log10 L where the
-    model gives one; expected_mse [n] the model's own guess of each map's weighted log10 MSE (NaN:
-    it cannot say); trusted [n].
+    luminance_cdm2: [n, H, W] float32; log10_sd: standard deviation of log10 L where the model gives
+    one [n, H, W]; expected_mse: the model's own estimate of each map's weighted log10 MSE [n] (NaN:
+    unknown); trusted: [n].
     """
 
     luminance_cdm2: NDArray[np.float32]
@@ -51,8 +51,8 @@ class Prediction:
     trusted: NDArray[np.bool_]
 
 
-# An hour that the model itself expects to be off by more is not trusted. Measured on the office's
-# nine days: no hour of clean days is beyond it; with a lamp on, a camera put back 1 px off on three
+# An hour that the model itself expects to be wrong by more is not trusted. Measured on the office's
+# nine days: no hour of clean days is beyond it; with a lamp on, a camera displaced by 1 px on three
 # days, snow, or four days only, 5 to 77 % of the hours are (docs/models.md).
 TRUSTED_FACTOR = 1.2
 TRUSTED_MSE = float(np.log10(TRUSTED_FACTOR) ** 2)
@@ -63,8 +63,10 @@ POOR_WORDS = "do not trust single maps of this model"
 
 
 def trusted_hours(prediction: Prediction) -> NDArray[np.bool_]:
-    """Return which hours have a light like captured ones and an expected error below a factor of
-    `TRUSTED_FACTOR` (rms over the map), [n].
+    """Return which hours are trusted, [n].
+
+    Their light is like captured light, and their expected error is below a factor of
+    `TRUSTED_FACTOR` (rms over the map).
     """
     return prediction.trusted & ~(prediction.expected_mse > TRUSTED_MSE)
 
@@ -77,30 +79,30 @@ class Fitted(Protocol):
     """
 
     name: str
-    parameters: int  # numbers the model holds: smaller is tried first
-    held_out_mse: (
-        NDArray[np.float64] | None
-    )  # [n] weighted log10 MSE of each training map, its day left out; or None
+    parameters: int  # number of stored values: smaller models are tried first
+    # [n] weighted log10 MSE of each training map, predicted without its day; or None
+    held_out_mse: NDArray[np.float64] | None
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Maps of the hours of `light`; memory grows with the number of hours asked for, so ask
-        in chunks.
+        """Predict maps of the hours of `light`.
+
+        Memory grows with the number of hours, so predict in chunks.
         """
         ...
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """What config.json and weights.npz must hold for `from_state`."""
+        """Return what config.json and weights.npz must contain for `from_state`."""
         ...
 
 
 def fit(name: str, data: Dataset, **options: Any) -> Fitted:
-    """Fit the model of that name. Raises KeyError for an unknown one."""
+    """Fit the model of a name. Raises KeyError for an unknown one."""
     kind = MODELS[name]
     return getattr(importlib.import_module(kind.module), kind.fit)(data, **options)
 
 
 def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
-    """Write config.json and weights.npz, each whole or not at all; `more` goes into config.json."""
+    """Write config.json and weights.npz atomically; `more` is added to config.json."""
     config, arrays = fitted.state()
     arrays = {"seen": data.seen, **arrays}
     with replacing(folder / "weights.npz") as file:
@@ -116,7 +118,7 @@ def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
 
 
 def read_config(folder: Path) -> ModelConfig:
-    """Raises InputError when `folder` is no model folder, or one of an unknown model."""
+    """Read config.json. Raises InputError for another folder, or an unknown model."""
     config = ModelConfig.read(folder)
     if config.model not in MODELS:
         raise InputError(
@@ -135,11 +137,11 @@ def seen_of(folder: Path) -> NDArray[np.bool_] | None:
             stored = np.load(file, allow_pickle=False)
             return stored["seen"].astype(bool) if "seen" in stored.files else None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return None  # `load` names the fault
+        return None  # `load` reports the fault
 
 
 def load(folder: Path) -> Fitted:
-    """The model of a folder. Raises InputError for a broken one; never unpickles."""
+    """Return the model of a folder. Raises InputError for a broken one; never unpickles."""
     config = read_config(folder)
     path = folder / "weights.npz"
     try:

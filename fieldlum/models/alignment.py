@@ -1,6 +1,6 @@
-"""Captures aligned to the pose that most of them share, when pairs are read.
+"""Align captures to the pose that most of them share, when pairs are read.
 
-The turns are stored in a table beside the csv; no picture is rewritten.
+The turns are stored in a table next to the csv; no picture is changed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fieldlum.session.files.alignment_csv import (
     write_alignment,
 )
 
-_LEAST_SEEN = 0.8  # share of the captures in which a pixel that is compared has a value
+_LEAST_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
 _LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
 
 
@@ -42,10 +42,10 @@ def find_turns(
     heading_deg: float,
     progress: Progress,
 ) -> CameraTurns:
-    """Return how each capture's camera was turned, from the table beside `pairs` or by comparison.
+    """Return how each capture's camera was turned, from the table next to `pairs` or by comparison.
 
-    pictures: names as in the csv; maps, has_value [n, H, W], in the order of time. A new table is
-    written where that is possible.
+    pictures: names as in the csv; maps, has_value: in the order of time [n, H, W]. Write a new
+    table if the folder is writable.
     """
     path = alignment_path(pairs)
     digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
@@ -70,7 +70,7 @@ def find_turns(
                 strict=True,
             )
         ]
-        with contextlib.suppress(OSError):  # a folder that can only be read: compared each time
+        with contextlib.suppress(OSError):  # a read-only folder: compare each time
             write_alignment(path, table)
     return turns
 
@@ -97,7 +97,7 @@ def align(
 def shown_place(
     altitude_deg: float, azimuth_deg: float, heading_deg: float, angles_deg: NDArray[np.floating]
 ) -> tuple[float, float]:
-    """Return altitude and azimuth at which a turned camera's picture shows a direction. [deg]"""
+    """Return altitude and azimuth [deg] at which a turned camera's picture shows a direction."""
     if not angles_deg.any():
         return altitude_deg, azimuth_deg
     x, y, z = turned_rays(direction(altitude_deg, azimuth_deg), heading_deg, angles_deg)
@@ -106,7 +106,7 @@ def shown_place(
 
 
 def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
-    """Return a line for each pose that was turned back, and one for captures that are left out."""
+    """Return a line for each pose that was corrected, and one for captures that are not used."""
     notes = []
     for pose in np.unique(turns.angles_deg[turns.turned], axis=0):
         rows = turns.turned & (turns.angles_deg == pose).all(axis=1)
@@ -122,7 +122,7 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
     if not turns.aligned.all():
         notes.append(
             f"WARNING: {_captures(~turns.aligned, days)} cannot be aligned with the others and "
-            "are left out: the camera was turned or moved; merge them as a session of their own"
+            "are not used: the camera was turned or moved; merge them as a separate session"
         )
     return notes
 

@@ -1,6 +1,4 @@
-"""What any model must beat: the mean map, and the nearest captured hour scaled by the light
-outside.
-"""
+"""Baselines: the mean map, and the nearest captured hour scaled by irradiance."""
 
 from __future__ import annotations
 
@@ -17,8 +15,8 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models.data import Dataset
 
-LEAST_CDM2 = 1e-3
-LEAST_SHARE = 0.02  # of a pixel's light that is left when its sun patch is taken out
+LEAST_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
+LEAST_SHARE = 0.02  # of a pixel's light that stays when its sun patch is subtracted; not measured
 
 
 class MeanFitted:
@@ -32,11 +30,13 @@ class MeanFitted:
         self.parameters = log10_mean.size
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+        """Predict the mean map for every hour, [n, H, W]."""
         n = len(light.dni_wm2)
         maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
         return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return settings for config.json and arrays for weights.npz."""
         config = {"domain": self.domain.state(), "with_patch": False}
         return config, {"log10_mean": self.log10_mean}
 
@@ -49,15 +49,17 @@ def fit_mean(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> MeanFitted:
+    """Fit the mean of log10 L of each pixel."""
     log10 = np.zeros(data.shape)
-    for luminance in data.luminance_cdm2:  # one by one: a whole logarithm would double the memory
+    for luminance in data.luminance_cdm2:  # one by one: the logarithm of all doubles the memory
         log10 += np.log10(np.maximum(luminance, LEAST_CDM2)) / len(data)
     return MeanFitted(log10.astype(np.float32), captured(data.light))
 
 
 class NearestFitted:
-    """The captured hour of the most alike sun and sky, scaled by horizontal illuminance; its sun
-    patch swapped.
+    """The captured hour with the most similar sun and sky, scaled by horizontal illuminance.
+
+    Its sun patch is replaced by the patch of the predicted hour.
     """
 
     name = "nearest"
@@ -76,24 +78,28 @@ class NearestFitted:
         self.parameters = rest_cdm2.size
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+        """Predict scaled maps of the nearest captured hours, [n, H, W]."""
         wanted, scale = light_features(light), outside(light)
         distance = ((wanted[:, None, :] - self.features[None]) ** 2).sum(axis=2)
         near = distance.argmin(axis=1)
         maps = self.rest_cdm2[near] * (scale / self.scale[near]).astype(np.float32)[:, None, None]
         if self.with_patch:
             if patch_cdm2 is None:
-                raise ValueError("this model was trained with sun patches: give it patch_cdm2")
+                raise ValueError("this model was trained with sun patches: pass patch_cdm2")
             maps += patch_cdm2
         return Prediction(maps, None, np.full(len(maps), np.nan), self.domain.holds(light))
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return settings for config.json and arrays for weights.npz."""
         arrays = {"rest_cdm2": self.rest_cdm2, "features": self.features, "scale": self.scale}
         return {"domain": self.domain.state(), "with_patch": self.with_patch}, arrays
 
 
 def light_features(light: Light) -> NDArray[np.float64]:
-    """[n, 5] sun direction (weighted by how much it shines), share of the sun, clearness of the
-    sky.
+    """Return what hours are compared by, [n, 5].
+
+    These are the sun's direction (weighted by its share of the light), that share, and the
+    clearness of the sky.
     """
     share = light.dni_wm2 / np.maximum(light.dni_wm2 + light.dhi_wm2, 1e-9)
     return np.column_stack(
@@ -102,7 +108,7 @@ def light_features(light: Light) -> NDArray[np.float64]:
 
 
 def outside(light: Light) -> NDArray[np.float64]:
-    """A measure of the light outside: global horizontal irradiance. [W/m2]"""
+    """Return the scale of an hour's light: global horizontal irradiance [n] W/m2."""
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
     return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
 
@@ -115,6 +121,7 @@ def fit_nearest(
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> NearestFitted:
+    """Store the captured hours, without their sun patches if these are used."""
     with_patch = patch == "absolute" and data.patch_cdm2 is not None
     rest = data.luminance_cdm2
     if with_patch and data.patch_cdm2 is not None:
@@ -125,6 +132,7 @@ def fit_nearest(
 
 
 def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Fitted:
+    """Return the baseline that its `state` described."""
     domain = Domain.from_state(config["domain"])
     if config["model"] == "mean":
         return MeanFitted(arrays["log10_mean"], domain)

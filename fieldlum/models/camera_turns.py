@@ -1,10 +1,10 @@
-"""How each capture's camera was turned against the majority's: heading, tilt and roll.
+"""Estimate how each capture's camera was turned relative to the majority: heading, tilt and roll.
 
-Edges that belong to the room are in the same place in every picture; shadows and sun patches move.
-The median over captures of the derivatives of ln L holds the former without the latter (Weiss,
-"Deriving intrinsic images from image sequences", ICCV 2001). Each capture's derivatives are
-compared with it by least squares on the sphere (Lucas and Kanade 1981) with robust weights; the
-captures are turned back and the median is formed again. The pose that most captures share is zero.
+Edges of the room are in the same place in every picture; shadows and sun patches move. The median
+over captures of the derivatives of ln L therefore has the room's edges only (Weiss, "Deriving
+intrinsic images from image sequences", ICCV 2001). Each capture's derivatives are compared with it
+by least squares on the sphere (Lucas and Kanade 1981) with robust weights; the captures are turned
+back and the median is computed again. The pose that most captures share is zero.
 """
 
 from __future__ import annotations
@@ -24,39 +24,40 @@ from fieldlum.statistics import MAD_TO_SIGMA
 
 Array = NDArray[Any]
 
-LEAST_CAPTURES = 5  # a majority of fewer is no majority
-LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall
+LEAST_CAPTURES = 5  # fewer have no clear majority; not measured
+LEAST_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
 _WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows, smaller ones stay
 _FLOOR_CDM2 = 0.1  # as `transport.features.LEAST_CDM2`: below it edges are noise
-# Coarse to fine: the first catches turns of five pixels, the last is as wide as an edge in a
+# Coarse to fine: the first corrects turns of five pixels, the last is as wide as an edge in a
 # rendering. Office of Liu et al. with three days rolled by one pixel: the days' medians are right
-# to 0.012 px with it, 0.04 px where 1 px is the last.
+# to 0.012 px with it, to 0.04 px if 1 px is the last.
 _SMOOTH_PX = (3.0, 1.5, 1.0, 1.0, 0.7, 0.7)
-_ROBUST_ROUNDS = 4
-_TILES = (6, 12)  # parts of the picture that are independent, for the standard errors
-_HIGHEST_DEG = 70.0  # above it columns crowd together, and below it the tripod is in the picture
-_EDGES = 0.6  # share of the pixels, those with the strongest edges, that are compared
-_MOST_PIXELS = 6000
-# Light that falls otherwise moves edges a little: daily medians of the office's clean captures
+_ROBUST_ROUNDS = 4  # not measured
+_TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
+_HIGHEST_DEG = 70.0  # higher, columns are very narrow; lower than -70, the tripod is in the picture
+_EDGES = 0.6  # share of the pixels that is compared, those with the strongest edges; not measured
+_MOST_PIXELS = 6000  # bounds the time; not measured
+# Light from another direction moves edges a little: daily medians of the office's clean captures
 # scatter by 0.003 px in heading and roll, 0.05 px (at most 0.10) in tilt.
 _LIGHT_PX = 0.05
-# A pose of n captures is acted upon from LEAST_TURN_PX + SINGLE_TURN_PX / sqrt(n). Single clean
-# captures of the office and of eight simulated rooms are off by up to 0.6 px by their light.
+# A pose of n captures is corrected if it differs by LEAST_TURN_PX + SINGLE_TURN_PX / sqrt(n).
+# Single clean captures of the office and of eight simulated rooms differ by up to 0.6 px from their
+# light alone.
 LEAST_TURN_PX, SINGLE_TURN_PX = 0.25, 0.5
-MOVE_COST = (
-    0.3  # px2: one capture must differ by 0.8 px, twelve by 0.22 px, for a pose of their own
-)
+# px2: for a separate pose one capture must differ by 0.8 px, twelve by 0.22 px.
+MOVE_COST = 0.3
 # Correlation of the edges of a capture that was turned back with the room's. Clean captures have
 # 0.24 (darkest hours) to 1, those of a camera turned by 30 px 0.10 to 0.16.
 LEAST_LIKENESS = 0.2
-MOST_TURN_PX = 10.0  # beyond it the comparison starts too far from the answer
+MOST_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class CameraTurns:
-    """angles_deg [n, 3]: heading (clockwise), tilt (up) and roll (clockwise) of each capture's
-    camera against the majority's, zero where it did not turn; u_deg [n, 3] standard uncertainties;
-    aligned [n]: turning the picture back makes its edges those of the room.
+    """Turn of each capture's camera relative to the majority's, zero where it was not turned.
+
+    angles_deg: heading (clockwise), tilt (up) and roll (clockwise) [n, 3]; u_deg: standard
+    uncertainties [n, 3]; aligned: whether turning the picture back makes its edges the room's [n].
     """
 
     angles_deg: Array
@@ -88,14 +89,16 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 
 
 def _angles_deg(rays: Array) -> tuple[Array, Array]:
-    """Return altitude and azimuth of directions."""
+    """Return altitude and azimuth of directions [deg]."""
     altitude = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
     return altitude, np.degrees(np.arctan2(rays[..., 0], rays[..., 1]))
 
 
 def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
-    """Return a map [H, W] of a turned camera as the majority's camera shows it, linear between
-    pixels. Give ln L: then a bright window does not spread over its frame.
+    """Return a map [H, W] of a turned camera as the majority's camera shows it.
+
+    Interpolate linearly between pixels. Pass ln L, so that a bright window does not spread over its
+    frame.
     """
     height, width = maps.shape
     rays = turned_rays(equirect_rays(height, width, heading_deg), heading_deg, angles_deg)
@@ -145,9 +148,7 @@ class _Solved:
 
 
 class _RoomEdges:
-    """Edges that the captures share, at the pixels with the strongest ones, and what a turn changes
-    of them.
-    """
+    """The room's edges at the pixels with the strongest ones, and their change by a turn."""
 
     def __init__(self, edges: Array, seen: NDArray[np.bool_], motion_px: Array) -> None:
         height, width = seen.shape
@@ -164,7 +165,7 @@ class _RoomEdges:
         slopes = [np.stack(np.gradient(edge)) for edge in edges]  # [2, H, W] each
         changes = [[-(slope * move).sum(axis=0) for slope in slopes] for move in motion_px]
         self.changes = np.stack([self.at_pixels(np.stack(c)) for c in changes], axis=1)  # [2 m, 3]
-        # Edges of high contrast move with the light (a bright window spreads over its frame).
+        # Edges of high contrast move with the light: a bright window spreads over its frame.
         usual = np.median(np.abs(self.values))
         self.weights = 1.0 / (self.values**2 + 4.0 * usual**2)
 
@@ -173,8 +174,9 @@ class _RoomEdges:
         return edges.reshape(2, -1)[:, self.pixels].ravel().astype(float)
 
     def turn(self, edges: Array) -> tuple[Array, Array, float]:
-        """Return the turn that makes the room's edges a capture's [3] deg, its standard errors,
-        and the correlation of the two.
+        """Return the turn that maps the room's edges to a capture's.
+
+        These are the turn [3] deg, its standard errors [3] deg, and the correlation of the edges.
         """
         values = self.at_pixels(edges)
         fit = self._solved(values, self.weights)
@@ -185,7 +187,7 @@ class _RoomEdges:
         scores = [
             np.bincount(self.tiles, fit.weights * fit.rest * c, self.count) for c in fit.columns.T
         ]
-        half = fit.inverse @ np.stack(scores)  # sandwich: tiles are what is independent
+        half = fit.inverse @ np.stack(scores)  # sandwich estimate: tiles are independent
         norm = np.sqrt((self.weights * values**2).sum() * (self.weights * self.values**2).sum())
         likeness = (self.weights * values * self.values).sum() / max(float(norm), 1e-12)
         return fit.turn, np.sqrt(np.diag(half @ half.T)), float(likeness)
@@ -198,7 +200,7 @@ class _RoomEdges:
         return _Solved(turn, target - columns @ turn, weights, columns, inverse)
 
     def _without_contrast(self, values: Array, weights: Array) -> Array:
-        """Return what is left of `values` when each tile's edges may be stronger or weaker."""
+        """Return the residual of `values` when each tile's edges may be stronger or weaker."""
         along = np.bincount(self.tiles, weights * self.values * values, self.count)
         norm = np.bincount(self.tiles, weights * self.values**2, self.count)
         return values - self.values * (along / np.maximum(norm, 1e-12))[self.tiles]
@@ -227,8 +229,8 @@ def camera_turns(
 ) -> CameraTurns:
     """Return how the camera of each capture [n, H, W], in the order of time, was turned.
 
-    seen [H, W]: pixels with a value. Captures of one pose that follow each other get its median.
-    None is turned where there are fewer than LEAST_CAPTURES or LEAST_ROWS.
+    seen: pixels with a value [H, W]. Captures of one pose in sequence get its median. No camera is
+    turned for fewer than LEAST_CAPTURES captures or LEAST_ROWS rows.
     """
     count, height = luminance_cdm2.shape[:2]
     still = CameraTurns(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, bool))
@@ -253,15 +255,15 @@ def camera_turns(
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
     aligned = (likeness >= LEAST_LIKENESS) & (np.abs(angles).max(axis=1) < MOST_TURN_PX * pixel_deg)
     poses = _poses(angles, aligned, pixel_deg)
-    # Four decimals, as the table has them: reading it gives the same maps, bit by bit.
+    # Rounded to four decimals as in the table, so that reading the table gives identical maps.
     return CameraTurns(np.round(poses, 4), np.round(u_deg, 4), aligned)
 
 
 def _poses(angles: Array, aligned: NDArray[np.bool_], pixel_deg: float) -> Array:
-    """Return one turn for all captures of a pose, [n, 3]; zero for one that is not sure.
+    """Return one turn for all captures of a pose [n, 3]; zero for an uncertain one.
 
-    A camera that was put down stays until it is moved: the order of time is cut into poses by the
-    least sum of squares plus MOVE_COST for each cut (Potts model, by dynamic programming).
+    A camera stays as it is until it is moved. So the order of time is cut into poses by the least
+    sum of squares plus MOVE_COST for each cut (Potts model, by dynamic programming).
     """
     out = np.zeros_like(angles)
     rows = np.flatnonzero(aligned)

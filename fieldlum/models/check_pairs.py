@@ -1,5 +1,6 @@
-"""Whether the rows of a pairs.csv can be of one room under one sun: what an edited or a joined
-table gets wrong.
+"""Check whether the rows of a pairs.csv can be of one room under one sun.
+
+The checks find errors of edited or joined tables.
 """
 
 from __future__ import annotations
@@ -16,16 +17,13 @@ from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.records import Site
 
-MOST_SUN_DEG = (
-    2.5  # Radiance's own sun stands up to 1.1 from SPA; a wrong hour is 15, a wrong half hour 7
-)
+# Radiance's own sun differs by up to 1.1 from SPA; a wrong hour by 15, a wrong half hour by 7.
+MOST_SUN_DEG = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Columns of the usable rows, [n]; angles are NaN where the table leaves them to be
-    computed.
-    """
+    """Columns of the usable rows, [n]; angles that are absent from the csv are NaN."""
 
     lines: Sequence[int]
     t_utc: Sequence[datetime]
@@ -37,8 +35,9 @@ class Stated:
 
 
 def check_plausible(path: Path, rows: Stated, site: Site) -> None:
-    """Raises InputError naming the line: a moment or a picture twice, a sun that did not stand
-    there, other units.
+    """Raise InputError with the line for rows that contradict each other or the sun.
+
+    These are a time or a picture that occurs twice, a wrong sun position, and wrong units.
     """
     _check_once(path, rows.lines, rows.t_utc, "the same t_utc")
     _check_once(
@@ -56,9 +55,7 @@ def _check_once(
     for line, value in zip(lines, values, strict=True):
         if value in first:
             found = f"lines {first[value]} and {line}: {said}"
-            raise InputError(
-                path, found, "every bracket once", "take one of them out, or set ok = 0"
-            )
+            raise InputError(path, found, "every bracket once", "remove one of them, or set ok = 0")
         first[value] = line
 
 
@@ -68,7 +65,8 @@ def _check_sun(path: Path, rows: Stated, found: sun.SunPosition, site: Site) -> 
         * sun.direction(found.altitude_deg, found.azimuth_deg)
     ).sum(axis=1)
     apart = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    if not (apart > MOST_SUN_DEG).any():  # NaN, where angles are left to be computed, is not above
+    # Angles absent from the csv are NaN and compare False.
+    if not (apart > MOST_SUN_DEG).any():
         return
     k = int(np.nanargmax(apart))
     said = (
@@ -92,15 +90,19 @@ def _check_irradiance(path: Path, rows: Stated, altitude_deg: NDArray[np.float64
     for wrong, said, remedy in (
         (
             rows.dhi_wm2 > limits.dhi_wm2[1],
-            "more diffuse light than any sky gives",
-            "is it the global irradiance?",
+            "more diffuse light than under any sky",
+            "check whether it is the global irradiance",
         ),
         (
             rows.dni_wm2 > limits.dni_wm2[1],
-            "more direct light than there is above the air",
-            "mend that row",
+            "more direct light than above the atmosphere",
+            "correct that row",
         ),
-        (weak, "less light than any storm lets through", "is it in kW/m2? Else set ok = 0"),
+        (
+            weak,
+            "less light than in any storm",
+            "check whether it is in kW/m2; otherwise set ok = 0",
+        ),
     ):
         if (wrong & up).any():
             k = int(np.argmax(wrong & up))

@@ -1,6 +1,4 @@
-"""Training data: pairs.csv and its pictures, read strictly, with the sun's disc taken out of the
-maps.
-"""
+"""Training data: pairs.csv and its pictures, read strictly, with the sun's disc separated."""
 
 from __future__ import annotations
 
@@ -38,12 +36,12 @@ _PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """Captured hours with their light. Maps hold no sun disc; its energy is in disc_lx.
+    """Captured hours with their light. Maps have no sun disc; its energy is in disc_lx.
 
-    luminance_cdm2 [n, H, W]; patch_cdm2 [n, H, W] direct sun only, or None; disc_lx [n] illuminance
-    at the lens, normal to the sun, of the visible disc; days [n] local standard dates; slots [n]
-    ids; seen [H, W] pixels that the camera saw; steadiness [n] relative change of the light during
-    the bracket (0 where unknown); notes for the person.
+    luminance_cdm2: [n, H, W]; patch_cdm2: direct sun only [n, H, W], or None; disc_lx: illuminance
+    of the visible disc at the lens, normal to the sun [n]; days: local standard dates [n]; slots:
+    ids [n]; seen: pixels that the camera saw [H, W]; steadiness: relative change of the light
+    during the bracket (0 if unknown) [n]; notes: for the user.
     """
 
     light: Light
@@ -59,14 +57,14 @@ class Dataset:
     source: str = ""
     notes: tuple[str, ...] = field(default=())
     counts: NDArray[np.float16] | None = None
-    scene: dict[str, Any] | None = None  # of `scene_fit.with_scene`: what was stated, what was used
+    scene: dict[str, Any] | None = None  # of `scene_fit.with_scene`: the stated and the used room
 
     def __len__(self) -> int:
         return len(self.slots)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(H, W) of the maps."""
+        """Height and width of the maps [px]."""
         return self.luminance_cdm2.shape[1], self.luminance_cdm2.shape[2]
 
     @property
@@ -76,11 +74,11 @@ class Dataset:
         return weights / weights[self.seen].mean()
 
     def digest(self) -> str:
-        """Return the SHA-256 of all that a model can learn from, wherever the csv is."""
+        """Return the SHA-256 of everything a model can learn from, without the csv's path."""
         return data_digest(replace(self, source=""))
 
     def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
-        """The rows of an index or boolean array."""
+        """Return the rows of an index or boolean array."""
         rows = np.asarray(index)
         rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
         return replace(
@@ -96,8 +94,9 @@ class Dataset:
         )
 
     def thin(self, height: int) -> Dataset:
-        """The same hours at every f-th pixel, f odd, of at least that height: noise and sharp
-        edges stay.
+        """Return the same hours at every f-th pixel, f odd, with at least `height` rows.
+
+        Noise and sharp edges stay.
         """
         odd = [
             f
@@ -106,7 +105,7 @@ class Dataset:
         ]
         pick = slice(
             (odd[-1] if odd else 1) // 2, None, odd[-1] if odd else 1
-        )  # centres of blocks: centres of pixels
+        )  # centres of blocks are centres of pixels
         return replace(
             self,
             luminance_cdm2=self.luminance_cdm2[:, pick, pick],
@@ -116,7 +115,7 @@ class Dataset:
         )
 
     def about(self) -> dict[str, Any]:
-        """What a model's config.json says about its training data."""
+        """Return what a model's config.json records about its training data."""
         return {
             "setup": site_table(self.setup),
             "heading_deg": self.heading_deg,
@@ -136,18 +135,18 @@ class Dataset:
 
 
 def _usable_rows(pairs: PairsFile) -> list[PairRow]:
-    """Rows with ok, in the order of time. Raises InputError for a picture that is not there."""
+    """Return rows with ok, in the order of time. Raises InputError for a missing picture."""
     for row in pairs.usable:
         for name in (row.panorama, row.sunpatch):
             picture = pairs.path.parent / name
             if name and not picture.is_file():
                 found = f"line {row.line}: no file {picture}"
-                raise InputError(pairs.path, found, "a picture there", "copy it, or set ok = 0")
+                raise InputError(pairs.path, found, "an existing picture", "copy it, or set ok = 0")
     return sorted(pairs.usable, key=lambda row: row.t_utc)
 
 
 def _find_setup(path: Path, site: Path | None) -> SiteFile:
-    """Place and heading: --site, else the session, else site.toml beside the csv."""
+    """Return place and heading: of --site, else of the session, else of site.toml with the csv."""
     if site is not None:
         return load_site(site)
     if (path.parent / "session.toml").is_file():
@@ -158,8 +157,8 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
         return load_site(path.parent / "site.toml")
     raise InputError(
         path,
-        "no site known for it",
-        "site.toml beside it or --site SITE.toml",
+        "no site for it",
+        "site.toml next to it or --site SITE.toml",
         "write one with [site]",
     )
 
@@ -169,24 +168,24 @@ def load_pairs(
 ) -> Dataset:
     """Read a pairs.csv (or a session's) with all its pictures, in the order of time.
 
-    Rows with ok = 0 are left out; a cell that cannot be read raises InputError naming its line. Sun
-    columns are used as they stand. Raises NotEnoughDataError when no row is left.
+    Rows with ok = 0 are not used; a cell that cannot be read raises InputError with its line. Sun
+    columns are used as recorded. Raises NotEnoughDataError if no row is usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():
         path = open_session(path).pairs
     if not path.is_file():
         raise InputError(
-            path, "no such file", "a pairs.csv", "make one with: fieldlum pair SESSION"
+            path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
         )
     setup = _find_setup(path, site)
     pairs = PairsFile.read(path)
     rows, refused, notes = _usable_rows(pairs), len(pairs.refused), list(pairs.warnings)
     if refused:
-        notes.append(f"{refused} rows with ok = 0 left out")
+        notes.append(f"{refused} rows with ok = 0 are not used")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
     if dark:
-        notes.append(f"{len(dark)} rows without any irradiance left out")
+        notes.append(f"{len(dark)} rows without any irradiance are not used")
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
         raise NotEnoughDataError(f"{path}: no usable row")
@@ -204,7 +203,7 @@ def _assemble(
     if pictures.bounds:
         notes.append(
             f"the sun of {pictures.bounds} maps clipped and is only a lower bound: "
-            "run fieldlum pair, and see its cautions"
+            "run fieldlum pair, and read its cautions"
         )
     heading = pictures.heading_deg
     names = [row.panorama for row in rows]
@@ -221,7 +220,7 @@ def _assemble(
     notes += turn_notes(turns, days, alignment_path(path).name)
     seen, filled = _fill_gaps(pictures.maps, pictures.has_value)
     if filled:
-        notes.append(f"{filled} single pixels without a value given their own median")
+        notes.append(f"{filled} single pixels without a value were set to their own median")
     if not seen.all():
         notes.append(f"{100 * (1 - seen.mean()):.0f} % of the pixels were not seen by the camera")
     times = [row.t_utc for row in rows]
@@ -263,9 +262,9 @@ def _stated(path: Path, rows: list[PairRow]) -> Stated:
 
 
 def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
-    """Return the room's state of each row: the csv's column, and what the session's journal marks.
+    """Return the room's state of each row, from the csv's column and the marks in the journal.
 
-    None where the room is as usual in all rows. Raises InputError for an unknown word.
+    Return None if the room is as usual in all rows. Raises InputError for an unknown word.
     """
     marked = marks(Session(path.parent))
     states = []
@@ -283,7 +282,7 @@ def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
 def _sun_columns(
     rows: list[PairRow], setup: SiteFile
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Altitude and azimuth as the csv gives them; where it does not, by SPA. [deg]"""
+    """Return altitude and azimuth [deg] of the csv; computed by SPA where it has none."""
     altitude = np.array([row.sun_altitude_deg for row in rows])
     azimuth = np.array([row.sun_azimuth_deg for row in rows])
     blank = np.isnan(altitude) | np.isnan(azimuth)
@@ -297,8 +296,9 @@ def _sun_columns(
 
 @dataclass(frozen=True, slots=True)
 class _Pictures:
-    """maps, patches and has_value [n, H, W], and disc_lx [n], which later steps change in place;
-    bounds: clipped suns.
+    """Maps, patches and has_value [n, H, W], and disc_lx [n]; later steps change them in place.
+
+    bounds: number of clipped suns.
     """
 
     maps: NDArray[np.float32]
@@ -312,10 +312,11 @@ class _Pictures:
     def take_disc_out(
         self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
     ) -> None:
-        """Split the disc from map and patch k. at: altitude and azimuth of the sun; shown: where
-        the picture of a turned camera shows it.
+        """Split the disc from map and patch k.
 
-        A patch holds the disc alone, without the sky around it: the better measure.
+        at: altitude and azimuth of the sun [deg]; shown: where the picture of a turned camera shows
+        it [deg]. A patch has the disc alone, without the sky around it, so it measures the disc
+        better.
         """
         self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
         if self.patches is not None:
@@ -326,7 +327,7 @@ class _Pictures:
 def _read_pictures(
     path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
 ) -> _Pictures:
-    """Read maps and patches as they are; the disc where a picture has it apart."""
+    """Read maps and patches as stored; the disc separately where a picture stores it so."""
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
@@ -362,7 +363,7 @@ def _read_pictures(
 
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
-    """Of the picture where it says so (.exr, or a .hdr with a heading line), else of the site."""
+    """Return the heading of the picture (.exr, or a .hdr with a heading line), else the site's."""
     return (
         panorama.heading_deg
         if path.suffix.lower() == ".exr" or _says_heading(path)
@@ -401,8 +402,9 @@ def _has_value(panorama: Panorama) -> NDArray[np.bool_]:
 def _fill_gaps(
     maps: NDArray[np.float32], has_value: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], int]:
-    """Fill single missing values (in place) with the pixel's median; missing in a fifth of the
-    maps: not seen.
+    """Fill single missing values in place with the pixel's median; return seen pixels and a count.
+
+    A pixel that is missing in a fifth of the maps counts as not seen.
     """
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():

@@ -1,6 +1,4 @@
-"""The paper's network as a fitted model: `dense_network` holds the network, `dense_training` the
-loop.
-"""
+"""The paper's network as a fitted model; see `dense_network` and `dense_training`."""
 
 from __future__ import annotations
 
@@ -37,11 +35,11 @@ if TYPE_CHECKING:
     from fieldlum.light import Light
     from fieldlum.models.data import Dataset
 
-PREDICT_PIXELS = 16384  # a chunk that stays in the processor's cache
+PREDICT_PIXELS = 16384  # a chunk that fits into the processor's cache; not measured
 
 
 class DenseFitted:
-    """A trained network with all it needs to predict."""
+    """A trained network with everything needed to predict."""
 
     name = "dense"
     held_out_mse: NDArray[np.float64] | None = None
@@ -72,7 +70,7 @@ class DenseFitted:
     def _encoded(
         self, light: Light, patch_cdm2: NDArray[np.float32] | None
     ) -> Iterator[NDArray[np.float32]]:
-        """Encoded map [H W] of one hour after the other."""
+        """Yield the encoded map [H W] of one hour after the other."""
         at = hours(light, self.shape).to(self._device)
         pixels = self._canvas.fixed.shape[0]
         for k in range(len(light.dni_wm2)):
@@ -95,11 +93,12 @@ class DenseFitted:
             yield torch.cat(parts).float().cpu().numpy()
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """The network itself has no variance: trusted says whether the hour's light was
-        captured.
+        """Predict maps, [n, H, W].
+
+        The network has no variance; `trusted` is whether the hour's light is like captured light.
         """
         if self.patch != "none" and patch_cdm2 is None:
-            raise ValueError("this network was trained with sun patches: give it patch_cdm2")
+            raise ValueError("this network was trained with sun patches: pass patch_cdm2")
         height, width = self.average_log10.shape
         out = np.empty((len(light.dni_wm2), height, width), np.float32)
         fast = bfloat16_pays(self._device)
@@ -112,6 +111,7 @@ class DenseFitted:
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return settings for config.json and arrays for weights.npz."""
         config = {
             "shape": asdict(self.shape),
             "patch": self.patch,
@@ -135,6 +135,7 @@ class DenseFitted:
 
 
 def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> DenseFitted:
+    """Return the network that `DenseFitted.state` described."""
     shape = Shape(**config["shape"])
     net = Net(shape)
     weights = {
@@ -162,8 +163,9 @@ def fit(
     progress: Progress = quiet,
     **options: Any,
 ) -> DenseFitted:
-    """Train on `data`; options are fields of `Shape` and of `TrainingPlan`, and a
-    checkpoint path.
+    """Train on `data`.
+
+    options: fields of `Shape` and of `TrainingPlan`, and the path of a checkpoint.
     """
     shape = Shape(
         **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}

@@ -1,10 +1,9 @@
-"""The paper's network: two dense branches over pixel position, sun, irradiance, sky map and sun
-patch.
+"""The paper's network: two dense branches over pixel position, sun, irradiance, sky and sun patch.
 
 Liu, Colburn, Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building
 Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule as in the paper; where the
-authors' code differs from their text, the text. This module holds the network, its inputs and its
-outputs; `dense_training` holds the loop, `dense` the fitted model.
+authors' code differs from their text, as in the text. This module has the network, its inputs and
+its outputs; `dense_training` the loop, `dense` the fitted model.
 """
 
 from __future__ import annotations
@@ -25,25 +24,25 @@ from fieldlum.projection import equirect_rays, signed_angle_deg
 if TYPE_CHECKING:
     from fieldlum.light import Light
 
-LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc
-POWER = 1.0 / 1.5
+LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
+POWER = 1.0 / 1.5  # of the paper's preprocessing
 GAMMA = 10.0  # of the paper's preprocessing without a logarithm
-DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0
+DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The network's form. The defaults are the paper's final one; the rest are its ablations
-    (Table 1, Figure 8).
+    """The network's form. The defaults are the paper's final one, the others its ablations.
+
+    See the paper's Table 1 and Figure 8.
     """
 
     width: int = 600
     depth: int = 4  # layers of branch one
     patch_width: int = 400  # branch two; the CNN form has 200
     sky_map: bool = True
-    form: Literal["dense", "cnn"] = (
-        "dense"  # cnn: kernel-1 convolutions, so whole images are the batches
-    )
+    # cnn: convolutions with kernel 1, so batches are complete images
+    form: Literal["dense", "cnn"] = "dense"
     curve: Literal["log", "gamma"] = "log"
 
 
@@ -52,7 +51,7 @@ class Shape:
 
 
 def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Luminance [cd/m2] to [0, 1]: floor 1, then (log10 L / 9.2)^(1/1.5), or (L / 1.6e9)^(1/10)."""
+    """Return luminance [cd/m2] as [0, 1]: floor 1, (log10 L / 9.2)^(1/1.5) or (L/1.6e9)^(1/10)."""
     floored = np.maximum(luminance_cdm2, 1.0)
     if curve == "gamma":
         return ((floored / 10.0**LOG_TOP) ** (1.0 / GAMMA)).astype(np.float32)
@@ -60,8 +59,9 @@ def encode(luminance_cdm2: NDArray[Any], curve: str = "log") -> NDArray[np.float
 
 
 def decode(encoded: NDArray[Any], curve: str = "log") -> NDArray[np.float32]:
-    """Inverse of `encode`; what the network says outside [0, 1] is cut there, so no prediction
-    is wild.
+    """Return the luminance [cd/m2] of `encode`.
+
+    Outputs of the network outside [0, 1] are clipped, which bounds every prediction.
     """
     inside = np.clip(encoded, 0.0, 1.0)
     if curve == "gamma":
@@ -85,7 +85,7 @@ class Net(nn.Module):
         self.out = nn.Linear(shape.width, 1)
 
     def forward(self, scene: Tensor, patch: Tensor) -> Tensor:
-        """scene [b, 7 or 8], patch [b, 1] to encoded luminance [b]."""
+        """Return the encoded luminance [b] of scene [b, 7 or 8] and patch [b, 1]."""
         x = scene
         for layer in self.scene:
             x = F.relu(layer(x))
@@ -93,11 +93,12 @@ class Net(nn.Module):
         x = F.relu(self.merge(x))
         with torch.autocast(
             x.device.type, enabled=False
-        ):  # the last sum in full precision: it is the answer
+        ):  # the last sum in full precision, as it is the result
             return self.out(x.float()).squeeze(1)
 
 
 def parameter_count(net: nn.Module) -> int:
+    """Return the number of trained values."""
     return sum(p.numel() for p in net.parameters())
 
 
@@ -107,19 +108,21 @@ def parameter_count(net: nn.Module) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Canvas:
-    """What belongs to a pixel and not to an hour: [P, 3] px, py, avg; [P] nearest sky patch, -1
-    under the horizon.
+    """Inputs that depend on the pixel only.
+
+    fixed: px, py, average [P, 3]; sky_patch: nearest sky patch, -1 below the horizon [P].
     """
 
     fixed: Tensor
     sky_patch: Tensor
 
     def to(self, device: torch.device) -> Canvas:
+        """Return a copy on a device."""
         return Canvas(self.fixed.to(device), self.sky_patch.to(device))
 
 
 def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
-    """average_log10 [H, W]: mean over the training images of log10 L."""
+    """Return the inputs of pixels. average_log10: mean of log10 L over training images [H, W]."""
     from fieldlum.sky import reinhart_patches
 
     height, width = average_log10.shape
@@ -137,20 +140,22 @@ def canvas(average_log10: NDArray[np.float64], heading_deg: float) -> Canvas:
 
 @dataclass(frozen=True, slots=True)
 class HourInputs:
-    """What belongs to an hour and not to a pixel: [n, 4] altitude, azimuth, DNI, DHI; encoded sky
-    [n, 2306].
+    """Inputs that depend on the hour only.
 
-    The last sky column is 0 and stands for directions under the horizon.
+    sun: altitude, azimuth, DNI, DHI [n, 4]; sky: encoded sky [n, 2306]. The last sky column is 0
+    and stands for directions below the horizon.
     """
 
     sun: Tensor
     sky: Tensor | None
 
     def to(self, device: torch.device) -> HourInputs:
+        """Return a copy on a device."""
         return HourInputs(self.sun.to(device), None if self.sky is None else self.sky.to(device))
 
 
 def hours(light: Light, shape: Shape) -> HourInputs:
+    """Return the inputs of hours."""
     from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
     columns = (
         light.sun_altitude_deg / 90.0,
@@ -165,7 +170,7 @@ def hours(light: Light, shape: Shape) -> HourInputs:
 
 
 def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor) -> Tensor:
-    """Branch one's input for pairs of (hour, pixel), [b, 7 or 8]."""
+    """Return the input of branch one for pairs of (hour, pixel), [b, 7 or 8]."""
     fixed, sun = canvas.fixed[pixel], hours.sun[hour]
     columns = [fixed[:, :2], sun, fixed[:, 2:]]
     if hours.sky is not None:
@@ -178,14 +183,14 @@ def scene_inputs(canvas: Canvas, hours: HourInputs, hour: Tensor, pixel: Tensor)
 
 
 def pick_device() -> torch.device:
-    """The card of this process (torchrun numbers them), else the processor."""
+    """Return this process's GPU (torchrun numbers them), else the processor."""
     if not torch.cuda.is_available():
         return torch.device("cpu")
     return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
 
 
 def bfloat16_pays(device: torch.device) -> bool:
-    """Whether half-width products are done in hardware: emulated they are slower than float32."""
+    """Return whether the hardware has bfloat16 products: emulated, they are slower than float32."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     told = torch.backends.cpu.get_cpu_capability()

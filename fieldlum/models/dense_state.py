@@ -1,6 +1,4 @@
-"""What a training is at a moment: its plan, how far it has come, and both on disk with the
-weights.
-"""
+"""State of a training: its plan and its progress, stored with the weights in a checkpoint."""
 
 from __future__ import annotations
 
@@ -18,14 +16,16 @@ from fieldlum.errors import InputError
 from fieldlum.models.dense_network import Net, Shape, pick_device
 from fieldlum.session import replacing
 
-STAGES = (6, 3, 1)  # batch in images' worth of pixels
-STAGE_EPOCHS = 30
+STAGES = (6, 3, 1)  # batch in images' worth of pixels (paper)
+STAGE_EPOCHS = 30  # paper
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingPlan:
-    """paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, the
-    rate falling to 0.
+    """Schedule of a training.
+
+    paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, with a rate
+    that falls to 0.
     """
 
     schedule: Literal["paper", "short"] = "paper"
@@ -38,7 +38,7 @@ class TrainingPlan:
 
 @dataclass(slots=True)
 class Run:
-    """Everything that a checkpoint must hold besides the tensors."""
+    """Everything in a checkpoint besides the tensors."""
 
     epoch: int = 0
     step: int = 0
@@ -66,7 +66,7 @@ def keep(
     mark: str,
     best: dict[str, Tensor],
 ) -> None:
-    """Write a checkpoint, whole or not at all; mark: the digest of what is trained on."""
+    """Write a checkpoint atomically; mark: the digest of the training data."""
     state = {
         "net": net.state_dict(),
         "best": best,
@@ -83,12 +83,13 @@ def keep(
 def restore(
     path: Path, net: Net, optimiser: torch.optim.Optimizer, run: Run, shape: Shape, mark: str
 ) -> tuple[TrainingPlan, dict[str, Tensor]]:
-    """Take up a checkpoint. Raises InputError for one that does not fit or holds anything but
-    tensors and numbers.
+    """Continue from a checkpoint.
+
+    Raises InputError for one that does not fit, or contains anything but tensors and numbers.
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # torch warns before it refuses what no torch.save wrote
+            warnings.simplefilter("error")  # torch warns before it rejects files of other programs
             state = torch.load(path, map_location=pick_device(), weights_only=True)
         if state["shape"] != asdict(shape):
             raise KeyError("another network's checkpoint")
@@ -109,4 +110,4 @@ def restore(
         AttributeError,
     ) as error:
         found = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
-        raise InputError(path, found, "one of this training", "remove it to start anew") from None
+        raise InputError(path, found, "one of this training", "delete it to start again") from None

@@ -1,10 +1,9 @@
-"""How the dense network is trained: the paper's schedule when there is time for it, a short one
-when there is not.
+"""Train the dense network: by the paper's schedule if there is time, else by a short one.
 
-The loss of a batch is ``sum(w e^2) / b + 10 sqrt(sum(w e^2) / sum(w t^2))``: both parts depend on
-the network through S = sum(w e^2) alone, so micro-batches (and the ranks of torchrun) add up the
-gradient of S, and one factor at the end makes it the exact gradient of the whole batch's loss.
-Memory is that of one micro-batch.
+The loss of a batch is ``sum(w e^2) / b + 10 sqrt(sum(w e^2) / sum(w t^2))``. Both parts depend on
+the network through S = sum(w e^2) alone. So micro-batches (and the ranks of torchrun) add up the
+gradient of S, and one factor at the end makes it the exact gradient of the batch's loss. Memory is
+that of one micro-batch.
 """
 
 from __future__ import annotations
@@ -49,14 +48,14 @@ if TYPE_CHECKING:
     from fieldlum.models import Patch
     from fieldlum.models.data import Dataset
 
-RER_SHARE = 10.0
-VALIDATION_SHARE = 0.1
-PATIENCE_EPOCHS = 2
-LEAST_RATE = 1e-10
-SHORT_EPOCHS = 25  # how often the short schedule looks at the validation pixels
-SHORT_VALIDATION_PIXELS = 60_000
-SHORT_STEPS = 3000  # what a short schedule tries to reach before it lets its batches grow
-SHORT_BATCH = (512, 8192)
+RER_SHARE = 10.0  # weight of the relative error in the loss (paper)
+VALIDATION_SHARE = 0.1  # of the images
+PATIENCE_EPOCHS = 2  # paper
+LEAST_RATE = 1e-10  # below it the next stage begins; not measured
+SHORT_EPOCHS = 25  # validations of the short schedule; not measured
+SHORT_VALIDATION_PIXELS = 60_000  # not measured
+SHORT_STEPS = 3000  # target of a short schedule before its batches grow; not measured
+SHORT_BATCH = (512, 8192)  # smallest and largest batch of the short schedule [px]; not measured
 
 
 # ----------------------------------------------------------------------------------------------
@@ -65,8 +64,9 @@ SHORT_BATCH = (512, 8192)
 
 @dataclass(frozen=True, slots=True)
 class PixelSampler:
-    """All (hour, seen pixel) pairs of some hours, on the device. A pair's number is hour * P +
-    place in `seen`.
+    """All (hour, seen pixel) pairs of some hours, on the device.
+
+    The number of a pair is hour * P + index in `seen`.
     """
 
     canvas: Canvas
@@ -80,7 +80,7 @@ class PixelSampler:
         return self.target.numel()
 
     def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """scene inputs, patch, target, weight of numbered pairs."""
+        """Return scene inputs, patch, target and weight of numbered pairs."""
         hour = numbers // len(self.seen)
         place = numbers - hour * len(self.seen)
         scene = scene_inputs(self.canvas, self.hours, hour, self.seen[place])
@@ -109,15 +109,16 @@ def _pixels(
     )
 
 
-# ---------------------------------------------------------------------------------------------- one
-# batch
+# ----------------------------------------------------------------------------------------------
+# one batch
 
 
 def _loss_parts(
     net: Net, pixels: PixelSampler, numbers: Tensor, micro: int, half: bool, learn: bool
 ) -> Tensor:
-    """[S_error, S_target, count] summed over the batch and all ranks; with `learn`, gradients of
-    S_error are added.
+    """Return [S_error, S_target, count] summed over the batch and all ranks.
+
+    With `learn`, also add the gradients of S_error.
     """
     parts = torch.zeros(3, dtype=torch.float64)
     for mine in numbers[distributed.rank() :: distributed.world()].split(micro):
@@ -134,7 +135,7 @@ def _loss_parts(
 
 
 def loss_value(parts: Tensor) -> float:
-    """MSE + 10 RER from [S_error, S_target, count]."""
+    """Return MSE + 10 RER from [S_error, S_target, count]."""
     error, target, count = parts.tolist()
     return error / count + RER_SHARE * math.sqrt(error / max(target, 1e-12))
 
@@ -147,8 +148,9 @@ def _step(
     micro: int,
     half: bool,
 ) -> float:
-    """One update with the exact gradient of the batch's loss. Returns the loss (NaN: the update
-    was not made).
+    """Update once with the exact gradient of the batch's loss; return the loss.
+
+    A loss of NaN means that there was no update.
     """
     optimiser.zero_grad(set_to_none=False)
     parts = _loss_parts(net, pixels, numbers, micro, half, learn=True)
@@ -163,15 +165,16 @@ def _step(
     return loss_value(parts)
 
 
-# ---------------------------------------------------------------------------------------------- the
-# loop
+# ----------------------------------------------------------------------------------------------
+# the loop
 
 
 def _epoch_batches(
     pixels: PixelSampler, plan: TrainingPlan, run: Run, shape: Shape, seed: int
 ) -> Iterator[Tensor]:
-    """The epoch's batches of pair numbers; they follow from (seed, epoch) alone, so that
-    resuming repeats nothing.
+    """Yield the epoch's batches of pair numbers.
+
+    They depend on (seed, epoch) alone, so that a resumed training repeats nothing.
     """
     generator = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
     device, per_image = pixels.target.device, len(pixels.seen)
@@ -196,13 +199,14 @@ def _epoch_batches(
 
 
 def _whole_images(group: Tensor, per_image: int) -> Tensor:
-    """Numbers of all pixels of a group of images."""
+    """Return the numbers of all pixels of a group of images."""
     return (group[:, None] * per_image + torch.arange(per_image)).reshape(-1)
 
 
 def _short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
-    """A short warm-up, then a cosine to zero over the steps, or over the time when that runs out
-    first.
+    """Return the rate: a short warm-up, then a cosine to zero over the steps or the time.
+
+    The time counts if it ends first.
     """
     done = run.step / max(plan.steps, 1)
     if budget_s:
@@ -212,8 +216,9 @@ def _short_rate(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
 
 
 def _paper_rate(run: Run, improved: bool) -> None:
-    """Halve the rate after two epochs without gain, the batch after 30 epochs or when the rate
-    has vanished.
+    """Halve the rate after two epochs without gain.
+
+    Halve the batch after 30 epochs, or when the rate is below `LEAST_RATE`.
     """
     run.stale = 0 if improved else run.stale + 1
     run.stage_epoch += 1
@@ -237,12 +242,11 @@ def train(
     bfloat16: bool | None = None,
     progress: Progress = quiet,
 ) -> tuple[Net, NDArray[np.float64], dict[str, Any]]:
-    """Train, and return the network with its best validation weights, the average image and a
-    record of the training.
+    """Train; return the network with the best validation weights, the average image, and a record.
 
-    plan None: the paper's schedule when it fits in the budget, else a short one measured to fit.
-    checkpoint: written after each epoch; when it is there already, training goes on from it.
-    stop_after_epochs ends early as a kill would.
+    plan: None uses the paper's schedule if it fits in the budget, else a short one measured to fit.
+    checkpoint: written after each epoch; an existing one is continued. stop_after_epochs: end
+    early, as a kill would.
     """
     clock = _Clock(time.monotonic(), time.process_time())
     device = pick_device()
@@ -289,7 +293,7 @@ def train(
 
 
 def _record(loop: _Loop, validation_slots: list[str]) -> dict[str, Any]:
-    """What config.json keeps of a training."""
+    """Return what config.json records of a training."""
     run, plan = loop.run, loop.plan
     return {
         "schedule": plan.schedule,
@@ -310,7 +314,7 @@ def _record(loop: _Loop, validation_slots: list[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class _Clock:
-    """Seconds of this training, those before a cut included."""
+    """Seconds of this training, including those before an interruption."""
 
     wall_s: float
     process_s: float
@@ -329,7 +333,7 @@ class _Clock:
 
 @dataclass(frozen=True, slots=True)
 class _Loop:
-    """All that the batches of an epoch need."""
+    """Everything that the batches of an epoch need."""
 
     net: Net
     optimiser: torch.optim.Optimizer
@@ -344,8 +348,9 @@ class _Loop:
     progress: Progress
 
     def epoch(self, best: dict[str, Tensor]) -> None:
-        """One epoch's updates, or as many as the budget allows. A loss that is no number takes
-        up `best` again.
+        """Run one epoch's updates, or as many as the budget allows.
+
+        After a loss that is not finite, restore `best`.
         """
         run, plan = self.run, self.plan
         for batch in _epoch_batches(self.pixels, plan, run, self.shape, self.seed):
@@ -366,21 +371,21 @@ class _Loop:
 
 
 def _passes(run: Run, plan: TrainingPlan, pixels: PixelSampler) -> float:
-    """How often each training pixel was seen on average: the epochs in the paper's sense."""
+    """Return how often each training pixel was used on average: epochs in the paper's sense."""
     return (
         run.step * plan.batch_pixels / len(pixels) if plan.schedule == "short" else float(run.epoch)
     )
 
 
 def _validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """A tenth of the images validate, at least one; a lone image validates itself."""
+    """Split off a tenth of the images for validation, at least one; one image validates itself."""
     order = np.random.default_rng(seed).permutation(n)
     cut = max(1, round(VALIDATION_SHARE * n))
     return (np.sort(order[cut:]), np.sort(order[:cut])) if n > 1 else (order, order)
 
 
 def _exam_numbers(total: int, plan: TrainingPlan, seed: int) -> Tensor:
-    """All validation pixels; a fixed random part of them in the short schedule."""
+    """Return all validation pixels; in the short schedule a fixed random part of them."""
     numbers = torch.arange(total)
     if plan.schedule == "short" and total > SHORT_VALIDATION_PIXELS:
         numbers = torch.randperm(total, generator=torch.Generator().manual_seed(seed))[
@@ -398,7 +403,7 @@ def _finished(run: Run, plan: TrainingPlan, budget_s: float | None) -> bool:
 
 
 def _how_far(run: Run, plan: TrainingPlan, budget_s: float | None) -> tuple[int, int]:
-    """Thousandths of the training: by steps or epochs, or by time when that ends it."""
+    """Return thousandths of the training: by steps or epochs, or by time if that ends it."""
     done = (
         run.step / max(plan.steps, 1)
         if plan.schedule == "short"
@@ -410,8 +415,9 @@ def _how_far(run: Run, plan: TrainingPlan, budget_s: float | None) -> tuple[int,
 
 
 def _make_plan(net: Net, pixels: PixelSampler, budget_s: float | None, half: bool) -> TrainingPlan:
-    """The paper's schedule without a budget or when it fits in; else as many steps as the
-    measured speed allows.
+    """Return the paper's schedule if there is no budget or it fits in, else a short one.
+
+    The short one has as many steps as the measured speed allows.
     """
     micro = 8192 if pixels.target.device.type == "cpu" else 131_072
     if budget_s is None:

@@ -1,5 +1,7 @@
-"""How much of the sun's disc the camera sees in hours that nobody captured: by the stated room,
-by rooms drawn from its uncertainty, or guessed from a predicted map.
+"""Estimate how much of the sun's disc the camera sees in hours that nobody captured.
+
+It follows from the stated room, from rooms drawn from its uncertainty, or is guessed from a
+predicted map.
 """
 
 from __future__ import annotations
@@ -18,16 +20,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Share of the sky's luminance behind: between them the sun's pixel shows open sky through glass.
+# Luminance over that of the sky behind it: between these, the sun's pixel shows open sky through
+# glass. Not measured.
 SKY_SHARE = (0.3, 1.3)
-# Standard deviation of the sun's place against a geometry that is not parametric: a compass to
+# Standard deviation of the sun's place relative to a geometry that is not parametric: a compass to
 # 1 degree, and 5 cm at an edge 2.5 m away.
 EDGE_SD_DEG = 1.5
-DRAWN_ROOMS = 64  # 2.5 % of them is more than one; a year of them takes half a CPU second
+DRAWN_ROOMS = 64  # 2.5 % of them is more than one; a year of them takes half a second of CPU time
 
 
 def stated_disc_lx(setup: SiteFile, light: Light) -> Array | None:
-    """Return the disc's illuminance at the lens by the stated room, [n]; None without a room. [lx]
+    """Return the disc's illuminance at the lens by the stated room [n] lx; None without a room.
 
     The illuminance is on a plane normal to the sun.
     """
@@ -50,11 +53,11 @@ def drawn_discs_lx(
     count: int = DRAWN_ROOMS,
     uncertainty: RoomUncertainty | None = None,
 ) -> Array | None:
-    """Return the disc's illuminance in rooms drawn from the room's uncertainty, [count, n]; None
-    without a room. [lx]
+    """Return the disc's illuminance in rooms drawn from the room's uncertainty, [count, n] lx.
 
-    uncertainty : of a fitted room; by default the stated 5 cm and 1 degree. A room from a file has
-    no parameters: there the sun is shifted against its edges by `EDGE_SD_DEG`.
+    Return None without a room. uncertainty : of a fitted room; by default the stated 5 cm and
+    1 degree. A room from a file has no parameters: there the sun is shifted against its edges by
+    `EDGE_SD_DEG`.
     """
     room = setup.room
     if room is None:
@@ -77,7 +80,7 @@ def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Array:
 
 
 def _traced_disc_lx(room: Room, light: Light, suns: Array) -> Array:
-    """Disc behind the room of a file at directions `suns` [k, n, 3], [k, n]."""
+    """Return the disc behind the room of a file at directions `suns` [k, n, 3], [k, n]."""
     from fieldlum.scene.radiance import traced_sky_share
 
     shares = traced_sky_share(room, suns.reshape(-1, 3)).reshape(suns.shape[:2])
@@ -88,11 +91,11 @@ def _traced_disc_lx(room: Room, light: Light, suns: Array) -> Array:
 def guessed_disc_lx(
     maps: NDArray[np.float32], light: Light, heading_deg: float, turns_deg: Array | None = None
 ) -> Array:
-    """Return the disc's illuminance where no geometry is known, [n], or [k, n] for the sun shifted
-    by each of `turns_deg` [k, 2] (azimuth, altitude). [lx]
+    """Return the disc's illuminance where no geometry is known, [n] lx.
 
-    The pixel where the sun is shows sky when its luminance is that of the Perez sky there, times a
-    transmittance; the disc then shines through the same glass. A twig or a blind is not noticed.
+    With turns_deg [k, 2] (azimuth, altitude), return [k, n] for the sun shifted by each. The sun's
+    pixel shows sky if its luminance is that of the Perez sky there times a transmittance; the disc
+    then shines through the same glass. A twig or a blind is not detected.
     """
     sky = np.array(
         [light[[k]].sky_at(light.sun_direction[k : k + 1])[0, 0] for k in range(len(light))]

@@ -1,5 +1,6 @@
-"""The processes of torchrun: which one this is, and what all of them agree on. Alone, everything
-is as it stands.
+"""The processes of torchrun: rank, number, and values they agree on.
+
+Without torchrun these functions do nothing.
 """
 
 from __future__ import annotations
@@ -12,28 +13,32 @@ from torch import distributed as dist
 
 
 def rank() -> int:
+    """Return the number of this process, 0 without torchrun."""
     return int(os.environ.get("RANK", "0"))
 
 
 def world() -> int:
+    """Return the number of processes, 1 without torchrun."""
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def join(device: torch.device) -> None:
+    """Join the group of processes."""
     if world() > 1 and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
 
 
 def total(tensor: Tensor) -> Tensor:
-    """The sum over all ranks, in place."""
+    """Return the sum over all ranks, computed in place."""
     if world() > 1:
         dist.all_reduce(tensor)
     return tensor
 
 
 def agreed(value: float, device: torch.device) -> float:
-    """Rank 0's clock and speed hold for all: ranks that disagree about the end would wait for
-    each other for ever.
+    """Return rank 0's value on all ranks.
+
+    Ranks that disagree about the end of a training would wait for each other for ever.
     """
     if world() == 1:
         return value

@@ -1,5 +1,4 @@
-"""How far predicted maps are from the truth, as in the paper and by solid angle, with the sun's
-disc in the maps.
+"""Compare predicted maps with the truth, as in the paper and by solid angle, with the sun's disc.
 
 Luminance errors and `dgp_mse` use the true disc in truth and prediction, so they judge the map
 alone. `dgp_mse_own_disc` uses in the prediction the disc that a user gets: from the stated room, or
@@ -7,7 +6,7 @@ guessed from the map without one.
 
 paper: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum e^2 / sum
 t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid levels,
-with and without the authors' cut at 500. By solid angle: weights of mean 1; next to the mean the
+with and without the authors' cut at 500. By solid angle: weights of mean 1; with the mean also the
 median, 90th percentile and worst image.
 """
 
@@ -34,18 +33,19 @@ if TYPE_CHECKING:
     from fieldlum.models import Fitted, Prediction
     from fieldlum.models.data import Dataset
 
-FLOOR_CDM2 = 1.0
-RAMMG_CUT = 500.0
-GLARE_MAPS = 150  # at most so many maps are asked for DGP and RAMMG, evenly spread over the test
-KEPT_HEIGHT = 58  # rows of kept maps, at least: those of the smallest panoramas of a demo
-CHUNK = 24  # maps predicted at a time
+FLOOR_CDM2 = 1.0  # paper
+RAMMG_CUT = 500.0  # of the authors' code
+GLARE_MAPS = 150  # most maps that are evaluated for DGP and RAMMG, spread evenly; bounds the time
+KEPT_HEIGHT = 58  # rows of stored maps, at least: those of the smallest panoramas of a demo
+CHUNK = 24  # maps predicted at a time; bounds the memory
 BAND_90 = 1.6449  # standard deviations of a 90 % interval
 
 
 @dataclass(slots=True)
 class Scores:
-    """One value a map; NaN for what was not computed. error2, truth2: sums over pixels of e^2
-    and t^2 of log10 L.
+    """One value for each map; NaN for values that were not computed.
+
+    error2, truth2: sums over pixels of e^2 and t^2 of log10 L.
     """
 
     mse_weighted: NDArray[np.float64]
@@ -64,18 +64,18 @@ class Scores:
     rammg_truth: NDArray[np.float64]
     expected_mse: NDArray[np.float64]
     trusted: NDArray[np.bool_]
-    in_band: NDArray[np.float64]  # share of pixels whose truth lies in the model's 90 % interval
+    in_band: NDArray[np.float64]  # share of pixels whose truth is in the model's 90 % interval
     seconds: float = 0.0  # spent predicting, by the clock
     cpu_s: float = 0.0
     slots: tuple[str, ...] = field(default=())
-    maps: HeldOutMaps | None = None  # of those asked for glare, where `evaluate` keeps maps
+    maps: HeldOutMaps | None = None  # the maps evaluated for glare, if `evaluate` keeps maps
 
     def __len__(self) -> int:
         return len(self.mse)
 
 
 def join(parts: Sequence[Scores]) -> Scores:
-    """Scores of several tests as of one."""
+    """Return the scores of several tests as one."""
     others = ("seconds", "cpu_s", "slots", "maps")
     arrays = [f.name for f in fields(Scores) if f.name not in others]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
@@ -95,16 +95,17 @@ def join(parts: Sequence[Scores]) -> Scores:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a test needs once, whatever the model: weights, views, which maps are asked for
-    glare, their answers.
+    """Everything about a test set that does not depend on the model.
+
+    These are weights, views, the maps that are evaluated for glare, and their glare.
     """
 
     data: Dataset
     weights: NDArray[np.float64]
     views: Views
     glare_maps: NDArray[np.bool_]
-    dgp: NDArray[np.float64]  # [n, 10]; NaN where not asked
-    contrast: NDArray[np.float64]  # [n, levels], whose mean is RAMMG; NaN where not asked
+    dgp: NDArray[np.float64]  # [n, 10]; NaN where not evaluated
+    contrast: NDArray[np.float64]  # [n, levels], whose mean is RAMMG; NaN where not evaluated
     room_disc_lx: NDArray[np.float64] | None = None  # [n] by the stated room; None without one
 
 
@@ -136,7 +137,7 @@ def _dgp(maps: NDArray[np.float32], data: Dataset, views: Views) -> NDArray[np.f
 def _glare(
     maps: NDArray[np.float32], data: Dataset, views: Views
 ) -> dict[str, NDArray[np.float64]]:
-    """Glare of maps with the true disc, [n, d] each."""
+    """Return glare of maps with the true disc, [n, d] each."""
     return glare_directions(
         maps,
         data.heading_deg,
@@ -148,7 +149,7 @@ def _glare(
 
 
 def _contrast(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
-    """Contrast of each pyramid level with the true disc, [n, levels]; their mean is RAMMG."""
+    """Return the contrast of each pyramid level with the true disc, [n, levels]; mean: RAMMG."""
     whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
     return np.array([contrast_levels(image) for image in whole])
 
@@ -156,7 +157,7 @@ def _contrast(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float64]:
 def evaluate(
     fitted: Fitted, test: Truth, *, keep_maps: bool = False, progress: Progress = quiet
 ) -> Scores:
-    """Predict a test set in chunks and compare. keep_maps: of the maps asked for glare."""
+    """Predict a test set in chunks and compare. keep_maps: keep the maps evaluated for glare."""
     parts = []
     for rows in _chunks(np.arange(len(test.data))):
         progress(int(rows[0]), len(test.data), f"{fitted.name}: test")
@@ -177,11 +178,12 @@ def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
 
 
 def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
-    """Errors of log10 luminance, map by map. A value that is no number raises
-    FloatingPointError: never unseen.
+    """Return the errors of log10 luminance, map by map.
+
+    Raises FloatingPointError for a value that is not finite.
     """
     if not np.isfinite(prediction.luminance_cdm2).all():
-        raise FloatingPointError("a predicted map holds values that are no numbers")
+        raise FloatingPointError("a predicted map has values that are not finite")
     seen = data.seen
     target = _log10(data.luminance_cdm2, data)
     error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen].astype(np.float64)
@@ -268,7 +270,7 @@ def _glare_errors(
 def by_day(
     values: NDArray[np.float64], days: NDArray[np.datetime64]
 ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-    """Days and the mean of their maps' values."""
+    """Return the days and the mean of each day's values."""
     unique, which = np.unique(days, return_inverse=True)
     return unique, np.bincount(which, weights=values) / np.bincount(which)
 
@@ -314,7 +316,7 @@ def summary(scores: Scores) -> dict[str, Any]:
 
 
 def _dgp_r2(scores: Scores) -> float | None:
-    """Coefficient of determination over all views of the maps asked for DGP."""
+    """Return the coefficient of determination of DGP over all views of the evaluated maps."""
     error, mean, square = (_mean(v) for v in (scores.dgp_mse, scores.dgp_mean, scores.dgp_square))
     if error is None or mean is None or square is None or square <= mean**2:
         return None
@@ -322,7 +324,7 @@ def _dgp_r2(scores: Scores) -> float | None:
 
 
 def _flagging(scores: Scores) -> dict[str, float | None]:
-    """Share of the true worst tenth among the tenth that the model itself ranks worst."""
+    """Return the share of the true worst tenth in the tenth that the model itself ranks worst."""
     if not np.isfinite(scores.expected_mse).all() or len(scores) < 20:
         return {"worst_decile_found": None}
     tenth = max(1, len(scores) // 10)

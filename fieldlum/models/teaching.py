@@ -1,4 +1,4 @@
-"""How much each pixel of each capture teaches: merge's flags and uncertainties as weights."""
+"""Weights of each pixel of each capture in training, from merge's flags and uncertainties."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Flag, Panorama
 
-# A clipped value is a bound, a moved one is of another thing in each frame, a filled one is of its
-# neighbours. Bloom and noise are in u_cdm2.
+# A clipped value is a bound, a moved one belongs to another object in each frame, a filled one is
+# from its neighbours. Bloom and noise are in u_cdm2.
 TEACHES_NOTHING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
-_HALF = 1e-2  # relative variance at which a value counts half, as that of the light outside
-# A pixel that is flagged in most captures (the lamp that always clips) keeps what it has.
+_HALF = 1e-2  # relative variance at which a value counts half, as for the irradiance
+# A pixel that is flagged in most captures (a lamp that always clips) keeps its values.
 _MOSTLY = 0.5
-_DOUBTFUL = 0.1
+_DOUBTFUL = 0.1  # not measured
 
 
 def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
-    """Return what each pixel counts, 0 to 1, [H, W]; None where the picture does not record it."""
+    """Return the weight of each pixel, 0 to 1, [H, W]; None if the picture does not record it."""
     if panorama.flags is None and panorama.u_cdm2 is None:
         return None
     counts = np.ones(panorama.luminance_cdm2.shape)
@@ -35,10 +35,10 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
 def joined_counts(
     each: Sequence[NDArray[np.float16] | None], has_value: NDArray[np.bool_]
 ) -> NDArray[np.float16] | None:
-    """Return the counts of all captures [n, H, W], each pixel's largest 1; None where all count 1.
+    """Return the weights of all captures [n, H, W], each pixel's largest 1; None if all are 1.
 
-    has_value [n, H, W]: a value that is missing teaches nothing. An uncertainty that all captures
-    share (the scale of the camera) says nothing of which capture to believe, and cancels.
+    has_value: a missing value has weight 0 [n, H, W]. An uncertainty common to all captures (the
+    camera's scale) does not make one capture better than another, and cancels.
     """
     if all(counts is None for counts in each) and has_value.all():
         return None

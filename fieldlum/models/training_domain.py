@@ -1,4 +1,4 @@
-"""Whether an hour lies within what was captured: for models that have no variance of their own."""
+"""Decide whether an hour's light was captured, for models without a variance."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from fieldlum.light import Light
 
-SUNNY_WM2 = 60.0  # under it the sun lights a room less than the sky does
-SUN_GAP_DEG = (
-    12.0  # about 50 minutes of the sun's way, or three weeks of its declination near an equinox
-)
-RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance
+SUNNY_WM2 = 60.0  # under it the sun lights a room less than the sky does; not measured
+# About 50 minutes of the sun's path, or three weeks of its declination near an equinox.
+SUN_GAP_DEG = 12.0
+RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +26,9 @@ class Domain:
     dni_wm2: tuple[float, float]
 
     def holds(self, light: Light) -> NDArray[np.bool_]:
-        """[n] the hour's sun stands near a captured one (or does not shine), and its sky is of a
-        captured kind.
+        """Return whether the light of each hour was captured, [n].
+
+        The sun must be near a captured one (or not shine), and the sky in the captured range.
         """
         low, high = self.dhi_wm2
         slack = RANGE_SLACK * (high - low) + 10.0
@@ -49,6 +49,7 @@ class Domain:
         return np.full(len(light.dni_wm2), self.dni_wm2[0] < 2 * SUNNY_WM2)
 
     def state(self) -> dict[str, Any]:
+        """Return the domain as JSON can hold it."""
         return {
             "sun_directions": np.round(self.sun_directions, 5).tolist(),
             "dhi_wm2": list(self.dhi_wm2),
@@ -57,12 +58,13 @@ class Domain:
 
     @staticmethod
     def from_state(state: dict[str, Any]) -> Domain:
+        """Return the domain that `state` described."""
         low, high = (tuple(map(float, state[name])) for name in ("dhi_wm2", "dni_wm2"))
         return Domain(np.asarray(state["sun_directions"], float).reshape(-1, 3), low, high)  # pyright: ignore
 
 
 def captured(light: Light) -> Domain:
-    """The domain of a training set."""
+    """Return the domain of a training set."""
     sunny = light.dni_wm2 >= SUNNY_WM2
     return Domain(
         light.sun_direction[sunny],

@@ -1,6 +1,4 @@
-"""From captures to what is solved: pixels in rows, patches as columns, the sky seen through the
-windows.
-"""
+"""Arrange captures for the solver: pixels in rows, patches as columns, sky seen through windows."""
 
 from __future__ import annotations
 
@@ -28,32 +26,30 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-CELL_ROWS = CELL_COLUMNS = 23  # cells of the patch descriptor: about 8 x 16 degrees
-MOST_PATCH_CDM2 = (
-    3e4  # for the descriptor only: a sunlit white wall; above it is a window pixel or a disc
-)
-LEAST_CDM2 = 0.1  # below it relative errors mean nothing
-FAINT_SUN_LX = 20.0
-DISC_MARGIN = 2  # pixels around the sun that taking its disc out may have touched
-LOWEST_SUN_DEG = 1.0  # for what readings of the horizontal say about the sun's normal
+CELL_ROWS = CELL_COLUMNS = 23  # cells of the patch descriptor: about 8 x 16 degrees; not measured
+# Upper limit for the descriptor only: a sunlit white wall. Above it is a window pixel or a disc.
+MOST_PATCH_CDM2 = 3e4
+LEAST_CDM2 = 0.1  # below it relative errors are meaningless; not measured
+FAINT_SUN_LX = 20.0  # direct light below it does not show in a room; not measured
+DISC_MARGIN = 2  # pixels around the sun that removing its disc can have changed
+LOWEST_SUN_DEG = 1.0  # of readings on the horizontal that are used for the sun's normal
 # Below it closure divides by less than 0.05: 2 W/m2 in the horizontal become 40 W/m2 in the normal,
 # and sun.dni_by_closure gives 0 under 2 degrees.
 UNMEASURED_SUN_DEG = 3.0
 UNMEASURED_VARIANCE = 1.0  # relative: such a sun may give as much light as the sky
-UNSURE = 1e-2  # relative variance of the light outside at which an hour counts half
-WINDOW_SHARE = 0.05  # a pixel with less than this share of open sky is treated as a surface
-WINDOW_SCATTER = (
-    0.5  # window pixels follow the sky behind them at least twice as closely as the total light
-)
+UNSURE = 1e-2  # relative variance of the irradiance at which an hour counts half; not measured
+WINDOW_SHARE = 0.05  # a pixel with a smaller share of open sky is treated as a surface
+# Window pixels follow the sky behind them at least twice as closely as the total light.
+WINDOW_SCATTER = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class StateColumns:
-    """The room's states that the captures hold. always: a lamp that is on in all of them."""
+    """States of the room in the captures. always: a lamp that is on in all of them."""
 
     always: bool = False
     lamps: tuple[str, ...] = ()  # states that add light
-    changed: tuple[str, ...] = ()  # states that change the answer to daylight
+    changed: tuple[str, ...] = ()  # states that change the response to daylight
 
     def add(self, features: Features, light: Light) -> Features:
         """Return `features` with the columns of these states."""
@@ -81,10 +77,10 @@ def state_columns(light: Light) -> StateColumns:
 
 @dataclass(frozen=True, slots=True)
 class PatchDescriptor:
-    """Turn sun patch maps into features: the direct flux in view by cells of the picture.
+    """Turns maps of sun patches into features: the direct flux in view by cells of the picture.
 
-    The shape gives the cell edges; cells_norm comes from the captured hours and makes the features
-    about one when the sun is in the room.
+    The shape gives the cell edges; cells_norm comes from the captured hours, so that the features
+    are about one when the sun is in the room.
     """
 
     cells_norm: float
@@ -103,7 +99,7 @@ def _edges(size: int, count: int) -> NDArray[np.intp]:
 
 
 def _summed(picture: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Sum a picture [H, W] over its cells, [rows, columns]."""
+    """Return the sums of a picture [H, W] over its cells, [rows, columns]."""
     rows, columns = _edges(picture.shape[0], CELL_ROWS), _edges(picture.shape[1], CELL_COLUMNS)
     return np.add.reduceat(np.add.reduceat(picture, rows, axis=0), columns, axis=1)
 
@@ -135,7 +131,7 @@ def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> 
 def describe_patches(
     patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]
 ) -> PatchDescriptor:
-    """Choose the norm: the 75th percentile over sunny hours, a tenth of the largest at least."""
+    """Choose the norm: the 75th percentile over sunny hours, at least a tenth of the largest."""
     cells = patch_cells(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
     if not sunny.any() or not cells[sunny].any():
@@ -145,11 +141,10 @@ def describe_patches(
 
 
 def facades_seen(data: Dataset) -> Facades:
-    """Walls that let the sun in: from the room's windows, else from the sun directions of hours
-    with a patch.
+    """Return the walls that let the sun in.
 
-    Without a room, non-negative least squares of the direct flux in view on the cosines to sixteen
-    azimuths.
+    They follow from the room's windows. Without a room, they follow from the hours with a patch, by
+    non-negative least squares of the direct flux in view on the cosines to sixteen azimuths.
     """
     if data.setup.room is not None and data.setup.room.kind == "box" and data.setup.room.window:
         return facades_of(data.setup.room)
@@ -178,8 +173,9 @@ def facades_seen(data: Dataset) -> Facades:
 
 @dataclass(frozen=True, slots=True)
 class OpenSky:
-    """Pixels (of those seen) that show sky through glass: index [k], share [k] of open sky times
-    transmittance.
+    """Pixels (of those seen) that show sky through glass.
+
+    index: [k]; share: open sky times transmittance [k]; directions: [k, 3].
     """
 
     index: NDArray[np.intp]
@@ -187,11 +183,11 @@ class OpenSky:
     directions: Array  # [k, 3]
 
     def luminance(self, light: Light) -> NDArray[np.float32]:
-        """The sky behind these pixels, [n, k] cd/m2."""
+        """Return the luminance of the sky behind these pixels, [n, k] cd/m2."""
         return light.sky_at(self.directions) * self.share
 
     def mask(self, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """[H, W]"""
+        """Return these pixels as a mask, [H, W]."""
         flat = np.zeros(int(seen.sum()), bool)
         flat[self.index] = True
         out = np.zeros(seen.shape, bool)
@@ -202,12 +198,11 @@ class OpenSky:
 def open_sky_from_captures(
     luminance: NDArray[np.floating], patch: NDArray[np.floating] | None, light: Light, rays: Array
 ) -> OpenSky:
-    """Find the window pixels without any geometry: those that follow the Perez sky in their
-    direction.
+    """Find the window pixels without any geometry: those that follow the Perez sky behind them.
 
-    luminance, patch: [n, P]; rays [P, 3]. A pixel counts when the logarithm of its ratio to the sky
-    scatters less than half as much as that of its ratio to the total light. Its share is a low
-    quantile of the ratio, so that what is taken off is never more than what was there.
+    luminance, patch: [n, P]; rays: [P, 3]. A pixel is a window if the logarithm of its ratio to the
+    sky scatters less than half as much as that of its ratio to the total light. Its share is a low
+    quantile of the ratio, so that no more light is subtracted than there was.
     """
     above = np.flatnonzero(rays[:, 2] > 0.0)
     behind = light.sky_at(rays[above])
@@ -231,12 +226,12 @@ def open_sky_from_captures(
 
 @dataclass(frozen=True, slots=True)
 class TrainingArrays:
-    """Captures as the solver wants them: n hours, P seen pixels.
+    """Captures as arrays for the solver: n hours, P seen pixels.
 
-    weights [P] mean 1; patch is in cd/m2 of this room (a gain found before is in it); sky the known
-    window sky; filled [n, P] marks values that were not seen (where the sun's disc was taken out):
-    they teach nothing. unsure [n]: relative variance of the light outside (`light_variance`).
-    counts [n, P]: what each value counts by merge's flags and uncertainties; None: all alike.
+    weights: mean 1 [P]; patch: in cd/m2 of this room, with the gain that was found [n, P]; sky: the
+    known window sky [n, P]; filled: values that were not seen, where the sun's disc was removed,
+    and that have no weight [n, P]; unsure: relative variance of the irradiance (`light_variance`)
+    [n]; counts: weight of each value by merge's flags and uncertainties [n, P]; None: all equal.
     """
 
     light: Light
@@ -256,21 +251,21 @@ class TrainingArrays:
 
     @property
     def trust(self) -> Array:
-        """What each value counts in a fit, [n, P]."""
+        """Weight of each value in a fit, [n, P]."""
         trust = np.where(self.filled, 0.0, self.sureness[:, None])
         return trust if self.counts is None else trust * self.counts
 
     def without_flagged(self, error: Array) -> Array:
-        """Return errors [n, P], zero where a value is flagged: it is no truth to compare with."""
+        """Return errors [n, P], zero where a value is flagged and no truth to compare with."""
         return error if self.counts is None else np.where(self.counts > 0.0, error, 0.0)
 
     @property
     def sureness(self) -> Array:
-        """What each hour counts, [n]: one where its light was steady."""
+        """Weight of each hour: one where its light was steady, [n]."""
         return 1.0 / (1.0 + self.unsure / UNSURE)
 
     def __getitem__(self, pixels: NDArray[np.intp] | slice) -> TrainingArrays:
-        """Some of the pixels."""
+        """Return some of the pixels."""
         return replace(
             self,
             luminance=self.luminance[:, pixels],
@@ -282,6 +277,7 @@ class TrainingArrays:
         )
 
     def with_patch_scaled(self, factor: float) -> TrainingArrays:
+        """Return the arrays with all patches times a factor."""
         assert self.patch is not None
         return replace(self, patch=self.patch * np.float32(factor))
 
@@ -323,13 +319,12 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
 
 
 def light_variance(data: Dataset) -> Array:
-    """Relative variance of the light outside by its own readings, [n].
+    """Return the relative variance of the irradiance from its own readings, [n].
 
-    Their range over the bracket (change or noise) is taken for that of a rectangular distribution
-    (JCGM 100:2008,
-    4.3.7). Two horizontal readings give the sun's normal by dividing through the sine of its
-    altitude, and with it what they are off by. Under 3 degrees they give none at all: a direct
-    irradiance of zero there is unknown.
+    The range of the readings over the bracket (change or noise) is treated as the width of a
+    rectangular distribution (JCGM 100:2008, 4.3.7). The sun's normal irradiance is two horizontal
+    readings divided by the sine of its altitude, and their errors too. Under 3 degrees they give no
+    value: a direct irradiance of zero there is unknown.
     """
     light = data.light
     altitude = np.radians(np.maximum(light.sun_altitude_deg, LOWEST_SUN_DEG))
@@ -350,7 +345,7 @@ def _patches_unknown(data: Dataset) -> NDArray[np.bool_]:
 
 
 def around_disc(data: Dataset) -> NDArray[np.bool_]:
-    """Pixels from which a visible disc was taken, with a margin of two, [n, H, W]."""
+    """Return pixels from which a visible disc was removed, with a margin of two, [n, H, W]."""
     height, width = data.shape
     out = np.zeros((len(data), height, width), bool)
     hours = np.flatnonzero(data.disc_lx > 0.0)
@@ -366,11 +361,10 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
 
 
 def pixel_scale(arrays: TrainingArrays, gain: float = 1.0) -> Array:
-    """Mean light of each pixel per unit of total light, over the hours without direct sun on it,
-    [P].
+    """Return the mean light of each pixel per unit of total light, in hours without sun on it, [P].
 
-    Fewer than three such hours: what there is within the range of the others, else the median of
-    all pixels.
+    A pixel with fewer than three such hours gets their value within the range of the other pixels,
+    else the median of all pixels.
     """
     total = arrays.light.total_lx[:, None]
     luminance = np.maximum(arrays.luminance, LEAST_CDM2)

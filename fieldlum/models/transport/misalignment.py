@@ -1,6 +1,4 @@
-"""Sunny captures beside computed sun patches: what stands where, for any setting of north,
-clock, room and camera.
-"""
+"""Compare sunny captures with sun patches computed for any setting of north, clock and camera."""
 
 from __future__ import annotations
 
@@ -23,20 +21,22 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-HOURS = 48  # those with most direct sun in view
-LEAST_HOURS = 3
-FAINT = 0.02  # of the most direct sun in view: hours below it say little
-PIXELS = 4000
-SUB = 2  # rays a pixel is parted into, each way
+HOURS = 48  # those with most direct sun in view; bounds the time
+LEAST_HOURS = 3  # not measured
+FAINT = 0.02  # of the most direct sun in view: hours below it are not used; not measured
+PIXELS = 4000  # bounds the time
+SUB = 2  # rays per pixel in each direction
 WITHOUT_PATCH = Recipe(1e-2, rounds=4, rank=40)  # robust rounds find the light below the patches
-WIDTH = 0.4  # log error at which a pixel counts as half wrong
-MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3
+WIDTH = 0.4  # log error at which a pixel counts as half wrong; not measured
+MOST_TURN_DEG, MOST_SHIFT_PX = 3.0, 3  # reach of the search; not measured
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Sunny hours [n] at the pixels [m] that sun patches reach or pass by: captured light, the
-    light without any patch, the patches as given [n, H, W], and what it takes to make others.
+    """Sunny hours [n] at the pixels [m] that sun patches reach or nearly reach.
+
+    It has the captured light, the light without any patch, the stated patches [n, H, W], and what
+    is needed to compute others.
     """
 
     data: Dataset
@@ -45,22 +45,23 @@ class Evidence:
     weights: Array
     log_seen: Array
     background: Array
-    groups: NDArray  # hours of one group stand or fall together
-    points: SunPoints | None  # at the pixels alone
+    groups: NDArray  # hours of one group are resampled together
+    points: SunPoints | None  # at the pixels [m] only
     everywhere: SunPoints | None  # at all pixels
-    rates: tuple[Array, Array]  # of the sun's altitude and azimuth, degrees a minute
-    gains: tuple[float, float]  # of the given and of the computed patches
+    rates: tuple[Array, Array]  # of the sun's altitude and azimuth, degrees per minute
+    gains: tuple[float, float]  # of the stated and of the computed patches
 
     def given(self, right_px: float = 0.0, down_px: float = 0.0) -> Array:
-        """The given patches, moved."""
+        """Return the stated patches, moved [px], [n, m]."""
         assert self.data.patch_cdm2 is not None
         return moved(self.data.patch_cdm2[self.rows], self.pixels, right_px, down_px)
 
     def computed(
         self, turn_deg: float = 0.0, fast_min: float = 0.0, *, whole: bool = False
     ) -> Array:
-        """The room's patches if it stood turned and the clock were fast, [n, m] (whole: [n, H,
-        W]).
+        """Return the room's patches, if it were turned and the clock were fast, [n, m].
+
+        With `whole`, return complete maps [n, H, W].
         """
         points = self.everywhere if whole else self.points
         assert points is not None
@@ -78,20 +79,22 @@ class Evidence:
         )
 
     def walled(self, turn_deg: float) -> Array:
-        """The room's patches if it alone stood turned: sun and camera stay, all it holds moves
-        across the picture.
+        """Return the room's patches if only the room were turned, [n, m].
+
+        Sun and camera stay, and everything in the room moves across the picture.
         """
         right_px = turn_deg * self.data.shape[1] / 360.0
         return moved(self.computed(turn_deg, whole=True), self.pixels, right_px, 0.0)
 
     def light(self, patch: Array, gain: float) -> Array:
-        """ln L with a patch [n, m]."""
+        """Return ln L with a patch [n, m]."""
         return np.log(self.background + gain * patch)
 
     def misfit(self, patch: Array, gain: float) -> Array:
-        """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log
-        errors that saturate, so that a sunlit pixel taken for a dark one counts one and shades
-        of grey count little.
+        """Return the share of the pixels that a patch [n, m] leaves wrong in each hour, [n].
+
+        It is a mean of squared log errors that saturate: a sunlit pixel predicted dark counts one,
+        and shades of grey count little.
         """
         error = (self.light(patch, gain) - self.log_seen) ** 2
         return (error / (error + WIDTH**2)) @ self.weights
@@ -100,7 +103,7 @@ class Evidence:
 def moved(
     maps: NDArray[np.floating], pixels: NDArray[np.intp], right_px: float, down_px: float
 ) -> Array:
-    """maps [n, H, W] moved right and down, linear between pixels, at flat `pixels`, [n, m]."""
+    """Return maps [n, H, W] moved right and down, linear between pixels, at `pixels`, [n, m]."""
     height, width = maps.shape[1:]
     row, column = np.divmod(pixels, width)
     y, x = np.clip(row - down_px, 0.0, height - 1.0), column - right_px
@@ -113,7 +116,7 @@ def moved(
 
 
 def evidence_of(data: Dataset) -> Evidence | None:
-    """None without patches or with fewer than three hours of direct sun in view."""
+    """Return the evidence; None without patches or with under three hours of direct sun in view."""
     if data.patch_cdm2 is None:
         return None
     flux = direct_flux_lx(data.patch_cdm2, ~data.seen)
@@ -186,8 +189,9 @@ def _filled(parts: Evidence, data: Dataset) -> Evidence | None:
 
 
 def _without_patches(data: Dataset, pixels: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Captured light, and what robust rounds find below the patches without knowing them, [n, m]
-    each.
+    """Return captured light, and the light below the patches that robust rounds find, [n, m] each.
+
+    The robust rounds do not use the patches.
     """
     only = np.zeros(data.seen.size, bool)
     only[pixels] = True
@@ -205,8 +209,10 @@ def _without_patches(data: Dataset, pixels: NDArray[np.intp]) -> tuple[Array, Ar
 
 
 def _brightness(excess: Array, patch: Array) -> float:
-    """The patches' gain wherever they lie: in each hour the brighter half of the pixels that a
-    patch must fill, against as many of the brightest pixels; the median over hours.
+    """Return the patches' gain without using their position.
+
+    In each hour, compare the brighter half of the pixels that a patch must fill with as many of the
+    brightest pixels; return the median over hours.
     """
     ratios = []
     for over, lit in zip(excess, patch, strict=True):

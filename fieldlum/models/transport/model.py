@@ -1,4 +1,4 @@
-"""The fitted model: what it holds, how it predicts, how it is fitted.
+"""The fitted transport model: its content, prediction and fit.
 
     L(t, p) = E(t) m(p) max(F(t) b(p), least(p)) + g(p) s(t, p) + h(p) Q(t, p)
 
@@ -45,14 +45,15 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-SAMPLE = 600  # pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty
+# Pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not measured.
+SAMPLE = 600
 HOURS_AT_ONCE = 64  # bounds the work memory of a prediction to some 100 MB at 460 x 230
 LEAST_HOURS = 3
 
 
 @dataclass(frozen=True)
 class Transport:
-    """A room's light transport: its response to light, and how far to believe it."""
+    """A room's light transport: its response to light, and the uncertainty."""
 
     response: RoomResponse
     heading_deg: float
@@ -63,17 +64,18 @@ class Transport:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(H, W) of the maps."""
+        """Height and width of the maps [px]."""
         height, width = self.response.seen.shape
         return height, width
 
     @property
     def recipe(self) -> Recipe:
+        """The recipe that held-out days chose."""
         return self.response.recipe
 
     @property
     def parameters(self) -> int:
-        """Numbers stored per pixel and per captured hour."""
+        """Number of values stored per pixel and per captured hour."""
         pixels = self.response.pixels
         count = pixels.b.size + pixels.second.size + 4 * len(pixels.scale)
         return int(count + self.response.basis.projector.size)

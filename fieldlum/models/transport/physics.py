@@ -1,9 +1,9 @@
-"""Where the sun's light would go in the room as [room] describes it: a coarse prior that captures
-then correct.
+"""Where the sun's light would go in the room of [room]: a coarse prior that captures correct.
 
 A room file is rough: furniture is missing, reflectances are guesses. So the computed light is not
-added to anything. It only says which hours are alike: two hours that light the room's surfaces in
-the same way teach about each other, also when the sun has just cleared the house across the street.
+added to anything. It only decides which hours are alike: two hours that light the room's surfaces
+in the same way are informative about each other, also when the sun has just cleared the house
+across the street.
 """
 
 from __future__ import annotations
@@ -26,20 +26,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-HEIGHT = 16  # of the coarse panorama that the modes are made from
+HEIGHT = 16  # rows of the coarse panorama that the modes are computed from; not measured
 QUALITY = "draft"
-MODES = 48
-FAINT_SUN_LX = 20.0
+MODES = 48  # singular modes kept; not measured
+FAINT_SUN_LX = 20.0  # as `features.FAINT_SUN_LX`
 
 
 @dataclass(frozen=True)
 class Physics:
-    """modes [k, p]: singular modes of what the camera gets, after all bounces, from sun on the
-    room's p surface pieces, over `norm`, so that their features are about one with the sun in the
-    room.
+    """A coarse model of the sun's light in the room, after all bounces.
 
-    position [m, 3], axis, sign, share, piece [m]: points of the pieces that look for the sun, in
-    room coordinates.
+    modes: singular modes of the camera's light from sun on the room's p surface pieces, divided by
+    `norm`, so that their features are about one with the sun in the room [k, p]. position [m, 3],
+    axis, sign, share, piece [m]: points of the pieces that are tested for sun, in room coordinates.
     """
 
     room: Room
@@ -69,7 +68,7 @@ class Physics:
         )
 
     def features(self, light: Light) -> NDArray[np.float32]:
-        """Coarse bounced sunlight of each hour per unit of total light, [n, k]."""
+        """Return the coarse bounced sunlight of each hour per unit of total light, [n, k]."""
         points = self._points
         toward = points.scene.to_room(light.sun_direction)
         beam = light.direct_lx / light.total_lx / self.norm
@@ -84,8 +83,9 @@ class Physics:
 
 
 def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Physics | None:
-    """Return the room's physics with its norm set on the captured hours; None without a box room
-    or without any sun.
+    """Return the room's physics with its norm from the captured hours.
+
+    Return None without a box room or without any sun.
     """
     room = setup.room
     if room is None or room.kind != "box" or not room.window:
@@ -101,6 +101,7 @@ def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Phy
 
 @lru_cache(maxsize=4)
 def _modes_of(setup: SiteFile) -> Physics:
+    """Compute the room's light between surfaces, once: training fits a room some 20 times."""
     """Gather the room's light between surfaces once: training fits the same room some 20 times."""
     from fieldlum.simulate.gather import FIRST_PIECE
     from fieldlum.simulate.truth import ground_truth

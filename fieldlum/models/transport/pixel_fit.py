@@ -1,4 +1,4 @@
-"""The fit of all pixels: features from the kernel, ridge for each pixel, robust rounds."""
+"""Fit all pixels: features from the kernel, ridge for each pixel, robust rounds."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ from fieldlum.models.transport.ridge import (
 
 Array = NDArray[Any]
 
-RANK = 100
-SKY_GAIN_VARIANCE = 0.04
+RANK = 100  # features; bounds memory and time
+SKY_GAIN_VARIANCE = 0.04  # prior variance of a window pixel's sky gain; not measured
 LOG_STEPS = 2  # unbiased solves after the first fit
 LOG_STEP_FROM = 0.03  # rms log error under which the bias (1.5 of its square) is below 0.2 %
-ROBUST_WIDTH = 0.15  # log residual at which a capture counts half
-SECOND_NOISE = 0.06
-SECOND_SEASON = 0.02  # variance of what changes with the season whether the sun shines or not
-# of its usual light: a pixel darker than that (a hand before the lens) gets no more weight
+ROBUST_WIDTH = 0.15  # log residual at which a capture counts half; not measured
+SECOND_NOISE = 0.06  # noise of the second stage's log residuals; not measured
+SECOND_SEASON = 0.02  # variance of changes with the season, with or without sun; not measured
+# Of a pixel's usual light: a darker value (a hand in front of the lens) gets no more weight.
 DARK_SHARE = 0.03
-LEAST_SHARE = 0.3  # of the darkest a pixel was ever seen: predictions go no lower
+LEAST_SHARE = 0.3  # of the darkest value of a pixel: predictions go no lower; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What is left to choose. noise is relative variance; patch_variance the prior variance of
-    each pixel's patch gain; rounds of robust reweighting; second: width of the second stage on
-    the log residual (0: none); below: doubtful patches do not teach the light, it is found below
-    them as if there were none, and they are added as they are.
+    """Settings of a fit that held-out days choose.
+
+    noise: relative variance; patch_variance: prior variance of each pixel's patch gain; rounds: of
+    robust reweighting; second: width of the second stage on the log residual (0: none); below:
+    doubtful patches do not teach the light, which is then found below them as if there were none,
+    and they are added unchanged.
     """
 
     noise: float
@@ -50,8 +52,9 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """Eigenfeatures of the kernel on the training hours: values [n, r]; a new hour's are k(hour,
-    train) @ projector.
+    """Eigenfeatures of the kernel on the training hours.
+
+    values: [n, r]; the features of a new hour are k(hour, train) @ projector.
     """
 
     values: Array
@@ -68,15 +71,17 @@ def basis_of(covariance: Array, rank: int) -> Basis:
 
 
 def leading(basis: Basis, rank: int) -> Basis:
-    """The first `rank` of its features."""
+    """Return a basis of the first `rank` features."""
     return Basis(basis.values[:, :rank], basis.projector[:, :rank])
 
 
 @dataclass(frozen=True, slots=True)
 class PixelFit:
-    """What is known of each pixel: scale [P] light per unit of total light; b [P, r]; gains of
-    patch and sky [P]; least [P] of the surface part, in units of the scale; second [m, P]
-    weights of the second stage (m may be 0).
+    """Fitted values of each pixel.
+
+    scale: light per unit of total light [P]; b: [P, r]; patch_gain, sky_gain: [P]; least: lower
+    bound of the surface part, in units of the scale [P]; second: weights of the second stage, m can
+    be 0 [m, P].
     """
 
     scale: Array
@@ -88,17 +93,17 @@ class PixelFit:
 
 
 def light_arrays(arrays: TrainingArrays, recipe: Recipe) -> TrainingArrays:
-    """What the light is learnt from."""
+    """Return the arrays that the light is learnt from."""
     return replace(arrays, patch=None) if recipe.below else arrays
 
 
 def with_patches(surface: Array, arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Array:
-    """A fit and the patches that it was not taught, [n, P]."""
+    """Return a fit with the patches that it did not learn from, [n, P]."""
     return surface + arrays.patch / unit if recipe.below and arrays.patch is not None else surface
 
 
 def _columns(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
-    """Patch (where there is one) and window sky in units of total light and pixel scale."""
+    """Return patch (if there is one) and window sky in units of total light and pixel scale."""
     sky = arrays.sky / unit
     if arrays.patch is None:
         return Columns(sky[None], np.ones(1), np.array([SKY_GAIN_VARIANCE]))
@@ -108,8 +113,10 @@ def _columns(arrays: TrainingArrays, unit: Array, recipe: Recipe) -> Columns:
 
 @dataclass(frozen=True, slots=True)
 class ChunkFit:
-    """The fit of some pixels. target [n, P]: captured light in units of the scale; response,
-    weights [n, P]: what the last solve fitted, and how much each value counted.
+    """The fit of some pixels.
+
+    target: captured light in units of the scale [n, P]; response, weights: what the last solve
+    fitted, and the weight of each value [n, P].
     """
 
     columns: Columns
@@ -145,11 +152,10 @@ def fit_chunk(
 def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, products: tuple) -> None:
     """Take one Gauss-Newton step (in place) towards the least squared error of the logarithm.
 
-    Weights 1 / y^2 favour hours whose y came out too small by noise: at 20 % noise of the level the
-    fit is 6 % too dark. Squared log errors, linearised about the fit f, are ridge again, with
-    response f (1 + ln(y / f)) and weights 1 / f^2. The prior shrinks the level too, so that a last
-    factor makes the mean signed log error zero. Pixels that fit within LOG_STEP_FROM already are
-    left as they are.
+    Weights 1 / y^2 favour hours whose y is too small by noise: at 20 % noise of the level the fit
+    is 6 % too dark. Squared log errors, linearised about the fit f, are ridge again, with response
+    f (1 + ln(y / f)) and weights 1 / f^2. The prior shrinks the level too, so a last factor makes
+    the mean signed log error zero. Pixels that already fit within LOG_STEP_FROM do not change.
     """
     found = basis.values @ fit.b.T + np.einsum("knp,pk->np", fit.columns.values, fit.gains)
     near = np.clip(found, 0.2 * fit.target, 5.0 * fit.target)  # [n, P]
@@ -175,7 +181,7 @@ def _log_step(fit: ChunkFit, trust: Array, basis: Basis, recipe: Recipe, product
 
 
 def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Array) -> Array:
-    """The surface part may not fall under a share of the least that was seen or fitted."""
+    """Return the lower bound of the surface part: a share of the least seen or fitted, [P]."""
     unit = arrays.light.total_lx[:, None] * scale
     direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
     seen = np.maximum(arrays.luminance - direct, 0.02 * arrays.luminance) / unit
@@ -185,17 +191,15 @@ def least_surface(arrays: TrainingArrays, fit: ChunkFit, basis: Basis, scale: Ar
 
 
 def compose(surface: Array, least: Array, gains: Array, columns: NDArray[np.floating]) -> Array:
-    """Surface part (kept above `least`) plus the columns with gains that are never negative; [n,
-    P].
-    """
+    """Return the surface part, at least `least`, plus columns with non-negative gains, [n, P]."""
     return np.maximum(surface, least) + np.einsum("knp,pk->np", columns, np.maximum(gains, 0.0))
 
 
 def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width: float) -> Array:
-    """Covariance of the second stage between hours: what the sun does from nearly the same
-    direction, and the season.
+    """Return the covariance of the second stage between hours.
 
-    share: the sun's share of the total light.
+    It has two parts: what the sun causes from nearly the same direction, and the season. share_a,
+    share_b: the sun's share of the total light.
     """
     cosine = np.clip(a.sun_direction @ b.sun_direction.T, -1.0, 1.0)
     sharp = np.outer(share_a, share_b) * np.exp((cosine - 1.0) / width**2)
@@ -242,6 +246,7 @@ def fit_pixels(
 
 
 def second_inverse(arrays: TrainingArrays, recipe: Recipe) -> Array:
+    """Return the inverse covariance of the second stage with its noise, [n, n]."""
     if not recipe.second:
         return np.empty((0, 0))
     own = second_own(arrays, recipe)
@@ -249,15 +254,16 @@ def second_inverse(arrays: TrainingArrays, recipe: Recipe) -> Array:
 
 
 def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
+    """Return the covariance of the second stage between captured hours, [n, n]."""
     share = arrays.features.beam
     return second_covariance(arrays.light, arrays.light, share, share, recipe.second)
 
 
 def find_patch_gain(arrays: TrainingArrays, kernel: Kernel, noise: float = 1e-2) -> float:
-    """One factor for all patches of unknown scale.
+    """Return one factor for all patches of unknown scale.
 
-    Starts at the median of (L - median(L / E) E) / s over lit entries, then three times a robust
-    fit of pixels that are lit at least three times. 1.0 when no pixel ever is.
+    Start at the median of (L - median(L / E) E) / s over lit values, then run three robust fits of
+    pixels that are lit at least three times. Return 1.0 if no pixel is ever lit.
     """
     patch = arrays.patch
     assert patch is not None

@@ -1,4 +1,4 @@
-"""The linear answer of a room's pixels to light."""
+"""The linear response of a room's pixels to light."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class LightBasis:
-    """What the kernel compares a new hour with.
+    """Captured hours that the kernel compares a new hour with.
 
-    captured: features of the n captured hours; captured_light: their sun; projector [n, r];
-    physics: the coarse room model, if kept; patches: descriptor of sun patches, if known.
+    captured: features of the n captured hours; captured_light: their sun; projector: [n, r];
+    physics: the coarse room model, if used; patches: descriptor of sun patches, if known.
     """
 
     kernel: Kernel
@@ -35,10 +35,11 @@ class LightBasis:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMaps:
-    """Predicted hours at the P seen pixels, and what their uncertainty depends on.
+    """Predicted hours at the P seen pixels, and the inputs of their uncertainty.
 
-    luminance, patch [n, P] cd/m2 (patch: the part of direct sun); unit [n, P] cd/m2 for F b = 1;
-    cross [n, captures] kernel; second [n, captures or 0] kernel of the second stage.
+    luminance: [n, P] cd/m2; patch: the part of direct sun [n, P] cd/m2; unit: luminance for F b = 1
+    [n, P] cd/m2; cross: kernel [n, captures]; second: kernel of the second stage [n, captures or
+    0].
     """
 
     luminance: NDArray[np.floating]
@@ -51,7 +52,7 @@ class SurfaceMaps:
 
 @dataclass(frozen=True, slots=True)
 class RoomResponse:
-    """The linear answer of the seen pixels to light. seen [H, W]; pixel arrays run over seen."""
+    """The linear response of the seen pixels to light. seen: [H, W]; pixel arrays are over seen."""
 
     seen: NDArray[np.bool_]
     basis: LightBasis
@@ -61,7 +62,7 @@ class RoomResponse:
     recipe: Recipe
 
     def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
-        """Return what the kernel compares, of these hours."""
+        """Return the features of these hours that the kernel compares."""
         basis = self.basis
         features = basis.states.add(light_features(light), light)
         if basis.physics is not None:

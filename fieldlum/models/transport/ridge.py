@@ -1,9 +1,8 @@
-"""Weighted Bayesian ridge for all pixels at once, and what each held-out day would have been
-predicted as.
+"""Weighted Bayesian ridge for all pixels at once, and its predictions of held-out days.
 
 Each pixel minimises  sum_t w_t (y_t - F_t b - C_t g)^2 / noise + |b|^2 + sum_k (g_k - mean_k)^2 /
 variance_k,
-with features F shared by all pixels and columns C of its own. Everything is closed-form.
+with features F common to all pixels and columns C of its own. Everything is in closed form.
 """
 
 from __future__ import annotations
@@ -20,18 +19,15 @@ from threadpoolctl import threadpool_limits
 
 Array = NDArray[Any]
 
-CHUNK = (
-    1024  # pixels at a time and core: bounds the memory of the normal matrices to some 100 MB each
-)
-HELD_OUT_CHUNK = 128
-MOST_THREADS = 8
+# Pixels per core at a time: bounds the memory of the normal matrices to some 100 MB each.
+CHUNK = 1024
+HELD_OUT_CHUNK = 128  # smaller, as each pixel has a hat matrix
+MOST_THREADS = 8  # bounds the memory
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Covariates that each pixel has for itself, values [k, n, P], with a Gaussian prior on
-    their gains, [k].
-    """
+    """Covariates of each pixel, values [k, n, P], with a Gaussian prior on their gains, [k]."""
 
     values: NDArray[np.floating]
     mean: Array
@@ -42,15 +38,16 @@ class Columns:
 
 
 def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
+    """Yield slices over `count` pixels."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
 
 
 def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> Iterator[int]:
-    """Call `work` for every chunk, on all cores; yields how far it is.
+    """Call `work` for every chunk, on all cores; yield the number of finished pixels.
 
-    BLAS keeps to one thread meanwhile: on systems of a hundred unknowns its own threads wait for
-    each other.
+    BLAS uses one thread meanwhile: on systems of a hundred unknowns its threads wait for each
+    other.
     """
     parts = list(chunks(count, size))
     workers = min(os.cpu_count() or 1, MOST_THREADS)
@@ -60,7 +57,7 @@ def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> 
 
 
 def pair_products(features: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Products F_a F_b of every hour for a <= b, [n, r (r + 1) / 2], and the indices a and b."""
+    """Return products F_a F_b of every hour for a <= b, [n, r (r + 1) / 2], and indices a and b."""
     a, b = np.triu_indices(features.shape[1])
     return features[:, a] * features[:, b], a, b
 
@@ -73,11 +70,10 @@ def normal_matrices(
     noise: float,
     products: tuple | None = None,
 ) -> tuple[Array, Array]:
-    """(A [P, r + k, r + k], b [P, r + k]) of the normal equations A x = b for the deviations from
-    the prior mean.
+    """Return A [P, r + k, r + k] and b [P, r + k] of the normal equations A x = b.
 
-    target, weights: [n, P]. The shared block of all pixels is one matrix product of weights and
-    `pair_products`.
+    x is the deviation from the prior mean. target, weights: [n, P]. The block common to all pixels
+    is one matrix product of weights and `pair_products`.
     """
     count, r, k = target.shape[1], features.shape[1], len(columns.mean)
     both, i, j = products or pair_products(features)
@@ -109,7 +105,7 @@ def solve(
     noise: float,
     products: tuple | None = None,
 ) -> tuple[Array, Array]:
-    """(b [P, r], gains [P, k]) of every pixel."""
+    """Return b [P, r] and gains [P, k] of every pixel."""
     r = features.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     found = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
@@ -119,11 +115,11 @@ def solve(
 def held_out_days(
     features: Array, columns: Columns, target: Array, weights: Array, noise: float, days: NDArray
 ) -> Array:
-    """What each hour would be predicted as by a fit without its whole day, [n, P].
+    """Return each hour as predicted by a fit without its day, [n, P].
 
     With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals
-    without the day are (1 - H_DD)^-1 e_D (block form of the leave-one-out identity): no refit is
-    needed. Features and weights stay.
+    without the day are (1 - H_DD)^-1 e_D (block form of the leave-one-out identity), so no refit is
+    needed. Features and weights are those of the full fit.
     """
     out = np.empty(target.shape)
     products = pair_products(features)
@@ -167,8 +163,9 @@ def _held_out(
 
 
 def held_out_days_shared(covariance: Array, noise: float, target: Array, days: NDArray) -> Array:
-    """As `held_out_days` for a Gaussian process that all pixels share: covariance [n, n], target
-    [n, P].
+    """Return `held_out_days` of a Gaussian process common to all pixels, [n, P].
+
+    covariance: [n, n]; target: [n, P].
     """
     inverse = np.linalg.inv(covariance + noise * np.eye(len(covariance)))
     solved = inverse @ target

@@ -1,7 +1,8 @@
-"""Whether a wrong measure of the room explains sun patches that are not where they were computed.
+"""Decide whether a wrong measure of the room explains sun patches at a wrong place.
 
-A camera 15 cm off its stated place, or a window 10 cm aside, moves patches much as a wrong north or
-clock does. As long as such an error explains as much, no north, clock or wall is called sure.
+A camera 15 cm from its stated place, or a window displaced by 10 cm, moves patches much like a
+wrong north or clock. While such an error explains as much, no north, clock or wall is reported as
+certain.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene.drawn_rooms import room_parameters, with_parameters
 from fieldlum.scene.view import look
 
-# What a tape measure over furniture is off by; more is a slip of the pen, and one step shows it.
+# Errors of a tape measure over furniture. A larger one is a writing error, which one step shows.
 STEPS_M = (-0.15, -0.1, -0.05, 0.05, 0.1, 0.15)
 _MOVED = ("camera_x_m", "camera_y_m", "camera_z_m", "window left_m", "window sill_m")
 
 
 @dataclass(frozen=True, slots=True)
 class RoomError:
-    """One measure of the room changed: its name, by how much [m], and the misfit taken away."""
+    """One measure of the room changed: its name, by how much [m], and the misfit it explains."""
 
     name: str
     amount_m: float
@@ -32,7 +33,7 @@ class RoomError:
 
 
 def room_error(evidence: Evidence, progress: Progress = quiet) -> RoomError | None:
-    """Return the wrong measure that takes away most of the misfit; None without a box room.
+    """Return the wrong measure that explains most of the misfit; None without a box room.
 
     Amounts are tried in steps of 5 cm, one measure at a time; windows move together.
     """
@@ -68,7 +69,7 @@ def _tries(room: Room) -> Iterator[tuple[str, float, Room]]:
 
 
 def _misfit(evidence: Evidence, room: Room) -> float:
-    """Mean misfit with the patches of this room."""
+    """Return the mean misfit with the patches of a room."""
     data = evidence.data
     points = look(room, data.shape[0], data.heading_deg, SUB).sun_points(evidence.pixels)
     light = data.light[evidence.rows]

@@ -1,6 +1,4 @@
-"""What held-out days decide: the kernel, what it looks at, noise, robust rounds, patches, how
-many features.
-"""
+"""Choose by held-out days: kernel, its inputs, noise, robust rounds, patches, and features."""
 
 from __future__ import annotations
 
@@ -33,27 +31,22 @@ from fieldlum.statistics import is_no_worse, standard_error
 
 Array = NDArray[Any]
 
-FLOOR_CDM2 = 1.0  # scores look no deeper (the paper's floor)
+FLOOR_CDM2 = 1.0  # lower values are raised to it for scores (the paper's floor)
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 SEASONS_APART_DEG = 10.0  # gap in the declinations of the captures' days between two seasons
 NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
-ONE_SEASON_NOISE = (
-    3e-3  # held-out days of one season know nothing of the others: take no less noise than this
-)
-CHOOSING = 250  # pixels that choose kernel and recipe
-BESIDE_ROOM = (
-    0.3  # weight of the facade term beside a room model, which knows when the sun is hidden
-)
-SECOND_WIDTHS = (
-    0.1,
-    0.15,
-    0.2,
-)  # chord of the sun's direction within which a sun patch was still the same
+# Least noise for captures of one season: their held-out days do not test other seasons.
+ONE_SEASON_NOISE = 3e-3
+CHOOSING = 250  # pixels that choose kernel and recipe; bounds the time
+# Weight of the facade term next to a room model, which knows when the sun is hidden.
+BESIDE_ROOM = 0.3
+# Chord of the sun's direction within which a sun patch is still the same.
+SECOND_WIDTHS = (0.1, 0.15, 0.2)
 LAMP_NOISES = (1e-3, 1e-2)  # tried with a lamp that is always on
-LAMP_GAIN = 0.3  # share of the held-out error that a lamp always on must take away
+LAMP_GAIN = 0.3  # share of the held-out error that a lamp always on must explain; not measured
 PATCH_GAIN_VARIANCE = 0.0025  # prior variance of a pixel's patch gain
-FEWER = (40, 60)  # numbers of features tried before RANK of them; under forty captures all are kept
-FEWER_COST = 1.05  # of the held-out error of RANK features: what fewer may cost
+FEWER = (40, 60)  # features tried before RANK of them; for under forty captures all are used
+FEWER_COST = 1.05  # allowed held-out error of fewer features over that of RANK; not measured
 
 
 # ----------------------------------------------------------------------------------------------
@@ -61,7 +54,7 @@ FEWER_COST = 1.05  # of the held-out error of RANK features: what fewer may cost
 
 
 def _declination_deg(days: NDArray) -> Array:
-    """The sun's declination at the beginning of each day, [n]."""
+    """Return the sun's declination at the beginning of each day, [n]."""
     names, inverse = np.unique(days.astype("datetime64[D]"), return_inverse=True)
     return sun.declination_deg(
         [day.replace(tzinfo=UTC) for day in names.astype("datetime64[s]").tolist()]
@@ -69,15 +62,17 @@ def _declination_deg(days: NDArray) -> Array:
 
 
 def one_season(days: NDArray) -> bool:
-    """Whether the sun's declination hardly moved between the captures' days: what they say of
-    others is little.
+    """Return whether all days are of one season, so that they do not test other seasons.
+
+    That is so if the sun's declination changed by less than ONE_SEASON_DEG.
     """
     return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
 
 
 def seasons(days: NDArray) -> NDArray[np.intp]:
-    """Number of the season that each day belongs to: declinations with a gap between them are of
-    two, [n].
+    """Return the number of the season of each day, [n].
+
+    Days whose declinations have a gap between them are of two seasons.
     """
     declination = _declination_deg(days)
     known = np.unique(declination)
@@ -87,8 +82,10 @@ def seasons(days: NDArray) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class HeldOutFit:
-    """Predictions [n, P] cd/m2 of each hour without its day, and log10 errors above the floor of
-    1 cd/m2; sureness [n] of the hours.
+    """Each hour predicted without its day.
+
+    luminance: [n, P] cd/m2; error: log10 error above the floor of 1 cd/m2 [n, P]; sureness: weight
+    of the hours [n].
     """
 
     luminance: Array
@@ -98,26 +95,25 @@ class HeldOutFit:
 
     @property
     def per_hour(self) -> Array:
-        """Mean squared error [n]."""
+        """Mean squared error of each hour, [n]."""
         return (self.error**2).mean(axis=1)
 
     @property
     def judged(self) -> Array:
-        """What choices are made by, [n]: as `per_hour`, but an hour of unsteady light counts
-        less.
-        """
+        """Errors that choices are made by, [n]: `per_hour`, with less weight for unsteady light."""
         return self.per_hour * self.sureness / self.sureness.mean()
 
 
 def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
-    """log10 error with both sides floored."""
+    """Return the log10 error, with both values at least at the floor."""
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 
 
 @dataclass(frozen=True, slots=True)
 class _First:
-    """The first stage's prediction of each hour without its day, and what was seen, [n, P] in
-    units of the scale.
+    """The first stage's prediction of each hour without its day, and the captured light.
+
+    Both are [n, P] in units of the scale.
     """
 
     found: Array
@@ -126,8 +122,9 @@ class _First:
 
 
 def _hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> _First:
-    """Leave one day out in closed form: features, robust weights and pixel scales are those of
-    the full fit.
+    """Leave one day out in closed form.
+
+    Features, robust weights and pixel scales are those of the full fit.
     """
     taught = light_arrays(arrays, recipe)
     scale = pixel_scale(taught)
@@ -145,9 +142,7 @@ def _hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> _Fi
 def hold_out(
     arrays: TrainingArrays, basis: Basis, recipe: Recipe, first: _First | None = None
 ) -> HeldOutFit:
-    """What each hour would be predicted as by the others without its day; `first` where it is
-    known already.
-    """
+    """Return each hour as predicted by the hours of other days; `first` if it is known already."""
     first = first or _hold_out_first(arrays, basis, recipe)
     found = first.found
     if recipe.second:
@@ -160,7 +155,7 @@ def hold_out(
 
 
 def hold_out_seasons(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> HeldOutFit | None:
-    """As `hold_out` with whole seasons left out; None where there are no gaps between seasons."""
+    """Return `hold_out` with complete seasons; None where there are no gaps between seasons."""
     groups = seasons(arrays.days)
     return hold_out(replace(arrays, days=groups), basis, recipe) if groups.max() > 0 else None
 
@@ -168,8 +163,9 @@ def hold_out_seasons(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> He
 def choose(
     arrays: TrainingArrays, basis: Basis, recipes: list[Recipe]
 ) -> tuple[Recipe, list[tuple[Recipe, float, float]]]:
-    """The recipe of least error on held-out days, and the table (recipe, error, its standard
-    error over days).
+    """Return the recipe of least error on held-out days, and a table of all.
+
+    A row has the recipe, its error, and the error's standard error over days.
     """
     table, firsts = [], dict[Recipe, _First]()
     for recipe in recipes:
@@ -191,8 +187,10 @@ def _day_error(per_hour: Array, days: NDArray) -> float:
 
 
 def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
-    """Light found below all patches; days of one season, with the sun where it stood, would
-    choose any width.
+    """Return recipes that find the light below all patches.
+
+    For one season there is one width: its days, with the sun at nearly the same places, would
+    accept any width.
     """
     widths = SECOND_WIDTHS[:1] if one_season else SECOND_WIDTHS
     return [
@@ -201,7 +199,7 @@ def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
 
 
 def recipes_for(with_patch: bool, one_season: bool) -> list[Recipe]:
-    """Return what held-out days choose among, plainest first."""
+    """Return the recipes that held-out days choose among, simplest first."""
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
     if not with_patch:
         return _below(one_season)
@@ -212,9 +210,7 @@ def recipes_for(with_patch: bool, one_season: bool) -> list[Recipe]:
 
 @dataclass(frozen=True, slots=True)
 class SelectedRecipe:
-    """What held-out days chose: the kernel, what it looks at, the recipe; table of all that was
-    tried.
-    """
+    """Choice of held-out days: kernel, features and recipe; table: everything that was tried."""
 
     kernel: Kernel
     features: Features
@@ -229,10 +225,10 @@ class SelectedRecipe:
 def choose_model(
     drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
 ) -> SelectedRecipe:
-    """Return what serves held-out days best, at the pixels `drawn`.
+    """Return the best choice on held-out days, at the pixels `drawn`.
 
-    bounced [n, k]: what a coarse model of the room makes of the sun. A lamp that is on in all
-    captures is one of the choices.
+    bounced: the sun's light in a coarse model of the room [n, k]. A lamp that is on in all captures
+    is one of the choices.
     """
     chosen = _choose_recipe(drawn, kernel, bounced)
     always = replace(drawn.states, always=True)
@@ -244,7 +240,7 @@ def choose_model(
 
 
 def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe, days: NDArray) -> bool:
-    """Whether a constant light takes away much of the held-out error, on most days."""
+    """Return whether a constant light explains much of the held-out error, on most days."""
     gain = without.held.judged - lit.held.judged
     large = gain.mean() > LAMP_GAIN * without.held.judged.mean()
     return bool(large and gain.mean() > 2.0 * _day_error(gain, days))
@@ -258,8 +254,8 @@ def _choose_recipe(
     if with_patch and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
     chosen = replace(chosen, states=drawn.states)
-    # Days of one season do not know what others need; errors of unknown patches hide what fewer
-    # features cost.
+    # Skip feature reduction if all captures are of one season, or if patch errors dominate the
+    # held-out score.
     return chosen if alike or chosen.recipe.second else fewest_features(drawn, chosen)
 
 
@@ -269,11 +265,11 @@ def _choose_kernel(
     recipes: list[Recipe],
     bounced: NDArray[np.float32] | None,
 ) -> SelectedRecipe:
-    """The kernel and recipe that serve held-out days best, asked of some pixels.
+    """Return the kernel and recipe with the least error on held-out days, tested on some pixels.
 
-    A room model (its features `bounced`) speaks for suns that no capture had, held-out days do not:
-    it stays unless it makes them worse by more than a standard error. Beside it the facade term
-    counts less.
+    A room model (its features `bounced`) describes suns that no capture had, which held-out days do
+    not test: it stays unless it is worse by more than a standard error. With it, the facade term
+    has less weight.
     """
 
     def tried(kernel: Kernel, features: Features) -> SelectedRecipe:
@@ -300,8 +296,9 @@ def _doubted(
     bounced: NDArray[np.float32] | None,
     trusting: SelectedRecipe,
 ) -> SelectedRecipe:
-    """Where held-out days had to mend patches, they are asked too whether the light is better
-    learnt without them.
+    """Also test on held-out days whether the light is better learnt without the patches.
+
+    Do so where robust rounds had to correct patches.
     """
     bare = replace(drawn, features=replace(drawn.features, cells=None))
     doubting = _choose_kernel(bare, kernel, _below(one_season, patches=True), bounced)
@@ -310,11 +307,11 @@ def _doubted(
 
 
 def fewest_features(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
-    """No more features than held-out days ask for: the first of FEWER that costs at most 5 % of the
-    error of them all.
+    """Return the choice with the fewest features that held-out days allow.
 
-    What is noisy (pixels, irradiance, a sky that is not Perez's) supports fewer than a clean
-    rendering does, and a smaller model is quicker everywhere.
+    It is the first of FEWER whose error exceeds that of all features by at most 5 %. Noisy data
+    (pixels, irradiance, a sky that is not Perez's) support fewer features than a clean rendering
+    does, and a smaller model is faster everywhere.
     """
     drawn, table = replace(drawn, features=chosen.features), [*chosen.table]
     for rank in (r for r in FEWER if r < chosen.basis.values.shape[1]):

@@ -1,10 +1,9 @@
-"""What the captures say about their own setting: north, clock, and how camera and room stand, by
-where the sun falls.
+"""Test north, clock, camera and room against the captures, by where the sun falls.
 
-Sun patches have edges as sharp as the pixels. Where computed ones lie beside the captured ones, a
-sunlit pixel is predicted dark and a dark one sunlit, in every capture alike: held-out days show a
-poor fit, and not its cause. Here patches are computed anew for other settings, and the setting
-under which they cover the captured ones is looked for.
+Sun patches have edges as sharp as the pixels. If computed patches are displaced from the captured
+ones, a sunlit pixel is predicted dark and a dark one sunlit, in every capture. Held-out days then
+show large errors, but not their cause. Here patches are computed for other settings, and the
+setting is found under which they cover the captured ones.
 """
 
 from __future__ import annotations
@@ -33,23 +32,24 @@ Array = NDArray[Any]
 Amount = tuple[float, ...]
 
 TURNS_DEG = (MOST_TURN_DEG, 1.0, 0.125)  # reach, coarse and fine step
-MINUTES, SHIFTS_PX = (20.0, 4.0, 0.5), (float(MOST_SHIFT_PX), 1.0, 0.25)
-RESAMPLES = 200
-MOST_MOVES = 6
+MINUTES, SHIFTS_PX = (20.0, 4.0, 0.5), (float(MOST_SHIFT_PX), 1.0, 0.25)  # as TURNS_DEG
+RESAMPLES = 200  # of the bootstrap
+MOST_MOVES = 6  # of the joint search; bounds the time
 SURE = 3.0  # standard errors that an amount must have
-LEAST_GAIN = (
-    0.005  # share of the misfit that another setting must take away, and in most of the days
-)
-ALIKE = 0.8  # a cause that takes away so much of what the best one does may be it as well
-# patches moved by parts of a pixel are blurred, which draws the best amount to whole pixels
+# Share of the misfit that another setting must explain, and on most of the days.
+LEAST_GAIN = 0.005
+ALIKE = 0.8  # another cause that explains this share of the best one's gain is reported too
+# Patches moved by parts of a pixel are blurred, which draws the best amount to integer pixels.
 BLUR_PX = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class SettingFinding:
-    """What one cause alone would explain: the amounts by which it is off, their standard errors
-    over days, the misfit that is left and that of the setting as stated, and by how many
-    standard errors over days it is less.
+    """What one cause alone would explain.
+
+    amount: by how much it is wrong; error: standard errors over days; misfit, stated: the misfit
+    that remains and that of the stated setting; sigmas: their difference in standard errors over
+    days.
     """
 
     cause: str
@@ -61,24 +61,27 @@ class SettingFinding:
 
     @property
     def gain(self) -> float:
-        """Misfit taken away."""
+        """Misfit that the cause explains."""
         return self.stated - self.misfit
 
     @property
     def sure(self) -> bool:
+        """Whether the amount and the gain are certain."""
         far = max(abs(a) / e for a, e in zip(self.amount, self.error, strict=True))
         return far > SURE and self.gain > LEAST_GAIN * self.stated and self.sigmas > 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Findings, those that explain most first: "north" (deg: room and camera stand so much further
-    clockwise than stated), "clock" (min: the stated times are so much after the true ones), "north
-    and clock" (both), "wall" (deg: the room alone stands further clockwise), "camera" (px: patches
-    must move right and down). misfit is the share of the pixels near sun patches that are wrong,
-    over `hours` sunny hours. alike: other causes that explain nearly as much as the first.
-    slip_deg: how far the patches lie beside the captured ones, seen from the camera; 0 when no
-    cause is sure: then the setting is right as far as the captures can tell.
+    """Findings, those that explain most first.
+
+    Causes are "north" (deg: room and camera are turned further clockwise than stated), "clock"
+    (min: the stated times are later than the true ones), "north and clock" (both), "wall" (deg:
+    only the room is turned further clockwise), "camera" (px: patches must move right and down).
+    misfit: share of the pixels near sun patches that are wrong, over `hours` sunny hours. alike:
+    other causes that explain nearly as much as the first. slip_deg: displacement of the patches
+    from the captured ones as seen from the camera; 0 if no cause is certain: then the captures do
+    not contradict the setting.
     """
 
     findings: tuple[SettingFinding, ...]
@@ -89,9 +92,7 @@ class Setting:
 
     @property
     def wrong(self) -> SettingFinding | None:
-        """What explains most, when any cause is sure and no wrong measure of the room explains as
-        much.
-        """
+        """The cause that explains most, if it is certain and no measure of the room explains it."""
         return self.findings[0] if self.slip_deg > 0.0 and self.room is None else None
 
 
@@ -100,7 +101,7 @@ class Setting:
 
 
 class _Curve:
-    """Misfits [n] at amounts that have been tried."""
+    """Misfits [n] at the amounts that were tried."""
 
     def __init__(self, misfit: Callable[..., Array]) -> None:
         self.misfit = misfit
@@ -117,7 +118,7 @@ class _Curve:
 
 
 def _along(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
-    """Coarse steps over the whole reach, then fine ones from the best to its neighbours."""
+    """Search with coarse steps over the full reach, then fine ones around the best."""
     for amount in np.arange(-reach, reach + coarse / 2, coarse):
         curve.at(float(amount))
     middle = curve.best()[0]
@@ -126,7 +127,7 @@ def _along(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
 
 
 def _across(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
-    """As `_along` in two directions."""
+    """Search as `_along` in two directions."""
     steps = np.arange(-reach, reach + coarse / 2, coarse)
     for a in steps:
         for b in steps:
@@ -141,7 +142,7 @@ def _across(curve: _Curve, reach: float, coarse: float, fine: float) -> None:
 
 
 def _jointly(curve: _Curve, start: Amount) -> None:
-    """Turn and clock together: from `start` to the best neighbour, in ever smaller steps."""
+    """Search turn and clock together: from `start` to the best neighbour, in ever smaller steps."""
     at = start
     curve.at(*at)
     for halving in (4.0, 2.0, 1.0):
@@ -156,8 +157,9 @@ def _jointly(curve: _Curve, start: Amount) -> None:
 
 
 def _spread(curve: _Curve, groups: NDArray) -> Amount:
-    """Standard errors of the best amount among those tried: whole groups drawn again with
-    replacement.
+    """Return standard errors of the best amount among those tried.
+
+    Complete groups are drawn again with replacement.
     """
     amounts = np.array(list(curve.tried))
     losses = np.array(list(curve.tried.values()))
@@ -170,17 +172,17 @@ def _spread(curve: _Curve, groups: NDArray) -> Amount:
 
 
 def _sigmas(gain: Array, groups: NDArray) -> float:
-    """Mean of `gain` [n] over its standard error, groups being what is independent."""
+    """Return the mean of `gain` [n] over its standard error; groups are independent."""
     sums = np.array([gain[groups == g].sum() for g in np.unique(groups)])
     spread = float(sums.std(ddof=1)) * np.sqrt(len(sums))
     return float(sums.sum() / spread) if spread > 0.0 else 0.0
 
 
 def setting_scan(data: Dataset, progress: Progress = quiet) -> Setting | None:
-    """Which setting makes the computed sun patches cover the captured ones.
+    """Return the setting under which computed sun patches cover the captured ones.
 
-    Needs patches; north, clock and wall need a box room too. None where too few hours have direct
-    sun in view.
+    It needs patches; north, clock and wall also need a box room. Return None if too few hours have
+    direct sun in view.
     """
     progress(0, 100, "setting: light without patches")
     found = evidence_of(data)
@@ -253,8 +255,9 @@ def _finding(cause: str, curve: _Curve, groups: NDArray, least_error: Amount) ->
 
 
 def _ranked(findings: list[SettingFinding]) -> list[SettingFinding]:
-    """By what they take away, the most first; two causes at once must each be sure and do better
-    by far.
+    """Return findings by what they explain, the most first.
+
+    Two causes at once must each be certain and explain far more.
     """
     single = [f for f in findings if f.cause != "north and clock"]
     most = max(f.gain for f in single)
@@ -269,8 +272,9 @@ def _ranked(findings: list[SettingFinding]) -> list[SettingFinding]:
 
 
 def _slip_deg(found: Evidence, cause: str, best: Array) -> float:
-    """The shift across edges whose expected square equals that between the patches as stated and
-    at best.
+    """Return the displacement in degrees between the stated and the best patches.
+
+    It is the shift across edges whose expected square equals that between the two.
     """
     camera = cause == "camera"
     assert found.data.patch_cdm2 is not None

@@ -1,4 +1,4 @@
-"""A transport model as plain arrays and settings, and back; models of 0.1.0 too."""
+"""Convert a transport model to plain arrays and settings, and back; also models of 0.1.0."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def state_of(
 
 
 def response_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> RoomResponse:
-    """Return what `state_of` described; own: the table "transport" of config.json."""
+    """Return the response that `state_of` described; own: the table "transport" of config.json."""
     return RoomResponse(
         seen=arrays["seen"],
         basis=_basis(own, arrays),
@@ -83,7 +83,7 @@ def response_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> RoomRes
 
 
 def uncertainty_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Uncertainty:
-    """Return what `state_of` described."""
+    """Return the uncertainty that `state_of` described."""
     trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
     noise = {name: arrays[name] for name in ("noise_dull", "noise_sun")}
     return Uncertainty(**{**own["trust"], **trust, **noise})
@@ -112,7 +112,7 @@ def _basis(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LightBasis:
 
 
 def _states(table: dict[str, Any]) -> StateColumns:
-    """Models without states (0.1.0) have an empty table."""
+    """Return the states; models of 0.1.0 have none."""
     lamps, changed = tuple(table.get("lamps", ())), tuple(table.get("changed", ()))
     return StateColumns(bool(table.get("always", False)), lamps, changed)
 
@@ -123,7 +123,7 @@ def _kernel(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kernel:
     if "flux_width" not in settings:
         return Kernel(facades, **settings)
     width = settings.pop("flux_width")
-    settings.pop("around")  # 0 in every model of 0.1.0: nothing set it
+    settings.pop("around")  # 0 in every model of 0.1.0, which had no way to set it
     if "train_flux" not in arrays:
         return Kernel(facades, **settings)
     height, columns = arrays["seen"].shape
@@ -134,7 +134,7 @@ def _kernel(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kernel:
 
 @dataclass(frozen=True, slots=True)
 class FluxKernel(Kernel):
-    """The kernel of 0.1.0: it also compared the whole direct flux in view, the sum of its cells.
+    """The kernel of 0.1.0, which also compared the total direct flux in view.
 
     flux_of_cells [c]: what each cell adds to the flux.
     """

@@ -1,4 +1,4 @@
-"""How far each predicted pixel may be off, calibrated on held-out days."""
+"""Uncertainty of each predicted pixel, calibrated on held-out days."""
 
 from __future__ import annotations
 
@@ -24,31 +24,27 @@ from fieldlum.models.transport.selection import (
 Array = NDArray[Any]
 
 LOG10_E = float(np.log10(np.e))
-NORMAL_90 = 1.6449  # 90 % of a normal distribution lie within so many standard deviations
-CLASSES = (
-    0.05,
-    0.5,
-)  # the sun's share of the light that parts overcast, intermediate and clear hours
+NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal distribution
+# The sun's share of the light between overcast, intermediate and clear hours. Not measured.
+CLASSES = (0.05, 0.5)
 MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)
-LEAST_SD = 1e-4
-LEAST_VARIANCE = 1e-9
-# a factor of ten, in ln L: more says nothing, and a single such pixel would rule the mean of an
-# hour
+LEAST_SD = 1e-4  # avoids division by zero
+LEAST_VARIANCE = 1e-9  # avoids division by zero
+# Cap the sd of ln L: beyond a factor of ten, one pixel would dominate the hour's mean.
 MOST_SD = 2.3
-NEAR_SUN, NEAR_BEAM, FEW = (
-    0.2,
-    0.1,
-    0.1,
-)  # hours alike: chord of the sun's direction, its share; weight of the guess
-# log10: an hour that a shift of its sun patch would put off by over a quarter is not trusted
+# Hours are alike within this chord of the sun's direction and difference of its share; FEW is the
+# weight of the estimate next to them. Not measured.
+NEAR_SUN, NEAR_BEAM, FEW = 0.2, 0.1, 0.1
+# log10: an hour that a shift of its sun patch would change by over a quarter is not trusted
 SLIP_MSE = 0.01
-# an hour may be so much further from the captures than a held-out day was, and still be trusted
+# An hour can be this much further from the captures than a held-out day was, and is still trusted.
 NOVEL = 1.5
 
 
 def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
-    """Predictive variance of each hour by the others without its day, in units of the kernel,
-    [n]; noise [n].
+    """Return the predictive variance of each hour without its day, in units of the kernel, [n].
+
+    noise: [n].
     """
     inverse = np.linalg.inv(covariance + np.diag(noise))
     out = np.empty(len(days))
@@ -60,15 +56,15 @@ def held_out_variance(covariance: Array, noise: Array, days: NDArray) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """How far each pixel and hour may be off.
+    """Uncertainty of each pixel and hour.
 
-    inverse [n, n]: of kernel + noise over sureness; novelty: the most that a held-out day had;
-    factors on the standard deviation in overcast, intermediate and clear hours, by held-out days
-    and, where there are several, by held-out seasons [1 or 2, 3], and the predictive variances of
+    inverse: of kernel + noise over sureness [n, n]; novelty: the largest of a held-out day;
+    factors: on the standard deviation in overcast, intermediate and clear hours, from held-out days
+    and, if there are several, from held-out seasons [1 or 2, 3]; variances: predictive variances of
     both [1 or 2, 3]; patch: relative sd of a lit pixel's patch; mse: ratio of held-out error to its
-    guess; second [n, n]: as inverse, of the second stage (n may be 0); noise_dull, noise_sun [P]:
-    residual sd of ln L in overcast hours, and its growth with the sun; slip_deg: distance of the
-    computed sun patches from the captured ones, where `setting_scan` finds one.
+    estimate; second: as inverse, of the second stage, n can be 0 [n, n]; noise_dull: residual sd of
+    ln L in overcast hours [P]; noise_sun: its growth with the sun [P]; slip_deg: displacement of
+    the computed sun patches from the captured ones, if `setting_scan` finds one.
     """
 
     inverse: Array
@@ -110,8 +106,9 @@ class Uncertainty:
         return (sd * LOG10_E).astype(kind)
 
     def _sun_doubt(self, beam: Array, cross: Array) -> Array:
-        """Return the factor on a pixel's sun noise, [m]: the sun's share; with a second stage, the
-        distance of the sun from where it was captured.
+        """Return the factor on a pixel's sun noise, [m].
+
+        It is the sun's share; with a second stage, the sun's distance from captured directions.
         """
         if not len(self.second):
             return beam
@@ -125,21 +122,23 @@ class Uncertainty:
         gain: NDArray[np.float32],
         dark: NDArray[np.floating],
     ) -> NDArray[np.floating]:
-        """Return the variance of log10 L from misplaced sun patches [m, H, W], [m, P]."""
+        """Return the variance of log10 L from displaced sun patches [m, H, W], [m, P]."""
         slip_px = self.slip_deg * patch.shape[1] / 180.0
         return np.float32(LOG10_E**2) * slip_variance(patch, seen, gain, dark, slip_px)
 
     def slip_trusted(self, off: Array) -> NDArray[np.bool_]:
-        """Return whether the expected log10 MSE [m] from misplaced patches is small."""
+        """Return whether the expected log10 MSE [m] from displaced patches is small."""
         return off < SLIP_MSE
 
     def trusted(self, variance: Array) -> NDArray[np.bool_]:
+        """Return whether hours are near enough to the captures, [m]."""
         return variance <= NOVEL * self.novelty
 
     def factor(self, beam: Array, variance: Array) -> Array:
-        """[m] of each hour's class, blended between the classes' middles so that nothing jumps;
-        of held-out days for hours as well known as those were, of held-out seasons for hours as
-        new as those.
+        """Return the factor of each hour's class, [m], continuous between the classes' middles.
+
+        Hours as near to captures as held-out days get their factor, hours as far as held-out
+        seasons get those of the seasons.
         """
         factors, variances = (
             [np.interp(beam, MIDDLES, row) for row in np.log(a)]
@@ -154,9 +153,10 @@ class Uncertainty:
 
 
 def edge_range(patch: NDArray[np.float32], slip_px: float) -> tuple[NDArray, NDArray, float]:
-    """Least and most of sun patches [n, H, W] within `slip_px` of each pixel (one at least), and
-    how likely a pixel in that range is on the other side of an edge which is off by so much: a
-    straight edge has both its sides in it.
+    """Return least and most of sun patches [n, H, W] within `slip_px` of each pixel, at least one.
+
+    The third value is the probability that a pixel in that range is on the other side of a
+    displaced edge: the range around a straight edge has both its sides.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -178,10 +178,9 @@ def slip_variance(
     dark: NDArray[np.floating],
     slip_px: float,
 ) -> NDArray[np.floating]:
-    """Variance of ln L from sun patches [n, H, W] that may lie `slip_px` beside the true ones, [n,
-    P].
+    """Return the variance of ln L from sun patches [n, H, W] displaced by `slip_px`, [n, P].
 
-    dark [n, P]: luminance without the patch; gain [P] of the patch.
+    dark: luminance without the patch [n, P]; gain: of the patch [P].
     """
     low, high, odds = edge_range(patch, slip_px)
     span = np.log((dark + gain * high[:, seen]) / (dark + gain * low[:, seen]))
@@ -191,9 +190,10 @@ def slip_variance(
 def experience(
     light: Light, beam: Array, train: Light, train_beam: Array, held_out_mse: Array, guess: Array
 ) -> Array:
-    """Mean held-out error of the captures with the sun near there and as strong, [m]; never
-    under the `guess` [m], which also stands where there is none such. beam, train_beam: the
-    sun's share of the light.
+    """Return the mean held-out error of captures with a near and equally strong sun, [m].
+
+    It is at least the `guess` [m], which is also used where there is no such capture. beam,
+    train_beam: the sun's share of the light.
     """
     cosine = np.clip(light.sun_direction @ train.sun_direction.T, -1.0, 1.0)
     near = np.exp(
@@ -210,7 +210,7 @@ def log_sd(
     noise: tuple[NDArray[np.floating], NDArray[np.floating]],
     patch_sd: float,
 ) -> NDArray[np.floating]:
-    """Uncalibrated standard deviation of ln L, [m, P].
+    """Return the uncalibrated standard deviation of ln L, [m, P].
 
     surface_share: unit of the pixel over L; patch_share: patch over L; noise: each pixel's residual
     sd, and its growth with `doubt` about the sun [m].
@@ -225,8 +225,9 @@ def log_sd(
 def residual_noise(
     arrays: TrainingArrays, fitted: NDArray[np.floating], doubt: Array
 ) -> tuple[Array, Array]:
-    """Residual sd of ln L of each pixel in dull hours, and what the sun adds per unit of doubt
-    about it, [P] each.
+    """Return the residual sd of ln L of each pixel in overcast hours, and its growth with doubt.
+
+    Both are [P]; the growth is per unit of doubt about the sun.
     """
     error = np.log(np.maximum(fitted, FLOOR_CDM2) / np.maximum(arrays.luminance, FLOOR_CDM2))
     error = np.where(arrays.filled, 0.0, error) ** 2
@@ -242,7 +243,7 @@ def residual_noise(
 
 
 def sun_doubt(arrays: TrainingArrays, recipe: Recipe) -> Array:
-    """Return the factor on each captured hour's sun noise when its day is left out, [n]."""
+    """Return the factor on each captured hour's sun noise without its day, [n]."""
     if not recipe.second:
         return arrays.features.beam
     noise = np.full(len(arrays.light), SECOND_NOISE)
@@ -258,18 +259,17 @@ def calibrate(
     second: Array,
     seasons_out: HeldOutFit | None = None,
 ) -> Uncertainty:
-    """Fit the factors so that 90 % of the held-out errors are within 1.645 standard deviations in
-    each class.
+    """Fit the factors so that 90 % of the held-out errors are within 1.645 standard deviations.
 
-    arrays, noise: of the pixels that calibrate; noise_of_all: of all pixels. Days of one season
-    flatter each other: there the worst class sets all three factors. Of several seasons with gaps
-    between them, `seasons_out` holds out each as a block: its factors, where they are larger, are
-    for hours as new as those were.
+    That is so in each class. arrays, noise: of the pixels that calibrate; noise_of_all: of all
+    pixels. Errors of days in one season are too small, so there the worst class sets all three
+    factors. With several seasons, `seasons_out` holds out each as a block: its factors, where they
+    are larger, are for hours as far from the captures.
     """
     groups = [(chosen.held, arrays.days)]
     groups += [] if seasons_out is None else [(seasons_out, seasons(arrays.days))]
     patch_sd = max(_patch_sd(arrays, held) for held, _ in groups)
-    unsure = chosen.recipe.noise / arrays.sureness  # hours of unsteady light say little of others
+    unsure = chosen.recipe.noise / arrays.sureness  # hours of unsteady light have less weight
     variance = [held_out_variance(chosen.covariance, unsure, days) for _, days in groups]
     sds = [
         _held_out_sd(arrays, held, v, doubt, noise, patch_sd)
@@ -292,7 +292,7 @@ def calibrate(
 
 
 def _patch_sd(arrays: TrainingArrays, held: HeldOutFit) -> float:
-    """Relative sd of a sun patch, by held-out pixels that it rules."""
+    """Return the relative sd of a sun patch, from held-out pixels that it dominates."""
     if arrays.patch is None:
         return 0.0
     lit = (arrays.patch > 0.3 * np.maximum(held.luminance, LEAST_CDM2)) & ~arrays.filled
@@ -308,7 +308,7 @@ def _held_out_sd(
     residual: tuple[Array, Array],
     patch_sd: float,
 ) -> Array:
-    """Uncalibrated standard deviation of ln L of held-out predictions, [n, P]."""
+    """Return the uncalibrated standard deviation of ln L of held-out predictions, [n, P]."""
     seen = np.maximum(held.luminance, LEAST_CDM2)
     unit = arrays.light.total_lx[:, None] * held.scale
     share = 0.0 if arrays.patch is None else arrays.patch / seen
@@ -317,7 +317,7 @@ def _held_out_sd(
 
 
 def _factors(arrays: TrainingArrays, held: HeldOutFit, sd: Array) -> Array:
-    """What sd [n, P] must be multiplied by in overcast, intermediate and clear hours, [3]."""
+    """Return the factors on sd [n, P] in overcast, intermediate and clear hours, [3]."""
     ratio = np.abs(held.error) / LOG10_E / sd
     valid = ~arrays.filled
     return _of_classes(
@@ -326,8 +326,9 @@ def _factors(arrays: TrainingArrays, held: HeldOutFit, sd: Array) -> Array:
 
 
 def _of_classes(beam: Array, figure: Callable[[NDArray[np.bool_]], Any]) -> Array:
-    """A figure of the overcast, intermediate and clear hours, [3]; of all hours where there are
-    fewer than five.
+    """Return a figure of the overcast, intermediate and clear hours, [3].
+
+    A class with fewer than five hours gets the figure of all hours.
     """
     classes = (beam < CLASSES[0], (beam >= CLASSES[0]) & (beam < CLASSES[1]), beam >= CLASSES[1])
     return np.array(
