@@ -38,8 +38,10 @@ _OFFSET_SIGMA = 4.0  # an offset is written from so many standard errors on
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Block means of frames: share of the full scale and its weight [frames, blocks], NaN where a
-    block is saturated or dark; seconds [frames] as the profile reads them.
+    """Block means of frames.
+
+    share: of the full scale [frames, blocks], NaN where a block is saturated or dark; weight: of
+    each share [frames, blocks]; seconds: true times by the profile [frames] s.
     """
 
     share: Array
@@ -50,8 +52,11 @@ class Levels:
 
 @dataclass(frozen=True, slots=True)
 class LinearityFit:
-    """Coefficients a of 1 + a1 x + a2 x2 + ..., x the share of the full scale; the shutter's offset
-    and its standard error [s]; u_rel: held-out rms of the light.
+    """A fitted linearity.
+
+    coefficients: a of 1 + a1 x + a2 x2 + ..., with x the share of the full scale; offset_s,
+    u_offset_s: the shutter's offset and its standard error [s]; u_rel: held-out rms of the light,
+    relative.
     """
 
     coefficients: tuple[float, ...]
@@ -62,8 +67,9 @@ class LinearityFit:
 
 
 def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
-    """Read raw frames of one steady scene. Raises InputError for a frame of another camera, or of
-    another aperture or ISO than the first.
+    """Read raw frames of one steady scene.
+
+    Raises InputError for a frame of another camera, or of another aperture or ISO than the first.
     """
     shares: list[Array] = []
     weights: list[Array] = []
@@ -132,7 +138,7 @@ def fit(levels: Levels) -> LinearityFit:
 def _residuals(
     solution: Array, levels: Levels, rows: NDArray[np.bool_], of: NDArray[np.bool_]
 ) -> Array:
-    """ln of corrected light over time of frames `of`, less each block's mean over `rows`."""
+    """Return ln(corrected light / time) of frames `of`, minus each block's mean over `rows`."""
     with np.errstate(invalid="ignore"):
         light = np.log(levels.share * linearity_factor(levels.share, tuple(solution[1:])))
     off = light - np.log(levels.seconds + solution[0])[:, None]
@@ -148,8 +154,9 @@ def _centred(values: Array, levels: Levels, rows: NDArray[np.bool_]) -> Array:
 
 
 def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, Array]:
-    """Offset and coefficients by weighted least squares over frames `rows`, and covariance: Gauss
-    and Newton, from a linear sensor without an offset.
+    """Return offset and coefficients by weighted least squares over frames `rows`, and covariance.
+
+    Gauss-Newton steps start from a linear sensor without an offset.
     """
     unit = float(levels.seconds.min())
     powers = [levels.share**k for k in range(1, order + 1)]

@@ -40,7 +40,7 @@ class ViewCoverage:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """ "seen", "partly seen" or "not seen" for each direction."""
+        """State of each direction: "seen", "partly seen" or "not seen"."""
         return seen_words(self.seen_share)
 
     @property

@@ -31,8 +31,10 @@ _HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ce
 
 @dataclass(frozen=True, slots=True)
 class ClickedRoom:
-    """room : lengths in m. u : standard uncertainty of each by name [m, deg]. misfit_px : rms over
-    the clicks. notes : clicks that do not fit.
+    """A room from clicks.
+
+    room : lengths [m]. u : standard uncertainty of each by name [m, deg]. misfit_px : rms over the
+    clicks. notes : clicks that do not fit.
     """
 
     room: Room
@@ -84,8 +86,10 @@ def _numbers(clicks: Sequence[Click]) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """First guess and what each click means. values: azimuth of "south", distances to the four
-    walls, height; then along0, along1, low, high of each window in the frame of the camera.
+    """First guess, and the meaning of each click.
+
+    values: azimuth of "south" [deg], distances to the four walls and height [m]; then along0,
+    along1, low, high of each window in the frame of the camera [m].
     """
 
     values: Array
@@ -158,18 +162,16 @@ def _main_wall(ground: Array, theta_deg: float, facing: Array) -> float:
 
 
 def _distances(xy: Array, where: str) -> list[float]:
-    """Return distances from the camera to south, west, north and east. [m]"""
+    """Return distances [m] from the camera to south, west, north and east."""
     parts = [-xy[xy[:, 1] < 0, 1], -xy[xy[:, 0] < 0, 0], xy[xy[:, 1] >= 0, 1], xy[xy[:, 0] >= 0, 0]]
     if any(len(part) == 0 for part in parts):
-        found = "all floor corners lie on one side of the camera"
+        found = "all floor corners are on one side of the camera"
         raise InputError(where, found, "three corners of the floor around the camera")
     return [float(part.mean()) for part in parts]
 
 
 def _reach(xy: Array, distances: Sequence[float], *, corner: bool = False) -> float:
-    """Return the factor that takes a direction [2] to the wall it hits, or to the corner that it
-    points to.
-    """
+    """Return the factor that takes a direction [2] to the wall or the corner that it points to."""
     south, west, north, east = distances
     steps = [
         (east if xy[0] > 0 else west) / max(abs(float(xy[0])), 1e-9),
@@ -187,7 +189,7 @@ def _wall_of(xy: Array, distances: Sequence[float]) -> str:
 
 
 def _on_wall(ray: Array, wall: str, distances: Sequence[float]) -> tuple[float, float]:
-    """Return where a ray meets a wall's plane: along it, and above the camera. [m]"""
+    """Return where a ray meets a wall's plane [m]: along it, and above the camera."""
     axis, sign = _PLANES[wall]
     factor = sign * distances[_WALLS.index(wall)] / ray[axis]
     return float(ray[1 - axis] * factor), float(ray[2] * factor)
@@ -248,7 +250,7 @@ def _point(
     numbers: Sequence[int],
     h: float,
 ) -> Array:
-    """Return a click's point in the room's axes, from the camera. [m]"""
+    """Return a click's point in the room's axes [m], from the camera."""
     south, west, north, east, height = values[1:6]
     if click.window == 0:
         z = -h if click.kind == "floor" else height - h

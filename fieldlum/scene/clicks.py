@@ -21,8 +21,10 @@ COLUMNS = ("kind", "window", "x_px", "y_px")
 
 @dataclass(frozen=True, slots=True)
 class Click:
-    """One click. window: number from 1, 0 for corners of the room. x_px, y_px: from the panorama's
-    upper left corner. line: of the csv, or the number of the click.
+    """One click.
+
+    window: number from 1, 0 for corners of the room. x_px, y_px: from the panorama's upper left
+    corner. line: of the csv, or the number of the click.
     """
 
     kind: Kind
@@ -41,7 +43,7 @@ class ClickGrid:
     heading_deg: float
 
     def angles(self, x_px: float, y_px: float) -> tuple[float, float]:
-        """Return altitude and azimuth of a pixel position. [deg]"""
+        """Return altitude and azimuth [deg] of a pixel position."""
         azimuth = self.heading_deg + (x_px / self.width_px - 0.5) * 360.0
         return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
 

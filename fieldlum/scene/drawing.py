@@ -142,8 +142,9 @@ def _north(wall_azimuth_deg: float) -> str:
 
 
 def outline_pixels(room: Room, grid: ClickGrid, steps: int = 24) -> dict[str, list[list[float]]]:
-    """Return edges of the box and of the windows as lines of pixel positions x, y, x, y ...; broken
-    where a line leaves the picture at one side and enters at the other.
+    """Return edges of the box and of the windows as lines of pixel positions x, y, x, y ...
+
+    A line is split where it leaves the picture at one side and enters at the other.
     """
     camera = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
     low, high = np.zeros(3), np.array([room.width_m, room.depth_m, room.height_m])

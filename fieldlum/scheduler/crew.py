@@ -67,7 +67,7 @@ class RemoteCrew(Crew, Protocol):
 
 
 class LocalCrew:
-    """This process: one unit at a time."""
+    """Runs units in the current process, one at a time."""
 
     def __init__(self) -> None:
         self._next: tuple[int, WorkUnit] | None = None

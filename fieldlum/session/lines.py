@@ -71,9 +71,7 @@ def exclusive(handle: int) -> Iterator[None]:
 
 
 def _held(lock: Callable[[], None]) -> bool:
-    """Try a lock that does not wait, again and again for `_MAX_LOCK_S`; return whether it is
-    held.
-    """
+    """Try a lock that does not wait, repeatedly for `_MAX_LOCK_S`; return whether it is locked."""
     end = time.monotonic() + _MAX_LOCK_S
     while True:
         try:

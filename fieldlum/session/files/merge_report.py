@@ -70,7 +70,7 @@ class FrameQuality:
 
 @dataclass(frozen=True, slots=True)
 class NeighbourQuality:
-    """Disagreement of two frames next to each other in exposure, after all corrections. [%]
+    """Disagreement [%] of two frames next to each other in exposure, after all corrections.
 
     long, short: numbers of the frames within their heading.
     """
