@@ -8,6 +8,7 @@ import types
 import typing
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -343,6 +344,18 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True)
+class StrayLight:
+    """Stray light of the lenses: K at ascending angles; empty: not calibrated.
+
+    See photometry/stray_light.py; u_rel is of the stray light, not of the luminance.
+    """
+
+    angle_deg: tuple[float, ...] = ()
+    per_sr: tuple[float, ...] = ()
+    u_rel: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class NeutralDensity:
     """A neutral-density filter of the lens."""
 
@@ -374,7 +387,9 @@ class CameraProfile:
     colour: Colour = field(default_factory=Colour)
     scale: Scale = field(default_factory=Scale)
     nd: tuple[NeutralDensity, ...] = ()
-    glare_floor_rel: float = 0.0005  # veiling glare of the lens, as a share of the mean luminance
+    # Veiling glare of the lens, as a share of the mean luminance; 0 once [stray] is calibrated.
+    glare_floor_rel: float = 0.0005
+    stray: StrayLight = field(default_factory=StrayLight)
     expires: str = ""  # ISO date; doctor warns after it
     provenance: Provenance = field(default_factory=Provenance)
     # How nominal times without a measured one are read: see photometry/shutter_law.py.
@@ -463,6 +478,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         p.response.u_rel,
         p.sensor.linearity_u_rel,
         p.glare_floor_rel,
+        p.stray.u_rel,
         *(x.u_rel for x in p.shutter),
     )
     relative += (*(x.u_rel for x in p.nd), *(v.u_rel for x in p.lens for v in x.vignetting))
@@ -473,6 +489,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
             "u_rel and glare_floor_rel from 0 to below 1",
             "correct it",
         )
+    _check_stray(p.stray, where)
     if min(p.sensor.read_noise_e, p.bracket.seconds_per_frame, p.bracket.megabytes_per_frame) < 0:
         raise InputError(
             where,
@@ -516,6 +533,20 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
         found = f"response.low_code {p.response.low_code}, high_code {p.response.high_code}"
         raise InputError(where, found, "0 <= low < high <= 255", "correct it")
+
+
+def _check_stray(kernel: StrayLight, where: str) -> None:
+    angles, values = kernel.angle_deg, kernel.per_sr
+    rising = all(a < b for a, b in pairwise(angles))
+    if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
+        found = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
+        raise InputError(
+            where, found, "rising angles from 0 to 180, a value for each", "correct it"
+        )
+    falling = all(a >= b for a, b in pairwise(values))
+    if not falling or min(values, default=0.0) < 0:
+        found = f"[stray] per_sr = {list(values)}"
+        raise InputError(where, found, "values of 0 or more that do not rise", "correct it")
 
 
 def _check_mapping(lens: Lens, where: str) -> None:

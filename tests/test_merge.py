@@ -455,6 +455,7 @@ def test_a_spoilt_lens_gives_way() -> None:
             0 * one,
             np.full(3, flags, np.uint8),
             np.full((3, 3), value),
+            np.zeros(3),
         )
 
     both = blend([view(10.0, 0), view(20.0, 0)])

@@ -117,6 +117,7 @@ def test_a_turned_lens_keeps_its_one_curve() -> (
             0.01 * one,
             np.zeros(1, np.uint8),
             np.ones((1, 3)),
+            0 * one,
             lens,
         )
 

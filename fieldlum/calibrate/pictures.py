@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.photometry import linearity_factor, response_table, vignetting_at
+from fieldlum.photometry.stray_light import kernel_per_sr
 from fieldlum.plot_style import BLUE, GREEN, INK, RED, SAND, open_axes
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
         response,
         scale,
         shutter,
+        stray,
         vignette,
     )
 
@@ -261,4 +264,22 @@ def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Fig
         axes.set(xlabel="share of the full scale [%]", ylim=(-2, 2))
     left.set(ylabel="light over time less its mean [%]", title="as recorded")
     right.set(title="corrected")
+    return figure
+
+
+def of_stray(readings: Sequence[stray.StrayReading], found: stray.StrayFit) -> Figure:
+    """The kernel over the angle, and predicted against recorded stray light."""
+    total = 100 * found.total_share
+    figure, left, right = _two(f"Stray light: {total:.2g} % of a source's light is spread")
+    angle = np.geomspace(0.5, 180.0, 300)
+    nodes, values = np.asarray(found.kernel.angle_deg), np.asarray(found.kernel.per_sr)
+    left.plot(angle, 100 * kernel_per_sr(np.radians(angle), nodes, values), color=BLUE)
+    left.plot(nodes, 100 * values, "o", color=RED, ms=4)
+    left.set(xlabel="angle from the source [deg]", ylabel="K [% per sr]", xscale="log")
+    recorded = [r.stray_cdm2 for r in readings]
+    right.plot(recorded, found.predicted_cdm2, "o", color=RED, ms=4)
+    ends = [min(recorded), max(recorded)]
+    right.plot(ends, ends, color=BLUE, lw=1)
+    right.set(xlabel="recorded [cd/m²]", ylabel="by the kernel [cd/m²]")
+    right.set(xscale="log", yscale="log")
     return figure

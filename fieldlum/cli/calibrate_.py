@@ -8,7 +8,17 @@ import click
 
 # In the order in which a profile is fitted. Each name is a module calibrate_NAME with a click
 # command `command`.
-PARTS = ("lens", "response", "vignette", "colour", "scale", "shutter", "pixels", "linearity")
+PARTS = (
+    "lens",
+    "response",
+    "vignette",
+    "colour",
+    "scale",
+    "shutter",
+    "pixels",
+    "linearity",
+    "stray",
+)
 
 
 class _PartGroup(click.Group):

@@ -38,6 +38,8 @@ def calibration_mark(profile: CameraProfile) -> dict[str, str]:
     """
     p = profile
     parts = plain([p.lens, p.sensor, p.shutter, p.response, p.colour, p.nd])
+    if p.stray.angle_deg:  # absent otherwise, so that earlier pictures keep their digest
+        parts.append(plain(p.stray))
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     return {"camera": p.camera.name, "k": f"{p.scale.k:.8g}", "calibration": digest[:16]}
 

@@ -17,6 +17,7 @@ from fieldlum.linear_light import curve_u_rel, lens_geometry, vignetting_of
 from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.photometry import vignetting_at
+from fieldlum.photometry.stray_light import stray_cdm2
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import Equirect, Resampler, resampler
 from fieldlum.projection.resample import Target
@@ -49,6 +50,7 @@ class ProjectedImage:
     u_ratio: NDArray[np.float64]
     flags: NDArray[np.uint8]
     rgb: NDArray[np.float64]  # [n, 3]
+    u_stray: NDArray[np.float64]  # of the stray light that was removed, cd/m2
     lens: Lens | None = None  # None: of several
 
 
@@ -113,8 +115,38 @@ def view_through(
     edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
+    light, u_stray = rgb @ weights, np.zeros(len(rgb))
+    if profile.stray.angle_deg:
+        stray = _stray_of_lens(light, coverage > 0, profile, target)
+        remaining = np.maximum(light - stray, 0.0)
+        rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
+        light, u_stray = remaining, profile.stray.u_rel * stray
     return ProjectedImage(
-        rgb @ weights, var @ weights**2, coverage, edge, u_vignetting, u_ratio, flags, rgb, lens
+        light,
+        var @ weights**2,
+        coverage,
+        edge,
+        u_vignetting,
+        u_ratio,
+        flags,
+        rgb,
+        u_stray,
+        lens,
+    )
+
+
+def _stray_of_lens(
+    light: NDArray[np.float64], seen: NDArray[np.bool_], profile: CameraProfile, target: Target
+) -> NDArray[np.float64]:
+    """Return the stray light [n] in cd/m2 that the light in a lens's own field causes."""
+    kernel = profile.stray
+    rows, columns = (np.arange(count) + 0.5 for count in target.shape)
+    return stray_cdm2(
+        np.where(seen, light, 0.0),
+        target.solid_angles().ravel(),
+        target.rays(rows, columns).reshape(-1, 3),
+        np.asarray(kernel.angle_deg),
+        np.asarray(kernel.per_sr),
     )
 
 
@@ -149,6 +181,7 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
         flags |= np.where(part > 0.05, view.flags, 0).astype(np.uint8)
     flags[coverage.sum(0) < 1e-3] = Flag.OUTSIDE_LENS
     rgb = sum(part[:, None] * view.rgb for view, part in zip(views, share, strict=True))
+    u_stray = (share * np.stack([v.u_stray for v in views])).sum(0)  # one kernel for all lenses
     by_lens: dict[
         Lens | int, NDArray[np.float64]
     ] = {}  # one lens has one curve, wherever it is turned
@@ -166,6 +199,7 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
         u_ratio,
         flags,
         np.asarray(rgb, np.float64),
+        u_stray,
     )
 
 
@@ -180,7 +214,7 @@ def finish(
     """Return the finished map with its GUM budget and flags.
 
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
-    + edges^2. A filter is part of its frames' exposure. The glare floor is a share of the mean
+    + (stray light)^2 + edges^2. A filter is part of its frames' exposure. The glare floor is a share of the mean
     luminance seen. A clipped pixel is a lower bound with an uncertainty of 100 %.
     bench/merge_budget.py compares u with simulated cameras, bench/merge_scene.py its part for edges
     with a scene.
@@ -196,7 +230,7 @@ def finish(
     edges = u_of_edges(
         light.reshape(target.shape), seen.reshape(target.shape), target, profile
     ).ravel()
-    u = np.sqrt(view.variance + light**2 * relative + floor**2 + edges**2)
+    u = np.sqrt(view.variance + light**2 * relative + floor**2 + view.u_stray**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
     quiet = (view.flags & Flag.MOTION) == 0  # where frames disagree, their variance is no noise

@@ -1,0 +1,219 @@
+"""Stray light of a lens: from readings of black traps in bright fields to a kernel of the angle.
+
+A black trap (a deep dark box with a small hole) has no light of its own: what a picture shows there
+is stray light. The same holds for any dark place of a dark room with one lamp. Readings with the
+trap or the lamp at many angles give the kernel of `photometry.stray_light` by least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.calibrate.model_selection import Candidate, OrderSelection, choose, folds
+from fieldlum.calibrate.readings_csv import needed, read_table
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.images import calibration_mark
+from fieldlum.photometry.stray_light import kernel_per_sr
+from fieldlum.profiles import CameraProfile, StrayLight
+from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.records import Flag, Panorama
+from fieldlum.session.panorama_sun import read_panorama_with_sun
+
+Array = NDArray[np.float64]
+
+# Angles of the tried kernels, in degrees; octaves, because haze falls roughly with a power.
+NODE_SETS: tuple[tuple[float, ...], ...] = (
+    (1.5,),
+    (1.5, 96.0),
+    (1.5, 12.0, 96.0),
+    (1.5, 6.0, 24.0, 96.0),
+    (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
+)
+FEWEST_READINGS = 8
+TRAP_RADIUS_DEG = 0.5  # of the place that is averaged, unless the csv states another
+LEAST_U_REL = 0.1  # of the stray light: the interpolation on a grid of 3 degrees is no better
+MOST_SHARE = 0.3  # of a source's light; a lens with more is fogged, or the place was not black
+
+
+@dataclass(frozen=True, slots=True)
+class StrayReading:
+    """One dark place. stray_cdm2 : recorded less true luminance; light_sr : the lit pixels that the
+    lens sees, each one's angle from the place [n] in rad, and luminance times solid angle [n].
+    """
+
+    label: str
+    picture: Path
+    stray_cdm2: float
+    angle_rad: Array
+    flux: Array
+
+
+@dataclass(frozen=True, slots=True)
+class StrayFit:
+    """The kernel; the predicted stray light of each reading, cd/m2; and why this size."""
+
+    kernel: StrayLight
+    predicted_cdm2: Array
+    total_share: float
+    choice: OrderSelection
+
+
+def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
+    """Read a csv: panorama, azimuth_deg, altitude_deg of dark places.
+
+    luminance_cdm2 : the place's true luminance, 0 if the column is absent; radius_deg : of the
+    place. Azimuth is clockwise from north. Pictures hold one heading, merged without a stray-light
+    kernel. Raises InputError with the picture or the line at fault.
+    """
+    rows = read_table(
+        path, ("panorama", "azimuth_deg", "altitude_deg"), ("luminance_cdm2", "radius_deg")
+    )
+    pictures: dict[Path, Panorama] = {}
+    for row in rows:
+        file = needed(row, "panorama", path)
+        if file not in pictures:
+            pictures[file] = read_panorama_with_sun(file)
+            _check_calibration(file, pictures[file], profile)
+    return [
+        reading(
+            row["panorama"],
+            pictures[row["panorama"]],
+            profile,
+            (needed(row, "azimuth_deg", path), needed(row, "altitude_deg", path)),
+            row.get("luminance_cdm2") or 0.0,
+            row.get("radius_deg") or TRAP_RADIUS_DEG,
+        )
+        for row in rows
+    ]
+
+
+def _check_calibration(file: Path, picture: Panorama, profile: CameraProfile) -> None:
+    own = calibration_mark(replace(profile, stray=StrayLight()))["calibration"]
+    if picture.attributes.get("calibration", own) != own:
+        raise InputError(
+            file,
+            "merged with another calibration, or with a stray-light kernel",
+            f"a picture of {profile.camera.name} without [stray]",
+            "remove [stray] from the profile and merge it again",
+        )
+
+
+def reading(
+    file: Path,
+    picture: Panorama,
+    profile: CameraProfile,
+    at_deg: tuple[float, float],
+    true_cdm2: float = 0.0,
+    radius_deg: float = TRAP_RADIUS_DEG,
+) -> StrayReading:
+    """Return the stray light at azimuth and altitude `at_deg`, and the light that may cause it.
+
+    Only the field of the lens that sees the place best counts. Raises InputError for a place that
+    is clipped or that no lens sees.
+    """
+    height, width = picture.luminance_cdm2.shape
+    light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
+    rays = equirect_rays(height, width, picture.heading_deg).reshape(-1, 3)
+    solid = equirect_solid_angles(height, width).ravel()
+    toward = direction(at_deg[1], at_deg[0])
+    angle = np.arccos(np.clip(rays @ toward, -1.0, 1.0))
+    label = f"{file.stem} {at_deg[0]:g}/{at_deg[1]:g} deg"
+
+    inside = angle <= np.radians(max(radius_deg, 1.2 * 180.0 / height))
+    flags = np.zeros(len(light), int) if picture.flags is None else picture.flags.ravel()
+    if (flags[inside] & (Flag.CLIPPED_HIGH | Flag.OUTSIDE_LENS)).any():
+        raise InputError(
+            file, f"{label} is clipped or not seen", "a dark place in the picture", "check the line"
+        )
+    seen = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
+    use = seen & ~inside & (light > 0)
+    flux, away = (light * solid)[use], angle[use]
+    if picture.sun is not None:
+        source = direction(picture.sun.altitude_deg, picture.sun.azimuth_deg)
+        if _field_of_nearest_lens(source[None], toward, profile, picture.heading_deg)[0]:
+            flux = np.append(flux, picture.sun.normal_illuminance_lx)
+            away = np.append(away, np.arccos(np.clip(source @ toward, -1.0, 1.0)))
+    stray = float(light[inside].mean()) - true_cdm2
+    if stray <= 0:
+        found = f"{label}: {light[inside].mean():.3g} cd/m2, not more than its true luminance"
+        raise InputError(file, found, "stray light above it", "remove the line")
+    return StrayReading(label, file, stray, away, flux)
+
+
+def _field_of_nearest_lens(
+    rays: Array, toward: Array, profile: CameraProfile, heading_deg: float
+) -> NDArray[np.bool_]:
+    """Return which rays [n, 3] the lens sees whose axis is nearest to `toward` [3]."""
+    axes = [direction(lens.tilt_deg, heading_deg + lens.azimuth_deg) for lens in profile.lens]
+    nearest = int(np.argmax([axis @ toward for axis in axes]))
+    return rays @ axes[nearest] >= np.cos(np.radians(profile.lens[nearest].full_angle_deg / 2))
+
+
+def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:
+    """Fit the kernel: K >= 0 and falling with the angle; its size by held-out readings.
+
+    Raises NotEnoughDataError for too few readings, InputError for a kernel that no lens has.
+    """
+    if len(readings) < FEWEST_READINGS:
+        raise NotEnoughDataError(
+            f"{source}: {len(readings)} readings; at least {FEWEST_READINGS}, at different angles "
+            f"from the light, are needed"
+        )
+    stray = np.array([r.stray_cdm2 for r in readings])
+    groups = np.unique([str(r.picture) for r in readings], return_inverse=True)[1]
+    if groups.max() < 3:  # with fewer pictures each reading is held out by itself
+        groups = np.arange(len(readings))
+    candidates = []
+    for nodes in NODE_SETS:
+        design = _design(readings, nodes)
+        off = np.zeros(len(readings))
+        for held in folds(groups):
+            values = _falling(design[~held], stray[~held])
+            off[held] = (design[held] @ values - stray[held]) / stray[held]
+        candidates.append(Candidate(f"{len(nodes)} angles", len(nodes), off**2))
+    choice = choose("stray light", candidates, "% of it")
+    nodes = NODE_SETS[choice.index]
+    design = _design(readings, nodes)
+    values = _falling(design, stray)
+    share = total_share(nodes, values)
+    if share > MOST_SHARE:
+        raise InputError(
+            source,
+            f"{100 * share:.0f} % of the light would be stray light",
+            f"at most {100 * MOST_SHARE:.0f} %",
+            "check that the places are black, and luminance_cdm2 of those that are not",
+        )
+    u_rel = max(float(np.sqrt(candidates[choice.index].errors.mean())), LEAST_U_REL)
+    kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))
+    return StrayFit(kernel, design @ values, share, choice)
+
+
+def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Array:
+    """Return the stray light of each reading for a kernel of 1 at one node, [readings, nodes]."""
+    at, unit = np.asarray(nodes), np.eye(len(nodes))
+    columns = [
+        [float((kernel_per_sr(r.angle_rad, at, hat) * r.flux).sum()) for hat in unit]
+        for r in readings
+    ]
+    return np.array(columns)
+
+
+def _falling(design: Array, stray: Array) -> Array:
+    """Return K at the nodes by relative least squares, with K >= 0 and falling with the angle."""
+    from scipy.optimize import nnls
+
+    steps = np.triu(np.ones((design.shape[1],) * 2))  # K_i is the sum of all steps from i on
+    drop, _ = nnls(design @ steps / stray[:, None], np.ones(len(stray)))
+    return steps @ drop
+
+
+def total_share(nodes_deg: Sequence[float], values_per_sr: Array) -> float:
+    """Return the share of a source's light that K spreads over the sphere."""
+    angle = (np.arange(3600) + 0.5) / 3600 * np.pi
+    kernel = kernel_per_sr(angle, np.asarray(nodes_deg), np.asarray(values_per_sr))
+    return float((kernel * 2 * np.pi * np.sin(angle)).sum() * np.pi / 3600)

@@ -1,0 +1,54 @@
+"""`fieldlum calibrate stray`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.options import EXISTING_PATH
+
+
+@click.command()
+@click.argument("readings_csv", metavar="READINGS.csv", type=EXISTING_PATH)
+@calibration_options
+def command(
+    readings_csv: Path, camera: str, out: Path, picture: Path | None, as_json: bool
+) -> None:
+    """Fit the lens's stray light from black traps in bright fields.
+
+    READINGS.csv has panorama, azimuth_deg and altitude_deg of places that emit no light: the hole
+    of a deep dark box, or dark places around a lamp in a dark room; luminance_cdm2 if a place is
+    not black. Eight or more at different angles from the light, in pictures of one heading. `merge`
+    then removes the stray light and adds what the kernel does not explain to u.
+
+    \b
+    Example:
+      fieldlum calibrate stray traps.csv --camera mine.toml --out mine.toml --picture stray.png
+    """
+    from fieldlum.calibrate import pictures, stray
+    from fieldlum.profiles import load_camera_profile
+
+    profile = load_camera_profile(camera)
+    readings = stray.from_table(readings_csv, profile)
+    found = stray.fit(readings, readings_csv)
+    if picture:
+        pictures.save(pictures.of_stray(readings, found), picture)
+    files = list(dict.fromkeys(r.picture for r in readings))
+    figures = {
+        "angle_deg": list(found.kernel.angle_deg),
+        "per_sr": list(found.kernel.per_sr),
+        "u_rel": found.kernel.u_rel,
+        "total_share": round(found.total_share, 5),
+    }
+    write_profile(
+        out,
+        profile,
+        [readings_csv, *files],
+        [found.choice.line],
+        figures,
+        as_json,
+        stray=found.kernel,
+        glare_floor_rel=0.0,  # the kernel's u_rel is its successor
+    )

@@ -1,0 +1,114 @@
+"""Stray light of a lens: light from one direction that is recorded at other directions.
+
+A lens records L(x) + S(x) instead of L(x), with S(x) = integral of K(angle between x and y) L(y)
+over all directions y that it sees (a point spread that depends on the angle alone, as in CIE 146
+for the eye). K holds scatter and the common haze of many reflections. Ghosts (images of a lamp
+mirrored at the axis) are no function of the angle: they remain, and the kernel's `u_rel`, measured
+on readings that the fit did not use, has to cover them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Side of a source cell. Below half of it K is constant: nearer light is the lens's blur, not haze.
+CELL_DEG = 3.0
+# A cell with this share of all light or more acts on each pixel, not on the coarse grid: near a
+# window or lamp the stray light changes faster than the grid. 1 % each are at most 100 cells.
+_BRIGHT_SHARE = 0.01
+_TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0
+_BLOCK = 512  # grid directions at a time; limits memory only
+
+
+def kernel_per_sr(angle_rad: Array, nodes_deg: Array, values_per_sr: Array) -> Array:
+    """Return K at angles: linear in ln(angle) between nodes, constant outside them.
+
+    nodes_deg, values_per_sr : [k], ascending angles and K there. Shape of the result: of angle_rad.
+    """
+    smallest = np.radians(nodes_deg[0])
+    place = np.log(np.maximum(angle_rad, smallest))
+    return np.interp(place, np.log(np.radians(nodes_deg)), values_per_sr)
+
+
+def stray_cdm2(
+    luminance_cdm2: Array,
+    solid_angle_sr: Array,
+    rays: Array,
+    nodes_deg: Array,
+    values_per_sr: Array,
+) -> Array:
+    """Return the stray light at each pixel, in cd/m2, [n], from the recorded luminances.
+
+    luminance_cdm2, solid_angle_sr : [n], 0 where the lens sees nothing; rays : [n, 3], unit.
+    The recorded light stands for the true light: an error of second order in K, which the fit of K
+    makes in the same way.
+    """
+    flux = luminance_cdm2 * solid_angle_sr
+    cells, rows, columns = _cells_of(rays)
+    count = rows * columns
+    light = np.bincount(cells, flux, count)
+    weighted = [np.bincount(cells, flux * rays[:, axis], count) for axis in range(3)]
+    centre = np.stack(weighted, axis=1)  # [cells, 3]
+    lit = light > 0
+    centre[lit] /= np.linalg.norm(centre[lit], axis=1)[:, None]
+    bright = light >= _BRIGHT_SHARE * max(float(light.sum()), 1e-30)
+    table = _kernel_table(nodes_deg, values_per_sr)
+
+    dim = lit & ~bright
+    grid = _field(_grid_rays(rows, columns), centre[dim], light[dim], table)
+    out = _interpolated(grid.reshape(rows, columns), rays)
+    return out + _field(rays, centre[bright], light[bright], table)
+
+
+def _cells_of(rays: Array) -> tuple[NDArray[np.intp], int, int]:
+    """Return the latitude-longitude cell of each ray [n], and the grid's rows and columns."""
+    rows, columns = round(180.0 / CELL_DEG), round(360.0 / CELL_DEG)
+    row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows
+    column = (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns
+    row = np.minimum(row.astype(np.intp), rows - 1)
+    return row * columns + np.minimum(column.astype(np.intp), columns - 1), rows, columns
+
+
+def _grid_rays(rows: int, columns: int) -> Array:
+    """Return the directions of the cells' middles, [rows * columns, 3]."""
+    down = (np.arange(rows) + 0.5) / rows * np.pi
+    around = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
+    sine = np.sin(down)[:, None]
+    z = np.broadcast_to(np.cos(down)[:, None], (rows, columns))
+    return np.stack([sine * np.sin(around), sine * np.cos(around), z], axis=2).reshape(-1, 3)
+
+
+def _kernel_table(nodes_deg: Array, values_per_sr: Array) -> Array:
+    half = np.arcsin(np.linspace(0.0, 1.0, _TABLE + 1))
+    return kernel_per_sr(2 * half, nodes_deg, values_per_sr)
+
+
+def _field(at: Array, sources: Array, light: Array, table: Array) -> Array:
+    """Return the sum over sources [m, 3] of K times light [m], at directions [n, 3]."""
+    out = np.zeros(len(at))
+    if not len(sources):
+        return out
+    for start in range(0, len(at), _BLOCK):
+        part = at[start : start + _BLOCK]
+        # Three products, not a matrix product: the same bits on every processor.
+        cosine = part[:, :1] * sources[:, 0]  # [block, m]
+        cosine += part[:, 1:2] * sources[:, 1]
+        cosine += part[:, 2:] * sources[:, 2]
+        sine_half = np.sqrt(np.clip(0.5 - 0.5 * cosine, 0.0, 1.0))
+        step = (sine_half * _TABLE + 0.5).astype(np.int32)
+        out[start : start + _BLOCK] = (table[step] * light).sum(axis=1)
+    return out
+
+
+def _interpolated(grid: Array, rays: Array) -> Array:
+    """Return the grid's values [rows, columns] at rays [n, 3], bilinearly; columns are a circle."""
+    from scipy.ndimage import map_coordinates
+
+    rows, columns = grid.shape
+    row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows - 0.5
+    column = (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns - 0.5
+    closed = np.concatenate([grid[:, -1:], grid, grid[:, :1]], axis=1)
+    return map_coordinates(closed, [row, column + 1.0], order=1, mode="nearest")
