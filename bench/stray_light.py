@@ -114,7 +114,7 @@ def trap_readings(
         heading = view.true.heading_deg
         places = [(heading + rng.uniform(-75, 75), rng.uniform(-60, 60)) for _ in range(12)]
         toward = [direction(altitude, azimuth) for azimuth, altitude in places]
-        dark = np.any([view.rays @ t > np.cos(np.radians(TRAP_DEG)) for t in toward], axis=0)
+        dark = (view.rays @ np.array(toward).T > np.cos(np.radians(TRAP_DEG))).any(axis=1)
         shape = view.true.luminance_cdm2.shape
         picture = Panorama(photographed(view, lens, dark).reshape(shape), heading)
         name = Path(f"picture{number}.exr")
@@ -154,7 +154,8 @@ def row(lens: SimulatedLens, pictures: list[Panorama], profile: CameraProfile) -
             if reference[1] < DIM_DGP:
                 dim.append(dgp[-1])
             some = view.field & (true < np.quantile(true[view.field], 0.1)) & (true > 1e-3)
-            dark.append(tuple(float(np.median(x[some] / true[some] - 1)) for x in (raw, clean)))
+            off = [float(np.median(light[some] / true[some] - 1)) for light in (raw, clean)]
+            dark.append((off[0], off[1]))
             u = np.hypot(found.u_rel * haze, 0.02 * true)
             inside.append(float((np.abs(clean - true) < 2 * u)[view.field].mean()))
 
@@ -189,7 +190,8 @@ def main() -> None:
         f"`{' '.join(['python', 'bench/stray_light.py', 'SESSION'])}`: simulated lenses with known "
         f"haze and ghost, {count} pictures that the kernel has not seen. Each cell: without, with "
         f"the kernel of `calibrate stray` (36 black traps in three pictures). A ghost is no "
-        f"function of the angle: it stays, and u_rel must cover it.",
+        f"function of the angle: it stays, and u_rel must cover it. Within 2 u: u is u_rel "
+        f"of the removed light, and 2 % of the luminance.",
         "",
         "| haze | ghost | angles, u_rel | Ev rms [%] | DGP rms | DGP rms below 0.25 | "
         "darkest tenth [%] | within 2 u |",

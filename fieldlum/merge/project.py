@@ -214,8 +214,8 @@ def finish(
     """Return the finished map with its GUM budget and flags.
 
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
-    + (stray light)^2 + edges^2. A filter is part of its frames' exposure. The glare floor is a share of the mean
-    luminance seen. A clipped pixel is a lower bound with an uncertainty of 100 %.
+    + (stray light)^2 + edges^2. A filter is part of its frames' exposure. The glare floor is a
+    share of the mean luminance seen. A clipped pixel is a lower bound with an uncertainty of 100 %.
     bench/merge_budget.py compares u with simulated cameras, bench/merge_scene.py its part for edges
     with a scene.
     """

@@ -49,7 +49,7 @@ def stray_cdm2(
     flux = luminance_cdm2 * solid_angle_sr
     cells, rows, columns = _cells_of(rays)
     count = rows * columns
-    light = np.bincount(cells, flux, count)
+    light = np.asarray(np.bincount(cells, flux, count), np.float64)  # [cells]
     weighted = [np.bincount(cells, flux * rays[:, axis], count) for axis in range(3)]
     centre = np.stack(weighted, axis=1)  # [cells, 3]
     lit = light > 0
