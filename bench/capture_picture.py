@@ -45,7 +45,7 @@ def main() -> None:
     console = Console(record=True, width=66, file=io.StringIO())
     console.print(panel(seen[6], site))
     svg = console.export_svg(title="fieldlum capture office-2027")
-    # The page stands alone: the reader's own fixed-width font, none from the net.
+    # The page needs no other file: the reader's own fixed-width font, none from the net.
     Path(sys.argv[1]).write_text(
         re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL), encoding="utf-8"
     )

@@ -8,8 +8,8 @@ lines of undamaged readings are damaged one in a hundred, each once; how many th
 number by the profile alone, how many the driver lets through, and how many of those quality control
 leaves without a flag. The driver asks the SPN1 again. Of what talks by itself it knows the form of
 sixty lines before, and of a line a second it takes the median of the newest three since the last
-reading; right is then what lies between the three undamaged ones. Of these further answers and
-lines one in ten is damaged too. A TOA5 row stands in a file of 59. Skies are made of clouds whose
+reading; right is then what is between the three undamaged ones. Of these further answers and
+lines one in ten is damaged too. A TOA5 row is in a file of 59. Skies are made of clouds whose
 lengths follow a power law (exponent -1.66, as clouds' chords do), blown over the place at 5 to 20
 m/s, their shadows' edges blurred by the sun's disc and their own softness.
 """
@@ -335,7 +335,7 @@ def _apart(a: Reading, b: Reading) -> float:
 
 
 def _outside(reading: Reading, true: Sequence[Reading]) -> float:
-    """By how much a reading lies outside of the range of the true ones."""
+    """By how much a reading is outside of the range of the true ones."""
     ranges = [[value or 0.0 for value in values] for values in zip(*true, strict=True)]
     return max(
         max(min(r) - (x or 0.0), (x or 0.0) - max(r), 0.0)

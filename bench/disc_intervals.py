@@ -3,7 +3,7 @@
     python bench/disc_intervals.py [SITE.toml] [--rooms 100] [--length-m 0.05] [--angle-deg 1]
 
 Takes an even map that follows the sky for every hour of a year and ten directions, draws rooms that
-could be the true one, and counts how often DGP with that room's disc lies in the interval that
+could be the true one, and counts how often DGP with that room's disc is in the interval that
 `predict` would give (64 other rooms). The maps' own error is left out. Prints a table.
 """
 

@@ -2,9 +2,9 @@
 
     python bench/fuzz_parsers.py [--lines 13000] [--seed 1] [--only NAME]
 
-Hypothesis makes a whole line of each kind and damages it: cuts it, loses, adds or changes bytes,
+Hypothesis makes a complete line of each kind and damages it: cuts it, loses, adds or changes bytes,
 joins two halves, or puts noise in its place. Prints a Markdown table. Exits with 1 when a parser
-raised something else than the tool's own errors, refused a whole line, or read another number under
+raised something else than the tool's own errors, refused a complete line, or read another number under
 a CRC. (The exclusive or of one byte misses one in 256 of the damages to several bytes: no parser
 can do better on such a line.)
 """
@@ -188,7 +188,7 @@ def parsers() -> list[Parser]:
 
 @st.composite
 def damaged(draw: Any, lines: st.SearchStrategy[bytes]) -> tuple[str, bytes, bytes]:
-    """Kind of damage, the whole line, the line as it came."""
+    """Kind of damage, the complete line, the line as received."""
     line = draw(lines)
     kind = draw(st.sampled_from(["whole", "cut", "lost", "added", "changed", "joined", "noise"]))
     at, size = draw(st.integers(0, len(line) - 1)), draw(st.integers(1, 3))
@@ -249,7 +249,7 @@ def main() -> None:
     options = asked.parse_args()
     start, total, bad = time.monotonic(), 0, False
     print(
-        "| parser | guard | whole | refused | damaged | refused | read the same | read otherwise "
+        "| parser | guard | complete | refused | damaged | refused | read the same | read otherwise "
         "| other exceptions |"
     )
     print("|---|---|---|---|---|---|---|---|---|")

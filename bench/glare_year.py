@@ -1,5 +1,4 @@
-"""A year of maps and of glare in ten directions from a model trained here: seconds, memory, and
-evalglare beside it.
+"""A year of maps and of glare in ten directions from a model trained here: seconds, memory, compared with evalglare.
 
 Usage: python bench/glare_year.py PAIRS.csv [--weather FILE] [--upsample 2] [--views 10] [--sample
 20] [--every 1]
@@ -49,7 +48,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=10)
     parser.add_argument("--sample", type=int, default=20)
     parser.add_argument(
-        "--every", type=int, default=1, help="predict every so many hours; times are scaled up"
+        "--every", type=int, default=1, help="predict every Nth hour; times are scaled up"
     )
     args = parser.parse_args()
     data = load_pairs(args.pairs)

@@ -1,11 +1,9 @@
-"""Does the stated uncertainty cover the truth? Whole brackets of cameras that differ from their
-profile as it says.
+"""Does the stated uncertainty cover the truth? Complete brackets of cameras that differ from their profile within its uncertainties.
 
 Each realisation draws a camera whose shutter times, filters, vignetting, colour coefficients, k,
 lens flare and (JPEG) response differ from the profile by draws from exactly the uncertainties that
 the profile states, lets it photograph a new random scene with shot noise, read noise and rounding,
-merges the written files with the profile as it stands, and counts the pixels whose true luminance
-lies within 2 u of the map. In total, and with each part alone (the others neither drawn nor stated;
+merges the written files with the unchanged profile, and counts the pixels whose true luminance is within 2 u of the map. In total, and with each part alone (the others neither drawn nor stated;
 where noise is not the part, a raw sensor is nearly noiseless; JPEG codes always have theirs).
 
     python bench/merge_budget.py [--realisations 400] [--kind raw|headings|jpeg] [--only total]
@@ -73,7 +71,7 @@ class Set:
 
 
 def profile_of(which: Set) -> CameraProfile:
-    """A small camera whose stated uncertainties are those of the parts asked for; the rest are
+    """A small camera whose stated uncertainties are those of the requested parts; the rest are
     zero.
     """
     has = which.parts.__contains__

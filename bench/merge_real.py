@@ -362,7 +362,7 @@ def main() -> None:
     parser.add_argument("--memorial", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument(
-        "--venv", type=Path, help="folder of the peers' environment: colour-hdri beside the others"
+        "--venv", type=Path, help="folder of the peers' environment: colour-hdri next to the others"
     )
     parser.add_argument(
         "--pooled", action="store_true", help="fit the response to the bracket itself"

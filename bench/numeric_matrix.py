@@ -1,6 +1,6 @@
 """Run the tests under the arithmetic of other processors: BLAS kernels, torch kernels, threads.
 
-    make matrix                             # the whole suite under every setting
+    make matrix                             # the complete suite under every setting
     python bench/numeric_matrix.py --short  # the numeric tests under three settings, as in .ci/run
     python bench/numeric_matrix.py -m numeric tests/test_simulate.py  # what pytest understands
 

@@ -4,7 +4,7 @@ and `bench` read.
     python bench/office_seattle.py office_seattle.npz FOLDER
 
 writes FOLDER/<set>.csv for every set (k200, 9d, 12d, 4d, mar, sep, test), test100.csv (every fifth
-test hour), all.csv, pictures as EXR, site.toml. The archive itself is described where it lies; it
+test hour), all.csv, pictures as EXR, site.toml. The archive itself is described with it; it
 is not part of the project.
 """
 

@@ -5,7 +5,7 @@
 
 FOLDER is what office_seattle.py wrote. --dense ROOT adds the networks trained before in ROOT/<set>.
 Rows are added to OUT.csv as they come, so that a run that was cut off has what it had; each set's
-chart is drawn beside it at the end (--sets "" only draws).
+chart is drawn next to it at the end (--sets "" only draws).
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
     python bench/reliability_month.py --work DIR [--every 5] [--seed 1]
 
 The month runs in fast-clock time through the real capture loop, the real SPN1 driver on a
-pseudo-terminal and a camera in a watched child process, in a process that is killed at random. DIR
-should lie on a small file system of its own, so that the disk really gets full; on Linux, without
+pseudo-terminal and a camera in a watched child process, in a process that is killed at random. DIR should be on a small file system of its own, so that the disk really gets full; on Linux, without
 being root:
 
     unshare -rm sh -c 'mount -t tmpfs -o size=400m tmpfs /mnt && python bench/reliability_month.py
@@ -85,7 +84,7 @@ class Fault:
 
 
 def schedule(slots: list[Slot], rng: random.Random) -> list[Fault]:
-    """Faults over the whole month; those of the camera and half of the kills strike within a
+    """Faults over the complete month; those of the camera and half of the kills strike within a
     bracket.
     """
     first, last = slots[0].t_utc, slots[-1].t_utc
@@ -174,7 +173,7 @@ class MonthClock(FastClock):
 
 
 def true_total(unix_s: float) -> float:
-    """What the instrument says at a moment: every row can be checked."""
+    """What the instrument reports at a moment: every row can be checked."""
     return 100.0 + (unix_s % 50_000) / 100.0
 
 
@@ -443,7 +442,7 @@ def audit(session: Session, faults: list[Fault], outcome: dict[str, Any], every_
         f"slots: {len(slots)} planned, "
         + ", ".join(f"{n} {name}" for name, n in sorted(result.items()))
     )
-    print(f"done brackets that are whole: {whole} of {result['done']}")
+    print(f"done brackets that are complete: {whole} of {result['done']}")
     print(
         f"frames: {len(acknowledged)} acknowledged, {len(lost)} lost, {len(doubled)} doubled, "
         f"{len(stray)} strays"

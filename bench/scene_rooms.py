@@ -7,7 +7,7 @@
 Radiance and the radiosity of `scene_truth.py`, with the Perez sky and the sun; the sun patches by
 shadow rays alone. `judge` fits the transport model with no patch, with the patches of a stated box
 (standard deviations: lengths 1.5 %, edges 4 cm, camera 5 cm; north 1 degree, clock 5 minutes off),
-and with the exact patches, and prints the error on the test hours beside what
+and with the exact patches, and prints the error on the test hours next to what
 `fieldlum.scene_fit.verdict` chose and expected.
 """
 

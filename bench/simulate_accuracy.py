@@ -31,7 +31,7 @@ HOURS = (
 def plain(
     truth: simulate.GroundTruth, light: Light, pixels: np.ndarray, bounces: int
 ) -> np.ndarray:
-    """rtrace of the whole hour, [pixels] cd/m2, without the sun's disc."""
+    """rtrace of the complete hour, [pixels] cd/m2, without the sun's disc."""
     built, sky = truth.view.scene, light.sky
     toward = built.to_room(light.sun_direction[0])
     numbers = [sky.norm_cdm2[0] / 179, sky.ground_cdm2[0] / 179, *sky.shape[0], *toward]

@@ -1,7 +1,7 @@
-"""How far off a small sun comes out because each colour of a mosaic stands on some pixels only.
+"""How far off a small sun comes out because each colour of a mosaic is on some pixels only.
 
-A disc of so many pixels, softened by the optics as a Gaussian, falls anywhere between the pixels of
-an RGGB mosaic. Each colour's own pixels are summed, each with the area it stands for, as the
+A disc of some pixels, softened by the optics as a Gaussian, falls anywhere between the pixels of
+an RGGB mosaic. Each colour's own pixels are summed, each with the area it represents, as the
 projection does. Without noise.
 
     python bench/sun_on_mosaic.py [--places 200]
@@ -23,7 +23,7 @@ WIDE_PX, SPREAD_PX = (0.7, 1.3, 2.0, 3.0, 5.0, 8.0, 16.0), (0.0, 0.5, 0.8, 1.2)
 def luminances(
     wide_px: float, spread_px: float, places: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Of a disc of luminance 1 at so many places."""
+    """Of a disc of luminance 1 at some places."""
     import cv2
 
     size = 2 * int(wide_px / 2 + 4 * spread_px + 4)

@@ -5,7 +5,7 @@ test hours.
     absolute,gain,none,tape]
         [--noise 0.05] [--seed 0] [--coverage]
 
-The archive is described where it lies; it is not part of the project. Maps are compared with the
+The archive is described with it; it is not part of the project. Maps are compared with the
 sun's disc put back. Mode "tape": the patches are not the rendering's but made from a box with one
 clear window and no furniture.
 """

@@ -5,7 +5,7 @@ included.
     [--modes absolute]
 
 Each FOLDER is a session of rendered hours with pairs.csv and sets.json ({set: rows of pairs.csv};
-made by `fieldlum simulate` and bench/rooms). --rooms says what the model is told about the room:
+made by `fieldlum simulate` and bench/rooms). --rooms says what the model knows about the room:
 the file that the rendering was made from (given), a rough one as a tape measure gives it (no
 furniture, window edges 3 to 5 cm off and without bars, reflectances off by 20 to 50 %, those
 outside by 30 %), or nothing. The sun patches are the rendering's own.
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--modes", default="absolute")
     options = parser.parse_args()
     print(
-        "| room | set | patch | room told | weighted log10 MSE | median | p90 | worst | in 90 % "
+        "| room | set | patch | room known | weighted log10 MSE | median | p90 | worst | in 90 % "
         "interval: overcast, "
         "intermediate, clear | worst tenth flagged | fit CPU s | physics |"
     )

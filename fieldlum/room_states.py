@@ -15,7 +15,7 @@ KNOWN = {"lamp": ("off", "on"), "blind": ("up", "half", "down"), "snow": ("no", 
 """Words and their values; the first value of each is the usual one and is not written."""
 
 ADDED = "lamp"  # the word for light that does not follow the daylight
-OFF = "lamp=off"  # asked for in a prediction, it also switches off a lamp that is always on
+OFF = "lamp=off"  # in a prediction, it also switches off a lamp that is always on
 USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in KNOWN.items())
 
 

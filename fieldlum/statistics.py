@@ -58,7 +58,7 @@ def is_no_worse(
 
     errors, best_errors [n]: of the same data in the same order. The standard error is that of the
     paired differences, by `groups` as in `standard_error`: easy and difficult days are the same
-    for both models, so that their spread says nothing about the difference. With one datum or one
+    for both models, so their spread does not describe the difference. With one datum or one
     group the standard error counts as 0.
     """
     difference = np.asarray(errors, float) - np.asarray(best_errors, float)

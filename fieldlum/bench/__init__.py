@@ -138,7 +138,7 @@ def run(
     data: Dataset,
     *,
     test: Dataset | None = None,
-    whole: Dataset | None = None,
+    pool: Dataset | None = None,
     models: Sequence[str] = tuple(MODELS),
     seeds: int = 1,
     budget_min: float = 5.0,
@@ -150,7 +150,7 @@ def run(
     """Write score table, chart, learning curves, collection periods and stress tests into `out`.
 
     Collection periods need a year of data. test : hours to predict, by default held-out days of
-    `data`; hours that any model was trained on are never used. whole : all available hours, from
+    `data`; hours that any model was trained on are never used. pool : all available hours, from
     which seasons are drawn.
     """
     from fieldlum.bench import charts, stress
@@ -181,7 +181,7 @@ def run(
         spec = next((s for s in specs if s.name == "transport"), specs[0])
         teach, check = (data, test) if test is not None else _split(data)
         regimes = stress.run(
-            spec, teach, check, _without_test(whole, data, check), progress=progress
+            spec, teach, check, _without_test(pool, data, check), progress=progress
         )
         _store(out, "stress", regimes, charts.stress)
         parts.append(f"## Stress\n\n{markdown(regimes, STRESS)}")
@@ -207,11 +207,11 @@ def _split(data: Dataset) -> tuple[Dataset, Dataset]:
     return data.take(folds[0].teach), data.take(folds[0].check)
 
 
-def _without_test(whole: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
+def _without_test(pool: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
     """Return all available hours except those of the test."""
     import numpy as np
 
-    everything, asked = data if whole is None else whole, set(test.slots)
+    everything, asked = data if pool is None else pool, set(test.slots)
     return everything.take(np.array([slot not in asked for slot in everything.slots]))
 
 

@@ -172,15 +172,15 @@ def _months(data: Dataset) -> NDArray[np.int64]:
     return np.array([day.astype(object).month for day in data.days])
 
 
-def cases(data: Dataset, test: Dataset, whole: Dataset, *, seeds: int = 5) -> Iterator[Case]:
-    """Yield all regimes that the data allow; seasons are drawn from `whole`, without the test."""
+def cases(data: Dataset, test: Dataset, pool: Dataset, *, seeds: int = 5) -> Iterator[Case]:
+    """Yield all regimes that the data allow; seasons are drawn from `pool`, without the test."""
     yield Case("normal", data, test)
     for seed in range(1, seeds):
         yield Case(f"another seed ({seed})", data, test, seed=seed)
     low = (test.light.sun_altitude_deg < 10.0) & (test.light.dni_wm2 > 20.0)
     yield from _asked("sun disc in view", data, test, test.disc_lx > 0.0)
     yield from _asked("low sun, under 10 degrees", data, test, low)
-    yield from _seasons(whole, test)
+    yield from _seasons(pool, test)
     yield Case("every capture twice", data.take(np.repeat(np.arange(len(data)), 2)), test)
     yield Case("pixel noise 5 %", noisy_pixels(data, 0.05, 1), test)
     yield Case("irradiance noise 5 %", noisy_irradiance(data, 0.05, 2), test)
@@ -201,9 +201,9 @@ def _asked(name: str, data: Dataset, test: Dataset, rows: NDArray[np.bool_]) -> 
         yield Case(name, data, test.take(rows))
 
 
-def _seasons(whole: Dataset, test: Dataset) -> Iterator[Case]:
-    share, asked, months = _sun_share(whole.light), _months(test), _months(whole)
-    days = whole.days.astype("datetime64[D]").astype(int)
+def _seasons(pool: Dataset, test: Dataset) -> Iterator[Case]:
+    share, asked, months = _sun_share(pool.light), _months(test), _months(pool)
+    days = pool.days.astype("datetime64[D]").astype(int)
     first = days[months == 3].min() if (months == 3).any() else days.min()
     pairs = {
         "overcast captures only, clear test": (
@@ -216,7 +216,7 @@ def _seasons(whole: Dataset, test: Dataset) -> Iterator[Case]:
     }
     for name, (teach, check) in pairs.items():
         if teach.sum() >= FEWEST and check.sum() >= FEWEST:
-            yield Case(name, whole.take(teach), test.take(check))
+            yield Case(name, pool.take(teach), test.take(check))
 
 
 def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
@@ -242,7 +242,7 @@ def run(
     spec: Spec,
     data: Dataset,
     test: Dataset,
-    whole: Dataset,
+    pool: Dataset,
     *,
     budget_s: float = 60.0,
     progress: Progress = quiet,
@@ -250,7 +250,7 @@ def run(
     """Return one row for each regime, with the ratio to its normal case."""
     rows: list[dict[str, Any]] = []
     normal: dict[str, float] = {}
-    for case in cases(data, test, whole):
+    for case in cases(data, test, pool):
         progress(len(rows), 0, case.name)
         train, asked = case.train.thin(HEIGHT), case.test.thin(HEIGHT)
         fitted, spent = fit_timed(

@@ -33,7 +33,7 @@ _REPEATS = 5e-4  # relative: a lamp's stability over minutes; chosen, lets no fr
 _BLACK_DN = 0.2  # uncertainty of a black level, DN
 _NEGLIGIBLE = 2e-5  # of light, held-out rms: block noise hides most of what an order gains
 _STEPS = 8  # Gauss-Newton converges in four: the departures are small
-_OFFSET_SIGMA = 4.0  # an offset is written from so many standard errors on
+_OFFSET_SIGMA = 4.0  # standard errors from which an offset is written
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,12 +92,12 @@ def command(
 
         data = read(pairs)
         asked = read(test) if test else None
-        whole = read(pool) if pool else None
+        pool_data = read(pool) if pool else None
     with progress("benchmark") as show:
         answer = run(
             data,
             test=asked,
-            whole=whole,
+            pool=pool_data,
             models=models.split(","),
             seeds=seeds,
             budget_min=budget,

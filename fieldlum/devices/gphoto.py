@@ -108,7 +108,7 @@ class GphotoCamera:
         )
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for a value that is none of the camera's choices."""
+        """Raise DeviceError for a value that is not among the camera's choices."""
         for role, asked in _roles(exposure):
             if role in self._about["settings"]:
                 choose(role, asked, self._about["settings"][role][1])

@@ -41,7 +41,7 @@ _RECIPE = 7  # raise it when the arithmetic changes: clean.csv is then computed 
 def sky_geometry(t_unix_s: Array, site: Site) -> tuple[Array, Array]:
     """Return true sun altitude [n] deg and extraterrestrial normal irradiance [n] W/m2.
 
-    Both are interpolated between whole minutes.
+    Both are interpolated between full minutes.
     """
     minute = np.floor(t_unix_s / 60.0)
     grid = 60.0 * np.unique(np.r_[minute, minute + 1.0])

@@ -143,7 +143,7 @@ class HourInputs:
     """Inputs that depend on the hour only.
 
     sun: altitude, azimuth, DNI, DHI [n, 4]; sky: encoded sky [n, 2306]. The last sky column is 0
-    and stands for directions below the horizon.
+    and is for directions below the horizon.
     """
 
     sun: Tensor

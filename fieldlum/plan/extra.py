@@ -1,4 +1,4 @@
-"""One more bracket soon, asked for by a person next to a running capture."""
+"""Plan one more bracket soon, requested by a person during a running capture."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | N
 def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty | None:
     """Return the room's uncertainty if the model was trained with a fitted scene, else None.
 
-    None stands for the uncertainty of a tape measure.
+    None means the uncertainty of a tape measure.
     """
     draws = (config.state.get("scene") or {}).get("room_draws")
     if not draws or room.setup.room is None:

@@ -140,7 +140,7 @@ def _turn(theta_deg: float) -> Array:
 
 
 def _spread(ground: Array, theta_deg: float) -> float:
-    """Return how far corners of one side lie apart across it."""
+    """Return how far corners of one side are apart across it."""
     xy = ground @ _turn(theta_deg)[:2, :2].T
     total = 0.0
     for axis in (0, 1):

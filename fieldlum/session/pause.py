@@ -1,4 +1,4 @@
-"""A pause that a person asked for: while pause.json is valid, `capture` begins no bracket.
+"""A pause requested by a person: while pause.json is valid, `capture` begins no bracket.
 
 The capture only reads the file, so that it never waits for the program that writes it.
 """

@@ -1,8 +1,8 @@
 """Who may read the pages: a token, a cookie, and requests of the page itself only.
 
 A page on loopback is within reach of every program and every web site that the browser shows. So
-the token is needed on loopback too, and the Host and Origin headers must name this server: a
-foreign site cannot read the pages, also not under a name that it points to 127.0.0.1.
+the token is needed on loopback too, and the Host and Origin headers must name this server: another
+site cannot read the pages, even under a name that it points to 127.0.0.1.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Access:
 
     @property
     def set_cookie(self) -> str:
-        """Value of the Set-Cookie header that stands for the token."""
+        """Value of the Set-Cookie header that replaces the token."""
         return f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
 
     def rule(self, method: str, path: str, query: str, headers: Mapping[str, str]) -> Ruling:

@@ -57,13 +57,13 @@ class Evidence:
         return moved(self.data.patch_cdm2[self.rows], self.pixels, right_px, down_px)
 
     def computed(
-        self, turn_deg: float = 0.0, fast_min: float = 0.0, *, whole: bool = False
+        self, turn_deg: float = 0.0, fast_min: float = 0.0, *, full_maps: bool = False
     ) -> Array:
         """Return the room's patches, if it were turned and the clock were fast, [n, m].
 
-        With `whole`, return complete maps [n, H, W].
+        With `full_maps`, return complete maps [n, H, W].
         """
-        points = self.everywhere if whole else self.points
+        points = self.everywhere if full_maps else self.points
         assert points is not None
         light = self.data.light[self.rows]
         towards = sun.direction(
@@ -75,7 +75,7 @@ class Evidence:
             for d, e in zip(points.scene.to_room(towards), light.direct_lx, strict=True)
         ]
         return np.stack(maps).reshape(
-            len(maps), *(self.data.shape if whole else (len(self.pixels),))
+            len(maps), *(self.data.shape if full_maps else (len(self.pixels),))
         )
 
     def walled(self, turn_deg: float) -> Array:
@@ -84,7 +84,7 @@ class Evidence:
         Sun and camera stay, and everything in the room moves across the picture.
         """
         right_px = turn_deg * self.data.shape[1] / 360.0
-        return moved(self.computed(turn_deg, whole=True), self.pixels, right_px, 0.0)
+        return moved(self.computed(turn_deg, full_maps=True), self.pixels, right_px, 0.0)
 
     def light(self, patch: Array, gain: float) -> Array:
         """Return ln L with a patch [n, m]."""
@@ -161,7 +161,7 @@ def _filled(parts: Evidence, data: Dataset) -> Evidence | None:
         view = look(room, data.shape[0], data.heading_deg, SUB)
         parts = replace(parts, everywhere=view.sun_points())
         for turn in (-MOST_TURN_DEG, 0.0, MOST_TURN_DEG):
-            near = near | (parts.computed(turn, whole=True) > 0.0).any(axis=0)
+            near = near | (parts.computed(turn, full_maps=True) > 0.0).any(axis=0)
     pixels = np.flatnonzero(near & data.seen)
     if not len(pixels):
         return None

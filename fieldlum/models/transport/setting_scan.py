@@ -278,7 +278,7 @@ def _slip_deg(found: Evidence, cause: str, best: Array) -> float:
     """
     camera = cause == "camera"
     assert found.data.patch_cdm2 is not None
-    maps = found.data.patch_cdm2[found.rows] if camera else found.computed(whole=True)
+    maps = found.data.patch_cdm2[found.rows] if camera else found.computed(full_maps=True)
     gain = found.gains[0 if camera else 1]
     low, high, _ = edge_range(maps, 1.0)
     flat = [part.reshape(len(part), -1)[:, found.pixels] for part in (maps, low, high)]
