@@ -4,9 +4,9 @@
 
 Hypothesis makes a complete line of each kind and damages it: cuts it, loses, adds or changes bytes,
 joins two halves, or puts noise in its place. Prints a Markdown table. Exits with 1 when a parser
-raised something else than the tool's own errors, refused a complete line, or read another number under
-a CRC. (The exclusive or of one byte misses one in 256 of the damages to several bytes: no parser
-can do better on such a line.)
+raised something else than the tool's own errors, refused a complete line, or read another number
+under a CRC. (The exclusive or of one byte misses one in 256 of the damages to several bytes: no
+parser can do better on such a line.)
 """
 
 from __future__ import annotations
@@ -249,8 +249,8 @@ def main() -> None:
     options = asked.parse_args()
     start, total, bad = time.monotonic(), 0, False
     print(
-        "| parser | guard | complete | refused | damaged | refused | read the same | read otherwise "
-        "| other exceptions |"
+        "| parser | guard | complete | refused | damaged | refused | read the same "
+        "| read otherwise | other exceptions |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for parser in (p for p in parsers() if options.only in p.name):

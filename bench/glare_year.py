@@ -1,4 +1,6 @@
-"""A year of maps and of glare in ten directions from a model trained here: seconds, memory, compared with evalglare.
+"""A year of maps and of glare in ten directions from a model trained here: seconds and memory.
+
+The seconds are compared with evalglare.
 
 Usage: python bench/glare_year.py PAIRS.csv [--weather FILE] [--upsample 2] [--views 10] [--sample
 20] [--every 1]

@@ -1,9 +1,12 @@
-"""Does the stated uncertainty cover the truth? Complete brackets of cameras that differ from their profile within its uncertainties.
+"""Does the stated uncertainty cover the truth?
+
+The brackets are of cameras that differ from their profile within its uncertainties.
 
 Each realisation draws a camera whose shutter times, filters, vignetting, colour coefficients, k,
 lens flare and (JPEG) response differ from the profile by draws from exactly the uncertainties that
 the profile states, lets it photograph a new random scene with shot noise, read noise and rounding,
-merges the written files with the unchanged profile, and counts the pixels whose true luminance is within 2 u of the map. In total, and with each part alone (the others neither drawn nor stated;
+merges the written files with the unchanged profile, and counts the pixels whose true luminance is
+within 2 u of the map. In total, and with each part alone (the others neither drawn nor stated;
 where noise is not the part, a raw sensor is nearly noiseless; JPEG codes always have theirs).
 
     python bench/merge_budget.py [--realisations 400] [--kind raw|headings|jpeg] [--only total]

@@ -1,4 +1,4 @@
-"""fieldlum compared with OpenCV MergeDebevec, HDRutils and colour-hdri on the same simulated raw frames.
+"""Compare fieldlum with OpenCV MergeDebevec, HDRutils and colour-hdri on simulated raw frames.
 
     python bench/merge_peers.py --venv FOLDER [--size 1536x1024]
 

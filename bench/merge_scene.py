@@ -4,7 +4,7 @@ u, edges included?
     python bench/merge_scene.py SESSION... [--every 9]
 
 SESSION: one with truth/ and raw brackets (`fieldlum demo`, or `simulate` and `capture --camera
-sim:office`). Every so many brackets are merged anew to the truth's size. A pixel is at an edge
+sim:office`). Every Nth bracket is merged again at the truth's size. A pixel is at an edge
 where the budget's part for edges is over a fifth of a percent of its luminance.
 """
 

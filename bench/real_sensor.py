@@ -2,9 +2,10 @@
 
     python bench/real_sensor.py FOLDER
 
-FOLDER is reference set 001 of github.com/EMVA1288/datasets (Basler CCD, 12 bit, 640 x 480), complete or a part: images/*.png, and EMVA1288_Data.txt with each frame's time [ns] and photons. Frames are
-wrapped as DNG. The curve is fitted to every second time and judged on the others; brackets are
-merged from single frames and compared, pixel by pixel, with the mean of the flats.
+FOLDER is reference set 001 of github.com/EMVA1288/datasets (Basler CCD, 12 bit, 640 x 480),
+complete or a part: images/*.png, and EMVA1288_Data.txt with each frame's time [ns] and photons.
+Frames are wrapped as DNG. The curve is fitted to every second time and judged on the others;
+brackets are merged from single frames and compared, pixel by pixel, with the mean of the flats.
 """
 
 from __future__ import annotations

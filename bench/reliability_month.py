@@ -3,7 +3,8 @@
     python bench/reliability_month.py --work DIR [--every 5] [--seed 1]
 
 The month runs in fast-clock time through the real capture loop, the real SPN1 driver on a
-pseudo-terminal and a camera in a watched child process, in a process that is killed at random. DIR should be on a small file system of its own, so that the disk really gets full; on Linux, without
+pseudo-terminal and a camera in a watched child process, in a process that is killed at random. DIR
+should be on a small file system of its own, so that the disk really gets full; on Linux, without
 being root:
 
     unshare -rm sh -c 'mount -t tmpfs -o size=400m tmpfs /mnt && python bench/reliability_month.py

@@ -3,9 +3,9 @@ it take.
 
     python bench/transport_size.py office_seattle.npz [--sets k200,9d] [--pixels 3000]
 
-The office's captures as they are, with 5 % noise on every pixel, and with each complete picture off by
-10 % (an irradiance that is not the room's). Patches known; scores on the 500 test hours over random
-pixels drawn by solid angle.
+The office's captures as they are, with 5 % noise on every pixel, and with each complete picture off
+by 10 % (an irradiance that is not the room's). Patches known; scores on the 500 test hours over
+random pixels drawn by solid angle.
 """
 
 from __future__ import annotations

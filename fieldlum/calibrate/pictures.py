@@ -268,7 +268,7 @@ def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Fig
 
 
 def of_stray(readings: Sequence[stray.StrayReading], found: stray.StrayFit) -> Figure:
-    """The kernel over the angle, and predicted against recorded stray light."""
+    """Draw the kernel over the angle, and predicted against recorded stray light."""
     total = 100 * found.total_share
     figure, left, right = _two(f"Stray light: {total:.2g} % of a source's light is spread")
     angle = np.geomspace(0.5, 180.0, 300)

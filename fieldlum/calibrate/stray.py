@@ -42,8 +42,10 @@ MOST_SHARE = 0.3  # of a source's light; a lens with more is fogged, or the plac
 
 @dataclass(frozen=True, slots=True)
 class StrayReading:
-    """One dark place. stray_cdm2 : recorded less true luminance; light_sr : the lit pixels that the
-    lens sees, each one's angle from the place [n] in rad, and luminance times solid angle [n].
+    """One dark place.
+
+    stray_cdm2 : recorded minus true luminance; light_sr : of the lit pixels that the lens sees, the
+    angle from the place [n] rad, and luminance times solid angle [n].
     """
 
     label: str
