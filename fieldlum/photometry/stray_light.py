@@ -51,7 +51,7 @@ def stray_cdm2(
     count = rows * columns
     light = np.asarray(np.bincount(cells, flux, count), np.float64)  # [cells]
     weighted = [np.bincount(cells, flux * rays[:, axis], count) for axis in range(3)]
-    centre = np.stack(weighted, axis=1)  # [cells, 3]
+    centre = np.stack(weighted, axis=1).astype(np.float64)  # [cells, 3]
     lit = light > 0
     centre[lit] /= np.linalg.norm(centre[lit], axis=1)[:, None]
     bright = light >= _BRIGHT_SHARE * max(float(light.sum()), 1e-30)
