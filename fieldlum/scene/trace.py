@@ -106,19 +106,16 @@ def blocked(
 
     low, high : [b, 3] corners of the boxes; toward : [3] direction of the light.
     """
-    out = np.zeros(len(points), bool)
     kind = points.dtype
     d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
     near, far = np.where(d > 0, low, high), np.where(d > 0, high, low)
-    inverse = (1.0 / d).astype(kind)
-    scaled = points * inverse
-    for k in range(len(low)):
-        enter = (near[k] / d).astype(kind) - scaled
-        leave = (far[k] / d).astype(kind) - scaled
-        first = np.maximum(np.maximum(enter[:, 0], enter[:, 1]), enter[:, 2])
-        last = np.minimum(np.minimum(leave[:, 0], leave[:, 1]), leave[:, 2])
-        out |= (first < last) & (last > EPSILON_M)
-    return out
+    scaled = np.ascontiguousarray((points * (1.0 / d).astype(kind)).T)  # [3, m]
+    enter, leave = (near / d).astype(kind), (far / d).astype(kind)  # [b, 3]
+    first, last = enter[:, :1] - scaled[0], leave[:, :1] - scaled[0]  # [b, m]
+    for axis in (1, 2):
+        np.maximum(first, enter[:, axis, None] - scaled[axis], out=first)
+        np.minimum(last, leave[:, axis, None] - scaled[axis], out=last)
+    return ((first < last) & (last > EPSILON_M)).any(axis=0)
 
 
 def may_block(
