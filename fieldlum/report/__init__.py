@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fieldlum.errors import NotEnoughDataError
-from fieldlum.records import Progress, quiet
+from fieldlum.records import Progress, quiet, slot_id
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
+
+_MOST_LISTED = 12  # values of a setting that are shown one by one
 
 if TYPE_CHECKING:
     from fieldlum.predict import Annual
@@ -61,20 +63,22 @@ def _settings(session: Session, found: SessionArtefacts) -> Section:
     table = session.table()
     rows = [("fieldlum", __version__)]
     rows += [
-        (f"{group}: {key}", str(value))
+        (f"{group}: {key}", _text(value))
         for group, values in table.items()
         for key, value in _flat(values)
     ]
     if found.annual is not None:
         rows += [
-            (f"prediction: {key}", str(value)) for key, value in _flat(found.annual.about["inputs"])
+            (f"prediction: {key}", _text(value))
+            for key, value in _flat(found.annual.about["inputs"])
         ]
         rows += [
-            (f"weather: {key}", str(value)) for key, value in _flat(found.annual.about["weather"])
+            (f"weather: {key}", _text(value)) for key, value in _flat(found.annual.about["weather"])
         ]
     keep = ("model", "patch", "seed", "software", "training")
     config = found.config.state if found.config else {}
-    rows += [(f"model: {key}", str(value)[:400]) for key, value in config.items() if key in keep]
+    kept = {key: value for key, value in config.items() if key in keep}
+    rows += [(f"model: {key}", _text(value)) for key, value in _flat(kept)]
     return Section(
         "settings",
         "Settings and versions",
@@ -82,6 +86,23 @@ def _settings(session: Session, found: SessionArtefacts) -> Section:
         (),
         (Table(("setting", "value"), tuple(rows), words=True),),
     )
+
+
+def _text(value: Any) -> str:
+    """Return a setting for a reader: lists by their length, truths as words."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        plain = all(isinstance(item, str | int | float) for item in value)
+        if plain and len(value) <= _MOST_LISTED:
+            return ", ".join(map(str, value)) or "none"
+        return f"{len(value)} entries"
+    return "–" if value in (None, "", {}) else str(value)
+
+
+def _slot_names(pairs: PairsFile) -> dict[str, str]:
+    """Return the names of the panoramas, which are those of the slots, by the pair's moment."""
+    return {slot_id(row.t_utc): Path(row.panorama).stem for row in pairs.usable if row.panorama}
 
 
 def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
@@ -109,7 +130,8 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
         sections += [annual.directions_section(year), annual.when_section(year, zone)]
         sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
     if found.model is not None:
-        sections.append(evidence.section(HeldOutMaps.find(found.model), found.scores))
+        held, names = HeldOutMaps.find(found.model), _slot_names(pairs)
+        sections.append(evidence.section(held, found.scores, names))
     dni, dhi = (
         (year.hours["dni_wm2"], year.hours["dhi_wm2"]) if year else (np.empty(0), np.empty(0))
     )
@@ -126,7 +148,7 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
         title=setup.site.name,
         answer=answer,
         why=why,
-        facts=_facts(session, found, len(pairs.usable)),
+        facts=_facts(session, found, pairs),
         sections=tuple(sections),
         footer=f"Written by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
         f"against evalglare; "
@@ -136,8 +158,13 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
     )
 
 
-def _facts(session: Session, found: SessionArtefacts, captures: int) -> tuple[tuple[str, str], ...]:
+def _facts(
+    session: Session, found: SessionArtefacts, pairs: PairsFile
+) -> tuple[tuple[str, str], ...]:
     site = session.site_file().site
+    captures = len(pairs.usable)
+    if found.config is not None and found.config.training.slots:
+        captures = len(found.config.training.slots)  # training leaves out what it cannot use
     facts = [
         ("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"),
         ("captures used", f"{captures}"),

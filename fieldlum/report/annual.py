@@ -252,10 +252,12 @@ def when_section(annual: Annual, zone: str) -> Section:
         "Day by hour map of the year; days run to the right, hours of standard time upwards. "
         "Read it with the arrow keys."
     )
-    picture: HeatMap = heat_map(quantities, names, year, alt, start)
+    used_hours = hour[annual.occupied]
+    used = (int(used_hours.min()), int(used_hours.max()) + 1) if len(used_hours) else ()
+    picture: HeatMap = heat_map(quantities, names, year, alt, start, used)
     text = (
         "Each cell is one hour of the year: days to the right from January, hours of local "
-        "standard time upwards."
+        "standard time upwards. The dashed lines bound the hours of use over the year."
     )
     return Section("when", "When glare comes", text, heatmap=picture)
 

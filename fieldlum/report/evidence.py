@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -37,11 +38,12 @@ def _likeness(held: HeldOutMaps) -> str:
     )
 
 
-def _maps_row(held: HeldOutMaps) -> Row:
+def _maps_row(held: HeldOutMaps, names: Mapping[str, str]) -> Row:
     order = np.argsort(held.log10_mse)
     n = len(order)
     picks = list(dict.fromkeys(int(order[i]) for i in (n // 2, min(int(0.9 * n), n - 1), n - 1)))
-    labels = [f"{held.slots[i]}\n{text}" for i, text in zip(picks, SHOWN, strict=False)]
+    slots = [names.get(str(held.slots[i]), str(held.slots[i])) for i in picks]
+    labels = [f"{slot}\n{text}" for slot, text in zip(slots, SHOWN, strict=False)]
     measured, predicted = (
         10.0 ** maps[picks].astype(np.float32)
         for maps in (held.measured_log10, held.predicted_log10)
@@ -139,10 +141,14 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
     )
 
 
-def section(held: HeldOutMaps | None, scores: ScoresFile | None) -> Section:
-    """Return the section on accuracy."""
+def section(
+    held: HeldOutMaps | None, scores: ScoresFile | None, names: Mapping[str, str] | None = None
+) -> Section:
+    """Return the section on accuracy. names: name of a slot in the session, by the middle of its
+    bracket, which is what training knows.
+    """
     table = _score_table(scores)
-    rows = (_maps_row(held), *_agreement_rows(held)) if held else ()
+    rows = (_maps_row(held, names or {}), *_agreement_rows(held)) if held else ()
     judged = None if scores is None else scores.judged_row
     if judged is not None:
         median, worst = (10 ** np.sqrt(float(judged[key])) for key in ("median", "worst"))

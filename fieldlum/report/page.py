@@ -65,6 +65,7 @@ class HeatMap:
     quantities: tuple[dict[str, Any], ...]
     alt: str
     start: int = 0
+    used: tuple[int, ...] = ()  # first and last hour of use, drawn as lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +121,16 @@ def _cells(values: Float, step: float) -> str:
 
 
 def heat_map(
-    quantities: Sequence[Quantity], directions: Sequence[str], year: int, alt: str, start: int
+    quantities: Sequence[Quantity],
+    directions: Sequence[str],
+    year: int,
+    alt: str,
+    start: int,
+    used: tuple[int, ...] = (),
 ) -> HeatMap:
-    """Return the heat map's data; start: index of the quantity shown first."""
+    """Return the heat map's data; start: index of the quantity shown first; used: hours of the
+    day, 0 to 24, at which lines are drawn.
+    """
     shown = tuple(
         {
             "name": q.name,
@@ -143,7 +151,9 @@ def heat_map(
             for meta, q in zip(shown, quantities, strict=True)
         ],
     }
-    return HeatMap(json.dumps(data).replace("</", "<\\/"), tuple(directions), shown, alt, start)
+    return HeatMap(
+        json.dumps(data).replace("</", "<\\/"), tuple(directions), shown, alt, start, used
+    )
 
 
 def day_hour_grid(
