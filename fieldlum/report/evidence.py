@@ -144,8 +144,9 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
 def section(
     held: HeldOutMaps | None, scores: ScoresFile | None, names: Mapping[str, str] | None = None
 ) -> Section:
-    """Return the section on accuracy. names: name of a slot in the session, by the middle of its
-    bracket, which is what training knows.
+    """Return the section on accuracy.
+
+    names: name of a slot in the session, by the middle of its bracket, which is what training knows.
     """
     table = _score_table(scores)
     rows = (_maps_row(held, names or {}), *_agreement_rows(held)) if held else ()

@@ -128,8 +128,10 @@ def heat_map(
     start: int,
     used: tuple[int, ...] = (),
 ) -> HeatMap:
-    """Return the heat map's data; start: index of the quantity shown first; used: hours of the
-    day, 0 to 24, at which lines are drawn.
+    """Return the heat map's data.
+
+    start: index of the quantity shown first. used: hours of the day, 0 to 24, at which lines are
+    drawn.
     """
     shown = tuple(
         {
