@@ -146,7 +146,7 @@ def section(
 ) -> Section:
     """Return the section on accuracy.
 
-    names: name of a slot in the session, by the middle of its bracket, which is what training knows.
+    names: name of a slot in the session, by the middle of its bracket, as training knows it.
     """
     table = _score_table(scores)
     rows = (_maps_row(held, names or {}), *_agreement_rows(held)) if held else ()
