@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.profiles import load_site, shipped
+from fieldlum.projection import compass_name
 from fieldlum.records import Progress
 from fieldlum.scheduler import in_processes
 from fieldlum.session import Session, open_session, replacing
@@ -163,7 +164,11 @@ def _figures(
             f"{len(annual)} hours",
             f"predicted at {annual.about['width']} x {annual.about['height']}",
         ),
-        ("best view", f"{best['azimuth_deg']:.0f}°", best["sentence"]),
+        (
+            "best view",
+            f"{compass_name(best['azimuth_deg'])}, {best['azimuth_deg']:.0f}°",
+            best["sentence"],
+        ),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -10,11 +11,12 @@ from click.testing import CliRunner
 from tiny_field import make_session
 
 from fieldlum.capture import import_card
-from fieldlum.cli import main
+from fieldlum.cli import main, terminal
+from fieldlum.cli.estimates import estimate_text, predict_s, train_s
 from fieldlum.devices import CameraInfo
 from fieldlum.doctor import judge_camera
 from fieldlum.errors import InputError
-from fieldlum.session import read_journal
+from fieldlum.session import read_journal, sole_user
 
 pytestmark = pytest.mark.contract
 
@@ -42,6 +44,45 @@ def test_info_of_a_predicted_year(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, ["info", str(tmp_path)])
     assert shown.exit_code == 0
     assert "predicted year" in shown.output and "10 entries" in shown.output
+
+
+def test_a_long_command_states_its_time_and_stays_alive_in_a_log(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert estimate_text(5.0) == ""
+    # analytic: the measured costs of docs/scale.md, twice the captures
+    assert train_s("transport", 216, 460 * 230, 10.0) == pytest.approx(106.0)
+    assert estimate_text(predict_s(460 * 230, 10), 2).startswith("this takes about 80 seconds")
+    now = iter([0.0, 30.0, 90.0, 100.0, 200.0])
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: next(now))
+    with terminal.progress("predict") as show:
+        for done in (1, 3, 4, 6):
+            show(done, 12, "")
+    # analytic: 3 of 12 in 90 s leave 270 s, 6 of 12 in 200 s leave 200 s
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        "predict: 3 of 12, about 4 minutes left",
+        "predict: 6 of 12, about 3 minutes left",
+    ]
+
+
+def test_a_second_capture_is_told_the_process_of_the_first(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    with (
+        sole_user(session, "capture"),
+        pytest.raises(InputError, match=rf"capture \(process {os.getpid()}\)"),
+        sole_user(session, "capture"),
+    ):
+        pass
+
+
+def test_doctor_draws_the_room(tmp_path: Path) -> None:
+    words = ["plan", str(PLANS / "seattle-office.toml"), "--set", "9-day"]
+    planned = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "s")])
+    assert "solar noon on the first day is at 1" in planned.output  # 12:18 PST or 13:17 PDT
+    shown = CliRunner().invoke(main, ["doctor", str(tmp_path / "s")])
+    assert "check windows, camera and north" in shown.output
+    assert (tmp_path / "s" / "room.svg").read_text(encoding="utf-8").startswith("<svg")
 
 
 def test_a_maker_is_named_once() -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import json_option, session_argument
+
+if TYPE_CHECKING:
+    from fieldlum.session import Session
 
 MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "red")}
 
@@ -61,4 +65,23 @@ def command(
         for finding in findings:
             mark, colour = MARKS[finding.verdict]
             click.echo(f"{click.style(mark, fg=colour)}  {finding.what:13} {finding.text}")
+        if drawing := _drawing(session):
+            click.echo(f"      room          drawn in {drawing}: check windows, camera and north")
     sys.exit(doctor.exit_code(findings))
+
+
+def _drawing(session: Session) -> Path | None:
+    """Write room.svg into the session; return None for a session without a box room."""
+    from fieldlum.scene.drawing import room_svg
+    from fieldlum.session import replacing
+
+    drawing = room_svg(session.site_file())
+    if not drawing:
+        return None
+    path = session.root / "room.svg"
+    try:
+        with replacing(path, "w", encoding="utf-8") as file:
+            file.write(drawing.replace("currentColor", "black"))
+    except OSError:  # a full or read-only disk: a finding of its own
+        return None
+    return path

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fieldlum.cli.estimates import estimate_text, merge_s
 from fieldlum.cli.options import (
     DEFAULT_FISHEYE_SIZE,
     DEFAULT_SIZE,
@@ -17,7 +18,7 @@ from fieldlum.cli.options import (
     scheduler_of,
     scheduler_option,
 )
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import emit_json, progress, say, say_if
 
 if TYPE_CHECKING:
     from fieldlum.merge import MergeOptions
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path), help="OUT.exr or OUT.hdr (with --frames).")
 @click.option(
     "--size",
+    metavar="WxH",
     help=f"WxH of the result. [default: that of the session's panoramas, else {DEFAULT_SIZE}; "
     f"fisheye {DEFAULT_FISHEYE_SIZE}]",
 )
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--heading",
+    metavar="DEG",
     type=float,
     default=180.0,
     show_default=True,
@@ -142,6 +145,9 @@ def _merge_session(
     from fieldlum.session import open_session
 
     session = open_session(root)
+    merged = {path.stem for path in session.panorama_files()}
+    owed = [f for f in session.captured_folders() if force or f.name not in merged]
+    say_if(estimate_text(merge_s(owed), scheduler.processes))
     with progress("Merge") as bar:
         verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=bar)
     if as_json:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from fieldlum.cli.estimates import estimate_text, predict_s
 from fieldlum.cli.options import (
     force_option,
     json_option,
@@ -13,7 +14,7 @@ from fieldlum.cli.options import (
     scheduler_of,
     scheduler_option,
 )
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import emit_json, progress, say, say_if
 
 
 @click.command()
@@ -86,8 +87,14 @@ def command(
     Example:
       fieldlum predict office-2027/models/auto --weather seattle.epw --views 10
     """
+    from fieldlum.models import read_config
     from fieldlum.predict import run
+    from fieldlum.projection import compass_name
 
+    scheduler = scheduler_of(scheduler_text)
+    config = read_config(model_folder)
+    needed_s = predict_s(config.height * config.width, views)
+    say_if(estimate_text(needed_s, scheduler.processes))
     with progress("predict") as show:
         annual, new = run(
             model_folder,
@@ -99,7 +106,7 @@ def command(
             lamps=lamps,
             force=force,
             label_shift_min=label_shift_min,
-            scheduler=scheduler_of(scheduler_text),
+            scheduler=scheduler,
             progress=show,
         )
     about = annual.about
@@ -117,7 +124,8 @@ def command(
         say(f"note: {text}")
     click.echo(f"{about['hours']} daylight hours in {annual.folder / 'hourly.csv'}")
     for row in about["protection"]:
-        click.echo(f"  {row['azimuth_deg']:5.1f}°  {row['sentence']}")
+        azimuth = row["azimuth_deg"]
+        click.echo(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row['sentence']}")
     if about["capture_next"]:
         click.echo("To decide what is open, capture skies like these:")
         for hour in about["capture_next"]:

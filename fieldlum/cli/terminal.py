@@ -6,14 +6,18 @@ import json
 import math
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import click
 
+from fieldlum.cli.estimates import duration_text
 from fieldlum.errors import InputError
 from fieldlum.records import Progress
+
+LINE_EVERY_S = 60.0  # between lines of progress in a log
 
 
 def _finite(value: Any) -> Any:
@@ -35,6 +39,12 @@ def emit_json(answer: Any) -> None:
 def say(text: str) -> None:
     """Print a sentence for the user on stderr."""
     click.echo(text, err=True)
+
+
+def say_if(text: str) -> None:
+    """Print a sentence on stderr unless it is empty."""
+    if text:
+        say(text)
 
 
 def seen() -> bool:
@@ -88,11 +98,28 @@ def awake() -> Iterator[None]:
         yield
 
 
+def _progress_lines(label: str) -> Progress:
+    """Return a progress function for a pipe or a log: a line a minute, none for a short command."""
+    started = last = time.monotonic()
+
+    def show(done: int, total: int, text: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last < LINE_EVERY_S or total <= 0:
+            return
+        last = now
+        left = (now - started) * (total - done) / done if done > 0 else None
+        more = "" if left is None else f", {duration_text(left)} left"
+        say(f"{label}: {done} of {total}{more}")
+
+    return show
+
+
 @contextmanager
 def progress(label: str) -> Iterator[Progress]:
-    """Yield a progress function: a bar with the remaining time on a terminal, silent in a pipe."""
+    """Yield a progress function: a bar with the remaining time on a terminal, else lines."""
     if not seen():
-        yield lambda done, total, text: None
+        yield _progress_lines(label)
         return
     from rich.console import Console
     from rich.progress import (

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from fieldlum.cli.estimates import estimate_text, train_s
 from fieldlum.cli.options import (
     force_option,
     json_option,
@@ -15,7 +16,7 @@ from fieldlum.cli.options import (
     scene_option,
     site_option,
 )
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import emit_json, progress, say, say_if
 from fieldlum.model_registry import MODELS
 
 
@@ -79,6 +80,8 @@ def command(
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
         data, patch = in_scene(data, pairs, scene, patch, progress=show)
+    pixels = data.shape[0] * data.shape[1]
+    say_if(estimate_text(train_s(model, len(data), pixels, budget)))
     with progress("training") as show:
         answer = run(
             data,

@@ -310,6 +310,7 @@ def summary(session: Session, plan: Plan) -> dict[str, Any]:
         "days": len(_per_day(plan.hours, session.site_file().site)),
         "first": slots[0].id,
         "last": slots[-1].id,
+        "solar_noon": _solar_noon(slots[0].t_utc, session.site_file().site),
         "frames": sum(len(slot.exposures) for slot in slots),
         "seconds_per_slot": plan.seconds_per_slot,
         "megabytes": round(plan.megabytes_per_slot * len(slots), 1),
@@ -322,6 +323,13 @@ def summary(session: Session, plan: Plan) -> dict[str, Any]:
         "month": None if plan.months is None else asdict(plan.months),
         "warnings": list(plan.warnings),
     }
+
+
+def _solar_noon(t_utc: datetime, site: Site) -> str:
+    """Return the local time of solar noon on a slot's day: it shows a longitude of wrong sign."""
+    day = sun.standard_date(t_utc, site.timezone)
+    transit = sun.rise_transit_set([day], site)[0].transit
+    return "" if transit is None else f"{transit.astimezone(ZoneInfo(site.timezone)):%H:%M %Z}"
 
 
 def sentences(summary: dict[str, Any]) -> list[str]:
@@ -341,6 +349,8 @@ def sentences(summary: dict[str, Any]) -> list[str]:
             f"{covered['both_percent']:.0f} % in both"
         ),
     ]
+    if summary["solar_noon"]:
+        texts.append(f"solar noon on the first day is at {summary['solar_noon']}")
     if "sun-enters" in tags:
         texts.append(
             f"the sun can enter a window in {tags['sun-enters']} slots and is in view in "

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -272,7 +273,8 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
 
     The lock ends with the process, however it ends. Raises InputError if another one runs.
     """
-    with (session.root / f".{purpose}.lock").open("a") as file:
+    path = session.root / f".{purpose}.lock"
+    with path.open("a") as file:
         try:
             _lock(file.fileno())
         except OSError as error:
@@ -290,11 +292,24 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
                 ) from None
             raise InputError(
                 session.root,
-                f"another fieldlum {purpose} runs in it",
+                f"another fieldlum {purpose}{_process_of(path)} runs in it",
                 "one process at a time",
                 "stop the other one first",
             ) from None
+        with suppress(OSError):  # a full disk
+            file.truncate(0)
+            file.write(f"{os.getpid()}\n")
+            file.flush()
         yield
+
+
+def _process_of(path: Path) -> str:
+    """Return the process that wrote its number into a lock file, as text for a message."""
+    try:
+        number = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError):  # Windows lets nobody read a locked file
+        return ""
+    return f" (process {number})" if number.isdigit() else ""
 
 
 def _lock(number: int) -> None:
