@@ -21,9 +21,10 @@ from click.testing import CliRunner
 from fieldlum import demo, simulate
 from fieldlum.cli import main as fieldlum
 from fieldlum.images import read_panorama, write_panorama
-from fieldlum.profiles import load_site, shipped, site_table
+from fieldlum.profiles import shipped
 from fieldlum.records import SiteFile, quiet
 from fieldlum.session import Session, open_session
+from fieldlum.site_toml import load_site, site_table
 
 DRIFTING, BROKEN = 4, 7
 LOSS = 0.25  # of the sensitivity, from the first to the last capture

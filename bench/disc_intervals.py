@@ -21,9 +21,10 @@ from fieldlum.glare.metrics import dgp_with_disc, sun_per_lx
 from fieldlum.glare.standards import GlareDoubt, exceeded_in_share, protection
 from fieldlum.light import light_at
 from fieldlum.models.disc_in_view import drawn_discs_lx, stated_disc_lx
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.scene import stated_uncertainty
 from fieldlum.simulate import weather_for
+from fieldlum.site_toml import load_site
 
 HEIGHT = 16
 INDOORS = 0.02  # luminance of the even map over the sky's horizontal illuminance [sr-1]

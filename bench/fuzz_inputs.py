@@ -31,12 +31,12 @@ from fieldlum.profiles import (
     Lens,
     Sensor,
     load_camera_profile,
-    load_site,
     save_profile,
     shipped,
 )
 from fieldlum.raw import read_exif, read_jpeg, read_mosaic, write_dng, write_jpeg
 from fieldlum.records import Exposure, Panorama
+from fieldlum.site_toml import load_site
 
 HANG_S = 60.0
 TIMES_S = (0.1, 0.01, 0.001)

@@ -24,9 +24,10 @@ from fieldlum.models import fit
 from fieldlum.models.data import Dataset, load_pairs
 from fieldlum.models.disc_in_view import stated_disc_lx
 from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.session import create_session, open_session
 from fieldlum.simulate import Troubles, load_troubles
+from fieldlum.site_toml import load_site
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.setting import settle
 

@@ -32,7 +32,7 @@ from test_merge_stage import START, profile, take
 
 from fieldlum import merge, models, predict, simulate
 from fieldlum.models.data import load_pairs
-from fieldlum.profiles import load_site, save_profile, shipped
+from fieldlum.profiles import save_profile, shipped
 from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot
 from fieldlum.scheduler import (
     LOCAL,
@@ -43,6 +43,7 @@ from fieldlum.scheduler import (
     run_units,
 )
 from fieldlum.session import Session, create_session
+from fieldlum.site_toml import load_site
 
 
 def main() -> None:

@@ -18,8 +18,9 @@ import pyradiance
 
 from fieldlum import simulate
 from fieldlum.light import Light, light_at
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.scene import radiance, view
+from fieldlum.site_toml import load_site
 
 HOURS = (
     ("clear noon", datetime(2027, 3, 20, 20, 10, tzinfo=UTC), 750.0, 90.0),

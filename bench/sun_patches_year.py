@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum import scene, sky, sun
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.scene import radiance, view
 from fieldlum.simulate import weather_for
+from fieldlum.site_toml import load_site
 
 
 def _cpu() -> float:

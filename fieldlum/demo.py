@@ -17,13 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.projection import compass_name
 from fieldlum.records import Progress
 from fieldlum.scheduler import in_processes
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.truth_csv import TruthIrradiance
+from fieldlum.site_toml import load_site
 
 MODEL = "auto"
 WEATHER = "seattle_dni_dhi.csv"

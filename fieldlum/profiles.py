@@ -1,25 +1,18 @@
-"""Strict TOML for site files, camera profiles and capture plans; an unknown key is an error."""
+"""Camera profiles: calibration/NAME.toml, everything between sensor counts and cd/m2."""
 
 from __future__ import annotations
 
-import math
-import tomllib
-import types
-import typing
-from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
-from difflib import get_close_matches
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, TypeVar
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from typing import Literal
 
-from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.photometry import rises
 from fieldlum.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
-from fieldlum.records import CameraSetup, Exposure, SiteFile
+from fieldlum.records import CameraSetup, Exposure
+from fieldlum.strict_toml import build, plain, read_toml
 
-T = TypeVar("T")
 _HERE = Path(__file__).parent
 
 
@@ -27,181 +20,6 @@ def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
     """Return the folder of the shipped files, in a wheel or in a checkout."""
     in_wheel = _HERE / "_shipped" / kind
     return in_wheel if in_wheel.is_dir() else _HERE.parent / kind
-
-
-# ----------------------------------------------------------------------------------------------
-# strict reading
-
-
-def build(cls: type[T], table: dict[str, Any], where: str) -> T:
-    """Build a frozen dataclass from a TOML table; check nested dataclasses, tuples and Literals.
-
-    Raises InputError with `where`, the key, the value found and what was expected.
-    """
-    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
-    hints = typing.get_type_hints(cls)
-    for key in table:
-        if key not in known:
-            near = get_close_matches(key, known, n=1)
-            hint = (
-                f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(known))}"
-            )
-            raise InputError(where, f"unknown key '{key}'", remedy=hint)
-    for name, f in known.items():
-        if name not in table and f.default is MISSING and f.default_factory is MISSING:
-            raise InputError(where, f"no '{name}'", f"a value for '{name}'", "add it")
-    return cls(
-        **{key: _value(hints[key], value, f"{where} [{key}]") for key, value in table.items()}
-    )
-
-
-def _value(hint: Any, value: Any, where: str) -> Any:
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (types.UnionType, typing.Union):
-        if value is None and type(None) in arguments:
-            return None
-        return _value(next(a for a in arguments if a is not type(None)), value, where)
-    if hint is typing.Any:
-        return value
-    if origin is Literal:
-        if value not in arguments:
-            expected = "one of " + ", ".join(map(str, arguments))
-            raise InputError(where, repr(value), expected, "correct the value")
-        return value
-    if origin is tuple:
-        if not isinstance(value, list | tuple):
-            raise InputError(where, repr(value), "a list", "correct the value")
-        inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
-        if inner is None and len(value) != len(arguments):
-            expected = f"{len(arguments)} values"
-            raise InputError(where, f"{len(value)} values", expected, "correct the list")
-        return tuple(
-            _value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value)
-        )
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise InputError(where, repr(value), "a table", "correct the value")
-        return {str(k): _value(arguments[1], v, f"{where}.{k}") for k, v in value.items()}
-    if is_dataclass(hint):
-        if not isinstance(value, dict):
-            raise InputError(where, repr(value), "a table", "correct the value")
-        return build(typing.cast(type, hint), value, where)
-    if hint is float:
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not math.isfinite(value)
-        ):
-            raise InputError(where, repr(value), "a number", "correct the value")
-        return float(value)
-    if isinstance(hint, type) and (
-        not isinstance(value, hint) or (hint is int and isinstance(value, bool))
-    ):
-        expected = {int: "an integer", str: "text", bool: "true or false"}[hint]
-        raise InputError(where, repr(value), expected, "correct the value")
-    return value
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file. Raises InputError for a missing file or for a file that is no TOML."""
-    try:
-        # Editors of Windows write a byte order mark before the text.
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(
-            path, error.strerror or str(error), "a readable TOML file", "check the path"
-        ) from None
-    except UnicodeDecodeError as error:
-        raise InputError(
-            path,
-            f"byte {error.object[error.start]:#04x} that is no UTF-8",
-            "TOML in UTF-8",
-            "save it again with the encoding UTF-8",
-        ) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            path, str(error), "TOML", "correct that line: text in quotes, decimals with a point"
-        ) from None
-
-
-def plain(value: Any) -> Any:
-    """Return dataclasses as values that TOML can have: no None, tuples as lists."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, dict):
-        return {k: plain(v) for k, v in value.items() if v is not None}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    return value
-
-
-# ----------------------------------------------------------------------------------------------
-# SITE.toml
-
-
-# Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
-_MOST_OFF_SUN_H = 4.0
-_MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supply base
-
-
-def site_from_table(table: dict[str, Any], where: str) -> SiteFile:
-    """Build a site. Raises InputError for unknown keys, an impossible place or time zone."""
-    setup = build(SiteFile, table, where)
-    site = setup.site
-    if not -90 <= site.latitude_deg <= 90:
-        raise InputError(
-            where, f"latitude_deg = {site.latitude_deg:g}", "-90 to 90", "south is negative"
-        )
-    if not -180 <= site.longitude_deg <= 180:
-        raise InputError(
-            where, f"longitude_deg = {site.longitude_deg:g}", "-180 to 180", "east is positive"
-        )
-    if not -500 <= site.altitude_m <= 9000:
-        raise InputError(
-            where, f"altitude_m = {site.altitude_m:g}", "-500 to 9000", "metres above the sea"
-        )
-    try:
-        ZoneInfo(site.timezone)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise InputError(
-            where,
-            f"unknown time zone '{site.timezone}'",
-            "an IANA name such as America/Los_Angeles",
-            "correct timezone",
-        ) from None
-    if (
-        abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
-        and abs(off_h := sun.zone_off_sun_h(site)) > _MOST_OFF_SUN_H
-    ):
-        found = (
-            f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
-            f"{abs(off_h):.1f} h from the sun's time"
-        )
-        raise InputError(
-            where, found, f"at most {_MOST_OFF_SUN_H:g} h", "east is positive, west negative"
-        )
-    return setup
-
-
-def site_table(setup: SiteFile) -> dict[str, Any]:
-    """Return the table of a site; the inverse of `site_from_table`."""
-    return plain(setup)
-
-
-def load_site(path: Path) -> SiteFile:
-    """Read a SITE.toml; the camera's height may be in [camera] or in [room], and counts in both."""
-    table = read_toml(path)
-    camera, room = table.setdefault("camera", {}), table.get("room")
-    if isinstance(camera, dict) and isinstance(room, dict):
-        height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
-        if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
-            found = f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}"
-            raise InputError(path, found, "one height", "remove one of them")
-    return site_from_table(table, str(path))
-
-
-# ----------------------------------------------------------------------------------------------
-# camera profiles
 
 
 @dataclass(frozen=True, slots=True)

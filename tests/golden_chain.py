@@ -21,10 +21,11 @@ import numpy as np
 
 from fieldlum import demo, irradiance, merge, models, pair, plan, predict, simulate, train
 from fieldlum.models.data import load_pairs
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.records import quiet
 from fieldlum.session import Session, create_session
 from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.site_toml import load_site
 
 STORED = Path(__file__).parent / "golden" / "chain.json"
 HEIGHT = 23  # rows of the panoramas

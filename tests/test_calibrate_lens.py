@@ -9,6 +9,7 @@ import pytest
 from fieldlum.calibrate import (
     boards,
     lens,
+    lens_circle,
 )
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import (
@@ -173,10 +174,10 @@ def test_circle_and_shift() -> None:
     texture = 120 + 40 * np.sin(x / 17) * np.cos(y / 23)
     edge = np.clip(231.4 - np.hypot(x - 410.7, y - 296.2) + 0.5, 0, 1)
     picture = np.clip(texture * edge + 3 + 2 * rng.normal(size=x.shape), 0, 255).astype(np.uint8)
-    found = lens.circle(picture)
+    found = lens_circle.circle(picture)
     assert found.centre_px == pytest.approx((410.7, 296.2), abs=0.3)
     assert found.radius_px == pytest.approx(231.4, abs=0.5) and found.u_px < 1
     moved = np.roll(picture, (3, -5), axis=(0, 1))
-    assert lens.shift_px(picture, moved) == pytest.approx((-5, 3), abs=0.1)
+    assert lens_circle.shift_px(picture, moved) == pytest.approx((-5, 3), abs=0.1)
     with pytest.raises(InputError):
-        lens.circle(np.full((200, 300), 90, np.uint8))
+        lens_circle.circle(np.full((200, 300), 90, np.uint8))

@@ -17,7 +17,7 @@ from fieldlum.models import Prediction
 from fieldlum.models.data import Dataset
 from fieldlum.models.disc_in_view import drawn_discs_lx, guessed_disc_lx, stated_disc_lx
 from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.records import Room, SiteFile
 from fieldlum.scene import (
     RoomUncertainty,
@@ -28,6 +28,7 @@ from fieldlum.scene import (
     stated_uncertainty,
 )
 from fieldlum.scene.drawn_rooms import room_parameters, with_parameters
+from fieldlum.site_toml import load_site
 from fieldlum.weather import shipped_seattle
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")

@@ -14,7 +14,7 @@ from fieldlum.capture import import_card
 from fieldlum.cli import main, terminal
 from fieldlum.cli.estimates import estimate_text, predict_s, train_s
 from fieldlum.devices import CameraInfo
-from fieldlum.doctor import judge_camera
+from fieldlum.doctor.instruments import judge_camera
 from fieldlum.errors import InputError
 from fieldlum.session import read_journal, sole_user
 

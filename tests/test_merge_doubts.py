@@ -22,7 +22,7 @@ from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.projection import Equirect
-from fieldlum.projection.resample import Fisheye
+from fieldlum.projection.grids import Fisheye
 from fieldlum.raw import write_dng, write_jpeg
 from fieldlum.records import Exposure, Flag
 

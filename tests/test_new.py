@@ -18,9 +18,9 @@ from places import SEATTLE
 from fieldlum.capture.status import next_step
 from fieldlum.cli import main
 from fieldlum.cli.site_text import site_text
-from fieldlum.profiles import load_site
 from fieldlum.records import CameraSetup, Room, SiteFile, Window
 from fieldlum.scene.drawing import room_svg, wind
+from fieldlum.site_toml import load_site
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 ROOM = Room(

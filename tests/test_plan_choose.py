@@ -18,9 +18,10 @@ from fieldlum.light import Features
 from fieldlum.plan import calendar, choose, coming, makeup
 from fieldlum.plan.coverage import band_directions, coverage, irradiance_figure, sun_figure
 from fieldlum.plan.days import DaylightHours, daylight_hours, set_days, span
-from fieldlum.profiles import save_profile, site_table
+from fieldlum.profiles import save_profile
 from fieldlum.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
 from fieldlum.session import Journal, create_session, open_session
+from fieldlum.site_toml import site_table
 from fieldlum.weather import Weather, synthetic_weather
 
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))

@@ -440,7 +440,7 @@ def test_a_model_of_another_picture_size_is_refused(
 def test_a_model_with_patches_needs_a_room(model: Path, weather: Path, tmp_path: Path) -> None:
     from dataclasses import replace
 
-    from fieldlum.profiles import site_table
+    from fieldlum.site_toml import site_table
 
     bare = site_table(replace(DATA.setup, room=None))
     with pytest.raises(InputError, match=r"without \[room\]"):

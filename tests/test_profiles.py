@@ -13,12 +13,10 @@ from fieldlum.profiles import (
     bracket_exposures,
     find_camera_profile,
     load_camera_profile,
-    load_site,
     save_profile,
     shipped,
-    site_from_table,
-    site_table,
 )
+from fieldlum.site_toml import load_site, site_from_table, site_table
 
 PLACE = {
     "name": "here",

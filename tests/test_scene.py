@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from fieldlum import scene, sun
 from fieldlum.errors import InputError
 from fieldlum.images import RADIANCE_LM_PER_W
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.projection import equirect_pixel
 from fieldlum.records import Obstruction, Room, Window
 from fieldlum.scene import geometry, radiance, view
+from fieldlum.site_toml import load_site
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 BARE = Room(

@@ -20,7 +20,6 @@ from places import SEATTLE
 from fieldlum.cli import main
 from fieldlum.errors import InputError
 from fieldlum.images import write_panorama
-from fieldlum.profiles import load_site
 from fieldlum.projection import direction
 from fieldlum.records import CameraSetup, Exposure, Panorama, Room, SiteFile, Slot, Window
 from fieldlum.scene import sun_patches
@@ -29,6 +28,7 @@ from fieldlum.scene.clicks import Click, ClickGrid, clicks_from_rows, read_click
 from fieldlum.scene.drawing import outline_pixels
 from fieldlum.scene.geometry import build
 from fieldlum.session import Session, create_session
+from fieldlum.site_toml import load_site
 
 LENGTHS = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m")
 WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m")

@@ -13,7 +13,7 @@ from test_merge_stage import START, profile, take
 from fieldlum import merge, models, predict, simulate
 from fieldlum.models.data import load_pairs
 from fieldlum.pair.patches import seen_and_patches
-from fieldlum.profiles import load_site, save_profile, shipped
+from fieldlum.profiles import save_profile, shipped
 from fieldlum.records import CameraSetup, Exposure, Site, SiteFile, Slot, quiet
 from fieldlum.scheduler import (
     LOCAL,
@@ -24,6 +24,7 @@ from fieldlum.scheduler import (
     run_units,
 )
 from fieldlum.session import Session, create_session, remove_scraps
+from fieldlum.site_toml import load_site
 
 pytestmark = [pytest.mark.contract, pytest.mark.slow]
 

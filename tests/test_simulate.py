@@ -19,10 +19,11 @@ from fieldlum.errors import InputError
 from fieldlum.images import read_panorama
 from fieldlum.light import Light, light_at
 from fieldlum.models.data import load_pairs
-from fieldlum.profiles import load_site, shipped, site_table
+from fieldlum.profiles import shipped
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
 from fieldlum.scene import geometry, radiance, view
 from fieldlum.session import open_session
+from fieldlum.site_toml import load_site, site_table
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 SMALL = SiteFile(

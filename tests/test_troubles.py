@@ -15,7 +15,7 @@ from fieldlum.errors import InputError
 from fieldlum.light import light_at
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import evaluate, summary, truth
-from fieldlum.profiles import load_site, shipped
+from fieldlum.profiles import shipped
 from fieldlum.records import slot_id
 from fieldlum.session import Session, create_session
 from fieldlum.simulate.troubles import (
@@ -27,6 +27,7 @@ from fieldlum.simulate.troubles import (
     troubled_pictures,
     true_light,
 )
+from fieldlum.site_toml import load_site
 from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import settle
 

@@ -16,9 +16,9 @@ from datetime import date
 from pathlib import Path
 
 from fieldlum import plan, simulate
-from fieldlum.profiles import load_site
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session import open_session, sha256
+from fieldlum.site_toml import load_site
 from fieldlum.weather import TYPICAL_YEAR, Weather
 
 HERE = Path(__file__).parent

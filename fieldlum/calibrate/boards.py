@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate import lens as lenses
-from fieldlum.calibrate.lens import LensFit, Targets, grey_picture
+from fieldlum.calibrate.lens import LensFit, Targets
+from fieldlum.calibrate.lens_circle import grey_picture
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, lens_pixels

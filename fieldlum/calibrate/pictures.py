@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fieldlum.calibrate import (
         colour,
         lens,
+        lens_circle,
         linearity,
         pixels,
         response,
@@ -172,7 +173,7 @@ def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
     return figure
 
 
-def of_circle(picture: NDArray[np.uint8], found: lens.Circle) -> Figure:
+def of_circle(picture: NDArray[np.uint8], found: lens_circle.Circle) -> Figure:
     """Draw the image circle over the picture [h, w]."""
     from matplotlib.figure import Figure
 

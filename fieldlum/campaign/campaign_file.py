@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from fieldlum.errors import InputError
-from fieldlum.profiles import build, read_toml
+from fieldlum.strict_toml import build, read_toml
 
 _EXPECTED = "one table [[room]] for each room, with session = FOLDER"
 

@@ -83,7 +83,7 @@ def _session(campaign: CampaignFile, room: CampaignRoom) -> Session:
 
 def _plan(campaign: CampaignFile, room: CampaignRoom) -> str:
     from fieldlum import plan
-    from fieldlum.profiles import load_site
+    from fieldlum.site_toml import load_site
 
     folder = campaign.session_folder(room)
     if (folder / "session.toml").is_file():

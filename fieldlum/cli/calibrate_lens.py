@@ -96,25 +96,25 @@ def _edge(
 ) -> tuple[Any, str, dict]:
     from dataclasses import replace
 
-    from fieldlum.calibrate import lens, pictures
+    from fieldlum.calibrate import lens_circle, pictures
 
     if len(sources) != 1:
         raise click.UsageError("--circle and --against take one FRAME")
-    grey = lens.grey_picture(sources[0])
+    grey = lens_circle.grey_picture(sources[0])
     if against is not None:
-        right, down = lens.shift_px(lens.grey_picture(against), grey)
+        right, down = lens_circle.shift_px(lens_circle.grey_picture(against), grey)
         moved = (round(start.centre_px[0] + right, 2), round(start.centre_px[1] + down, 2))
         return (
             replace(start, centre_px=moved),
             f"lens: shifted by {right:+.2f}, {down:+.2f} px",
             {"shift_px": [right, down]},
         )
-    found = lens.circle(grey)
+    found = lens_circle.circle(grey)
     if picture:
         pictures.save(pictures.of_circle(grey, found), picture)
     line = f"lens: circle of radius {found.radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
     figures = {"centre_px": list(found.centre_px), "radius_px": found.radius_px, "u_px": found.u_px}
-    return lens.circle_lens(start, found, start.full_angle_deg), line, figures
+    return lens_circle.circle_lens(start, found, start.full_angle_deg), line, figures
 
 
 def _mapping(

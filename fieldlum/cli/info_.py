@@ -117,7 +117,8 @@ def _radiance(path: Path) -> dict[str, Any]:
 
 def _toml(path: Path) -> dict[str, Any]:
     from fieldlum.profiles import CameraProfile as Profile
-    from fieldlum.profiles import build, read_toml, site_from_table
+    from fieldlum.site_toml import site_from_table
+    from fieldlum.strict_toml import build, read_toml
 
     table = read_toml(path)
     if "site" in table:

@@ -29,8 +29,9 @@ def command(site_file: Path) -> None:
       fieldlum new office.toml
     """
     from fieldlum.cli.site_text import site_text
-    from fieldlum.profiles import coverage_text, load_camera_profile, load_site
+    from fieldlum.profiles import coverage_text, load_camera_profile
     from fieldlum.scene.drawing import room_svg
+    from fieldlum.site_toml import load_site
 
     if site_file.exists():
         raise InputError(site_file, "it exists", "a new file", "choose another name")

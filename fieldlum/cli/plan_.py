@@ -124,7 +124,7 @@ def _planned(
     target: Path, asked: tuple, weather_file: Path | None, out: Path, ics: bool, html: bool
 ) -> tuple[dict, list[str]]:
     from fieldlum import plan
-    from fieldlum.profiles import load_site
+    from fieldlum.site_toml import load_site
 
     setup = load_site(target)
     set_, start, year, days, count = asked

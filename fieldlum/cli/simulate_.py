@@ -116,8 +116,8 @@ def command(
     height = panorama_height(size)
     import_module("pyradiance")  # so that a missing package is reported before anything is written
     from fieldlum import simulate
-    from fieldlum.profiles import load_site
     from fieldlum.session import open_session
+    from fieldlum.site_toml import load_site
 
     session = open_session(site) if site.is_dir() else None
     if session is None and out is None:

@@ -20,8 +20,9 @@ from typing import Any, Literal
 
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
 from fieldlum.errors import DeviceError, InputError
-from fieldlum.profiles import build, read_toml, shipped
+from fieldlum.profiles import shipped
 from fieldlum.records import IrradianceSample
+from fieldlum.strict_toml import build, read_toml
 
 _NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
 _LONGEST = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Literal
 
 from fieldlum.errors import DeviceError, InputError
-from fieldlum.profiles import build, read_toml, shipped
+from fieldlum.profiles import shipped
+from fieldlum.strict_toml import build, read_toml
 
 Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
 WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}

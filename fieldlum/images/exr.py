@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.images.primaries import BT709_CHROMATICITIES, luminance_weights
 from fieldlum.images.radiance_header import MAX_PIXELS
-from fieldlum.profiles import CameraProfile, plain
+from fieldlum.profiles import CameraProfile
 from fieldlum.records import Flag, Panorama, SunSource, parse_utc, utc_text
+from fieldlum.strict_toml import plain
 
 # Values of all channels together, 2.6 GB: limits the memory that decoding may take.
 _MAX_VALUES = 4 * MAX_PIXELS

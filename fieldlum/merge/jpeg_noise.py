@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fieldlum.merge.estimator import Merged, Signal, Strip
 from fieldlum.merge.frame_cache import FrameStore
 from fieldlum.projection import LensGeometry
-from fieldlum.projection.resample import Target
+from fieldlum.projection.grids import Target
 from fieldlum.records import Flag
 from fieldlum.statistics import MAD_TO_SIGMA
 

@@ -14,7 +14,7 @@ from fieldlum.merge.options import MergeOptions
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
-from fieldlum.projection.resample import Target
+from fieldlum.projection.grids import Target
 from fieldlum.records import Progress, quiet
 from fieldlum.session import replacing_path
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect, Fisheye
-from fieldlum.projection.resample import Target
+from fieldlum.projection.grids import Target
 
 DEFAULT_HEIGHT = 230
 

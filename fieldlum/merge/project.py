@@ -20,7 +20,7 @@ from fieldlum.photometry import vignetting_at
 from fieldlum.photometry.stray_light import stray_cdm2
 from fieldlum.profiles import CameraProfile, Lens
 from fieldlum.projection import Equirect, Resampler, resampler
-from fieldlum.projection.resample import Target
+from fieldlum.projection.grids import Target
 from fieldlum.records import Flag, Panorama
 
 # Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fieldlum.merge.frame_checks import orientation_conflict
 from fieldlum.merge.sensor import Findings
 from fieldlum.profiles import CameraProfile
-from fieldlum.projection.resample import Target
+from fieldlum.projection.grids import Target
 from fieldlum.records import Flag
 from fieldlum.session.files.merge_report import FrameQuality, MergeReport, ShiftQuality
 

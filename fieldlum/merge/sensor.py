@@ -33,7 +33,7 @@ from fieldlum.merge.shots import Shot, stated_law
 from fieldlum.photometry import RatioFit, ShutterLaw
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import LensGeometry
-from fieldlum.projection.resample import Target
+from fieldlum.projection.grids import Target
 from fieldlum.records import Progress, quiet
 
 

@@ -16,7 +16,6 @@ from fieldlum.images import PANORAMA_LINE, read_panorama
 from fieldlum.models.alignment import align, find_turns, shown_place, turn_notes
 from fieldlum.models.check_pairs import Stated, check_plausible
 from fieldlum.models.teaching import joined_counts, pixel_counts
-from fieldlum.profiles import load_site, site_table
 from fieldlum.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Progress, SiteFile, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
@@ -25,6 +24,7 @@ from fieldlum.session.files.alignment_csv import alignment_path
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.session.provenance import data_digest
+from fieldlum.site_toml import load_site, site_table
 from fieldlum.sun_disc import split_disc
 
 if TYPE_CHECKING:

@@ -13,12 +13,12 @@ import numpy as np
 from fieldlum import sun
 from fieldlum.images import read_panorama, write_panorama
 from fieldlum.pair.sun_strength import Seen
-from fieldlum.profiles import plain
 from fieldlum.records import Float, Panorama, Progress, Room, SiteFile, utc_text
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.json_file import write_object
 from fieldlum.session.provenance import digest, made_from
+from fieldlum.strict_toml import plain
 
 SLOTS_A_UNIT = 16  # the room's rays are traced once per process, so few slots are enough
 Item = tuple[str, Path, datetime]  # slot, its panorama, its time

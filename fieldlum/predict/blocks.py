@@ -76,7 +76,7 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     Raises InputError if the config lacks place or size, or if the model needs patches and the site
     has no room.
     """
-    from fieldlum.profiles import site_from_table
+    from fieldlum.site_toml import site_from_table
 
     height, width, heading = config.height, config.width, config.heading_deg
     if height <= 0 or width <= 0 or heading is None or not config.setup:

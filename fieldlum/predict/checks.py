@@ -10,10 +10,10 @@ from fieldlum.errors import InputError
 from fieldlum.predict.annual import Annual, read_annual
 from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.occupancy import Occupancy
-from fieldlum.profiles import site_table
 from fieldlum.projection import signed_angle_deg
 from fieldlum.session import open_session, sha256
 from fieldlum.session.provenance import made_from
+from fieldlum.site_toml import site_table
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from fieldlum.models import POOR_WORDS
 from fieldlum.predict.annual import Annual
 from fieldlum.predict.blocks import ModelRoom
 from fieldlum.predict.occupancy import Occupancy
-from fieldlum.profiles import site_table
 from fieldlum.projection import NOT_SEEN, PARTLY_SEEN, SEEN, compass_name, seen_shares
 from fieldlum.records import utc_text
 from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.site_toml import site_table
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from fieldlum.projection.coverage import (
     seen_shares,
     seen_words,
 )
+from fieldlum.projection.grids import Equirect, Fisheye
 from fieldlum.projection.lens import (
     LensGeometry,
     angle_of_radius,
@@ -34,7 +35,7 @@ from fieldlum.projection.panorama import (
     signed_angle_deg,
 )
 from fieldlum.projection.pose import rotation, turned
-from fieldlum.projection.resample import Equirect, Fisheye, Resampler, resampler
+from fieldlum.projection.resample import Resampler, resampler
 
 __all__ = [
     "FULLY_SEEN_SHARE",

@@ -12,11 +12,11 @@ import numpy as np
 from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.light import Light
-from fieldlum.profiles import site_table
 from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
+from fieldlum.site_toml import site_table
 
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fieldlum.errors import InputError
-from fieldlum.profiles import build, plain
 from fieldlum.records import Room
 from fieldlum.session import replacing
+from fieldlum.strict_toml import build, plain
 
 SCENE_TOML = "scene.toml"
 FORMAT = 1

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from fieldlum.errors import InputError
-from fieldlum.profiles import site_from_table, site_table
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.writing import replacing, sha256
+from fieldlum.site_toml import site_from_table, site_table
 from fieldlum.version import __version__
 
 DEFAULT_GRACE_S = 300.0  # the sun moves by 1.3 degrees; `capture --grace` sets another

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from fieldlum import sun
 from fieldlum.errors import InputError
 from fieldlum.light import Light
-from fieldlum.profiles import build
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Site
 from fieldlum.sky import reinhart_patches
+from fieldlum.strict_toml import build
 
 if TYPE_CHECKING:
     from fieldlum.simulate.truth import GroundTruth, Rendering

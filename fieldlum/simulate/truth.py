@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.light import Light, light_at
-from fieldlum.profiles import plain
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Panorama, Progress, SiteFile, SunSource, quiet
 from fieldlum.scene.patches import disc_visibility
@@ -24,6 +23,7 @@ from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.view import SceneView, look
 from fieldlum.session import replacing_path
 from fieldlum.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather, representatives
+from fieldlum.strict_toml import plain
 
 Array = NDArray[np.float64]
 VERSION = 3  # of the coefficients; increase it to recompute all stored ones

@@ -20,8 +20,8 @@ from fieldlum.models.transport.physics import Physics
 from fieldlum.models.transport.pixel_fit import PixelFit, Recipe
 from fieldlum.models.transport.response import LightBasis, RoomResponse
 from fieldlum.models.transport.uncertainty import Uncertainty
-from fieldlum.profiles import build, plain
 from fieldlum.records import Room
+from fieldlum.strict_toml import build, plain
 
 Array = NDArray[Any]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fieldlum.errors import InputError
-from fieldlum.profiles import build
 from fieldlum.session.writing import replacing
+from fieldlum.strict_toml import build
 
 T = TypeVar("T")
 

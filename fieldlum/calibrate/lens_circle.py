@@ -1,0 +1,146 @@
+"""The image circle of a fisheye on the sensor, found in a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError
+from fieldlum.profiles import Lens
+from fieldlum.statistics import robust_sigma
+
+Array = NDArray[Any]
+
+EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured
+
+
+def grey_picture(path: Path) -> NDArray[np.uint8]:
+    """Read a raw, JPEG or PNG file as 8-bit grey at sensor size, [h, w]. Raises InputError."""
+    import cv2
+
+    if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+        if picture is None:
+            raise InputError(
+                path, "no picture that OpenCV reads", "a JPEG, PNG or raw frame", "check the file"
+            )
+        return np.asarray(picture, np.uint8)
+    from fieldlum.raw import read_mosaic
+
+    counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
+    rows, columns = (n // 2 * 2 for n in counts.shape)
+    cell = counts[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
+    cell = cv2.resize(cell, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    low, high = np.percentile(cell, [1, 99.5])
+    return (255 * np.clip((cell - low) / max(high - low, 1e-6), 0, 1) ** (1 / 2.2)).astype(np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """The image circle; u_px is the spread of its edge points."""
+
+    centre_px: tuple[float, float]
+    radius_px: float
+    u_px: float  # of the edge points about the circle
+
+
+def circle(picture: NDArray[np.uint8]) -> Circle:
+    """Find the image circle of a bright frame: scikit-image's Hough transform, then the edge.
+
+    The edge is refined along 720 rays, at half of the brightness just inside. Raises InputError
+    without a circle.
+
+    picture : [h, w], 8-bit grey.
+    """
+    from skimage.feature import canny
+    from skimage.transform import hough_circle, resize
+
+    h, w = picture.shape
+    step = max(max(h, w) / 240, 1.0)  # coarse, because the edge is refined at full size
+    small = np.asarray(
+        resize(picture.astype(float) / 255, (round(h / step), round(w / step)), anti_aliasing=True)
+    )
+    edges = canny(small, sigma=2.0)
+    short, long = sorted(small.shape)
+    radii = np.arange(int(0.2 * short), int(0.62 * long), 1)
+    if not edges.any():
+        raise InputError(
+            "circle",
+            "no edge in the picture",
+            "a bright frame that shows the complete circle",
+            "take another frame",
+        )
+    votes = hough_circle(edges, radii, full_output=False)
+    best, y, x = np.unravel_index(int(votes.argmax()), votes.shape)
+    return _refined(
+        picture, float(x + 0.5) * step, float(y + 0.5) * step, float(radii[best]) * step
+    )
+
+
+def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle:
+    from scipy.ndimage import gaussian_filter, map_coordinates
+    from scipy.optimize import least_squares
+
+    # The edge is at half of the light, not at half of the code.
+    light = (picture.astype(np.float32) / 255) ** 2.2
+    smooth = 255 * gaussian_filter(light, 1.0)
+    turn = np.arange(EDGE_DIRECTIONS) * 2 * np.pi / EDGE_DIRECTIONS
+    out = np.arange(0.9 * r, 1.1 * r, 0.25)
+    columns, rows = x + np.outer(np.cos(turn), out) - 0.5, y + np.outer(np.sin(turn), out) - 0.5
+    line = map_coordinates(smooth, [rows, columns], order=1, mode="constant", cval=np.nan)
+    inner = line[:, : len(out) // 5].mean(axis=1)
+    outer = np.nanmin(np.where(np.isnan(line), np.inf, line), axis=1)
+    below = line < ((inner + outer) / 2)[:, None]
+    first = below.argmax(axis=1)
+    good = below.any(axis=1) & (first > 0) & (inner > outer + 8)
+    if good.sum() < 60:
+        raise InputError(
+            "circle",
+            "no clear edge of a circle",
+            "a bright, evenly lit frame with dark surroundings",
+            "take another frame",
+        )
+    edge = np.stack(
+        [x + np.cos(turn[good]) * out[first[good]], y + np.sin(turn[good]) * out[first[good]]]
+    )
+
+    def misses(p: Array) -> Array:
+        return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
+
+    solved = least_squares(misses, (x, y, r), loss="soft_l1", f_scale=0.5)
+    cx, cy, radius = (float(v) for v in solved.x)
+    return Circle((cx, cy), radius, robust_sigma(misses(solved.x), 0.0))
+
+
+def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return how far a picture [h, w] moved in px, x right and y down, by phase correlation."""
+    from skimage.registration import phase_cross_correlation
+
+    if before.shape != after.shape:
+        raise InputError(
+            "shift",
+            f"pictures of {before.shape} and {after.shape} pixels",
+            "two frames of one camera",
+            "use frames of one size",
+        )
+    window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
+    pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]
+    plain: Any = None  # the type hint of scikit-image lacks None
+    # Without normalisation, because with it the pattern of the mosaic, which does not move,
+    # dominates the scene.
+    (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=plain)
+    return -float(right), -float(down)
+
+
+def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
+    """Return the lens with the circle's centre and radius, and its own mapping."""
+    return replace(
+        lens,
+        centre_px=(round(found.centre_px[0], 2), round(found.centre_px[1], 2)),
+        radius_px=round(found.radius_px, 2),
+        full_angle_deg=full_angle_deg,
+    )

@@ -1,0 +1,135 @@
+"""Checks of this computer: clock, disk, writing, sleep."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fieldlum.doctor.awake import Lock
+from fieldlum.doctor.findings import Finding, Verdict, owed_slots
+from fieldlum.session import Session
+
+DISK_MARGIN = 1.3  # free space over planned size; chosen, not measured
+
+
+SLOW_FSYNC_S = 0.5  # for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
+
+
+SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
+
+
+# State of adjtimex for a clock that is not synchronised (TIME_ERROR, <sys/timex.h>).
+_TIME_ERROR = 5
+
+
+def kernel_clock() -> bool | None:
+    """Return whether the kernel reports a synchronised clock (Linux, adjtimex), None if unknown."""
+    if not sys.platform.startswith("linux"):
+        return None
+    timex = ctypes.create_string_buffer(512)  # struct timex, all zero: modes 0 only reads
+    try:
+        state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
+    except (OSError, AttributeError):
+        return None
+    return None if state < 0 else state != _TIME_ERROR
+
+
+def check_clock(synchronised: bool | None) -> Finding:
+    """Return the finding about this computer's clock."""
+    now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
+    if synchronised is None:
+        text = f"{now}, and does not report whether it is synchronised: compare it with a server"
+        return Finding("clock", "warn", text)
+    if not synchronised:
+        text = f"{now}, not synchronised: switch network time on, or set it by hand today"
+        return Finding("clock", "warn", text)
+    return Finding("clock", "ok", f"{now}, synchronised by a time server")
+
+
+def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
+    """Check the space for the frames of all slots ahead, with a margin."""
+    ahead = owed_slots(session, now_utc)
+    planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
+    wanted = len(ahead) * max(planned, _largest_bracket_bytes(session)) * DISK_MARGIN
+    text = (
+        f"{free_bytes / 1e9:.1f} GB free, {wanted / 1e9:.1f} GB needed for {len(ahead)} slots "
+        f"(with {100 * (DISK_MARGIN - 1):.0f} % in reserve)"
+    )
+    return Finding("disk", "ok" if free_bytes >= wanted else "fail", text)
+
+
+def _largest_bracket_bytes(session: Session) -> int:
+    """Return the size of the largest of the last five brackets.
+
+    The files that the camera writes may differ much from the profile's estimate.
+    """
+    taken = [
+        folder
+        for folder in session.captured_folders()
+        if session.capture_file(folder.name).is_file()
+    ]
+    return max(
+        (sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]),
+        default=0,
+    )
+
+
+def check_writing(folder: Path) -> list[Finding]:
+    """Check that a file can be written, flushed to the disk, renamed and read back."""
+    path = folder / f".doctor.{os.getpid()}.tmp"
+    payload = os.urandom(1 << 20)
+    start = time.perf_counter()
+    try:
+        with path.open("wb") as file:
+            file.write(payload)
+            file.flush()
+            os.fsync(file.fileno())
+        took = time.perf_counter() - start
+        renamed = path.replace(path.with_suffix(".renamed"))
+        same = renamed.read_bytes() == payload
+    except OSError as error:
+        return [Finding("writing", "fail", f"{folder}: {error.strerror}")]
+    finally:
+        path.unlink(missing_ok=True)
+        path.with_suffix(".renamed").unlink(missing_ok=True)
+    if not same:
+        text = f"{folder}: the bytes read differ from those written: use another disk"
+        return [Finding("writing", "fail", text)]
+    verdict: Verdict = "warn" if took > SLOW_FSYNC_S else "ok"
+    findings = [Finding("writing", verdict, f"1 MB written and flushed in {took * 1000:.0f} ms")]
+    if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
+        text = (
+            "the folder is synchronised by a cloud service, which can lock files: move it to a "
+            "local disk"
+        )
+        findings.append(Finding("writing", "warn", text))
+    return findings
+
+
+def check_sleep(locks: list[Lock] | None, lid: bool = False, own: str = "") -> Finding:
+    """Check that something keeps this computer awake: a lock, or `own`, the lock of `capture`.
+
+    By logind's default a closed lid overrides a lock on sleep; only a lock on handle-lid-switch
+    prevents that.
+    """
+    how = {
+        "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
+        "darwin": "caffeinate -dims fieldlum capture ...",
+    }.get(sys.platform, "switch sleep off in the power settings")
+    if locks is None and not own:
+        return Finding("sleep", "warn", f"it is unknown whether this computer will sleep: {how}")
+    held = [lock for lock in locks or () if lock.mode == "block"]
+    if own:
+        held.append(Lock("capture itself while it runs", frozenset(own.split(":")), "block"))
+    by = next((lock.who for lock in held if "sleep" in lock.what), "")
+    if not by:
+        return Finding("sleep", "warn", f"nothing keeps this computer awake: {how}")
+    if lid and not any("handle-lid-switch" in lock.what for lock in held):
+        text = f"prevented by {by}, but a closed lid would still send it to sleep: {how}"
+        return Finding("sleep", "warn", text)
+    return Finding("sleep", "ok", f"prevented by {by}")

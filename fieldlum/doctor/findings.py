@@ -1,0 +1,47 @@
+"""One line of the doctor's verdict, and the slots that it is about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date, datetime
+from typing import Literal
+
+from fieldlum.errors import InputError
+from fieldlum.records import Slot
+from fieldlum.session import Session, outcomes
+
+Verdict = Literal["ok", "warn", "fail"]
+
+
+CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Zonen, Delta-T)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the verdict.
+
+    exit_code is used if the check failed: 4 for devices and this computer, 3 for files.
+    """
+
+    what: str
+    verdict: Verdict
+    text: str
+    exit_code: int = 4
+
+
+def owed_slots(session: Session, now_utc: datetime) -> list[Slot]:
+    """Return the slots that can still be captured."""
+    settled, grace = outcomes(session), session.grace
+    return [
+        slot for slot in session.slots() if slot.id not in settled and slot.t_utc + grace >= now_utc
+    ]
+
+
+def iso_date(text: str) -> date | None:
+    """Return an ISO date, None for an empty text. Raises InputError for another text."""
+    try:
+        return date.fromisoformat(text) if text else None
+    except ValueError:
+        raise InputError(
+            "camera profile", f"date '{text}'", "a date such as 2027-03-20", "correct the date"
+        ) from None

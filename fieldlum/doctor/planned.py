@@ -1,0 +1,101 @@
+"""Checks of plan, camera profile and calendar."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import date, datetime, timedelta
+from zoneinfo import ZoneInfo
+
+from fieldlum import sun
+from fieldlum.doctor.findings import CALIBRATION_YEARS, Finding, iso_date, owed_slots
+from fieldlum.profiles import CameraProfile, coverage_text, load_camera_profile
+from fieldlum.records import Slot
+from fieldlum.session import Session, sha256
+
+
+def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
+    """Check that plan.csv is the planned file, and that some of its slots are ahead."""
+    about = session.table().get("plan", {})
+    slots, ahead = session.slots(), owed_slots(session, now_utc)
+    findings = []
+    if about.get("sha256", "") != sha256(session.plan):
+        text = (
+            "plan.csv differs from the plan that session.toml records: restore it, or run "
+            "fieldlum plan --replan"
+        )
+        findings.append(Finding("plan", "fail", text, 3))
+    if not ahead:
+        text = f"none of its {len(slots)} slots is ahead: plan again"
+        return [*findings, Finding("plan", "warn", text)]
+    zone = ZoneInfo(session.site_file().site.timezone)
+    first = ahead[0].t_utc.astimezone(zone)
+    text = f"{len(ahead)} of {len(slots)} slots ahead, the next on {first:%a %Y-%m-%d at %H:%M %Z}"
+    return [*findings, Finding("plan", "ok", text)]
+
+
+def check_profile(session: Session, today: date) -> list[Finding]:
+    """Check that the camera profile is readable, up to date, and fits the planned exposures."""
+    setup = session.site_file()
+    profile = load_camera_profile(setup.camera.profile)
+    blind = coverage_text(profile, setup.camera)
+    coverage = [Finding("coverage", "warn", blind)] if blind else []
+    return [judge_age(profile, today), *judge_calibration(profile, session.slots()), *coverage]
+
+
+def judge_age(profile: CameraProfile, today: date) -> Finding:
+    """Return the finding about the age of a camera profile."""
+    name = profile.camera.name
+    expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
+    if expires and expires < today:
+        text = f"{name} expired on {expires}: calibrate again, or change its expiry date"
+        return Finding("profile", "fail", text, 3)
+    if calibrated and (today - calibrated).days > CALIBRATION_YEARS * 365.25:
+        text = f"{name} was calibrated on {calibrated}, over {CALIBRATION_YEARS:g} years ago"
+        return Finding("profile", "warn", f"{text}: calibrate again")
+    text = f", calibrated {calibrated}" if calibrated else ", no date of calibration"
+    return Finding("profile", "ok", f"{name}{text}")
+
+
+def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:
+    """Return a finding for each kind of planned exposure without a calibration in the profile."""
+    planned = {exposure for slot in slots for exposure in slot.exposures}
+    findings = []
+    apertures = {e.f_number for e in planned}
+    if profile.scale.f_numbers and (other := sorted(apertures - set(profile.scale.f_numbers))):
+        shown = ", ".join(f"f/{f:g}" for f in other)
+        text = f"{profile.camera.name} has no scale for {shown}: calibrate it, or plan again"
+        findings.append(Finding("profile", "fail", text, 3))
+    if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
+        text = f"{profile.camera.name} has no filter {sorted(missing)[0]}: add it, or plan again"
+        findings.append(Finding("profile", "fail", text, 3))
+    return findings
+
+
+def check_calendar(session: Session, now_utc: datetime) -> list[Finding]:
+    """Report clock changes ahead, and in how many slots the sun is in view of the lens."""
+    ahead, site = owed_slots(session, now_utc), session.site_file().site
+    if not ahead:
+        return []
+    first, last = (sun.standard_date(slot.t_utc, site.timezone) for slot in (ahead[0], ahead[-1]))
+    changes = sun.clock_changes(first, last, site.timezone)
+    zone = ZoneInfo(site.timezone)
+    parts = []
+    for moment, change in changes:
+        way = "forward" if change > timedelta() else "back"
+        hours = abs(change.total_seconds()) / 3600
+        parts.append(f"{way} {hours:g} h on {moment.astimezone(zone):%Y-%m-%d}")
+    text = "no clock changes"
+    if parts:
+        text = f"clocks go {'; '.join(parts)}: the plan is in UTC and does not change"
+    findings = [Finding("calendar", "ok", text)]
+    in_view = [slot for slot in ahead if "sun-in-view" in slot.tags]
+    if in_view:
+        filtered = all(any(e.nd for e in slot.exposures) for slot in in_view)
+        text = f"the sun is in view of the lens in {len(in_view)} slots"
+        remedy = (
+            "the bracket has a filter for it"
+            if filtered
+            else "without a filter its energy must come from DNI"
+        )
+        findings.append(Finding("sun", "ok" if filtered else "warn", f"{text}: {remedy}"))
+    return findings

@@ -1,0 +1,122 @@
+"""Grids of a result: equirectangular panoramas and equidistant fisheyes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.projection.lens import LensGeometry, lens_rays
+from fieldlum.projection.panorama import direction, equirect_solid_angles
+
+
+@dataclass(frozen=True, slots=True)
+class Equirect:
+    """A panorama grid of `height` rows, in a frame whose north is the heading."""
+
+    height: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.height, 2 * self.height
+
+    @property
+    def pixel_rad(self) -> float:
+        """Angle across one pixel at the horizon, in rad."""
+        return float(np.pi / self.height)
+
+    def rays(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return the directions of continuous (row, column) coordinates, [rows, columns, 3]."""
+        altitude = 90.0 - rows / self.height * 180.0
+        azimuth = (columns / (2 * self.height) - 0.5) * 360.0
+        return direction(altitude[:, None], azimuth[None, :])
+
+    def weight(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return the relative solid angle of samples, [rows, columns]."""
+        return np.broadcast_to(
+            np.sin(rows / self.height * np.pi)[:, None], (rows.size, columns.size)
+        )
+
+    def solid_angles(self) -> NDArray[np.float64]:
+        """Return the solid angle of each pixel, in sr, [H, W]."""
+        return equirect_solid_angles(*self.shape)
+
+
+@dataclass(frozen=True, slots=True)
+class Fisheye:
+    """A square equidistant picture (Radiance -vta) of `full_angle_deg` along the axis of `pose`."""
+
+    size: int
+    full_angle_deg: float
+    pose: LensGeometry
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.size, self.size
+
+    @property
+    def pixel_rad(self) -> float:
+        """Angle across one pixel, in rad."""
+        return float(np.radians(self.full_angle_deg) / self.size)
+
+    @property
+    def geometry(self) -> LensGeometry:
+        """The equidistant lens of this picture, in the pose of `pose`."""
+        half = self.size / 2
+        p = self.pose
+        return LensGeometry(
+            (half, half),
+            half,
+            self.full_angle_deg,
+            "equidistant",
+            (),
+            p.azimuth_deg,
+            p.tilt_deg,
+            p.roll_deg,
+        )
+
+    def view(self, heading_deg: float) -> str:
+        """Return Radiance's view options; `heading_deg` is the azimuth of the panorama's centre."""
+        turn = np.radians(heading_deg)
+        rotation = np.array(
+            [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+        )
+        _, up, forward = self.geometry.axes() @ rotation.T
+        vd, vu = (" ".join(f"{value:.6f}" for value in np.round(v, 6) + 0.0) for v in (forward, up))
+        angle = f"{self.full_angle_deg:g}"
+        return f"-vta -vd {vd} -vu {vu} -vv {angle} -vh {angle}"
+
+    def rays(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return the directions of continuous (row, column) coordinates, [rows, columns, 3]."""
+        return lens_rays(self.geometry, columns[None, :], rows[:, None])
+
+    def angles(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return the angles from the axis, in rad, [rows, columns]."""
+        half = self.size / 2
+        return np.hypot(columns[None, :] - half, rows[:, None] - half) * self.pixel_rad
+
+    def weight(
+        self, rows: NDArray[np.floating], columns: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return the relative solid angle of samples, 0 outside the circle, [rows, columns]."""
+        angle = self.angles(rows, columns)
+        return np.where(
+            angle <= np.radians(self.full_angle_deg) / 2, np.abs(np.sinc(angle / np.pi)), 0.0
+        )
+
+    def solid_angles(self) -> NDArray[np.float64]:
+        """Return the solid angle of each pixel, in sr, [size, size]."""
+        centre = np.arange(self.size) + 0.5
+        return self.weight(centre, centre) * self.pixel_rad**2
+
+
+Target = Equirect | Fisheye

@@ -1,0 +1,118 @@
+"""Strict TOML: an unknown key, a wrong type or a missing value is an error."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+import types
+import typing
+from dataclasses import MISSING, asdict, fields, is_dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from fieldlum.errors import InputError
+
+T = TypeVar("T")
+
+
+def build(cls: type[T], table: dict[str, Any], where: str) -> T:
+    """Build a frozen dataclass from a TOML table; check nested dataclasses, tuples and Literals.
+
+    Raises InputError with `where`, the key, the value found and what was expected.
+    """
+    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+    hints = typing.get_type_hints(cls)
+    for key in table:
+        if key not in known:
+            near = get_close_matches(key, known, n=1)
+            hint = (
+                f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(known))}"
+            )
+            raise InputError(where, f"unknown key '{key}'", remedy=hint)
+    for name, f in known.items():
+        if name not in table and f.default is MISSING and f.default_factory is MISSING:
+            raise InputError(where, f"no '{name}'", f"a value for '{name}'", "add it")
+    return cls(
+        **{key: _value(hints[key], value, f"{where} [{key}]") for key, value in table.items()}
+    )
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (types.UnionType, typing.Union):
+        if value is None and type(None) in arguments:
+            return None
+        return _value(next(a for a in arguments if a is not type(None)), value, where)
+    if hint is typing.Any:
+        return value
+    if origin is Literal:
+        if value not in arguments:
+            expected = "one of " + ", ".join(map(str, arguments))
+            raise InputError(where, repr(value), expected, "correct the value")
+        return value
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise InputError(where, repr(value), "a list", "correct the value")
+        inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
+        if inner is None and len(value) != len(arguments):
+            expected = f"{len(arguments)} values"
+            raise InputError(where, f"{len(value)} values", expected, "correct the list")
+        return tuple(
+            _value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value)
+        )
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise InputError(where, repr(value), "a table", "correct the value")
+        return {str(k): _value(arguments[1], v, f"{where}.{k}") for k, v in value.items()}
+    if is_dataclass(hint):
+        if not isinstance(value, dict):
+            raise InputError(where, repr(value), "a table", "correct the value")
+        return build(typing.cast(type, hint), value, where)
+    if hint is float:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
+            raise InputError(where, repr(value), "a number", "correct the value")
+        return float(value)
+    if isinstance(hint, type) and (
+        not isinstance(value, hint) or (hint is int and isinstance(value, bool))
+    ):
+        expected = {int: "an integer", str: "text", bool: "true or false"}[hint]
+        raise InputError(where, repr(value), expected, "correct the value")
+    return value
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file. Raises InputError for a missing file or for a file that is no TOML."""
+    try:
+        # Editors of Windows write a byte order mark before the text.
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(
+            path, error.strerror or str(error), "a readable TOML file", "check the path"
+        ) from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            path,
+            f"byte {error.object[error.start]:#04x} that is no UTF-8",
+            "TOML in UTF-8",
+            "save it again with the encoding UTF-8",
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(
+            path, str(error), "TOML", "correct that line: text in quotes, decimals with a point"
+        ) from None
+
+
+def plain(value: Any) -> Any:
+    """Return dataclasses as values that TOML can have: no None, tuples as lists."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return value
