@@ -10,6 +10,7 @@ import numpy as np
 
 from fieldlum.records import Room, Window
 from fieldlum.scene.geometry import transmissivity
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, guess_of
 
 GLASS = 0.88
 
@@ -27,6 +28,11 @@ def quad(mat: str, corners: Sequence[Sequence[float]]) -> str:
 quad.count = 0  # type: ignore[attr-defined]
 
 
+def solid_line(mat: str, low: Sequence[float], high: Sequence[float]) -> str:
+    """A comment that states a box for `exact_guess`; Radiance skips it."""
+    return f"# solid {mat} " + " ".join(f"{v:.4f}" for v in (*low, *high)) + "\n"
+
+
 def block(mat: str, low: Sequence[float], high: Sequence[float]) -> str:
     (x0, y0, z0), (x1, y1, z1) = low, high
     ends = [
@@ -37,7 +43,7 @@ def block(mat: str, low: Sequence[float], high: Sequence[float]) -> str:
         [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0)],
         [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)],
     ]
-    return "".join(quad(mat, corners) for corners in ends)
+    return "".join(quad(mat, corners) for corners in ends) + solid_line(mat, low, high)
 
 
 def disc(mat: str, centre: tuple[float, float, float], radius: float) -> str:
@@ -70,6 +76,7 @@ def shell(room: Room) -> str:
         "wall", (u0, -t, z1), (u1, 0.0, tall)
     )
     y = -t / 2
+    text = "".join(line for line in text.splitlines(True) if not line.startswith("# solid"))
     return text + quad("pane", [(u0, y, z0), (u1, y, z0), (u1, y, z1), (u0, y, z1)])
 
 
@@ -107,6 +114,11 @@ def round_table() -> tuple[Room, str]:
         reflectance_floor=0.3,
     )
     things = disc("wood", (1.7, 1.9, 0.74), 0.65) + disc("wood", (1.7, 1.9, 0.70), 0.65)
+    for k in range(8):  # the round top as eight slabs
+        y0 = -0.65 + 0.1625 * k
+        x = np.sqrt(0.65**2 - (y0 + 0.08125) ** 2)
+        low, high = (1.7 - x, 1.9 + y0, 0.70), (1.7 + x, 1.9 + y0 + 0.1625, 0.74)
+        things += solid_line("wood", low, high)
     things += block("wood", (1.62, 1.82, 0.0), (1.78, 1.98, 0.7))
     things += block("wood", (3.9, 0.6, 0.0), (4.5, 2.2, 1.1))
     text = shell(room) + things + ground(-0.1)
@@ -278,6 +290,32 @@ def mullions() -> tuple[Room, str]:
     text = shell(room) + things + ground(-0.1)
     places = [(0.9, 0.05), (1.35, 0.14), (2.9, 0.08), (3.6, 0.05)]
     return room, text + bars(room, places, [0.95, 2.2])
+
+
+TONES = {"wood": 0.35, "facade": 0.5, "frame": 0.4, "ceiling": 0.8}
+
+
+def exact_guess(room: Room, text: str) -> Guess:
+    """The room as `fieldlum.scene_fit` can state it at best: with all its boxes and bars.
+
+    Leaves, slats, arches and slopes are no boxes and are missing.
+    """
+    guess = guess_of(room)
+    bars: list[Bar] = []
+    solids: list[Solid] = []
+    rect = guess.windows[0]
+    for line in text.splitlines():
+        if not line.startswith("# solid"):
+            continue
+        _, _, mat, *numbers = line.split()
+        x0, y0, z0, x1, y1, z1 = map(float, numbers)
+        if mat == "frame":
+            upright = z1 - z0 > 0.9 * (rect.z_m[1] - rect.z_m[0])
+            bars.append(Bar(0, upright, (x0, x1) if upright else (z0, z1), (-y1, -y0)))
+        else:
+            tone = TONES.get(mat, room.reflectance_walls)
+            solids.append(Solid((x0, y0, z0), (x1, y1, z1), tone))
+    return replace(guess, bars=tuple(bars), solids=tuple(solids))
 
 
 ROOMS = {

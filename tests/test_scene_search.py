@@ -19,11 +19,12 @@ from fieldlum.scene import sun_patches
 from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
 from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
-from fieldlum.scene_fit.fit import Misfits, fit_scene
+from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.guess import Solid, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.renderer import surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
+from fieldlum.scene_fit.scene_search import Misfits
 from fieldlum.scene_fit.search import (
     PRIOR_SHARE,
     Objective,

@@ -14,8 +14,9 @@ from fieldlum.models.data import Dataset
 from fieldlum.models.transport import Transport, fit
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit import stage
-from fieldlum.scene_fit.fit import Misfits, SceneFit
+from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import guess_of
+from fieldlum.scene_fit.scene_search import Misfits
 from fieldlum.scene_fit.search import stated_albedo
 from fieldlum.scene_fit.verdict import (
     FOLDS,

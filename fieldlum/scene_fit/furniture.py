@@ -24,8 +24,9 @@ ALBEDOS = (0.1, 0.2, 0.35, 0.5, 0.7)
 MIN_PIXEL_GAIN = 0.02  # of a pixel's misfit: less is noise
 CELL_M = 0.15  # of the plan in which proposals are grouped
 MIN_CELLS = 2
-MAX_PROPOSALS = 10
+MAX_PROPOSALS = 12
 MIN_SIZE_M = 0.08
+MIN_TABLE_M, TABLE_TOP_M = 0.35, 0.05  # a table's top on thin legs lets the sun pass below it
 
 # The faces that a pixel may look at: axis and sign of the normal.
 FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
@@ -147,7 +148,11 @@ def _clusters(
         if x0 < camera[0] < x1 and y0 < camera[1] < y1 and top > camera[2] - 0.2:
             continue
         gain = float(found.gain[member].sum())
-        proposals.append((gain, Solid((x0, y0, 0.0), (x1, y1, max(top, MIN_SIZE_M)), albedo)))
+        top = max(top, MIN_SIZE_M)
+        proposals.append((gain, Solid((x0, y0, 0.0), (x1, y1, top), albedo)))
+        if len(flat) and top > MIN_TABLE_M:
+            slab = Solid((x0, y0, top - TABLE_TOP_M), (x1, y1, top), albedo)
+            proposals.append((0.9 * gain, slab))
         if found.gain[member].size > 10:
             tall = Solid((x0, y0, 0.0), (x1, y1, guess.size_m[2]), albedo)
             proposals.append((0.5 * gain, tall))
@@ -170,7 +175,7 @@ def _distinct(solids: Sequence[Solid]) -> list[Solid]:
 
 
 def solid_parameters(number: int) -> list[Parameter]:
-    """The five faces and the albedo of a solid that stands on the floor; no prior."""
+    """The faces and the albedo of a solid on or above the floor; no prior."""
 
     def changed(change: Callable[[Solid, float], Solid]) -> Callable[[Guess, float], Guess]:
         def apply(g: Guess, by: float) -> Guess:
@@ -186,7 +191,7 @@ def solid_parameters(number: int) -> list[Parameter]:
             values[axis] += by
             other = solid.high_m if which == "low_m" else solid.low_m
             extent = (other[axis] - values[axis]) * (1.0 if which == "low_m" else -1.0)
-            if extent < 0.01:
+            if extent < 0.01 or (axis == 2 and values[2] < 0.0):
                 return solid
             return replace(solid, **{which: tuple(values)})
 
@@ -221,4 +226,4 @@ def solid_parameters(number: int) -> list[Parameter]:
         np.inf,
     )
     faces = [face("low_m", 0), face("high_m", 0), face("low_m", 1), face("high_m", 1)]
-    return [slide(0), slide(1), *faces, face("high_m", 2), albedo]
+    return [slide(0), slide(1), *faces, face("low_m", 2), face("high_m", 2), albedo]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Room
 from fieldlum.scene.geometry import WALLS
-from fieldlum.scene_fit.evidence import SceneEvidence
+from fieldlum.scene_fit.evidence import WIDTH, SceneEvidence
 from fieldlum.scene_fit.guess import Bar, Guess
 
 if TYPE_CHECKING:
@@ -24,13 +24,15 @@ Array = NDArray[np.floating]
 Change = Callable[[Guess, float], Guess]
 
 # Standard deviations of what a person states with a tape measure and a compass (docs/scene.md).
-NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.5
+NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
 LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
-PRIOR_SHARE = 0.0005  # of the stated misfit: what one standard deviation of one number must pay
+PRIOR_SHARE = 0.0015  # of the stated misfit: what one standard deviation of one number must pay
 MIN_GAIN_SHARE = 1e-5
 POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
 SUN_DEG_PER_MIN = 0.25  # of azimuth: a late clock and a turned north look alike
 MAX_MOVES = 6
+_PRINCIPAL_GAIN = 0.02  # of the cost: what the first step along a principal axis would change
+_LONGEST_STEPS = 3.0  # first steps of the parameters, along axes that hardly change the misfit
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +222,14 @@ class Objective:
         self.count += 1
         return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.prior(guess)
 
+    def residuals(self, guess: Guess) -> Array:
+        """Return numbers [n m] whose squares add up to the misfit."""
+        evidence = self.evidence
+        patch = evidence.patches(guess, self._albedo(guess))
+        error = np.log(evidence.below + patch) - evidence.log_seen  # [n, m]
+        scale = np.sqrt(evidence.weights / len(evidence))
+        return (scale * error / np.sqrt(error**2 + WIDTH**2)).ravel()
+
     def _albedo(self, guess: Guess) -> Array:
         missing = 6 + len(guess.solids) - len(self.albedo)
         more = [solid.albedo for solid in guess.solids[len(guess.solids) - max(missing, 0) :]]
@@ -259,17 +269,72 @@ def pattern_search(
     when neither direction pays. Steps begin at `coarse` times the first step and end at `fine`
     times the last one. Clock and north also move together, along the valley between them.
     """
-    best, cost = guess, objective(guess)
-    step = {p.name: coarse * p.first_step for p in parameters}
-    moves = [(p.name, p.change, p.last_step) for p in parameters]
+    moves = [(p.name, p.change, coarse * p.first_step, fine * p.last_step) for p in parameters]
     for name, change, first, last in compound_moves(guess, parameters, objective.pose):
-        moves.append((name, change, last))
-        step[name] = coarse * first
+        moves.append((name, change, coarse * first, fine * last))
+    return search_moves(objective, guess, moves)
+
+
+def principal_search(
+    objective: Objective, guess: Guess, parameters: Sequence[Parameter]
+) -> tuple[Guess, float]:
+    """Return the best guess along the principal axes of the misfit's curvature, and its cost.
+
+    Numbers that trade against each other, such as a wall's azimuth, a window and the camera, leave
+    valleys that single numbers do not follow. Their directions are the eigenvectors of the
+    Gauss-Newton matrix of numeric differences; flat ones get the longest steps.
+    """
+    base = objective.residuals(guess)
+    cost = objective(guess)
+    columns = [
+        2.0 * (objective.residuals(p.change(guess, 0.5 * p.first_step)) - base) for p in parameters
+    ]
+    slopes = np.stack(columns, axis=1)  # [n m, p] per first step
+    values, vectors = np.linalg.eigh(slopes.T @ slopes + _prior_curvature(objective, parameters))
+    moves: list[tuple[str, Change, float, float]] = []
+    for k, value in enumerate(values):
+        first = min(np.sqrt(_PRINCIPAL_GAIN * cost / max(value, 1e-12)), _LONGEST_STEPS)
+        change = _along(parameters, vectors[:, k])
+        moves.append((f"axis {k}", change, float(first), float(first) / 8.0))
+    return search_moves(objective, guess, moves)
+
+
+def _prior_curvature(objective: Objective, parameters: Sequence[Parameter]) -> Array:
+    """Return half of the prior's second derivatives by the parameters' first steps, [p, p]."""
+    pose = objective.pose
+    names = [p.name for p in parameters]
+    step = np.array([p.first_step for p in parameters])
+    sd = np.array([p.sd for p in parameters])
+    if pose is None:
+        return objective.prior_unit * np.diag((step / sd) ** 2)
+    curvature = np.diag([0.0 if n in POSE_NAMES else s**-2 for n, s in zip(names, sd, strict=True)])
+    at = [names.index(name) for name in POSE_NAMES]
+    curvature[np.ix_(at, at)] = np.linalg.inv(pose.covariance)
+    return objective.prior_unit * curvature * np.outer(step, step)
+
+
+def _along(parameters: Sequence[Parameter], direction: Array) -> Change:
+    """A move of all parameters by `direction` [p] times their first steps."""
+
+    def change(guess: Guess, by: float) -> Guess:
+        for p, share in zip(parameters, direction, strict=True):
+            guess = p.change(guess, float(by * share * p.first_step))
+        return guess
+
+    return change
+
+
+def search_moves(
+    objective: GuessCost, guess: Guess, moves: Sequence[tuple[str, Change, float, float]]
+) -> tuple[Guess, float]:
+    """Return the best guess by moves (name, change, first and last step), and its cost."""
+    best, cost = guess, objective(guess)
+    step = {name: first for name, _, first, _ in moves}
     active = True
     while active:
         active = False
-        for name, change, last in moves:
-            if step[name] < fine * last:
+        for name, change, _, last in moves:
+            if step[name] < last:
                 continue
             active = True
             moved = False
@@ -308,7 +373,7 @@ def compound_moves(
 
     moves: list[tuple[str, Change, float, float]] = []
     if {"north_deg", "clock_min"} <= by_name.keys():
-        moves.append(("valley", _along_valley, 2.0, 0.12))
+        moves.append(("valley", along_valley, 2.0, 0.12))
     if pose is not None and set(POSE_NAMES) <= by_name.keys():
         moves.append(("discs", _along_discs(pose), 2.0, 0.12))
     if {"north_deg", "wall_azimuth_deg"} <= by_name.keys():
@@ -350,7 +415,7 @@ def _along_discs(pose: PosePrior) -> Change:
     return change
 
 
-def _along_valley(guess: Guess, by_min: float) -> Guess:
+def along_valley(guess: Guess, by_min: float) -> Guess:
     """A later clock with north following the sun, so that patches stay where they are at noon."""
     clock = float(np.clip(guess.clock_min + by_min, -19.0, 19.0))
     moved = clock - guess.clock_min

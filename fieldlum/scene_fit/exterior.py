@@ -1,0 +1,128 @@
+"""What stands outside a window and shades it: a facade opposite, a wing at one side, a canopy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from fieldlum.scene.geometry import WALLS
+from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.scene_fit.search import Parameter
+
+# Grids from which searches start. Distance and height of a facade trade against each other, so that
+# a factor of two in distance is fine enough; its angle of elevation decides which suns it hides.
+FACADE_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
+FACADE_ELEVATIONS_DEG = (6.0, 10.0, 14.0, 18.0, 24.0, 30.0, 40.0)
+FACADE_THICKNESS_M = 2.0
+REACH_M = 40.0  # of a facade to either side of the window: past every sun that enters
+CANOPY_GAPS_M = (0.05, 0.3)  # above the window's upper edge
+CANOPY_DEPTHS_M = (0.4, 0.8, 1.3, 2.0)
+CANOPY_THICKNESS_M = 0.1
+THINNEST_M = 0.08  # a thinner shade explains noise
+CANOPY_OVERHANG_M = 1.5  # to either side of the window
+COVERED_SHARES = (0.15, 0.3, 0.45, 0.6, 0.75)  # of a window by a blind or a curtain
+ALBEDO = 0.4  # no captured patch shows the outside: a common facade
+
+Side = Literal["all", "low", "high"]
+
+
+def propose_exterior(guess: Guess) -> list[Solid]:
+    """Return facades and canopies before each window, on a coarse grid."""
+    proposals: list[Solid] = []
+    for rect in guess.windows:
+        middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
+        for distance in FACADE_DISTANCES_M:
+            for elevation in FACADE_ELEVATIONS_DEG:
+                top = middle_z + distance * float(np.tan(np.radians(elevation)))
+                out = (distance, distance + FACADE_THICKNESS_M)
+                for low, high in (
+                    (middle_u - REACH_M, middle_u + REACH_M),
+                    (middle_u - REACH_M, middle_u),
+                    (middle_u, middle_u + REACH_M),
+                ):
+                    proposals.append(_outside(guess, rect, (low, high), out, (0.0, top)))
+        for gap in CANOPY_GAPS_M:
+            for depth in CANOPY_DEPTHS_M:
+                z = rect.z_m[1] + gap
+                along = (rect.u_m[0] - CANOPY_OVERHANG_M, rect.u_m[1] + CANOPY_OVERHANG_M)
+                out = (guess.thickness_m, guess.thickness_m + depth)
+                height = (z, z + CANOPY_THICKNESS_M)
+                proposals.append(_outside(guess, rect, along, out, height))
+    return proposals
+
+
+def _outside(
+    guess: Guess,
+    rect: WindowRect,
+    along: tuple[float, float],
+    out: tuple[float, float],
+    height: tuple[float, float],
+) -> Solid:
+    """Return a box before a window: `along` its wall, `out` of the wall's inner face, in height."""
+    axis, side = WALLS[rect.wall]
+    inner = guess.size_m[axis] if side else 0.0
+    across = (inner + out[0], inner + out[1]) if side else (-out[1], -out[0])
+    low, high = [0.0, 0.0, height[0]], [0.0, 0.0, height[1]]
+    low[axis], high[axis] = across
+    low[1 - axis], high[1 - axis] = along
+    return Solid((low[0], low[1], low[2]), (high[0], high[1], high[2]), ALBEDO)
+
+
+def is_outside(guess: Guess, solid: Solid) -> bool:
+    """Return whether a solid lies outside the walls."""
+    return any(
+        solid.high_m[axis] <= 0.0 or solid.low_m[axis] >= guess.size_m[axis] for axis in (0, 1)
+    )
+
+
+def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]:
+    """The faces of a solid outside and its place; no prior. Its albedo shows in no patch inside."""
+
+    def parameter(name: str, move: Callable[[Solid, float], Solid]) -> Parameter:
+        def change(g: Guess, by: float) -> Guess:
+            solids = list(g.solids)
+            moved = move(solids[number], by)
+            if all(h - low > THINNEST_M for low, h in zip(moved.low_m, moved.high_m, strict=True)):
+                solids[number] = moved
+            trial = replace(g, solids=tuple(solids))
+            return trial if is_outside(trial, moved) else g
+
+        label = f"solid {number + 1} {name}"
+        return Parameter(label, lambda _: 0.0, change, first_step, 0.02, np.inf)
+
+    def face(which: Literal["low_m", "high_m"], axis: int) -> Parameter:
+        def move(solid: Solid, by: float) -> Solid:
+            values = list(getattr(solid, which))
+            values[axis] += by
+            return replace(solid, **{which: tuple(values)})
+
+        return parameter(f"{which[0]}{'xyz'[axis]}", move)
+
+    def slide(axis: int) -> Parameter:
+        def move(solid: Solid, by: float) -> Solid:
+            low, high = list(solid.low_m), list(solid.high_m)
+            low[axis] += by
+            high[axis] += by
+            return replace(solid, low_m=tuple(low), high_m=tuple(high))
+
+        return parameter(f"slide {'xyz'[axis]}", move)
+
+    faces = [face(which, axis) for axis in (0, 1, 2) for which in ("low_m", "high_m")]
+    return [*faces, slide(0), slide(1), slide(2)]
+
+
+def propose_covers(guess: Guess) -> list[Bar]:
+    """Return blinds and curtains: parts of a window's opening that are covered from one end."""
+    proposals: list[Bar] = []
+    depth = (0.0, min(0.05, 0.5 * guess.thickness_m))
+    for number, rect in enumerate(guess.windows):
+        for share in COVERED_SHARES:
+            for upright, (low, high) in ((True, rect.u_m), (False, rect.z_m)):
+                width = share * (high - low)
+                proposals.append(Bar(number, upright, (high - width, high), depth))
+                if upright:
+                    proposals.append(Bar(number, upright, (low, low + width), depth))
+    return proposals

@@ -1,0 +1,293 @@
+"""The steps of a fit: box and shades, bars, furniture, and everything together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.records import Room
+from fieldlum.scene_fit.bars import MAX_BAR_M, MIN_BAR_M, propose_bars, window_picture
+from fieldlum.scene_fit.evidence import SceneEvidence
+from fieldlum.scene_fit.exterior import (
+    exterior_parameters,
+    is_outside,
+    propose_covers,
+    propose_exterior,
+)
+from fieldlum.scene_fit.furniture import pixel_depths, propose_solids, solid_parameters
+from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.renderer import SHELL
+from fieldlum.scene_fit.search import (
+    PRIOR_SHARE,
+    SUN_DEG_PER_MIN,
+    Objective,
+    Parameter,
+    along_valley,
+    bar_parameters,
+    pattern_search,
+    principal_search,
+    room_parameters,
+    stated_albedo,
+)
+from fieldlum.scene_fit.solid_cost import SolidCost
+
+if TYPE_CHECKING:
+    from fieldlum.models.data import Dataset
+    from fieldlum.scene_fit.pose_prior import PosePrior
+
+Array = NDArray[np.floating]
+
+KEPT_OUT_EVERY = 3
+START_CLOCKS_MIN = (-6.0, 0.0, 6.0)
+RESTART_CLOCKS_MIN = (-3.0, 0.0, 3.0)
+COARSE_PIXELS_EVERY = 3
+BAR_GAIN = 0.002  # share of the misfit that a bar must take away
+SOLID_GAIN = 0.004  # likewise a solid; a proposal that explains noise takes less (docs/scene.md)
+KEPT_OUT_GAIN = 0.001  # on the hours kept out
+MAX_SOLIDS = 8
+MAX_SHADES = 2
+SHADE_TRIALS = 3  # proposals of the grid that a search starts from
+SHADE_GAIN = 0.02  # more than a solid's: a wrong shade moves north, clock and edges
+
+
+@dataclass(frozen=True)
+class Misfits:
+    """Share of the pixels near sun patches that are wrong, on hours kept out of the search."""
+
+    none: Array
+    stated: Array
+    fitted: Array
+    days: NDArray[np.datetime64]
+
+    def mean(self) -> dict[str, float]:
+        return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
+
+
+@dataclass(frozen=True, slots=True)
+class StatedRoom:
+    """What is known before the search."""
+
+    room: Room
+    pose: PosePrior | None
+    clock_sd_min: float
+
+    @property
+    def start_clocks_min(self) -> tuple[float, ...]:
+        """Clocks to start from: several where the clock is not known to a minute."""
+        clock, sd = 0.0, self.clock_sd_min
+        if self.pose is not None:
+            clock, sd = float(self.pose.values[3]), self.pose.u_clock_min
+        return START_CLOCKS_MIN if sd > 1.0 else (clock,)
+
+    def at_clock(self, guess: Guess, clock_min: float) -> Guess:
+        """The guess at another clock, with the pose that belongs to it."""
+        if self.pose is not None:
+            return self.pose.at_clock(guess, clock_min)
+        moved = clock_min - guess.clock_min
+        return replace(
+            guess, clock_min=clock_min, north_deg=guess.north_deg - SUN_DEG_PER_MIN * moved
+        )
+
+
+class SceneSearch:
+    """State of one fit: evidence, which hours count, and the light below the patches."""
+
+    def __init__(
+        self,
+        data: Dataset,
+        evidence: SceneEvidence,
+        fit_hours: NDArray[np.intp],
+        kept_out: NDArray[np.intp],
+        stated: StatedRoom,
+    ) -> None:
+        self.data, self.evidence, self.stated = data, evidence, stated
+        self.fit_hours, self.kept_out = fit_hours, kept_out
+        self.start = guess_of(stated.room, data.heading_deg)
+        self.parameters = room_parameters(self.start, clock_sd_min=stated.clock_sd_min)
+        self.albedo = evidence.albedos(self.start, stated_albedo(stated.room))
+        patch = evidence.patches(self.start, self.albedo)
+        self.prior_unit = PRIOR_SHARE * float(evidence.misfit(patch).mean())
+
+    def objective(self, evidence: SceneEvidence) -> Objective:
+        return Objective(
+            evidence, self.start, self.parameters, self.albedo, self.prior_unit, self.stated.pose
+        )
+
+    @property
+    def fit_evidence(self) -> SceneEvidence:
+        return self.evidence.hours(self.fit_hours)
+
+    def box(self, guess: Guess) -> Guess:
+        """North, clock, sizes, camera, window edges and what shades the windows, from several
+        clocks.
+
+        A shade that is missing bends all other numbers, so it is sought before the fine steps.
+        """
+        coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
+        tries: list[tuple[float, Guess]] = []
+        for clock in self.stated.start_clocks_min:
+            start = self.stated.at_clock(guess, clock)
+            trial, _ = pattern_search(coarse, start, self.parameters, fine=4.0)
+            trial = self.shaded(trial)
+            tries.append((coarse(trial), trial))
+        return self.refined(min(tries, key=lambda pair: pair[0])[1])
+
+    def refined(self, guess: Guess) -> Guess:
+        """North, clock, sizes, camera and window edges in small steps, and albedos."""
+        for _ in range(2):
+            self.albedo = self.evidence.albedos(guess, self.albedo)
+            fine = self.objective(self.fit_evidence)
+            guess, _ = pattern_search(fine, guess, self.parameters, coarse=0.5)
+        return principal_search(self.objective(self.fit_evidence), guess, self.parameters)[0]
+
+    def shaded(self, guess: Guess) -> Guess:
+        """Add blinds, curtains, facades and canopies while they take enough misfit away."""
+        coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
+        for _ in range(MAX_SHADES):
+            trial = min((self._covered(guess, coarse), self._faced(guess)), key=coarse)
+            if coarse(trial) > coarse(guess) * (1.0 - SHADE_GAIN):
+                return guess
+            trial, _ = pattern_search(coarse, trial, self.parameters, fine=4.0)
+            if not self._pays(guess, trial, SHADE_GAIN):
+                return guess
+            guess = trial
+        return guess
+
+    def _covered(self, guess: Guess, coarse: Objective) -> Guess:
+        """The guess with the blind or curtain that takes most misfit away."""
+        trials = [replace(guess, bars=(*guess.bars, bar)) for bar in propose_covers(guess)]
+        trial = min(trials, key=coarse)
+        return pattern_search(coarse, trial, bar_parameters(trial)[-3:], coarse=4.0, fine=2.0)[0]
+
+    def _faced(self, guess: Guess) -> Guess:
+        """The guess with the facade or canopy that takes most misfit away."""
+        thin = self.fit_evidence.thinned(COARSE_PIXELS_EVERY)
+        cost = self._solid_cost(thin, guess, self._albedo_with_solids(guess))
+        parameters = exterior_parameters(len(guess.solids))
+        trials = [replace(guess, solids=(*guess.solids, s)) for s in propose_exterior(guess)]
+        order = sorted(range(len(trials)), key=[cost(t) for t in trials].__getitem__)
+        tries = [
+            pattern_search(cost, trials[k], parameters, fine=4.0) for k in order[:SHADE_TRIALS]
+        ]
+        return min(tries, key=lambda pair: pair[1])[0]
+
+    def bars(self, guess: Guess) -> Guess:
+        """Bars in the picture of each window, in place, width and depth."""
+        covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
+        bare = replace(guess, bars=tuple(covers))
+        proposals = []
+        for number in range(len(guess.windows)):
+            picture = window_picture(self.fit_evidence, bare, number, self.albedo)
+            proposals += propose_bars(picture, bare, number)
+        if not proposals:
+            return self._pruned(guess)
+        objective = self.objective(self.fit_evidence)
+        trial = replace(bare, bars=(*bare.bars, *proposals))
+        trial, _ = pattern_search(objective, trial, bar_parameters(trial))
+        trial = self._pruned(trial)
+        both = [*self.parameters, *bar_parameters(trial)]
+        trial, cost = pattern_search(objective, trial, both, coarse=0.5)
+        return trial if cost < objective(guess) else self._pruned(guess)
+
+    def _pruned(self, guess: Guess) -> Guess:
+        """Without the bars that are too thin, or that fit hours or hours kept out do not want."""
+        bars = [b for b in guess.bars if b.span_m[1] - b.span_m[0] >= MIN_BAR_M]
+        guess = replace(guess, bars=tuple(bars))
+        for bar in list(guess.bars):
+            without = replace(guess, bars=tuple(b for b in guess.bars if b is not bar))
+            if not self._pays(without, guess, BAR_GAIN):
+                guess = without
+        return guess
+
+    def _pays(self, without: Guess, with_it: Guess, least: float) -> bool:
+        """Whether an element takes enough misfit away, in the search's hours and those kept out."""
+        for hours, share in ((self.fit_hours, least), (self.kept_out, KEPT_OUT_GAIN)):
+            objective = self.objective(self.evidence.hours(hours))
+            if objective(with_it) > objective(without) * (1.0 - share):
+                return False
+        return True
+
+    def furniture(self, guess: Guess) -> Guess:
+        """Add the solid that takes most misfit away, of those that single pixels propose; none
+        where none pays.
+        """
+        albedo = self._albedo_with_solids(guess)
+        depths = pixel_depths(self.fit_evidence, guess, albedo)
+        coarse = self._solid_cost(self.fit_evidence.thinned(COARSE_PIXELS_EVERY), guess, albedo)
+        limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
+        trials: list[tuple[float, Guess]] = []
+        parameters = solid_parameters(len(guess.solids))
+        for solid in propose_solids(depths, guess):
+            trial = replace(guess, solids=(*guess.solids, solid))
+            trial, cost = pattern_search(coarse, trial, parameters, fine=4.0)
+            if cost < limit:
+                trials.append((cost, trial))
+        fine = self._solid_cost(self.fit_evidence, guess, albedo)
+        for _, trial in sorted(trials, key=lambda pair: pair[0])[:2]:
+            better, _ = pattern_search(fine, trial, parameters, coarse=0.5)
+            if self._pays(guess, better, SOLID_GAIN):
+                return better
+        return guess
+
+    def _solid_cost(self, evidence: SceneEvidence, guess: Guess, albedo: Array) -> SolidCost:
+        return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
+
+    def pruned(self, guess: Guess) -> Guess:
+        """Without the bars and solids that do not pay any more, now that others are known."""
+        guess = self._pruned(guess)
+        for solid in list(guess.solids[len(self.start.solids) :]):
+            without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
+            if not self._pays(without, guess, SOLID_GAIN):
+                guess = without
+        return guess
+
+    def _albedo_with_solids(self, guess: Guess) -> Array:
+        return np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
+
+    def relight(self, guess: Guess) -> None:
+        """Find the light below the patches again, now that the patches are known better."""
+        self.albedo = self.evidence.albedos(guess, self.albedo)
+        albedo = self._albedo_with_solids(guess)
+        self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
+
+    def restarted(self, guess: Guess, seed: int) -> Guess:
+        """The best of searches from other clocks and displaced rooms, now that bars and furniture
+        are known: the first search may have stopped in a valley that they close.
+        """
+        rng = np.random.default_rng(seed)
+        coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
+        tries = [pattern_search(coarse, guess, self.parameters, coarse=0.25, fine=2.0)]
+        for later in RESTART_CLOCKS_MIN if len(self.stated.start_clocks_min) > 1 else (0.0, 0.0):
+            start = along_valley(guess, later)
+            for p in self.parameters:
+                start = p.change(start, float(rng.normal(0.0, p.first_step)))
+            trial, _ = pattern_search(coarse, start, self.parameters, coarse=0.5, fine=2.0)
+            tries.append(principal_search(coarse, trial, self.parameters))
+        return min(tries, key=lambda pair: pair[1])[0]
+
+    def polish(self, guess: Guess, hours: NDArray[np.intp], every: int = 1) -> Guess:
+        """Everything together, in small steps, at every n-th pixel."""
+        objective = self.objective(self.evidence.hours(hours).thinned(every))
+        parameters: list[Parameter] = [*self.parameters, *bar_parameters(guess)]
+        for number, solid in enumerate(guess.solids):
+            outside = is_outside(guess, solid)
+            parameters += exterior_parameters(number) if outside else solid_parameters(number)
+        guess, _ = pattern_search(objective, guess, parameters, coarse=0.25)
+        return principal_search(objective, guess, parameters)[0]
+
+    def misfits(self, guess: Guess) -> Misfits:
+        """Misfit of no patch, the stated box and the guess on the hours kept out."""
+        evidence = self.evidence.hours(self.kept_out)
+        albedo = self._albedo_with_solids(guess)
+        stated = evidence.patches(self.start, evidence.albedos(self.start, self.albedo[:SHELL]))
+        fitted = evidence.patches(guess, albedo)
+        nothing = np.zeros_like(fitted)
+        return Misfits(
+            evidence.misfit(nothing),
+            evidence.misfit(stated),
+            evidence.misfit(fitted),
+            evidence.days,
+        )

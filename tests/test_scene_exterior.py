@@ -1,0 +1,88 @@
+"""What stands outside a window: facades, canopies, blinds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_scene_search import ROOM, captures
+
+from fieldlum.records import Obstruction
+from fieldlum.scene_fit.evidence import gather
+from fieldlum.scene_fit.exterior import (
+    exterior_parameters,
+    is_outside,
+    propose_covers,
+    propose_exterior,
+)
+from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.scene_search import SceneSearch, StatedRoom
+from fieldlum.scene_fit.search import principal_search
+
+HIDDEN_ELEVATION_DEG = 22.0
+
+
+def _search(obstruction: tuple[Obstruction, ...]) -> tuple[SceneSearch, Guess]:
+    """Return a search of captures of ROOM with obstructions, and the guess without them."""
+    data = captures(replace(ROOM, obstruction=obstruction))
+    data = replace(data, setup=replace(data.setup, room=ROOM))
+    evidence = gather(data, ROOM, pixels=1500)
+    number = np.arange(len(evidence))
+    out = number % 3 == 2
+    stated = StatedRoom(ROOM, None, 5.0)
+    return SceneSearch(data, evidence, number[~out], number[out], stated), guess_of(ROOM)
+
+
+def _elevation_deg(guess: Guess) -> float:
+    """Elevation of the only facade's upper edge, seen from the middle of the window."""
+    (solid,) = guess.solids
+    rise = solid.high_m[2] - float(np.mean(guess.windows[0].z_m))
+    return float(np.degrees(np.arctan2(rise, -solid.high_m[1])))
+
+
+@pytest.mark.analytic
+def test_a_facade_opposite_is_found_by_the_suns_that_it_hides() -> None:
+    top = float(np.mean(guess_of(ROOM).windows[0].z_m)) + 10.0 * np.tan(
+        np.radians(HIDDEN_ELEVATION_DEG)
+    )
+    facade = Obstruction(-30.0, -12.0, 0.0, 60.0, 2.0, top)
+    search, start = _search((facade,))
+    cost = search.objective(search.evidence)
+    shaded = search.shaded(start)
+    assert cost(shaded) < 0.6 * cost(start)
+    assert _elevation_deg(shaded) == pytest.approx(HIDDEN_ELEVATION_DEG, abs=3.0)
+
+
+@pytest.mark.analytic
+def test_a_room_without_a_shade_gets_none() -> None:
+    search, start = _search(())
+    assert search.shaded(start) == start
+
+
+@pytest.mark.property
+def test_proposals_are_outside_and_stay_there() -> None:
+    guess = guess_of(ROOM)
+    rng = np.random.default_rng(3)
+    for solid in propose_exterior(guess):
+        assert is_outside(guess, solid)
+    moved = replace(guess, solids=(propose_exterior(guess)[-1],))
+    for _ in range(60):
+        for parameter in exterior_parameters(0):
+            moved = parameter.change(moved, float(rng.normal(0.0, 0.5)))
+    assert is_outside(moved, moved.solids[0])
+    (low_z, high_z) = guess.windows[0].z_m
+    for bar in propose_covers(guess):
+        rect_span = guess.windows[0].u_m if bar.upright else (low_z, high_z)
+        assert rect_span[0] <= bar.span_m[0] < bar.span_m[1] <= rect_span[1]
+
+
+@pytest.mark.analytic
+def test_principal_axes_follow_a_valley_of_three_numbers() -> None:
+    """A room turned about the camera with its window and north: no single number leads back."""
+    search, start = _search(())
+    objective = replace(search.objective(search.evidence), prior_unit=0.0)
+    turned = replace(start, wall_azimuth_deg=start.wall_azimuth_deg + 0.6, north_deg=0.3)
+    found, cost = principal_search(objective, turned, search.parameters)
+    assert cost < 1.01 * objective(start) < objective(turned)
+    assert abs(found.wall_azimuth_deg - start.wall_azimuth_deg) < 0.6 * 0.6
