@@ -208,7 +208,9 @@ def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
     shots = take(tmp_path)
     with pytest.raises(InputError, match=r"0.dng: the same frame twice"):
         shots_of_files([shots[0].path, shots[1].path, tmp_path / "." / "0.dng"])
-    with pytest.raises(InputError, match=r"2.dng: f/8 beside f/5.6; expected one aperture"):
+    with pytest.raises(
+        InputError, match=r"2.dng: f/8 in a bracket of f/5.6; expected one aperture"
+    ):
         sorted_shots([*shots[:2], replace(shots[2], exposure=Exposure(1 / 15, 8.0))], PROFILE)
 
 

@@ -1,6 +1,4 @@
-"""Bracket to luminance panorama: linear merge on the mosaic, flux-conserving projection,
-uncertainty and flags.
-"""
+"""Merge a bracket to a luminance panorama: linear merge on the mosaic, projection, uncertainty."""
 
 from fieldlum.merge.bracket import MergeResult, merge_frames, merge_shots
 from fieldlum.merge.merge_files import files_to_picture

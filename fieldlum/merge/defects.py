@@ -1,6 +1,4 @@
-"""Pixels of the sensor that are not used: those that the profile lists, and those that
-contradict themselves.
-"""
+"""Pixels of the sensor that are not used: those in the profile, and those with contradictions."""
 
 from __future__ import annotations
 
@@ -15,10 +13,10 @@ from fieldlum.records import Flag
 def good_pixels(
     profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]
 ) -> NDArray[np.bool_] | None:
-    """False at the profile's bad pixels and, of a mosaic, at `odd_pixels`; [height, width] of the
-    crop.
+    """Return False at the profile's bad pixels and, for a mosaic, at `odd_pixels`.
 
-    flags: of the merge, in the frames' shape. None when every pixel is good.
+    The mask has [height, width] of the crop; None if every pixel is good. flags: of the merge, in
+    the frames' shape.
     """
     places = [(y - crop.top, x - crop.left) for x, y in profile.sensor.bad_px]
     inside = [(y, x) for y, x in places if 0 <= x < crop.width and 0 <= y < crop.height]
@@ -33,9 +31,10 @@ def good_pixels(
 
 
 def odd_pixels(flags: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """Row and column of pixels of a mosaic [h, w] whose frames contradict each other (MOTION)
-    while those of all eight neighbours of their colour agree: stuck pixels, and noise; what
-    moves is larger. [n, 2]
+    """Return row and column [n, 2] of pixels of a mosaic [h, w] that contradict themselves.
+
+    Their frames disagree (MOTION) while those of all eight neighbours of their colour agree: stuck
+    pixels, and noise. What moves is larger.
     """
     import cv2
 

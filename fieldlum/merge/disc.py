@@ -1,8 +1,8 @@
-"""The sun's disc of a merged panorama, taken out where the ephemeris expects it and it shows.
+"""Remove the sun's disc from a merged panorama, where the ephemeris expects it and it shows.
 
 With frames through a filter the disc's illuminance is measured. Without, every frame clips in it:
-what is taken out is a lower bound, its pixels keep CLIPPED_HIGH, and `pair` completes the source
-from the irradiance of that hour.
+then the removed light is a lower bound, its pixels keep CLIPPED_HIGH, and `pair` completes the
+source from the irradiance of that hour.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
 from fieldlum.sun import position
 from fieldlum.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
-_LOWEST_DEG = -0.3
-_ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5  # relative, of a disc one pixel wide, and of a point
+_LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees
+# Relative errors of a disc one pixel wide, and of a point (bench/sun_on_mosaic.py).
+_ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5
 # Standard uncertainty of a disc's centre of energy on a mosaic, of a disc one pixel wide, sharp
 # optics: 0.08 px rms over the places where it may fall, falling with its width (150 draws each).
 _CENTRE_PX, _LEAST_CENTRE_PX = 0.1, 0.02
-_CLIPPED_CENTRE = 0.05  # of a clipped spot's width: its halo is not quite round
-_BLUR_RAD = np.radians(0.5)  # of a lens
-_DISC_PART = 0.05  # of the brightest pixel's excess: dimmer ones are sky
+_CLIPPED_CENTRE = 0.05  # of a clipped spot's width: its halo is not quite round; not measured
+_BLUR_RAD = np.radians(0.5)  # of a lens; not measured
+_DISC_PART = 0.05  # of the brightest pixel's excess: dimmer pixels are sky; not measured
 MEASURED = "nd-frames"
 OPEN = "merge"
 
@@ -47,7 +48,7 @@ class MeasuredSun:
 
 
 def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:
-    """Return the sun's apparent altitude and azimuth, or None when it is down. [deg]"""
+    """Return the sun's apparent altitude and azimuth [deg], or None if it is down."""
     sun = position([t_utc], site)
     altitude, azimuth = float(sun.apparent_altitude_deg[0]), float(sun.azimuth_deg[0])
     return None if altitude < _LOWEST_DEG else (altitude, azimuth)
@@ -58,9 +59,9 @@ def take_out_disc(
 ) -> tuple[Panorama, SunDisc | None]:
     """Return the panorama with the disc's pixels at their surroundings (FILLED), and the disc.
 
-    The panorama's `sun` gets the disc's illuminance at the place given, the sun's apparent one. Its
-    origin says how far to trust it: nd-frames (measured through a filter), merge (no frame
-    clipped), clipped (a lower bound). The panorama is unchanged where it shows no disc.
+    altitude_deg, azimuth_deg: the sun's apparent place. The panorama's `sun` gets the disc's
+    illuminance there. Its origin is nd-frames (measured through a filter), merge (no frame
+    clipped), or clipped (a lower bound). The panorama does not change where it shows no disc.
     """
     flags = (
         np.zeros(panorama.luminance_cdm2.shape, np.uint16)
@@ -96,8 +97,9 @@ def take_out_disc(
 
 
 def disc_px(lenses: Sequence[Lens]) -> float:
-    """Diameter of the disc on the sensor in the middle of the field of the lens that shows it
-    smallest. [px]
+    """Return the diameter of the disc on the sensor [px], mid-field.
+
+    Of several lenses, use the one that shows the disc smallest.
     """
     return min(
         2 * SUN_RADIUS_RAD * lens.radius_px / np.radians(lens.full_angle_deg / 2) for lens in lenses
@@ -105,12 +107,12 @@ def disc_px(lenses: Sequence[Lens]) -> float:
 
 
 def mosaic_u_rel(diameter_px: float) -> float:
-    """Relative u of a small disc's luminance because each colour stands on some pixels of a mosaic
-    only.
+    """Return the relative u of a small disc's luminance that a mosaic causes.
 
-    That of sharp optics, rms over the places where the disc may fall, to a quarter for 0.7 to 16
-    pixels (the law is that of lattice points in a circle; bench/sun_on_mosaic.py). It is an upper
-    bound: where the optics spread a point over two pixels, a twentieth of it is left.
+    Each colour has some of the pixels only. The value is that of sharp optics, rms over the places
+    where the disc may be, accurate to a quarter for 0.7 to 16 pixels (the law is that of lattice
+    points in a circle; bench/sun_on_mosaic.py). It is an upper bound: where the optics spread a
+    point over two pixels, the error is a twentieth of it.
     """
     return min(_POINT_ON_MOSAIC, _ON_MOSAIC * diameter_px**-1.5)
 
@@ -125,12 +127,12 @@ def sun_on_sensor(
     heading_deg: float,
     pixel_rad: float,
 ) -> tuple[float, float, float] | None:
-    """Return altitude, azimuth and standard uncertainty of the disc's centre, by sensor pixels.
+    """Return altitude, azimuth and standard uncertainty of the disc's centre [deg], on the sensor.
 
-    views: of each lens of each heading the merged luminance [h, w], what is clipped in it [h, w],
-    and the lens relative to the panorama's heading; the one that shows the disc nearest to its axis
-    counts. pixel_rad: of the panorama that the disc was found in, whose pixels are too large to
-    place it. None where the sensor does not tell. [deg]
+    views: for each lens of each heading the merged luminance [h, w], what is clipped in it [h, w],
+    and the lens relative to the panorama's heading; the lens with the disc nearest to its axis
+    is used. pixel_rad: pixel of the panorama that the disc was found in. Return None if the sensor
+    does not show the disc.
     """
     towards = direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
     places = [lens_pixels(lens, towards) for _, _, lens in views]

@@ -1,11 +1,11 @@
-"""The estimator: inverse-variance weights from the predicted signal, frame by frame, with two
-float32 accumulators.
+"""The estimator: inverse-variance weights from the predicted signal, frame by frame.
 
 Model of a frame: y = e L + noise, with e the counts per cd/m2 and var(y) known as a function of e
-L. The first pass, sum y / sum e, only predicts; the second weighs with e / var(predicted), which is
-unbiased and reaches the Cramer-Rao bound from far below the noise to just below saturation
-(Aguerrebere et al. 2014; bench/merge_estimator.py). Weights from the noisy value itself would be
-biased by -15 % in the dark. Negative signals are kept: cutting them biases the dark.
+L. The first pass, sum y / sum e, only predicts. The second has the weights e / var(predicted): it
+is unbiased and reaches the Cramer-Rao bound from far below the noise to just below saturation
+(Aguerrebere et al. 2014; bench/merge_estimator.py). Weights from the noisy value itself would give
+a bias of -15 % in the dark. Negative signals stay, because clipping them biases the dark. Sums are
+two float32 arrays.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Flag, Progress, quiet
 
-_READABLE_SNR = 5.0  # below it a frame says nothing about a pixel that the others lost
-_STRIP = 1 << 17  # elements worked on at a time: what stays in a core's cache
+_READABLE_SNR = 5.0  # a frame below it does not fill a pixel that the others lost; not measured
+_STRIP = 1 << 17  # elements processed at a time: they stay in a core's cache
 
 Strip = NDArray[np.float32]
 
@@ -37,40 +37,44 @@ class Signal(Protocol):
         ...
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Counts above black, and where they, or a near neighbour, are saturated (None:
-        nowhere).
+        """Return counts above black, and where they are saturated or near a saturated pixel.
+
+        The mask is None if nothing is saturated.
         """
         ...
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """per_cdm2 / variance of the counts predicted from the luminance; 0 where that nears
-        saturation.
+        """Return per_cdm2 / variance of the counts predicted from the luminance.
+
+        It is 0 where the prediction nears saturation.
         """
         ...
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Counts that are far enough from saturation to predict from."""
+        """Return which counts are far enough from saturation to predict from."""
         ...
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Counts below saturation itself, and their variance."""
+        """Return which counts are below saturation itself, and their variance."""
         ...
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """The luminance from which this frame's counts are no longer readable, broadcastable."""
+        """Return the luminance from which this frame's counts are unreadable, broadcastable."""
         ...
 
     def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:
-        """About rows x columns pixels evenly spread, as a signal of their own, and which are
-        near saturation.
+        """Return about rows x columns evenly spread pixels, and which are near saturation.
+
+        The pixels are a signal themselves.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """Arrays of the frames' shape: luminance in the sensor's own colours, variance, `Flag` bits,
-    and what is valid.
+    """Merged pixels, in the frames' shape.
+
+    value_cdm2: luminance in the sensor's own colours; variance: of it; flags: `Flag` bits.
     """
 
     value_cdm2: NDArray[np.float32]
@@ -87,7 +91,7 @@ def _strips(shape: tuple[int, ...]) -> Iterator[tuple[int, int]]:
 def _predict(
     frames: Sequence[Callable[[], Signal]], shape: tuple[int, ...], tick: Callable[[], None]
 ) -> Strip:
-    """sum y / sum e over usable counts, at least 0; infinite where no frame is usable."""
+    """Return sum y / sum e over usable counts, at least 0; infinite where no frame is usable."""
     total, exposure = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     for load in frames:
         signal = load()
@@ -114,7 +118,7 @@ def _predict(
 
 @dataclass(slots=True)
 class _Sums:
-    """w y, w e, (y - predicted)^2 / var, and w e of the frames without a filter."""
+    """Sums of w y, w e, (y - predicted)^2 / var, and w e of the frames without a filter."""
 
     value: Strip
     information: Strip
@@ -169,17 +173,15 @@ def merge_signals(
     resident: bool = False,
     progress: Progress = quiet,
 ) -> Merged:
-    """Merge frames of one `shape`, given as loaders that are called once a pass, in the order
-    given.
+    """Merge frames of one `shape`; `frames` load them and are called once per pass, in order.
 
-    resident: all frames lie in memory, so that loading them again costs nothing: then the work goes
-    strip by strip through all passes and stays in a core's cache, with the same result; main memory
-    is what cores wait for.
+    resident: all frames are in memory, so loading them again costs nothing. Then each strip goes
+    through all passes and stays in a core's cache, with the same result.
 
-    Callers sort the frames, most exposed first, so that the order of files never matters. u_ratio
-    is the relative disagreement between frames that is no motion. A pixel that saturates everywhere
-    gets its lower bound and CLIPPED_HIGH; one that is only next to such a pixel gets the value of
-    the most exposed frame that can be read there, and BLOOM.
+    Callers sort the frames, most exposed first, so that the order of files does not matter.
+    u_ratio: relative disagreement between frames that is not motion. A pixel that saturates in all
+    frames gets its lower bound and CLIPPED_HIGH. One that is only next to such a pixel gets the
+    value of the most exposed frame that is readable there, and BLOOM.
     """
     if resident:
         return _merge_by_strips(frames, shape, passes, u_ratio, motion_sigma, progress)
@@ -204,7 +206,7 @@ def merge_signals(
 
 
 class _Rows:
-    """Some rows of a frame as a frame of its own, read once."""
+    """Some rows of a frame, as a frame that is read once."""
 
     def __init__(self, whole: Signal, first: int, last: int) -> None:
         self._whole, self._strip = whole, whole.strip(first, last)
@@ -256,9 +258,7 @@ def _settle(
     motion_sigma: float,
     last: bool,
 ) -> None:
-    """Value from the sums of one strip; in the last pass variance and flags too, else only a
-    better prediction.
-    """
+    """Compute the value from the sums of one strip, in the last pass also variance and flags."""
     information = sums.information[at]
     seen = information > 0
     mean = np.divide(sums.value[at], information, out=np.full_like(information, np.inf), where=seen)
@@ -276,7 +276,7 @@ def _settle(
         flags[at][moved] |= np.uint8(Flag.MOTION)
         variance[at][moved] *= chi2[moved] / (
             frames - 1
-        )  # as far apart as the frames are, the mean is uncertain
+        )  # the mean is at least as uncertain as the frames disagree
     if sums.unfiltered is not None:
         flags[at][seen & (sums.unfiltered[at] < 0.5 * information)] |= np.uint8(Flag.ND)
     value[at] = mean
@@ -285,7 +285,7 @@ def _settle(
 def _fill_lost(
     frames: Sequence[Callable[[], Signal]], value: Strip, variance: Strip, flags: NDArray[np.uint8]
 ) -> None:
-    """Where every frame was left out: the most exposed readable frame's value, or a lower bound."""
+    """Fill pixels without any frame: the most exposed readable frame's value, or a lower bound."""
     lost = ~np.isfinite(value)
     strips = [(a, b) for a, b in _strips(value.shape) if lost[a:b].any()]
     bound = np.zeros(value.shape, np.float32) if strips else value

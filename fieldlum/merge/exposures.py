@@ -1,4 +1,4 @@
-"""The exposures of one bracket: the shutter's law, the fitted corrections, and their trust."""
+"""Exposures of one bracket: the shutter's law, the fitted corrections, and their uncertainty."""
 
 from __future__ import annotations
 
@@ -44,29 +44,32 @@ class SampledFrames:
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """Fitted exposures compared with the profile's: ln ratio and its prior uncertainty, [frames]"""
+    """Fitted exposures compared with the profile's: ln ratio, prior uncertainty, [frames]."""
 
     log_ratio: NDArray[np.float64]
     u_prior: NDArray[np.float64]
 
     @property
     def span_percent(self) -> float:
+        """Range of the fitted exposures over the profile's [%]."""
         return float(100 * np.ptp(self.log_ratio))
 
     @property
     def beyond_prior(self) -> bool:
+        """Whether an exposure differs by more than its prior uncertainty explains."""
         limit = np.maximum(_REPORTED_DEVIATION, _REPORTED_SIGMA * self.u_prior)
         return bool((np.abs(self.log_ratio) > limit).any())
 
     @property
     def text(self) -> str:
+        """The range in percent, for the verdict."""
         low, high = 100 * np.expm1(self.log_ratio.min()), 100 * np.expm1(self.log_ratio.max())
         return f"{low:+.1f} to {high:+.1f}"
 
 
 @dataclass(frozen=True, slots=True)
 class ExposureTrust:
-    """How far the exposures may be trusted.
+    """Uncertainty of the exposures.
 
     u_rel: relative uncertainty of a typical frame; u_curve: that of a merged value over its
     luminance; tolerance: relative difference of two frames that is not motion.
@@ -92,7 +95,7 @@ def decide_shutter_law(
     shots: Sequence[Shot],
     profile: CameraProfile,
 ) -> tuple[SampledFrames, ShutterLaw]:
-    """Return the law that the frames decide, where only their labels were known before.
+    """Return the law that the frames decide, if only their labels were known before.
 
     profile: with the law that the frames were read with. If the law changes, the frames of `store`
     get the exposures of the new law and are sampled again.
@@ -126,11 +129,11 @@ def trust_in(
     profile: CameraProfile,
     fits: bool,
 ) -> ExposureTrust:
-    """Return what the frames' disagreement says about the exposures.
+    """Return the uncertainty of the exposures from the frames' disagreement.
 
     Disagreement that neither the shutter nor the response explains widens the uncertainty: the
     light changed, or the profile is wrong. Exposures that were not fitted are compared with a fit
-    for this purpose alone.
+    for this purpose only.
     """
     residuals = neighbours(sampled.pairs, fit.correction)
     u_typical = float(np.median(fit.u_log))

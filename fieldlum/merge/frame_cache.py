@@ -1,4 +1,4 @@
-"""Memory: the frames of one bracket as linear signals, kept as far as they fit."""
+"""Memory for the frames of one bracket as linear signals, within a budget."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from fieldlum.merge.estimator import Signal
 from fieldlum.merge.frames import JpegSignal, RawSignal
 from fieldlum.merge.shift import Small
 
-FRAMES_BYTES = (
-    800_000_000  # 18 JPEG of a fisheye's 13 megapixels, 16 raw of 24: with the sums about 1.5 GB
-)
+# 18 JPEG frames of a fisheye's 13 megapixels, or 16 raw ones of 24: with the sums about 1.5 GB.
+FRAMES_BYTES = 800_000_000
 
 
 class FrameStore:
-    """Loads frames on demand and keeps them while they fit in `budget_bytes`; the rest are read
-    again each pass.
+    """Loads frames on demand and stores them while they fit in `budget_bytes`.
+
+    The other frames are read again in each pass.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class FrameStore:
 
     @property
     def resident(self) -> bool:
-        """Whether every frame was read and kept."""
+        """Whether every frame is in memory."""
         return len(self._kept) == len(self)
 
     def correct(self, factors: NDArray[np.floating]) -> None:
@@ -44,14 +44,12 @@ class FrameStore:
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
 
     def noisier(self, shot: float, read: float) -> None:
-        """Multiply the variances of raw frames' shot and read noise, once, now and for all later
-        reads.
-        """
+        """Multiply the variances of raw frames' shot and read noise, also for all later reads."""
         self._noise = shot, read
         self._kept = {i: _with_noise(signal, shot, read) for i, signal in self._kept.items()}
 
     def small(self, number: int) -> Small:
-        """A frame reduced to what a turn of the camera can be seen in."""
+        """Return a frame reduced to a size that shows a turn of the camera."""
         signal = self[number]
         assert isinstance(signal, RawSignal | JpegSignal)
         return signal.small()

@@ -1,4 +1,4 @@
-"""What the frames themselves say of the sensor and the camera before they are merged."""
+"""What frames show about sensor and camera before they are merged: saturation, black, roll."""
 
 from __future__ import annotations
 
@@ -13,28 +13,33 @@ from fieldlum.raw import channel_positions, read_mosaic, roll_deg_of
 
 Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)
-_LOOKED_AT = 6_000_000  # pixels
+_LOOKED_AT = 6_000_000  # pixels; bounds the time
+# Differences of EXIF's roll that count as turned, and as level. Not measured.
 _HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 
 
 @dataclass(frozen=True, slots=True)
 class FirstLook:
-    """plateau_dn by ISO; black_off_dn: the file's black level less the profile's, largest over
-    the colours.
+    """Result of the first look at the frames.
+
+    plateau_dn: by ISO; black_off_dn: the file's black level minus the profile's, largest over the
+    colours.
     """
 
     plateau_dn: dict[float, Plateau]
     black_off_dn: float = 0.0
 
     def plateau(self, shot: Shot) -> Plateau:
+        """Return the saturation of a frame's colours [DN]."""
         return self.plateau_dn.get(shot.exposure.iso, NO_PLATEAU)
 
 
 def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
-    """By the most exposed frame of each ISO; shots of one heading, sorted. Nothing of JPEG frames.
+    """Find saturation and black level in the most exposed frame of each ISO.
 
-    A colour may be full below the others, and at another count at each ISO: full wells at a low
-    one, the converter's end at a high one.
+    shots: of one heading, sorted. JPEG frames give no result. A colour can saturate below the
+    others, and at another count for each ISO: at a low one the full well limits, at a high one the
+    converter.
     """
     if profile.camera.kind == "jpeg":
         return FirstLook({})
@@ -62,14 +67,14 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
 
 
 def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
-    """What the frames' EXIF says against the profile's roll, or "".
+    """Return how the frames' EXIF contradicts the profile's roll, or "".
 
-    A map of a camera that was put on its side lies on its side, with every figure in order.
+    The map of a camera on its side is itself rotated, and no figure shows that.
     """
     lens = profile.lens[0]
-    if (
-        len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG
-    ):  # two lie as they like; upwards its sensor guesses
+    # Dual-fisheye bodies have no upright position, and EXIF roll is unreliable when the camera
+    # points up.
+    if len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG:
         return ""
     told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(told) > 1:

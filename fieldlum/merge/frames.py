@@ -1,4 +1,4 @@
-"""Camera files as linear signals: what each frame's counts mean."""
+"""Camera files as linear signals: the meaning of each frame's counts."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions, read_jpeg, read_mosaic
 
 _GATE = 0.97  # of the saturation, for predictions; noise is added to it
-_FULL = 0.99  # of the saturation: a count that is taken for saturated
-# Codes: noise of a JPEG pixel beside its quantisation. Sensor 0.5, rounding to YCbCr and of its
-# cosines 0.7; these hang together between colours and neighbours, so that sums of them need the 1.0
-# (bench/merge_budget.py --kind jpeg).
+_FULL = 0.99  # of the saturation: a count above it is treated as saturated
+# Codes: noise of a JPEG pixel besides its quantisation. Sensor 0.5, rounding to YCbCr and of its
+# cosines 0.7; these are correlated between colours and neighbours, so that sums of them need the
+# 1.0 (bench/merge_budget.py --kind jpeg).
 _SIGMA_CODE = 1.0
 _Z_STEPS, _Z_TOP = 1 << 14, 1.02  # of the table over z
-_TOP_CODE = 250  # of a JPEG: above it a pixel is taken for saturated
-_SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges
+_TOP_CODE = 250  # of a JPEG: a pixel above it is treated as saturated
+_SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges; not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """The part of the sensor that any lens reaches, even numbers for the mosaic's sake."""
+    """The part of the sensor that any lens reaches, in even numbers for the mosaic."""
 
     top: int
     left: int
@@ -50,7 +50,7 @@ class Crop:
 
 
 def lens_crop(profile: CameraProfile) -> Crop:
-    """Raises InputError when a lens's circle misses the sensor."""
+    """Return the crop. Raises InputError if a lens's circle misses the sensor."""
     body = profile.camera
     top, left, bottom, right = body.height_px, body.width_px, 0, 0
     for lens in profile.lens:
@@ -64,7 +64,10 @@ def lens_crop(profile: CameraProfile) -> Crop:
     )
     if bottom - top < 2 or right - left < 2:
         raise InputError(
-            body.name, "lens circles beside the sensor", "centre_px on the sensor", "mend [[lens]]"
+            body.name,
+            "a lens circle outside the sensor",
+            "centre_px on the sensor",
+            "correct [[lens]]",
         )
     return Crop(top, left, bottom - top, right - left)
 
@@ -75,8 +78,9 @@ def lens_crop(profile: CameraProfile) -> Crop:
 
 @dataclass(frozen=True)
 class RawSignal:
-    """A mosaic, cropped, as [rows / 2, 2, columns]; constants of the four colours are [2,
-    columns] or scalars.
+    """A cropped mosaic as [rows / 2, 2, columns].
+
+    Constants of the four colours are [2, columns] or scalars.
     """
 
     counts: NDArray[np.uint16]
@@ -87,7 +91,7 @@ class RawSignal:
     noise_dn2: float  # read noise and quantisation
     through_nd: bool = False
     linearity: tuple[float, ...] = ()  # of the profile's sensor
-    scale_dn: float = 65535.0  # the full scale above black, of which `linearity` takes shares
+    scale_dn: float = 65535.0  # full scale above black; `linearity` is over shares of it
 
     def _linear(self, above: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.linearity:
@@ -96,7 +100,7 @@ class RawSignal:
 
     @cached_property
     def limit(self) -> NDArray[np.float32]:
-        """Predictions above it may have saturated: 97 % of full, or four sigma below it."""
+        """Limit of predictions, which may have saturated above it: 97 % of full, or four sigma."""
         sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
         limit = np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma)
         return self._linear(limit.astype(np.float32))
@@ -114,6 +118,7 @@ class RawSignal:
         return float(np.min(_FULL * self.saturation + self.black))
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+        """See `Signal`."""
         part = self.counts[first:last]
         above = part.astype(np.float32)
         above -= self.black
@@ -126,8 +131,9 @@ class RawSignal:
         return above, self._near_full(first, last)
 
     def _near_full(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Saturated or within two pixels of it (charge spills over, and other colours there are
-        no better).
+        """Return which counts are saturated, or within two pixels of a saturated one.
+
+        Charge spills over, and the other colours there are affected too.
         """
         import cv2
 
@@ -138,6 +144,7 @@ class RawSignal:
         return wide[first - a : last - a].view(np.bool_)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
+        """See `Signal`."""
         w = predicted_cdm2 * self._per_gain
         w += np.float32(self.noise_dn2)
         np.divide(self.per_cdm2, w, out=w)
@@ -145,19 +152,22 @@ class RawSignal:
         return w
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
+        """See `Signal`."""
         return counts < self.limit
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+        """See `Signal`."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
         )
         return counts < self.limit, variance.astype(np.float32)
 
     def largest_cdm2(self) -> NDArray[np.float32]:
+        """See `Signal`."""
         return self._limit_cdm2
 
     def small(self) -> Small:
-        """The picture of all four colours together, for its edges."""
+        """Return the picture of all four colours together, for its edges."""
         counts = self.counts.reshape(-1, self.counts.shape[-1])
         above = counts.astype(np.float32)
         above -= np.float32(self.black.mean())
@@ -166,10 +176,11 @@ class RawSignal:
         )
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
+        """See `Signal`."""
         at = _spread(len(self.counts), rows)
         step = (
             max(1, self.counts.shape[-1] // columns) | 1
-        )  # odd, so that both columns of the mosaic are met
+        )  # odd, so that both columns of the mosaic are sampled
         full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])[:, :, ::step]
         constants = (
             c[..., ::step] if c.ndim else c for c in (self.black, self.saturation, self.per_cdm2)
@@ -181,26 +192,26 @@ class RawSignal:
 
 
 def _spread(length: int, wanted: int) -> NDArray[np.intp]:
-    """At most `wanted` places, evenly spread over `length`."""
+    """Return at most `wanted` places, evenly spread over `length`."""
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
 
 
 def over_mosaic(
     mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """A change of [h, w] masks applied to one of raw frames' shape, [h / 2, 2, w]."""
+    """Apply a change of [h, w] masks to a mask of raw frames' shape, [h / 2, 2, w]."""
     return change(np.ascontiguousarray(mask.reshape(-1, mask.shape[-1]))).reshape(mask.shape)
 
 
 def over_colours(
     mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """The same for JPEG frames, [h, w, 3]: colours go together."""
+    """Apply a change of [h, w] masks to a mask of JPEG frames, [h, w, 3], for all colours alike."""
     return np.repeat(change(mask.any(axis=2))[:, :, None], 3, axis=2)
 
 
 def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[np.float32]:
-    """Values of R, G1, G2, B on the mosaic, [2, width]; a scalar where all are equal."""
+    """Return values of R, G1, G2, B on the mosaic, [2, width]; a scalar if all are equal."""
     if len(set(by_colour)) == 1:
         return np.asarray(by_colour[0], np.float32)
     cell = np.empty((2, 2), np.float32)
@@ -210,14 +221,17 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[n
 
 
 def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -> RawSignal:
-    """plateau: of R, G1, G2, B as found in the frames. Raises InputError for a frame that is
-    none of this camera's.
+    """Read a raw frame. plateau: saturation of R, G1, G2, B as found in the frames.
+
+    Raises InputError for a frame of another camera.
     """
     mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
     sensor, body = profile.sensor, profile.camera
     check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:
-        raise InputError(shot.path, f"mosaic {mosaic.cfa}", f"{sensor.cfa}, as {body.name} says")
+        raise InputError(
+            shot.path, f"mosaic {mosaic.cfa}", f"{sensor.cfa}, as in {body.name}", "use its profile"
+        )
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)
     black = black_dn(mosaic, profile)
@@ -248,8 +262,9 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -
 
 @dataclass(frozen=True)
 class JpegSignal:
-    """Codes [h, w, 3] with a table of z for each colour; weights by the predicted z from a table
-    as well.
+    """Codes [h, w, 3] with a table of z for each colour.
+
+    The weights by predicted z are in a table too.
     """
 
     codes: NDArray[np.uint8]
@@ -257,7 +272,7 @@ class JpegSignal:
     per_cdm2: NDArray[np.float32]  # [w, 3]; or a scalar or [3], which is slower
     low_code: int
     high_code: int
-    dark_end: bool  # the most exposed frame: codes below low_code are all there is
+    dark_end: bool  # the most exposed frame: there is no brighter one for codes below low_code
     bright_end: bool
     through_nd: bool = False
 
@@ -266,16 +281,12 @@ class JpegSignal:
         return _TOP_CODE if self.bright_end else self.high_code
 
     def _rows(self, colours: NDArray[Any]) -> NDArray[Any]:
-        """[3] as [w, 3]: numpy goes through whole rows at once then, not through three values at
-        a time.
-        """
+        """Return [3] as [w, 3]: numpy then processes complete rows, not three values at a time."""
         return np.ascontiguousarray(np.broadcast_to(colours, self.codes.shape[1:]))
 
     @cached_property
     def _limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """z of the lowest and highest code to predict from, and of the highest that is not
-        saturated, [w, 3].
-        """
+        """Lowest and highest z to predict from, and highest readable z, [w, 3] each."""
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
         return (
             self._rows(low),
@@ -289,8 +300,9 @@ class JpegSignal:
 
     @cached_property
     def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Variance of z, and weight of a predicted z, over z in equal steps, one colour behind
-        the other, [3 steps].
+        """Variance of z, and weight of a predicted z, over z in equal steps, [3 steps].
+
+        The colours follow each other.
         """
         z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
         variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
@@ -305,8 +317,9 @@ class JpegSignal:
         return variance.reshape(-1), weight.reshape(-1)
 
     def _looked_up(self, table: NDArray[np.float32], z: Strip) -> Strip:
-        """Of a table over z; works in z's own memory. An unknown luminance, infinite, is above
-        all codes.
+        """Return the values of a table over z, computed in z's own memory.
+
+        An unknown luminance, infinite, is above all codes.
         """
         z *= np.float32(_Z_STEPS / _Z_TOP)
         np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
@@ -315,6 +328,7 @@ class JpegSignal:
         return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+        """See `Signal`."""
         import cv2
 
         part = self.codes[first:last]
@@ -329,22 +343,26 @@ class JpegSignal:
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
+        """See `Signal`."""
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
+        """See `Signal`."""
         low, high, _ = self._limits
         ok = counts >= low
         ok &= counts <= high
         return ok
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+        """See `Signal`."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
     def largest_cdm2(self) -> NDArray[np.float32]:
+        """See `Signal`."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
     def small(self) -> Small:
-        """The green picture, for its edges."""
+        """Return the green picture, for its edges."""
         import cv2
 
         green = np.ascontiguousarray(self.codes[..., 1])
@@ -352,6 +370,7 @@ class JpegSignal:
         return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
 
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
+        """See `Signal`."""
         at = _spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
         full = np.stack(
@@ -374,7 +393,10 @@ def load_jpeg(
     crop: Crop,
     ends: tuple[bool, bool] = (False, False),
 ) -> JpegSignal:
-    """ends: whether this is the bracket's most and least exposed frame. Raises InputError."""
+    """Read a JPEG frame. ends: whether it is the bracket's most, least exposed frame.
+
+    Raises InputError.
+    """
     frame = read_jpeg(shot.path)
     check_frame(shot.path, frame.codes.shape, frame.model, profile)
     per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)

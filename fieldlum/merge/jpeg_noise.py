@@ -1,11 +1,11 @@
-"""The noise of JPEG frames over areas as large as a map's pixel, as the bracket itself shows it.
+"""Noise of JPEG frames over areas as large as a map's pixel, as the bracket itself shows it.
 
-A raw pixel's noise is its own, so that a mean over n of them is sqrt(n) times quieter. A JPEG's is
-not: quantised cosines and values rounded twice err alike over whole blocks, the more so the coarser
-the file and the flatter the picture; edges spread theirs over the block. No one figure of codes
-holds for that. But frames of a bracket are compressed each for itself: how far cell means of
-neighbouring frames scatter, beyond what depends on the level alone (response and exposure, which
-have their own places in the budget), is that noise (GUM, type A).
+Noise of raw pixels is independent, so a mean over n of them is sqrt(n) times quieter. Noise of a
+JPEG is not: quantised cosines and values rounded twice have correlated errors over blocks, more so
+in coarse files and flat pictures, and edges spread their errors over the block. No single number of
+codes describes that. But each frame of a bracket is compressed separately. So the noise is the
+scatter of cell means of neighbouring frames, beyond what depends on the level alone (response and
+exposure, which are separate parts of the budget; GUM, type A).
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from fieldlum.projection.grids import Target
 from fieldlum.records import Flag
 from fieldlum.statistics import MAD_TO_SIGMA
 
-_BANDS = 64  # rows of cells that are looked at: enough for a field that is smooth
-_IN_A_STEP, _MOST_STEPS = (
-    40,
-    24,
-)  # cells for one step of the curve over the level, and how many steps at most
-_FAR = 4.0  # robust sigmas beyond which a cell counts no more: something moved
-_REACH_CELLS = 1.5  # sigma of the neighbourhood that speaks for a place
-_PRIOR_CELLS = 2.0  # the weight of the whole picture's figure in it
+_BANDS = 64  # rows of cells that are evaluated: enough for a smooth field
+# Cells for one step of the curve over the level, and most steps. Not measured.
+_IN_A_STEP, _MOST_STEPS = 40, 24
+_FAR = 4.0  # robust sigmas beyond which a cell is excluded: something moved
+_REACH_CELLS = 1.5  # sigma of the neighbourhood of a place [cells]; not measured
+_PRIOR_CELLS = 2.0  # weight of the mean over the picture, as a number of cells; not measured
 _UNSURE = int(Flag.CLIPPED_HIGH | Flag.BLOOM)
 
 
 @dataclass(frozen=True, slots=True)
 class _Bands:
-    """Every so many rows of a frame, [bands, edge, columns, 3]: luminance and its variance, were
-    noise each pixel's own; good [bands, edge, columns] in all colours.
+    """Bands of rows of a frame at equal distances.
+
+    light, variance: luminance and its variance, if noise of pixels were independent [bands, edge,
+    columns, 3]; good: in all colours [bands, edge, columns].
     """
 
     light: Strip
@@ -47,17 +47,17 @@ class _Bands:
 
 
 def footprint_px(lens: LensGeometry, target: Target) -> float:
-    """Edge of a target pixel on the sensor, in the middle of the lens's field."""
+    """Return the edge of a target pixel on the sensor [px], in the middle of the lens's field."""
     return max(1.0, lens.radius_px / lens.half_angle_rad * target.pixel_rad)
 
 
 def with_seen_noise(
     merged: Merged, store: FrameStore, y_from_rgb: Sequence[float], edge_px: float
 ) -> Merged:
-    """The merged JPEG frames with variances for which means over cells of `edge_px` pixels have the
-    noise seen.
+    """Return merged JPEG frames with variances that give means over cells their measured noise.
 
-    What is flagged as moving keeps its variance, which is that of the frames' disagreement already.
+    edge_px: edge of a cell [px]. Pixels with the flag MOTION keep their variance, which includes
+    the frames' disagreement already.
     """
     height, width = merged.value_cdm2.shape[:2]
     edge = int(np.clip(round(edge_px), 1, min(height, width)))
@@ -77,7 +77,7 @@ def with_seen_noise(
     variance = merged.variance.copy()
     for band, scale in enumerate(
         ratio[:, column, None]
-    ):  # band by band: whole arrays of factors are what memory lacks
+    ):  # band by band: arrays of factors for the complete picture need too much memory
         at = slice(
             band * edge * stride, height if band == len(ratio) - 1 else (band + 1) * edge * stride
         )
@@ -97,9 +97,7 @@ def _bands_of(signal: Signal, merged: Merged, edge: int, stride: int) -> _Bands:
 def _band(
     signal: Signal, merged: Merged, first: int, edge: int, width: int
 ) -> tuple[Strip, Strip, NDArray[np.bool_]]:
-    """Luminance, variance [edge, width, 3], and whether a pixel is good in all colours [edge,
-    width].
-    """
+    """Return luminance and variance [edge, width, 3], and which pixels are good in all colours."""
     at = slice(first, first + edge)
     counts, full = signal.strip(first, first + edge)
     w = signal.weight(merged.value_cdm2[at])
@@ -112,9 +110,9 @@ def _band(
 
 
 def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squares of how far the two frames' luminances of a cell lie apart over the u of
-    independent pixels, [bands, cells]; not a number where less than half of a cell is good in
-    both.
+    """Return squared differences of two frames' cell luminances over the u of independent pixels.
+
+    The result is [bands, cells]; NaN where less than half of a cell is good in both frames.
     """
     both = long.good & short.good
     pixels = _cell_sums(both)
@@ -128,7 +126,7 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
     )
     a, b, u2_a, u2_b = (
         np.maximum(v, 1e-12) for v in sums
-    )  # black in one colour: no light, but no division either
+    )  # black in one colour: no light, and no division by zero
     apart = np.log(b / a)
     apart -= np.stack([_by_level(np.log(a[:, c]), apart[:, c]) for c in range(3)], axis=1)
     share = y_from_rgb * a
@@ -140,19 +138,18 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
 
 
 def _cell_sums(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Over cells of edge x edge pixels: [bands, edge, columns, ..] to [bands, columns / edge,
-    ..].
-    """
+    """Return sums over cells: [bands, edge, columns, ..] to [bands, columns / edge, ..]."""
     bands, edge, columns = values.shape[:3]
     down = values.sum(
         axis=1, dtype=np.float64
-    )  # whole rows first: both at once would go three colours at a time
+    )  # rows first: numpy sums both axes at once three values at a time
     return down.reshape(bands, columns // edge, edge, *values.shape[3:]).sum(axis=2)
 
 
 def _by_level(level: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What of `apart` depends on the level alone: medians over steps of equally many cells,
-    joined by lines.
+    """Return the part of `apart` that depends on the level alone.
+
+    It is medians over steps of equally many cells, joined by lines.
     """
     order = np.argsort(level)
     steps = np.array_split(order, int(np.clip(len(level) // _IN_A_STEP, 1, _MOST_STEPS)))
@@ -163,15 +160,16 @@ def _by_level(level: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray
 def _neighbourhood(
     total: NDArray[np.float64], count: NDArray[np.float64], sigma_cells: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Mean of `total` over `count` around each cell, with the whole picture's as so many cells
-    more.
+    """Return the mean of `total` over `count` around each cell.
+
+    The picture's mean counts as `_PRIOR_CELLS` further cells.
     """
     import cv2
 
     down, across = sigma_cells
     area = np.prod(
         np.maximum(2 * np.sqrt(np.pi) * np.array(sigma_cells), 1.0)
-    )  # cells that would do as much alike
+    )  # effective number of equally weighted cells
     near, seen = (
         area * cv2.GaussianBlur(v, (0, 0), sigmaX=across, sigmaY=down) for v in (total, count)
     )

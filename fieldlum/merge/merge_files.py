@@ -1,4 +1,4 @@
-"""`fieldlum merge --frames`: a list of files to one picture, .exr or .hdr, panorama or fisheye."""
+"""`fieldlum merge --frames`: merge files to one picture, .exr or .hdr, panorama or fisheye."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fieldlum.session import replacing_path
 
 
 def axis_illuminance_lx(result: MergeResult, target: Target) -> float:
-    """Return the illuminance of a plane perpendicular to the picture's axis. [lx]
+    """Return the illuminance of a plane perpendicular to the picture's axis [lx].
 
     This is the vertical illuminance for a camera that looks horizontally.
     """

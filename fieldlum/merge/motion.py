@@ -1,11 +1,11 @@
-"""Frames left out of the pixels where something moved through them.
+"""Exclude frames from the pixels where something moved through them.
 
-The merge flags pixels whose frames disagree. Here, around such pixels only, the frames vote:
-starting from each frame in turn, which value do most of them share within their noise? A frame that
-saturates votes too, for anything bright enough to saturate it. Frames outside the consensus are
-left out there and for some pixels around (soft edges have no halo), and the rest is merged anew by
-the estimator itself. Where the frames that could tell two values apart are too few or undecided,
-nothing is left out and the flag stands alone. Elsewhere not one bit of the map changes.
+The merge flags pixels whose frames disagree. Around such pixels the frames vote: starting from each
+frame in turn, which value do most of them share within their noise? A saturated frame votes too,
+for anything bright enough to saturate it. Frames outside the consensus are excluded there and for
+some pixels around (soft edges have no halo), and the estimator merges the others again. Where too
+few frames could separate two values, or they are undecided, nothing is excluded and only the flag
+stays. Everywhere else the map is bit by bit the same.
 """
 
 from __future__ import annotations
@@ -23,21 +23,23 @@ from fieldlum.records import Flag
 Mask = NDArray[np.bool_]
 Over = Callable[[Mask, Callable[[Mask], Mask]], Mask]
 
-_BAND = 1 << 21  # elements worked on at a time, for all frames together
-_VOTE_SIGMA = 4.0  # a frame this far from a value does not share it
-_LEAVE_SIGMA = 3.0  # a frame this far from the consensus is left out, where its neighbours are too
-_SUPPORT, _WINDOW_PX = 4, 5  # marked pixels that a window must hold: chance marks single ones
+_BAND = 1 << 21  # elements processed at a time, for all frames together
+_VOTE_SIGMA = 4.0  # a frame further from a value does not share it
+_LEAVE_SIGMA = 3.0  # a frame further from the consensus is excluded, if its neighbours are too
+_SUPPORT, _WINDOW_PX = 4, 5  # least marked pixels in a window: single ones are marked by chance
 _CLOUDED = 10  # undecided pixels in such a window that make its middle undecided too
-_SURE = 1 / 8  # relative sigma of a frame that stands against one outside its limits
-_REACH_PX, _HALO_PX = 8, 3  # looked at around what is flagged; left out around what is far off
+_SURE = 1 / 8  # relative sigma of a frame that can contradict one outside its limits
+_REACH_PX, _HALO_PX = 8, 3  # examined around flagged pixels; excluded around disagreeing pixels
 _SATURATED = 0.9  # of the largest readable value: a brighter consensus explains a saturated frame
-_WITNESSES = 2
+_WITNESSES = 2  # least number of agreeing frames
 
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """Of m pixels: the value most frames share [cd/m2], whether to act upon it, how many frames
-    are sure of it.
+    """Consensus at m pixels.
+
+    value_cdm2: the value that most frames share; clear: whether to act on it; sure: number of
+    frames that are certain of it.
     """
 
     value_cdm2: NDArray[np.float32]
@@ -47,8 +49,9 @@ class Consensus:
 
 @dataclass(frozen=True, slots=True)
 class Ballot:
-    """What n frames say of m pixels, all [n, m]: own luminance where usable; largest_cdm2 where
-    saturated.
+    """Votes of n frames at m pixels, all [n, m].
+
+    value_cdm2: own luminance where `usable`; largest_cdm2: limit where `saturated`.
     """
 
     value_cdm2: Strip
@@ -59,11 +62,11 @@ class Ballot:
 
 
 def vote(ballot: Ballot, u_ratio: float) -> Consensus:
-    """The value that most frames share, and whether they may be believed.
+    """Return the value that most frames share, and whether it is reliable.
 
-    Clear: every usable frame agrees, or the dissenters are outnumbered by frames that agree and
-    would have noticed (their noise is less than the gap, or they would not have saturated), at
-    least two.
+    It is clear if every usable frame agrees, or if at least two frames agree that would have
+    noticed a difference (their noise is less than the gap, or they would not have saturated), and
+    they outnumber the others.
     """
     value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
     enough = _SATURATED * ballot.largest_cdm2
@@ -77,7 +80,7 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
     for start in range(n):
         centre = value[start]
         agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * (spread + spread[start]))
-        for _ in range(2):  # a noisy start agrees with all; what it gathers must agree with itself
+        for _ in range(2):  # a noisy start agrees with all; its group must agree within itself
             weight = np.where(agree, 1 / spread, 0.0)
             total = weight.sum(axis=0)
             shared = (weight * value).sum(axis=0)
@@ -106,7 +109,7 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
 
 
 def _around(mark: Mask) -> NDArray[np.uint16]:
-    """How many pixels of [h, w] are marked in the window around each."""
+    """Return how many pixels of [h, w] are marked in the window around each."""
     import cv2
 
     size, border = (_WINDOW_PX, _WINDOW_PX), cv2.BORDER_CONSTANT
@@ -117,7 +120,7 @@ def _around(mark: Mask) -> NDArray[np.uint16]:
 
 
 def _supported(mark: Mask) -> Mask:
-    """Marked pixels [h, w] that are no loners."""
+    """Return marked pixels [h, w] that are not isolated."""
     return mark & (_around(mark) >= _SUPPORT)
 
 
@@ -129,7 +132,7 @@ def _wider(mark: Mask, by_px: int) -> Mask:
 
 
 class _Part:
-    """Rows of a frame as a signal of their own, without the pixels in `left_out`."""
+    """Rows of a frame as a signal, without the pixels in `left_out`."""
 
     def __init__(self, signal: Signal, first: int, left_out: Mask) -> None:
         self._signal, self._first, self._left_out = signal, first, left_out
@@ -153,8 +156,9 @@ def _parts(
 
 
 def _own(signal: Signal, first: int, last: int) -> tuple[Strip, Mask, Mask]:
-    """Counts of some rows, which can vote (within their limits), which are saturated (their
-    neighbours are neither).
+    """Return counts of some rows, which can vote (within their limits), and which are saturated.
+
+    Pixels next to saturated ones are neither.
     """
     counts, full = signal.strip(first, last)
     usable = signal.usable(counts)
@@ -164,7 +168,7 @@ def _own(signal: Signal, first: int, last: int) -> tuple[Strip, Mask, Mask]:
 
 
 def _ballot(frames: Sequence[Callable[[], Signal]], near: Mask, first: int) -> Ballot:
-    """Of the pixels `near`, which are rows from `first` on."""
+    """Return the votes of the pixels `near`, which are in rows from `first` on."""
     shape = (len(frames), int(near.sum()))
     value, variance, largest = (np.empty(shape, np.float32) for _ in range(3))
     usable, saturated = np.empty(shape, bool), np.empty(shape, bool)
@@ -185,8 +189,9 @@ def _left_out(
     u_ratio: float,
     over_picture: Over,
 ) -> Mask:
-    """Which pixels of the rows from `first` on each frame loses, [frames, *near.shape]; all
-    colours of one or none.
+    """Return which pixels of the rows from `first` on each frame loses, [frames, *near.shape].
+
+    A pixel loses all colours or none.
     """
     consensus = vote(_ballot(frames, near, first), u_ratio)
     value, clear = np.zeros(near.shape, np.float32), np.zeros(near.shape, bool)
@@ -199,7 +204,7 @@ def _left_out(
         spread = signal.readable(np.maximum(counts, expected))[1] + (u_ratio * expected) ** 2
         used = usable | (
             ~full & (signal.weight(value) > 0)
-        )  # the merge weighs by what it expects, not what it finds
+        )  # the merge weights by the expected value, not by the measured one
         far[i] = near & used & ((counts - expected) ** 2 > _LEAVE_SIGMA**2 * spread)
         beyond += far[i] & ~usable
     sure = np.zeros(near.shape, np.int16)
@@ -221,12 +226,12 @@ def leave_out_moved(
     u_ratio: float,
     over_picture: Over,
 ) -> tuple[Merged, tuple[float, ...]]:
-    """The merge of the same frames without those that disagree where something moved; each frame's
-    share left out.
+    """Merge again without frames that disagree where something moved; return each frame's share.
 
     frames, u_ratio: as for `merge_signals`; the arrays of `merged` are changed in place.
     over_picture(mask, change) applies a change of [h, w] masks to a mask of the frames' shape.
-    MOTION stays on every pixel that lost a frame, and where nothing could be decided.
+    MOTION stays on every pixel that lost a frame, and where nothing could be decided. The share is
+    that of a frame's excluded pixels.
     """
     shape = merged.value_cdm2.shape
     seeds = over_picture((merged.flags & Flag.MOTION) > 0, _supported)
@@ -248,7 +253,7 @@ def leave_out_moved(
         lost_any = np.any(out, axis=0)[inner]
         changed = lost_any & (
             (again.flags[inner] & (Flag.CLIPPED_HIGH | Flag.BLOOM)) == 0
-        )  # else nothing is left
+        )  # otherwise no frame remains
         for old, new in ((value, again.value_cdm2), (variance, again.variance)):
             old[first:last][changed] = new[inner][changed]
         flags[first:last][changed] = again.flags[inner][changed] | np.uint8(Flag.MOTION)

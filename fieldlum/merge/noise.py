@@ -1,10 +1,9 @@
-"""How noisy raw frames are, as neighbouring frames of the bracket show it, over what the profile
-says.
+"""Estimate how much noisier raw frames are than the profile states, from neighbouring frames.
 
-Gain and read noise of a profile are often those of another body. Too little noise said, and noise
-is taken for motion and u is too small. Two frames of one scene differ by their noise: its part that
-grows with the signal tells the gain, the rest the read noise (photon transfer; Janesick, SPIE
-2007), robustly, so that what moved does not count.
+Gain and read noise of a profile are often those of another body. If the profile's noise is too
+small, noise is treated as motion and u is too small. Two frames of one scene differ by their noise:
+its part that grows with the signal gives the gain, the other part the read noise (photon transfer;
+Janesick, SPIE 2007). The fit is robust, so that motion does not count.
 """
 
 from __future__ import annotations
@@ -20,41 +19,41 @@ from fieldlum.merge.ratios import Sample
 from fieldlum.photometry import PairRatio
 from fieldlum.statistics import robust_sigma
 
-_STEPS = 12  # levels of a pair that are looked at
-_IN_A_STEP, _MOST = 200, 12_000  # pixels of a step, of a pair
-_ROUNDED_DN2 = 1 / 12  # variance that a count gets by being a whole number
-_TOLD = 1.44  # of a variance (1.2 of noise): less is not told from the profile's
-# and by so many of its own standard errors: where shot noise is all there is, read noise is a guess
+_STEPS = 12  # levels of a pair that are evaluated
+_IN_A_STEP, _MOST = 200, 12_000  # least pixels of a step, most of a pair
+_ROUNDED_DN2 = 1 / 12  # variance of rounding to integers
+# A smaller factor on a variance (1.2 of noise) does not differ reliably from the profile's.
+_TOLD = 1.44
+# Standard errors that a factor must have too: read noise is uncertain where shot noise dominates.
 _SURE_SIGMA = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SeenNoise:
-    """Factors on the profile's variances: of shot noise and of read noise; 1 where they are no
-    larger than said.
-    """
+    """Factors on the profile's variances of shot noise and read noise; 1 if not larger."""
 
     shot: float = 1.0
     read: float = 1.0
 
     @property
     def larger(self) -> float:
-        """Of the two, as a factor on a standard deviation."""
+        """The larger of the two, as a factor on a standard deviation."""
         return float(np.sqrt(max(self.shot, self.read)))
 
 
 def seen_noise(
     samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]
 ) -> SeenNoise:
-    """By neighbouring frames; samples and pairs of raw frames before `correction`, which their
-    pairs gave.
+    """Return the factors from neighbouring frames.
+
+    samples, pairs: of raw frames before `correction`, which the pairs gave.
     """
     rows = []
     for pair in pairs:
         if pair.short == pair.long + 1:
             ratio = float(np.exp(np.log(correction[pair.short]) - np.log(correction[pair.long])))
             for shot, read, found in _steps(samples[pair.long], samples[pair.short], ratio):
-                rows.append((shot / found, read / found))  # relative: each step counts alike
+                rows.append((shot / found, read / found))  # relative: equal weights for all steps
     if len(rows) < 4:
         return SeenNoise()
     table = np.array(rows)
@@ -66,7 +65,7 @@ def seen_noise(
 
 
 def _factors(rows: NDArray[np.float64]) -> tuple[float, float]:
-    """Least squares of rows @ (shot, read) = 1, none below 0."""
+    """Return the least-squares solution of rows @ (shot, read) = 1, without negative values."""
     alone = rows.sum(axis=0) / np.maximum((rows**2).sum(axis=0), 1e-30)
     shot, read = np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)[0]
     if shot < 0:
@@ -75,8 +74,9 @@ def _factors(rows: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, float, float]]:
-    """Of steps of the signal: shot and read variance of the two frames' difference as said, and
-    as seen [DN2].
+    """Return, for steps of the signal, variances of the two frames' difference [DN2].
+
+    These are shot and read variance by the profile, and the measured variance.
     """
     a, b = long.signal, short.signal
     if not (isinstance(a, RawSignal) and isinstance(b, RawSignal)):
@@ -88,7 +88,7 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
     y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
     ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape).ravel()[at]
     order = np.argsort(y_long)
-    # Where noise is about a count wide, a median of whole numbers jumps: spread evenly over a
+    # Where noise is about a count wide, a median of integers jumps: spread them evenly over a
     # count's width first.
     dither = np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
     found = []

@@ -1,4 +1,4 @@
-"""What a user decides about a merge."""
+"""Options of a merge."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class MergeOptions:
 
     height: rows of the result [px]. projection: "equirect" (panorama, twice as wide) or "fisheye"
     (square, along the first lens). fit: estimate exposure ratios from the frames; None: for raw
-    frames only. drop_moved: leave frames out of pixels where most other frames agree that
+    frames only. drop_moved: exclude frames from pixels where most other frames agree that
     something moved.
     """
 

@@ -1,6 +1,4 @@
-"""Merged sensors to one map: resampling, vignetting, colour, the blend of lenses, and the
-uncertainty of the result.
-"""
+"""Project merged sensors to one map: resampling, vignetting, colour, blending, and uncertainty."""
 
 from __future__ import annotations
 
@@ -23,15 +21,15 @@ from fieldlum.projection import Equirect, Resampler, resampler
 from fieldlum.projection.grids import Target
 from fieldlum.records import Flag, Panorama
 
-# Share of a target pixel's weight that must carry a flag before the pixel does. Clipped: any, it
-# makes a lower bound.
+# Share of a target pixel's weight that must have a flag before the pixel gets it. Any clipped part
+# makes a pixel a lower bound. The others are not measured.
 _SHARE = {Flag.CLIPPED_HIGH: 1e-3, Flag.BLOOM: 0.05, Flag.MOTION: 0.25, Flag.ND: 0.25}
 _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
 # Sensor pixels of light that leak over an edge, at most: mean half-width of a pixel's square and of
 # bilinear shares, which reach two pixels where each colour has its own, one where every pixel sees
 # all colours.
 _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
-_TAPER_RAD = 0.06  # over which a lens fades in from its edge, where another lens sees the same
+_TAPER_RAD = 0.06  # over which a lens fades in from its edge, if another lens sees the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +55,7 @@ class ProjectedImage:
 def _project(
     sensor: SensorImage, r: Resampler
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-    """Camera RGB [n, 3], its random variance [n, 3] and flags [n] of one lens."""
+    """Return camera RGB [n, 3], its random variance [n, 3] and flags [n] of one lens."""
     m = sensor.merged
     colours = list("RGB") if len(r.matrices) > 1 else [""]
     values, variance = (
@@ -74,14 +72,14 @@ def _project(
         if valid is None:
             rgb.append(matrix @ values)
             var.append(square @ variance)
-        else:  # bad pixels: what is left of each row is scaled back to 1
+        else:  # bad pixels: the weights of each row without them are scaled to a sum of 1
             share = np.maximum(matrix @ valid, 1e-6)
             rgb.append(matrix @ (values * valid) / share)
             var.append(square @ (variance * valid) / share**2)
     flags = np.zeros(
         len(r.coverage), np.uint8
-    )  # bad pixels may raise theirs too: it only asks for care
-    if valid is not None:  # nothing good is left in one colour: no value
+    )  # bad pixels may raise theirs too, which is harmless
+    if valid is not None:  # no good pixel of one colour: no value
         left = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
         flags[(left < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
     raised = m.flags if colours != [""] else np.bitwise_or.reduce(m.flags, axis=-1)
@@ -99,7 +97,7 @@ def _project(
 def view_through(
     sensor: SensorImage, lens: Lens, profile: CameraProfile, target: Target
 ) -> ProjectedImage:
-    """One lens's contribution, vignetting undone."""
+    """Return the contribution of one lens, without its vignetting."""
     geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
     r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
@@ -151,11 +149,11 @@ def _stray_of_lens(
 
 
 def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
-    """Inverse-variance mean of all lenses and headings that see a pixel.
+    """Return the inverse-variance mean of all lenses and headings that see a pixel.
 
-    The variance is that of the common luminance (of the noisy one it would pull towards the darker
-    lens), and a lens fades out towards its edge. Pixels that are clipped, bloomed or moving in one
-    lens give way to the others.
+    The variance is that of the common luminance; that of the noisy one would favour the darker
+    lens. A lens fades out towards its edge. Pixels that are clipped, bloomed or moving in one lens
+    get little weight.
     """
     coverage = np.stack([v.coverage for v in views])
     luminance = np.stack([v.luminance for v in views])
@@ -184,12 +182,12 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
     u_stray = (share * np.stack([v.u_stray for v in views])).sum(0)  # one kernel for all lenses
     by_lens: dict[
         Lens | int, NDArray[np.float64]
-    ] = {}  # one lens has one curve, wherever it is turned
+    ] = {}  # one lens has one curve for all its headings
     for i, (view, part) in enumerate(zip(views, share, strict=True)):
         key = i if view.lens is None else view.lens
         by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
     u_vignetting = np.sqrt(sum(u**2 for u in by_lens.values()))
-    u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)  # one shutter
+    u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)  # the shutter is common
     return ProjectedImage(
         (share * luminance).sum(0),
         (share**2 * variance).sum(0),
@@ -233,7 +231,7 @@ def finish(
     u = np.sqrt(view.variance + light**2 * relative + floor**2 + view.u_stray**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
-    quiet = (view.flags & Flag.MOTION) == 0  # where frames disagree, their variance is no noise
+    quiet = (view.flags & Flag.MOTION) == 0  # variance of disagreeing frames is not noise
     flags[seen & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
@@ -253,13 +251,12 @@ def finish(
 def u_of_edges(
     light: NDArray[np.float64], seen: NDArray[np.bool_], target: Target, profile: CameraProfile
 ) -> NDArray[np.float64]:
-    """What a pixel may have of its neighbours' light, for the sensor's pixels are not small, [H,
-    W].
+    """Return the error of a pixel from its neighbours' light, [H, W] cd/m2.
 
-    An edge on the border of two target pixels leaks at most `_LEAK_PX` over the pixel's width of
-    the difference, one that lies elsewhere less: a rectangular distribution (GUM 4.3.7). On a slope
-    what comes from one side goes to the other, so that the second difference tells. Towards pixels
-    that no lens sees nothing is told.
+    The sensor's pixels are not small. An edge on the border of two target pixels leaks at most
+    `_LEAK_PX` over the pixel's width of the difference, and an edge elsewhere less: a rectangular
+    distribution (GUM 4.3.7). On a slope, gains and losses cancel, so the second difference counts.
+    Next to pixels that no lens sees it is unknown and counts as zero.
     """
     width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
     share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)
@@ -267,9 +264,7 @@ def u_of_edges(
     if not isinstance(target, Equirect):
         return share * np.hypot(down, _second_difference(light.T, seen.T).T)
     rows = (np.arange(target.height) + 0.5) / target.height * np.pi
-    narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[
-        :, None
-    ]  # meridians draw together
+    narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]  # meridians converge
     around = _second_difference(_wrapped(light).T, _wrapped(seen).T).T[:, 1:-1]
     return np.hypot(share * down, narrow * around)
 
@@ -279,14 +274,15 @@ def _wrapped(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _second_difference(light: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Down the columns."""
+    """Return the second difference down the columns, [H, W]."""
     step = np.pad(np.diff(light, axis=0) * (seen[1:] & seen[:-1]), ((1, 1), (0, 0)))
     return np.diff(step, axis=0)
 
 
 def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float32]:
-    """RGB scaled pixel by pixel so that 179 (.265 .670 .065) gives the luminance; grey where it
-    cannot.
+    """Return RGB scaled for each pixel so that 179 (.265 .670 .065) gives the luminance.
+
+    The pixel is grey where that is impossible.
     """
     own = np.maximum(colour, 0.0)
     y = own @ np.asarray(RADIANCE_Y)

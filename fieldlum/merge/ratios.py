@@ -1,6 +1,4 @@
-"""The exposure ratios of one bracket, from a sample of its pixels, and how well neighbouring
-frames agree.
-"""
+"""Estimate the exposure ratios of one bracket from a sample of its pixels, and their agreement."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,13 +14,13 @@ from fieldlum.session.files.merge_report import NeighbourQuality
 from fieldlum.statistics import robust_sigma
 
 _ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
-_SNR_LONG = 30.0
-# Of the short frame: bright pixels as far as there are enough; a black level that is off by a count
-# spoils dim ones.
+_SNR_LONG = 30.0  # of a pixel in the longer frame; not measured
+# Of the short frame: the brightest pixels that are numerous enough, because a black level that is
+# wrong by a count affects dim ones.
 _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
-_REACH = 3  # frames of a bracket that are compared with each frame
-_FREE = 0.3  # relative prior of exposures that are not held to anything
-_LEVELS = 193  # luminances at which the ratios' uncertainty is worked out
+_REACH = 3  # frames of a bracket that are compared with each frame; not measured
+_FREE = 0.3  # relative prior of exposures without a reference
+_LEVELS = 193  # luminances at which the ratios' uncertainty is computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,19 +34,21 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class RatioCurve:
-    """Relative standard uncertainty that the exposures leave in a merged value, over that value
-    [cd/m2], rising.
+    """Relative standard uncertainty of a merged value from the exposures, over that value.
+
+    levels_cdm2: rising.
     """
 
     levels_cdm2: NDArray[np.float64]
     u_rel: NDArray[np.float64]
 
     def at(self, value_cdm2: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the relative uncertainty of values, by interpolation."""
         return np.interp(value_cdm2, self.levels_cdm2, self.u_rel)
 
 
 def take_samples(store: FrameStore) -> list[Sample]:
-    """Of each frame some 100 000 pixels, the same ones."""
+    """Return the same 100 000 pixels, about, of each frame."""
 
     def sample(signal: Signal) -> Sample:
         small, full = signal.sampled(_ROWS, _COLUMNS)
@@ -58,9 +58,7 @@ def take_samples(store: FrameStore) -> list[Sample]:
 
 
 def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
-    """The pair's exposure ratio over the assumed one; None where too few pixels are good in
-    both.
-    """
+    """Return the pair's exposure ratio over the assumed one; None for too few common pixels."""
     e_long, e_short = (np.broadcast_to(s.signal.per_cdm2, s.counts.shape) for s in (long, short))
     light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
     w_long, w_short = long.signal.weight(light), short.signal.weight(light)
@@ -93,8 +91,9 @@ def _brightest(seen: NDArray[np.bool_], snr: NDArray[np.floating]) -> NDArray[np
 
 
 def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
-    """All pairs up to three frames apart that see the same pixels well; frames sorted by
-    exposure, longest first.
+    """Return all pairs up to three frames apart that see the same pixels well.
+
+    samples: of frames sorted by exposure, longest first.
     """
     found = [
         compare(samples[i], samples[j], i, j)
@@ -105,7 +104,7 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
 
 
 def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
-    """What is left between frames next to each other once `correction` is applied."""
+    """Return the disagreement of frames next to each other after `correction`."""
     delta = np.log(correction)
     return [
         NeighbourQuality(
@@ -121,9 +120,10 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
 
 
 def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
-    """Relative u of one frame against another, from neighbours' disagreement beyond what
-    `explained` (relative u of a frame by its time and its response) and the pairs' own noise
-    account for.
+    """Return the relative u of one frame against another that is not explained yet.
+
+    It follows from neighbours' disagreement beyond the pairs' own noise and `explained`, the
+    relative u of a frame by its time and its response.
     """
     if not left:
         return 0.0
@@ -142,8 +142,9 @@ def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
 
 
 def beyond(free: RatioFit, explained: float) -> float:
-    """Relative u that exposures which seem off leave in a value, beyond what `explained`
-    (relative) and the noise of the pairs themselves account for.
+    """Return the relative u of a value from exposures that seem wrong.
+
+    It is their deviation beyond `explained` (relative) and the noise of the pairs.
     """
     seen = sorted({i for p in free.pairs for i in (p.long, p.short)})
     if not seen:
@@ -156,12 +157,12 @@ def beyond(free: RatioFit, explained: float) -> float:
 def ratio_curve(
     samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0
 ) -> RatioCurve:
-    """What uncertain exposures leave in a value: s C s, with s the frames' shares of the
-    information at that level.
+    """Return the relative u of a value from uncertain exposures.
 
-    The frames' errors hang together (pictures know ratios only), and a level rests on the few
-    frames that see it well: one figure for the whole bracket would be too small where only a poorly
-    known frame reads.
+    It is s C s, with s the frames' shares of the information at that level. The frames' errors are
+    correlated (pictures contain ratios only), and a level depends on the few frames that see it
+    well: a single value for the bracket would be too small where only an uncertain frame is
+    readable.
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
     largest = [float(np.max(s.largest_cdm2())) for s in small]

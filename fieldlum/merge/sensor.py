@@ -1,4 +1,4 @@
-"""One heading of a bracket, merged on the sensor: its steps in order."""
+"""Merge one heading of a bracket on the sensor: its steps in order."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Findings:
 
 @dataclass(frozen=True, slots=True)
 class _Frames:
-    """The frames of one heading, opened: what every step below needs."""
+    """The opened frames of one heading, as every later step needs them."""
 
     shots: tuple[Shot, ...]
     profile: CameraProfile  # with the shutter law that the frames are read with
@@ -87,13 +87,13 @@ class _Frames:
 
     @property
     def lenses(self) -> list[LensGeometry]:
-        """Return each lens in pixels of the crop."""
+        """Each lens in pixels of the crop."""
         corner_px = (self.crop.left, self.crop.top)
         return [lens_geometry(lens, corner_px=corner_px) for lens in self.profile.lens]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Return the shape of a frame's array."""
+        """Shape of a frame's array."""
         height, width = self.crop.height, self.crop.width
         return (height // 2, 2, width) if self.raw else (height, width, 3)
 

@@ -25,9 +25,9 @@ from fieldlum.session.files.sidecar import Sidecar
 
 # A median over fewer brackets is not trusted as the shutter's. Chosen, not measured.
 MIN_BRACKETS = 5
-# Frames whose correction is less certain are left out of the drift; weights are limited. [%]
+# Frames whose correction is less certain are excluded from the drift; weights are limited [%].
 _MOST_U_PERCENT, _LEAST_U_PERCENT = 1.0, 0.02
-# A mean global irradiance below this is night for the change of irradiance. [W/m2]
+# A mean global irradiance below this counts as night for the change of irradiance [W/m2].
 _LEAST_GHI_WM2 = 5.0
 
 
@@ -51,7 +51,7 @@ def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
 
 
 def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | None:
-    """Return the change of the light from the first frame to the last. [%]
+    """Return the change of the light from the first frame to the last [%].
 
     typical: of `typical_corrections`. None: fewer than three frames can be compared.
     """
@@ -73,7 +73,7 @@ def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | Non
 
 
 def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> float | None:
-    """Return the change of global irradiance over the same seconds, by a line. [%]
+    """Return the change of global irradiance over the same seconds [%], by a fitted line.
 
     None: fewer than three samples, or night.
     """

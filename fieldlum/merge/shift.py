@@ -1,10 +1,10 @@
-"""Did the camera turn within a bracket? Each frame against its neighbour, by what both see well.
+"""Detect a turn of the camera within a bracket: compare each frame with its neighbour.
 
-Shared edges of what is clipped or dark would hold a phase correlation at zero, and the short frames
+Shared edges of clipped or dark areas would hold a phase correlation at zero, and the short frames
 of a room show little but windows. So the turn is found by least squares on the pixels that both
 frames see (Lucas and Kanade 1981), from coarse to fine, with an offset and a slope for what
-exposures and response do not explain, and Huber weights for what moves. A fisheye's picture does
-not shift evenly when its camera turns, and two lenses back to back shift against each other: the
+exposures and response do not explain, and Huber weights for motion. A fisheye's picture does not
+shift evenly when its camera turns, and two lenses back to back shift against each other. So the
 unknowns are the three angles of the turn, through the lens's own mapping.
 """
 
@@ -21,24 +21,24 @@ from fieldlum.projection import LensGeometry, lens_pixels, lens_rays, radius_of_
 from fieldlum.statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float32]
-LONGEST = 800  # of the reduced frames' sides
+LONGEST = 800  # of the reduced frames' sides; bounds the time
 _LEVELS = 4  # sizes, each half the one before
 _STEPS = 2  # at each size
-_MOST = 30_000  # pixels of a fit
-_BLOCKS = 6  # a side, for the standard error
-_LEAST = 300  # pixels with an edge in them
-_FLAT = 0.02  # of ln light: less than that between neighbours is no edge
-_SMOOTH_PER_RAD = (
-    4.0  # of ln light: a smooth room's shading changes by less, and says nothing of a turn
-)
-_RIM = 0.97  # of a lens's circle: its edge stays where it is
-_TINY_RAD = 1e-4
+_MOST = 30_000  # pixels of a fit; bounds the time
+_BLOCKS = 6  # per side, for the standard error
+_LEAST = 300  # pixels with an edge in them; not measured
+_FLAT = 0.02  # of ln light: a smaller difference between neighbours is not an edge
+# Of ln light: ignore gradients below this, because smooth shading does not constrain the turn.
+_SMOOTH_PER_RAD = 4.0
+_RIM = 0.97  # of a lens's circle: its edge does not move with the scene
+_TINY_RAD = 1e-4  # step of the numerical derivatives
 
 
 @dataclass(frozen=True, slots=True)
 class Small:
-    """A frame reduced to ln light [h, w] in any unit, `step` sensor pixels a pixel; seen: not
-    clipped or dark.
+    """A frame reduced to ln light [h, w] in any unit.
+
+    step: sensor pixels per pixel; seen: neither clipped nor dark [h, w].
     """
 
     log_light: Array
@@ -48,8 +48,9 @@ class Small:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """Turn of frame `short` against frame `long`, its neighbour of more exposure; in pixels at
-    the lens's axis.
+    """Turn of frame `short` relative to frame `long`, its more exposed neighbour.
+
+    shift_px, u_px: in pixels at the lens's axis.
     """
 
     long: int
@@ -60,16 +61,16 @@ class Moved:
 
     @property
     def sure_px(self) -> float:
-        """What three standard errors leave of it."""
+        """The turn minus three standard errors [px], at least 0."""
         return max(self.shift_px - 3.0 * self.u_px, 0.0)
 
 
 def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1) -> Small:
-    """Means of blocks of whole cells, at most LONGEST a side. Seen: all of a block, its mean above
-    `least` (over 0).
+    """Return means of blocks of cells, at most LONGEST a side.
 
-    signal [h, w] linear in light, black at 0, in any unit; cell: pixels a side that belong together
-    (2: a mosaic).
+    A block is seen if all of it is, and its mean is above `least` (over 0). signal: linear in
+    light, black at 0, in any unit [h, w]; cell: pixels per side that belong together (2 for a
+    mosaic).
     """
     import cv2
 
@@ -86,8 +87,9 @@ def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1)
 
 
 def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Moved]:
-    """Of neighbours in a bracket that share enough edges to tell. lenses: centres in the frames'
-    own sensor pixels.
+    """Return the turns of neighbours in a bracket that share enough edges.
+
+    lenses: centres in the frames' own sensor pixels.
     """
     if len(frames) < 2 or min(frames[0].log_light.shape) < 16:
         return []
@@ -113,8 +115,9 @@ def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Move
 def _flow(
     lenses: tuple[LensGeometry, ...], step: int, shape: tuple[int, int]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Where reduced pixels go, [6, h, w]: x and y for a turn about each of three axes [px/rad];
-    inside a lens's rim.
+    """Return the motion of reduced pixels and which are inside a lens's rim.
+
+    The motion is [6, h, w]: x and y for a turn about each of three axes [px/rad].
     """
     y, x = ((np.arange(n) + 0.5) * step for n in shape)
     flow, inside = np.zeros((6, *shape), np.float32), np.zeros(shape, bool)
@@ -155,13 +158,13 @@ def _turn(
     second: list[tuple[Array, NDArray[np.bool_]]],
     flows: list[Array],
 ) -> tuple[float, float] | None:
-    """Angle [rad] and its standard error. None where the two share too few edges."""
+    """Return the angle [rad] and its standard error; None if the two share too few edges."""
     turn, covariance = np.zeros(3), None
     for level in range(len(flows) - 1, -1, -1):
         for _ in range(_STEPS):
             found = _step(first[level], second[level], flows[level], turn)
             if found is None:
-                break  # too little at this size: a finer one may hold more
+                break  # too few edges at this size; a finer one may have more
             turn, covariance = turn + found[0], found[1]
             if np.abs(found[0]).max() * np.abs(flows[level]).max() < 0.02:
                 break
@@ -178,7 +181,7 @@ def _step(
     flow: Array,
     turn: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """What is to be added to `turn` [3], and its covariance. [rad]"""
+    """Return the correction of `turn` [3] rad, and its covariance."""
     import cv2
 
     h, w = a[0].shape
@@ -212,8 +215,9 @@ def _step(
 def _solve(
     design: NDArray[np.float64], target: NDArray[np.float64], block: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Huber-weighted least squares; covariance of the first three unknowns by leaving out block
-    by block.
+    """Solve Huber-weighted least squares; estimate the covariance by omitting one block at a time.
+
+    The covariance is that of the first three unknowns.
     """
     design = design / (scale := np.sqrt((design**2).mean(axis=0)) + 1e-30)
     weight, x = np.ones(len(target)), np.zeros(design.shape[1])

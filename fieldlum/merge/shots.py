@@ -1,4 +1,4 @@
-"""Which frames belong to a bracket, and the exposure that each of them really had."""
+"""Decide which frames belong to a bracket, and the exposure that each of them really had."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from fieldlum.raw import JPEG_SUFFIXES, read_exif
 from fieldlum.records import Exposure
 from fieldlum.session.files.capture_json import CaptureFile
 
-U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame
-# relative, of an ISO that is not the one that the profile was made at: amplifiers are not exact
+U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame; not measured
+# Relative, for an ISO other than the profile's: amplifiers are not exact. Not measured.
 U_ISO = 0.03
 _ONE_APERTURE = 0.02  # relative
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One frame of a bracket: the file and the exposure it was meant to have. heading_deg None:
-    the camera's own.
+    """One frame of a bracket: the file and its intended exposure.
+
+    heading_deg: None for the camera's own.
     """
 
     path: Path
@@ -38,8 +39,9 @@ class Shot:
 
 
 def shots_of_slot(folder: Path) -> list[Shot]:
-    """Frames of raw/<slot>/: by its capture.json where there is one, else by EXIF. Raises
-    InputError.
+    """Return the frames of raw/<slot>/, from capture.json if there is one, else from EXIF.
+
+    Raises InputError.
     """
     capture = CaptureFile.find(folder / "capture.json")
     if capture is None or not capture.frames:
@@ -51,9 +53,7 @@ def shots_of_slot(folder: Path) -> list[Shot]:
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """Everything in a slot's folder that may be a frame. Raises InputError for a folder without
-    any.
-    """
+    """Return the files in a slot's folder that can be frames. Raises InputError without any."""
     skipped = {".json", ".tmp", ".txt", ".xmp", ".csv", ".part"}
     files = sorted(
         p
@@ -68,8 +68,9 @@ def frame_files(folder: Path) -> list[Path]:
 
 
 def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Shot]:
-    """By EXIF; lens_f_number: where no frame states it. Raises InputError for a file without
-    exposure time, or named twice.
+    """Return frames by their EXIF; lens_f_number: for frames without one.
+
+    Raises InputError for a file without exposure time, or named twice.
     """
     if not files:
         raise InputError("merge", "no frames", "at least one raw or JPEG file")
@@ -87,8 +88,9 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
 
 
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
-    """Longest exposure first and by name: one order whatever the caller's. Raises InputError for
-    a mixed bracket.
+    """Return the frames by exposure, longest first, then by name.
+
+    Raises InputError for a mixed bracket.
     """
     known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
     for shot in shots:
@@ -103,26 +105,26 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
         got = "JPEG" if True in kinds else "raw"
         odd = next(s.path for s in shots if is_jpeg(s.path) != (profile.camera.kind == "jpeg"))
         raise InputError(
-            odd, f"a {got} frame", f"{profile.camera.kind} frames, as {profile.camera.name} says"
+            odd, f"a {got} frame", f"{profile.camera.kind} frames, as in {profile.camera.name}"
         )
     apertures = profile.scale.f_numbers
     for shot in shots:
         if apertures and min(abs(shot.exposure.f_number / n - 1) for n in apertures) > 0.02:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             raise InputError(
-                shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k holds for nothing else"
+                shot.path, f"f/{shot.exposure.f_number:g}", f"{valid}: k is for no other aperture"
             )
 
     first = shots[0].exposure.f_number
     for shot in shots:
         if abs(shot.exposure.f_number / first - 1) > _ONE_APERTURE:
             remedy = (
-                "merge them apart: each aperture has its own light, and its own loss towards "
+                "merge them separately: each aperture has its own light, and its own loss towards "
                 "the edge"
             )
             raise InputError(
                 shot.path,
-                f"f/{shot.exposure.f_number:g} beside f/{first:g}",
+                f"f/{shot.exposure.f_number:g} in a bracket of f/{first:g}",
                 "one aperture",
                 remedy,
             )
@@ -135,6 +137,7 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
 
 
 def is_jpeg(path: Path) -> bool:
+    """Return whether a file's suffix is that of a JPEG."""
     return path.suffix.lower() in JPEG_SUFFIXES
 
 
@@ -158,10 +161,10 @@ def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDA
 def exposure_covariance(
     exposures: Sequence[Exposure], profile: CameraProfile
 ) -> NDArray[np.float64]:
-    """Relative covariance of what frames collected, before any fit, [frames, frames].
+    """Return the relative covariance of the frames' exposures, before any fit, [frames, frames].
 
-    Frames of one shutter time err together, and so do frames through one filter and frames of one
-    ISO other than the profile's; beside that each frame for itself.
+    Errors of frames with the same shutter time are equal, and so are those of frames through one
+    filter, and of frames of one ISO other than the profile's. Each frame has its own error too.
     """
     times, filters, isos = (
         [e.shutter_s for e in exposures],

@@ -1,6 +1,4 @@
-"""`fieldlum merge SESSION`: every captured slot to panoramas/<slot>.exr, resumably, as units of
-work of a scheduler.
-"""
+"""`fieldlum merge SESSION`: merge every captured slot to panoramas/<slot>.exr, as units of work."""
 
 from __future__ import annotations
 
@@ -119,8 +117,8 @@ def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> dat
 def merge_slot(root: Path, job: _MergeJob) -> Verdict:
     """Merge one bracket of the session `root`, from frames to files.
 
-    A bad bracket gives the verdict "failed". Raises OSError for trouble of this computer, such as
-    a full disk, which is no fault of the bracket.
+    A bad bracket gives the verdict "failed". Raises OSError for a fault of this computer, such as
+    a full disk, which is not a fault of the bracket.
     """
     session = Session(root)
     try:
@@ -317,7 +315,7 @@ def run(
     """
     slots = captured_slots(session)
     if not slots:
-        raise NotEnoughDataError(f"{session.raw}: no captured slots, capture or import some first")
+        raise NotEnoughDataError(f"{session.raw}: no captured slots; capture or import some first")
     units = _units(session, slots, options or MergeOptions(), force)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     remove_scraps(session.panoramas)  # of killed runs
@@ -331,6 +329,6 @@ def run(
         raise InputError(
             session.raw,
             f"no bracket could be merged; {verdicts[0].text}",
-            remedy="see each bracket",
+            remedy="read the verdict of each bracket",
         )
     return verdicts
