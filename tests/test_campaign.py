@@ -60,14 +60,24 @@ def test_a_wrong_campaign_file_is_one_line(tmp_path: Path, text: str, found: str
 
 @pytest.mark.analytic
 def test_a_camera_that_drifts_is_told_from_clouds() -> None:
-    # analytic: 12 % in 60 days is 9 % between the middles of the outer quarters; scatter 5 %
+    # analytic: 12 % from the first to the last capture, scatter 5 %: the slope's error is
+    # 5 sqrt(12 / 240) / 60 a day
     rng = np.random.default_rng(0)
     times = [T0 + timedelta(hours=6 * k) for k in range(240)]
     days = np.array([(t - T0).total_seconds() / 86400 for t in times])
     clouds = rng.normal(0.0, 5.0, len(times))
     steady, moving = series("k", times, clouds), series("k", times, clouds + 12.0 * days / 60)
-    assert moving.drifts and moving.change == pytest.approx(9.0, abs=4.5)  # 4 standard errors
+    assert moving.drifts and moving.change == pytest.approx(12.0, abs=4.5)  # 4 standard errors
     assert not steady.drifts
+    # five outliers of a factor of ten at the end move the robust line less than its interval
+    spoilt = clouds.copy()
+    spoilt[-5:] = 900.0
+    assert abs(series("k", times, spoilt).change - steady.change) < 2.5
+    # the interval comes from the scatter of days: equal captures of a day add nothing
+    hourly = [t + timedelta(minutes=k) for t in times[::4] for k in range(8)]
+    doubled = series("k", hourly, np.repeat(clouds[::4], 8))
+    single = series("k", times[::4], clouds[::4])
+    assert doubled.high - doubled.low == pytest.approx(single.high - single.low, rel=0.01)
     few = series("k", times[: FEWEST - 1], clouds[: FEWEST - 1])
     assert not few.drifts and np.isnan(few.change)
     assert series("k", [], []).text == "–"

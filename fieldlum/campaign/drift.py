@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student_t
 
 from fieldlum.errors import InputError
 from fieldlum.images import read_panorama
@@ -18,16 +19,19 @@ from fieldlum.records import parse_utc
 from fieldlum.session import Session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar
-from fieldlum.statistics import median_standard_error, robust_sigma
+from fieldlum.statistics import robust_sigma
 
-# A change over the campaign is reported when it exceeds this and three standard errors.
+# A change over the campaign is reported when it exceeds this and is sure.
 # k: what calibrating k by spot readings reaches (docs/accuracy.md). Heading: the sun's diameter,
 # by which a sun patch would then miss its pixels. Residual: three times a merge's usual 0.3 %.
+# How often steady and drifting cameras are reported: docs/campaign.md, bench/campaign_drift.py.
 LIMITS = {"k": 5.0, "heading": 0.5, "residual": 1.0}
 UNITS = {"k": "%", "heading": "°", "residual": "%"}
-FEWEST = 20  # captures, so that a quarter has five
-NORMAL_95 = 1.96  # standard errors of a 95 % interval
-SURE_ERRORS = 3.0  # of a reported drift: one false alarm in 370 steady cameras
+FEWEST = 20  # captures
+FEWEST_DAYS = 3  # a line through the means of two days has no residual
+SURE = 0.0027  # of steady cameras are reported: three standard errors of a normal distribution
+_HUBER = 1.345  # robust scales; 95 % efficient for normal residuals (Huber 1981)
+_ITERATIONS = 20  # weights then change by less than 1 %
 WINDOW_SHARE = 0.5  # of a pixel's sky that the glass must let through, to count as window
 
 
@@ -35,51 +39,82 @@ WINDOW_SHARE = 0.5  # of a pixel's sky that the glass must let through, to count
 class DriftSeries:
     """One quantity over time: days since the first value, values, and the change.
 
-    change: from the first to the last quarter of the values, with its 95 % interval; NaN with fewer
-    than `FEWEST` values.
+    change: of a robust line from the first to the last value, with its 95 % interval; reach: a
+    larger change is sure. NaN with fewer than `FEWEST` values or `FEWEST_DAYS` days.
     """
 
     kind: str
     days: NDArray[np.float64]
     values: NDArray[np.float64]
-    change: float
-    low: float
-    high: float
+    change: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+    reach: float = np.nan
+    start: float = np.nan  # of the line, at the first value
 
     @property
     def drifts(self) -> bool:
-        """Whether the change is larger than its limit and its uncertainty."""
-        error = (self.high - self.low) / (2 * NORMAL_95)
-        return bool(abs(self.change) > max(LIMITS[self.kind], SURE_ERRORS * error))
+        """Return whether the change is larger than its limit, and sure."""
+        return bool(abs(self.change) > max(LIMITS[self.kind], self.reach))
 
     @property
     def text(self) -> str:
-        """The change with its interval, for a table."""
+        """Return the change with its interval, or the number of values."""
         if not np.isfinite(self.change):
             return f"{len(self.values)} values" if len(self.values) else "–"
         unit = UNITS[self.kind]
         return f"{self.change:+.1f} {unit} ({self.low:+.1f} to {self.high:+.1f})"
 
 
-def series(kind: str, t_utc: Sequence[datetime], values: Sequence[float]) -> DriftSeries:
-    """Return a quantity with its change between the first and the last quarter of its values.
+def series(
+    kind: str, t_utc: Sequence[datetime], values: Sequence[float] | NDArray[np.float64]
+) -> DriftSeries:
+    """Return a quantity with the change of a robust line through its values.
 
-    Medians of quarters are robust to clouds, and state the change of a drift of any shape.
+    The captures of one day share its weather, so that the interval comes from the scatter of days,
+    and few days give a wide one.
     """
     data = np.asarray(values, float)
     times = np.array([t.timestamp() for t in t_utc], float) / 86400.0
     good = np.isfinite(data)
     order = np.argsort(times[good], kind="stable")
     days, data = times[good][order], data[good][order]
+    groups = np.unique(np.floor(days), return_inverse=True)[1]
+    count = int(groups.max()) + 1 if len(groups) else 0
     days = days - days[0] if len(days) else days
-    quarter = len(data) // 4
-    if len(data) < FEWEST or days[-1] < 1.0:
-        return DriftSeries(kind, days, data, np.nan, np.nan, np.nan)
-    ends = data[:quarter], data[-quarter:]
-    change = float(np.median(ends[1]) - np.median(ends[0]))
-    errors = [median_standard_error(robust_sigma(end), quarter) for end in ends]
-    reach = NORMAL_95 * float(np.hypot(errors[0], errors[1]))
-    return DriftSeries(kind, days, data, change, change - reach, change + reach)
+    if len(data) < FEWEST or count < FEWEST_DAYS:
+        return DriftSeries(kind, days, data)
+    start, slope, error = _robust_line(days, data, groups)
+    change, change_error = slope * days[-1], error * days[-1]
+    half = float(student_t.ppf(0.975, count - 2)) * change_error
+    reach = float(student_t.ppf(1.0 - SURE / 2, count - 2)) * change_error
+    return DriftSeries(kind, days, data, change, change - half, change + half, reach, start)
+
+
+def _robust_line(
+    days: NDArray[np.float64], values: NDArray[np.float64], groups: NDArray[np.intp]
+) -> tuple[float, float, float]:
+    """Return the start and slope of a line by Huber's weights, and the slope's standard error.
+
+    The error is the sandwich estimate over groups (Liang and Zeger 1986), with its correction for a
+    small number of groups.
+    """
+    a = np.column_stack([np.ones(len(days)), days])  # [n, 2]
+    weights, residual = np.ones(len(days)), values
+    line, inverse = np.zeros(2), np.zeros((2, 2))
+    for _ in range(_ITERATIONS):
+        inverse = np.linalg.inv(a.T @ (a * weights[:, None]))  # [2, 2]
+        line = inverse @ (a.T @ (values * weights))
+        residual = values - a @ line
+        scale = _HUBER * robust_sigma(residual)
+        weights = scale / np.maximum(np.abs(residual), max(scale, 1e-12))
+        if scale == 0:
+            weights = np.ones(len(days))
+    scores = np.zeros((int(groups.max()) + 1, 2))
+    np.add.at(scores, groups, a * (weights * residual)[:, None])
+    count = len(scores)
+    spread = inverse @ (scores.T @ scores) @ inverse * (count / (count - 2))
+    return float(line[0]), float(line[1]), float(np.sqrt(spread[1, 1]))
 
 
 def drifts_of(session: Session) -> dict[str, DriftSeries]:
@@ -88,7 +123,7 @@ def drifts_of(session: Session) -> dict[str, DriftSeries]:
     dated = [(note.t_utc, note) for note in sidecars if note.t_utc is not None]
     residuals = [(t, _number(note.report.residual_percent)) for t, note in dated]
     return {
-        "k": series("k", *_columns(_sky_ratios(session))),
+        "k": series("k", *_columns(sky_ratios(session))),
         "heading": series("heading", *_columns(_headings(session, dated))),
         "residual": series("residual", *_columns(residuals)),
     }
@@ -127,7 +162,7 @@ def _headings(
     return rows
 
 
-def _sky_ratios(session: Session) -> list[tuple[datetime, float]]:
+def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
     """Return measured over expected luminance of the sky in the window, in percent of its median.
 
     Expected is the Perez sky of the logged irradiance. It is wrong by tens of percent in one hour

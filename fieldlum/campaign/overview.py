@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
-from fieldlum.campaign.drift import FEWEST, LIMITS, UNITS, DriftSeries, drifts_of
+from fieldlum.campaign.drift import FEWEST, FEWEST_DAYS, LIMITS, UNITS, DriftSeries, drifts_of
 from fieldlum.errors import FieldlumError
 from fieldlum.projection import NOT_SEEN, compass_name
 from fieldlum.records import Progress, quiet
@@ -256,9 +256,9 @@ def _drift(rooms: Sequence[RoomOverview]) -> Section:
     )
     limits = ", ".join(f"{kind} {limit:g} {UNITS[kind]}" for kind, limit in LIMITS.items())
     text = (
-        "Change of the median from the first to the last quarter of the captures with its 95 % "
-        f"interval ({FEWEST} captures or more). A camera drifts when the change exceeds three "
-        f"standard errors and {limits}. k compares the sky in the window with the Perez sky of the "
+        "Change of a robust line from the first to the last capture with its 95 % interval "
+        f"({FEWEST} captures on {FEWEST_DAYS} days or more). A camera drifts when the change is "
+        f"sure and exceeds {limits}. k compares the sky in the window with the Perez sky of the "
         "logged irradiance: dirt on the pane or on the pyranometer counts as drift too."
     )
     rows = (Row(tuple(figures)),) if figures else ()
@@ -266,7 +266,7 @@ def _drift(rooms: Sequence[RoomOverview]) -> Section:
 
 
 def _curve(name: str, series: DriftSeries) -> Figure:
-    """Return a drifting quantity over time; red: medians of the first and the last quarter."""
+    """Return a drifting quantity over time; red: the robust line."""
     width, height, pad = 420.0, 130.0, 26.0
     top = float(np.abs(series.values).max()) or 1.0
     x = pad + (width - 2 * pad) * series.days / max(float(series.days.max()), 1e-9)
@@ -275,12 +275,11 @@ def _curve(name: str, series: DriftSeries) -> Figure:
         f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2.5" fill="#1f5fa8"/>'
         for a, b in zip(x, y, strict=True)
     )
-    quarter = len(series.values) // 4
-    parts: tuple[slice, ...] = (slice(0, quarter), slice(-quarter, None))
-    marks = "".join(
-        f'<line x1="{x[part].min():.1f}" x2="{x[part].max():.1f}" y1="{np.median(y[part]):.1f}" '
-        f'y2="{np.median(y[part]):.1f}" stroke="#c4441c" stroke-width="2"/>'
-        for part in parts
+    ends = np.clip([series.start, series.start + series.change], -top, top)
+    low, high = height / 2 - (height / 2 - pad) * ends / top
+    marks = (
+        f'<line x1="{x.min():.1f}" x2="{x.max():.1f}" y1="{low:.1f}" y2="{high:.1f}" '
+        'stroke="#c4441c" stroke-width="2"/>'
     )
     unit = UNITS[series.kind]
     svg = (
