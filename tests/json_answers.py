@@ -15,14 +15,45 @@ from typing import Any
 import numpy as np
 from click.testing import CliRunner
 
-from fieldlum.cli import main
+from fieldlum.cli import main, scene_
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
 from fieldlum.raw import write_dng
 from fieldlum.records import Exposure
+from fieldlum.scene_fit.scene_file import read_scene
 
 KEPT = Path(__file__).parent / "fixtures" / "json_keys.json"
 SESSION = Path(__file__).parent / "fixtures" / "session-0.1.0"
+SCENE = Path(__file__).parent / "fixtures" / "scene"  # written by `scene fit`
+EXIT_CODES = {"doctor": (0, 3, 4)}  # depends on the computer
+DARK_SITE = """[site]
+name = "x"
+latitude_deg = 47.6
+longitude_deg = -122.3
+
+[camera]
+profile = "{profile}"
+"""
+SITE = """[site]
+name = "x"
+latitude_deg = 47.6
+longitude_deg = -122.3
+
+[room]
+width_m = 3.0
+depth_m = 4.0
+height_m = 2.8
+camera_x_m = 1.5
+camera_y_m = 2.0
+camera_z_m = 1.2
+
+[[room.window]]
+wall = "south"
+left_m = 0.5
+width_m = 2.0
+sill_m = 0.9
+height_m = 1.5
+"""
 WEATHER = "month,day,hour,dni_wm2,dhi_wm2\n" + "".join(
     f"{month},20,{hour}.5,{600 * (9 < hour < 15)},{100 * (9 < hour < 15)}\n"
     for month in (3, 12)
@@ -35,18 +66,30 @@ def answers(root: Path) -> dict[str, list[str]]:
     session = root / "session"
     shutil.copytree(SESSION, session)
     (root / "weather.csv").write_text(WEATHER, encoding="ascii")
-    (root / "site.toml").write_text(
-        '[site]\nname = "x"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\n', encoding="utf-8"
-    )
     frames, profile = _frames(root)
+    (root / "site.toml").write_text(SITE, encoding="utf-8")
+    (root / "dark.toml").write_text(DARK_SITE.format(profile=profile), encoding="utf-8")
     model, picture = session / "models" / "nearest", session / "panoramas"
     picture /= "20271221T193000Z.exr"
+    readings = [f"out.exr,{azimuth},0,{200 + azimuth % 7}" for azimuth in range(120, 250, 10)]
+    head = "panorama,azimuth_deg,altitude_deg,luminance_cdm2"
+    (root / "readings.csv").write_text("\n".join([head, *readings]), encoding="ascii")
     commands: dict[str, list[str | Path]] = {
         "plan": ["plan", root / "site.toml", "--set", "4-day", "--out", root / "planned"],
         "status": ["status", session],
+        "doctor": ["doctor", root / "planned", "--camera", "sim:"],
+        "simulate": [
+            *("simulate", root / "site.toml", "--out", root / "simulated", "--set", "4-day"),
+            *("--size", "16x8", "--quality", "draft"),
+        ],
+        "merge": ["merge", _captured(root, frames), "--size", "32x16"],
         "merge --frames": [
             *("merge", "--frames", *frames, "--camera", profile),
             *("--out", root / "out.exr", "--size", "32x16"),
+        ],
+        "calibrate scale": [
+            *("calibrate", "scale", root / "readings.csv", "--camera", profile),
+            *("--out", root / "scaled.toml"),
         ],
         "train": ["train", session, "--model", "nearest"],
         "predict": ["predict", model, "--weather", root / "weather.csv"],
@@ -54,13 +97,27 @@ def answers(root: Path) -> dict[str, list[str]]:
         "info panorama": ["info", picture],
         "info frame": ["info", frames[0]],
     }
-    return {name: keys_of(_answer(arguments)) for name, arguments in commands.items()}
+    found = {name: keys_of(_answer(arguments)) for name, arguments in commands.items()}
+    return {**found, "scene fit": keys_of(scene_.answer_of(read_scene(SCENE)))}
 
 
 def _answer(arguments: list[str | Path]) -> Any:
     result = CliRunner().invoke(main, [*map(str, arguments), "--json"])
-    assert result.exit_code == 0, result.output
+    assert result.exit_code in EXIT_CODES.get(str(arguments[0]), (0,)), result.output
     return json.loads(result.stdout)
+
+
+def _captured(root: Path, frames: list[Path]) -> Path:
+    """Return a session with one bracket."""
+    result = CliRunner().invoke(
+        main, ["plan", str(root / "dark.toml"), "--set", "4-day", "--out", str(root / "captured")]
+    )
+    assert result.exit_code == 0, result.output
+    folder = root / "captured" / "raw" / "20270320T193000Z"
+    folder.mkdir(parents=True)
+    for frame in frames:
+        shutil.copy(frame, folder)
+    return root / "captured"
 
 
 def keys_of(value: Any) -> list[str]:

@@ -56,13 +56,14 @@ def fit(
     with progress("fitting the scene") as show:
         result = run(data, folder, clock_sd_min=clock_sd, seed=seed, progress=show)
     if as_json:
-        emit_json(_answer(result.scene))
+        emit_json(answer_of(result.scene))
     else:
         _show(result.scene)
     say("written: " + ", ".join(str(file) for file in result.files))
 
 
-def _answer(scene: Scene) -> dict[str, Any]:
+def answer_of(scene: Scene) -> dict[str, Any]:
+    """Return the object that `scene fit --json` prints."""
     room = scene.room
     windows = [
         {
