@@ -17,7 +17,7 @@ from fieldlum.records import Site
 from fieldlum.sun import position, standard_date, standard_offset
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
-HOURS_OF_YEAR = 8760
+HOURS_OF_YEAR = 8760  # of 365 days
 _HOUR = timedelta(hours=1)
 HOW = (
     "columns days,start,end (mon-fri,08:00,18:00), or one column occupied with 8760 rows of 0 or 1"

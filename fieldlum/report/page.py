@@ -109,6 +109,7 @@ class Quantity:
 
 
 DGP_EDGES, DGP_COLOURS = (0.35, 0.40, 0.45), ("#cfe6dc", "#f2d16b", "#e58a2b", "#b03427")
+# Colours of vertical illuminance change at these values [lx]. Not measured.
 EV_EDGES = (100.0, 300.0, 500.0, 1000.0, 2000.0, 4000.0)
 EV_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", "#fbe3b0")
 

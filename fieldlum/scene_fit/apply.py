@@ -49,8 +49,8 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
 def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Dataset:
     """Return the captures as the scene explains them.
 
-    chosen "fitted": heading and room turned to true north, the sun where it stood at the true
-    times, sun patches computed from the fitted room. "stated": patches of the stated room. "none":
+    chosen "fitted": heading and room turned to true north, the sun's position at the true times,
+    sun patches computed from the fitted room. "stated": patches of the stated room. "none":
     no patches. Raises InputError for captures that state another heading or room than those that
     the scene was fitted to.
     """
@@ -133,8 +133,8 @@ def in_scene(
 ) -> tuple[Dataset, str]:
     """Return captures as the option ``--scene`` asks for, and the patch mode to train with.
 
-    option: a folder with scene.toml; "none": ignore any; empty: the folder scene/ beside the pairs
-    where there is one. A csv without patches whose site has a box `[room]` gets its patches made.
+    option: a folder with scene.toml; "none": ignore any; empty: the folder scene/ next to the
+    pairs, if it exists. For a csv without patches whose site has a box `[room]`, compute patches.
     Raises InputError for a folder without a scene.
     """
     beside = (pairs if pairs.is_dir() else pairs.parent) / "scene"

@@ -28,8 +28,9 @@ _WHOLE = 0.8  # share of a pixel's rays that must be lit for its brightness to c
 
 @dataclass(frozen=True)
 class WindowPicture:
-    """Transmitted share of the sun at cells of the window's middle plane: value, weight [z, u];
-    edges of the cells [m].
+    """Transmitted share of the sun at cells of the window's middle plane.
+
+    value, weight: [z, u]; u_m, z_m: edges of the cells [m].
     """
 
     value: Array
@@ -38,9 +39,7 @@ class WindowPicture:
     z_m: Array
 
     def profile(self, axis: int) -> Array:
-        """Weighted mean across the picture: over z (axis 0) or over u (axis 1); NaN where no sun
-        was.
-        """
+        """Return the weighted mean over z (axis 0) or over u (axis 1); NaN without any sun."""
         weight = self.weight.sum(axis=axis)
         with np.errstate(invalid="ignore", divide="ignore"):
             return (self.value * self.weight).sum(axis=axis) / np.where(weight > 0, weight, np.nan)

@@ -1,5 +1,7 @@
-"""Captures that no scene can explain, refused before a search is spent on them: windows elsewhere
-in the pictures than the room has them, a compass read the wrong way round, two views in one csv.
+"""Refuse captures that no scene can explain, before a search.
+
+They are windows elsewhere in the pictures than in the room, a compass that was read the wrong way
+round, and two views in one csv.
 """
 
 from __future__ import annotations
@@ -44,8 +46,10 @@ _REMEDY = "nothing was written, and train goes on with the stated [room] or --sc
 
 
 def check_captures(data: Dataset, room: Room) -> None:
-    """Raise InputError for a room that is no box or has no window, captures of two views, and
-    captures that fit the room only when it is turned by 30 degrees or more.
+    """Raise InputError for captures or rooms that cannot be fitted.
+
+    They are a room that is not a box or has no window, captures of two views, and captures that
+    fit the room only when it is turned by 30 degrees or more.
     """
     require_box(room)
     where = data.source or "the captures"

@@ -156,7 +156,7 @@ class _Problem:
 
 
 def _least_explained(problem: _Problem, keep: NDArray[np.bool_]) -> tuple[int, float]:
-    """The disc whose removal helps the others most, and how far it is from where they put it.
+    """Return the disc whose removal helps the others most, and its distance from their fit.
 
     The distance is in standard uncertainties of the disc and of the others' fit, whose own scatter
     widens it.
@@ -195,8 +195,10 @@ def _scaled(directions: Array, scale: float, axis_deg: float) -> Array:
 
 
 def _undetermined(covariance: Array, prior_sd: Array) -> tuple[str, ...]:
-    """Names of parameters that still have half of the prior's uncertainty, and of pairs that
-    trade."""
+    """Return names of undetermined parameters, and of pairs that are strongly correlated.
+
+    Undetermined parameters still have half of the prior's uncertainty.
+    """
     sd = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sd, sd)
     names = [

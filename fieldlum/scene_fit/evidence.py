@@ -61,7 +61,7 @@ class SceneEvidence:
         return len(self.rows)
 
     def hours(self, index: NDArray) -> SceneEvidence:
-        """The same at some of the hours."""
+        """Return the evidence of some of the hours."""
         return replace(
             self,
             log_seen=self.log_seen[index],
@@ -73,11 +73,11 @@ class SceneEvidence:
         )
 
     def thinned(self, every: int) -> SceneEvidence:
-        """The same at every n-th pixel."""
+        """Return the evidence of every n-th pixel."""
         return self.at_pixels(np.arange(0, len(self.pixels), every))
 
     def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
-        """The same at some of the pixels."""
+        """Return the evidence of some of the pixels."""
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -158,7 +158,7 @@ class SceneEvidence:
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
 
     def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
-        """The same with the light below found again from all captures and known patches [n, m]."""
+        """Return the evidence with the light below estimated again, from known patches [n, m]."""
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, LEAST_CDM2)
         known = np.zeros_like(seen)
@@ -176,14 +176,16 @@ class SceneEvidence:
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
     def misfit(self, patch: Array) -> Array:
-        """Share of the pixels that a patch [n, m] leaves wrong in each hour, [n]: squared log
-        errors that saturate.
+        """Return the share of the pixels that a patch [n, m] leaves wrong in each hour, [n].
+
+        It is the mean of squared log errors that saturate.
         """
         return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
 
     def albedos(self, guess: Guess, start: Array) -> Array:
-        """Albedo of each surface [6 + solids]: the median over entries that a patch dominates;
-        `start` where too few entries do.
+        """Return the albedo of each surface, [6 + solids].
+
+        It is the median over entries that a patch dominates, or `start` for too few entries.
         """
         unit, ends = self.unit(guess)
         first = np.full(len(self.pixels), -1)
@@ -265,8 +267,10 @@ def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
 def _draw(
     data: Dataset, guess: Guess, rows: NDArray[np.intp], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], Array]:
-    """Pixels by solid angle, those that brighten strongly in some hour four times as often, and
-    weights that undo it; none that may look through a window.
+    """Return pixels drawn by solid angle, and their weights.
+
+    Pixels that brighten strongly in some hour are drawn four times as often, which the weights
+    compensate. Pixels that may look through a window are not drawn.
     """
     height, width = data.shape
     every, _ = _all_rays(data)
@@ -305,8 +309,9 @@ def _rays(data: Dataset, chosen: NDArray[np.intp]) -> tuple[NDArray[np.float32],
 
 
 def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
-    """Sun positions [c, n, 2] for clocks that run -20 ... 20 min late, as offsets from the
-    captures' own sun columns.
+    """Return sun positions [c, n, 2] for clocks that are -20 ... 20 min late.
+
+    They are offsets from the captures' own sun columns.
     """
     light, site = data.light[rows], data.setup.site
     at = sun.position(light.t_utc, site)

@@ -55,9 +55,11 @@ class Solid:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """One possible scene. north_deg: room and camera stand so much further clockwise than stated.
-    clock_min: the stated times are so much later than the true ones. tilt_deg, roll_deg: the
-    picture's centre, at the stated azimuth axis_deg, points up, and its right-hand side is low.
+    """One possible scene.
+
+    north_deg: room and camera are further clockwise than stated by this angle. clock_min: the
+    stated times are later than the true ones by this time. tilt_deg, roll_deg: the picture's
+    centre, at the stated azimuth axis_deg, points up, and its right-hand side is low.
     """
 
     size_m: tuple[float, float, float]
@@ -124,7 +126,7 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
 
 
 def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> list[Bar]:
-    """The frame, the bars between panes and the transom, as `fieldlum.scene` builds them."""
+    """Return frame, bars between panes and transom as `fieldlum.scene` builds them."""
     frame = window.frame_m
     if frame <= 0.0:
         return []
@@ -169,7 +171,7 @@ def room_of(guess: Guess, stated: Room) -> Room:
 
 
 def _window(guess: Guess, rect: WindowRect) -> Window:
-    """A window as `[[room.window]]` states it: left_m counts from the left end seen from inside."""
+    """Return a window as in `[[room.window]]`: left_m is from the left end seen from inside."""
     length = guess.size_m[0] if WALLS[rect.wall][0] == 1 else guess.size_m[1]
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
     left = length - u1 if rect.wall in ("south", "east") else u0

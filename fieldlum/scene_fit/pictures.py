@@ -50,7 +50,7 @@ def _close(figure: Any) -> None:
 
 
 def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
-    """Captures in grey with the edges of the fitted patches and of the stated ones."""
+    """Draw captures in grey with the edges of the fitted patches and of the stated ones."""
     from matplotlib import pyplot
 
     rows = _telling_rows(evidence)
@@ -70,7 +70,7 @@ def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
 
 
 def _telling_rows(evidence: SceneEvidence) -> NDArray[np.intp]:
-    """The hours with most light in patches, one of each of several sun directions."""
+    """Return the hours with most light in patches, one for each of several sun directions."""
     excess = np.clip(np.exp(evidence.log_seen) - evidence.below, 0.0, None) @ evidence.weights
     parts = np.array_split(np.arange(len(evidence)), SHOWN_HOURS)
     best = [part[np.argmax(excess[part])] for part in parts if len(part)]
@@ -78,7 +78,7 @@ def _telling_rows(evidence: SceneEvidence) -> NDArray[np.intp]:
 
 
 def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]) -> Any:
-    """What each window lets through, with the bars found."""
+    """Draw the transmitted share of each window, with the bars that were found."""
     from matplotlib import pyplot
     from matplotlib.patches import Rectangle
 
@@ -105,7 +105,7 @@ def _windows(evidence: SceneEvidence, guess: Guess, albedo: NDArray[np.floating]
 
 
 def _plan(fit: SceneFit) -> Any:
-    """The room from above: walls, windows, furniture, camera and north; stated in blue."""
+    """Draw the room from above: walls, windows, furniture, camera and north; stated in blue."""
     from matplotlib import pyplot
     from matplotlib.patches import Rectangle
 

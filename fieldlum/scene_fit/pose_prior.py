@@ -1,6 +1,4 @@
-"""What the sun's discs in the merged panoramas say about the camera's pose and clock before any
-patch is looked at.
-"""
+"""Estimate the camera's pose and clock from the sun's discs in merged panoramas, before patches."""
 
 from __future__ import annotations
 
@@ -68,6 +66,7 @@ class PosePrior:
 
     @property
     def u_clock_min(self) -> float:
+        """Standard uncertainty of the clock [min]."""
         return float(np.sqrt(self.covariance[3, 3]))
 
 

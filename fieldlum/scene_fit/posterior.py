@@ -1,4 +1,4 @@
-"""How well a scene is known: searches again, with days, stated numbers and starts drawn anew."""
+"""Uncertainty of a scene: repeated searches with days, stated numbers and starts drawn again."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ _THIN = 2  # every second pixel: a sixth of the fit's time for each search
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """u: standard uncertainty of each parameter of the search. room_draws: the numbers of
-    `fieldlum.scene.drawn_rooms.room_parameters` in each of the searches, against true north.
+    """Result of the further searches.
+
+    u: standard uncertainty of each parameter of the search. room_draws: the numbers of
+    `fieldlum.scene.drawn_rooms.room_parameters` in each of the searches, relative to true north.
     """
 
     u: dict[str, float]

@@ -30,8 +30,10 @@ _SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Where camera rays end: position [r, 3], axis and sign of the face's normal [r], surface [r]
-    (`FLOOR` ..., `SHELL` + number of a solid, or `OUTSIDE`).
+    """Ends of camera rays.
+
+    position_m: [r, 3]; axis, sign: of the face's normal [r]; surface: `FLOOR` ..., `SHELL` + number
+    of a solid, or `OUTSIDE` [r].
     """
 
     position_m: Float32
@@ -129,7 +131,7 @@ def _wall_surface(wall: str) -> int:
 
 
 def _in_window(guess: Guess, position: Array, surface: NDArray) -> NDArray[np.bool_]:
-    """Which of the rays' ends lie in the opening of a window, [r]."""
+    """Return which of the rays' ends are in the opening of a window, [r]."""
     found = np.zeros(len(position), bool)
     for rect in guess.windows:
         along = 1 - WALLS[rect.wall][0]
@@ -145,8 +147,9 @@ def _within(value: Array, span: tuple[float, float]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class LitEntries:
-    """The pairs of hour and ray that the sun reaches: hour [k], ray [k], and cosine of incidence
-    times transmittance of the glass [k].
+    """Pairs of hour and ray that the sun reaches.
+
+    hour, ray: [k]; strength: cosine of incidence times transmittance of the glass [k].
     """
 
     hour: NDArray[np.intp]

@@ -58,6 +58,7 @@ class SolidCost:
         return self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
 
     def __call__(self, guess: Guess) -> float:
+        """Return the misfit with the last solid of a guess."""
         solid = guess.solids[-1]
         rows, ends = ends_on_solid(solid, len(guess.solids) - 1, self._rays, self._nearest)
         lit = self._lit

@@ -1,9 +1,8 @@
-"""Which geometry the learning should use, and what error to expect: no patch, the stated box, or
-the fitted scene.
+"""Choose the geometry for training, and its expected error: no patch, stated box, or fitted scene.
 
 Held-out days of a clustered campaign have neighbours: 20 March is predicted from 19 and 21 March,
-whose sun was in the same place. They rank geometries wrongly and promise too much. Here a sunny
-hour is left out with all others whose suns are close, as in a year most suns are new.
+whose sun was in the same place. They rank geometries wrongly and give too small errors. Here a
+sunny hour is held out with all others whose suns are close, because most suns of a year are new.
 """
 
 from __future__ import annotations
@@ -45,9 +44,9 @@ _SAME_MISFIT = 1.1
 class Predictor(Protocol):
     """What a fitted model must do here."""
 
-    def predict(
-        self, light: Light, patch_cdm2: NDArray[np.float32] | None = None
-    ) -> Prediction: ...
+    def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
+        """Predict maps of hours."""
+        ...
 
 
 FitTransport = Callable[["Dataset", "Patch"], Predictor]
@@ -55,8 +54,10 @@ FitTransport = Callable[["Dataset", "Patch"], Predictor]
 
 @dataclass(frozen=True, slots=True)
 class GeometryCandidate:
-    """A geometry: captures with its heading, sun, room and sun patches (None: no patch), and its
-    patch misfit on hours that no search saw (NaN: not known).
+    """A geometry to compare.
+
+    data: captures with its heading, sun, room and sun patches (None: no patch); misfit: of patches
+    on hours that no search saw (NaN: unknown).
     """
 
     name: str
@@ -104,8 +105,10 @@ def sunny_hours(data: Dataset, room: Room | None) -> NDArray[np.bool_]:
 
 
 def fold_numbers(data: Dataset, room: Room | None, seed: int = 0) -> NDArray[np.intp]:
-    """Return which fold leaves each hour out, [n]: sunny hours by blocks of the sun's direction,
-    others by days. Raises NotEnoughDataError with fewer blocks than folds.
+    """Return the fold that holds each hour out, [n].
+
+    Sunny hours are in blocks by the sun's direction, others by days. Raises NotEnoughDataError for
+    fewer blocks than folds.
     """
     sunny = sunny_hours(data, room)
     blocks = sun_blocks(data.light.sun_direction[sunny])
@@ -154,7 +157,7 @@ def judge(
 
 
 def _draw(data: Dataset, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Some of the seen pixels, by solid angle, [H, W]."""
+    """Return some of the seen pixels, drawn by solid angle, [H, W]."""
     chance = np.where(data.seen, equirect_solid_angles(*data.shape), 0.0).ravel()
     count = min(PIXELS, int((chance > 0.0).sum()))
     mask = np.zeros(chance.size, bool)

@@ -18,10 +18,10 @@ from fieldlum.scheduler.units import UnitOutcome, WorkUnit
 
 # A unit counts as hanging after this many times the median of those that ended, and never before
 # SHORTEST_LIMIT_S; until FEW units have ended nothing is known and FIRST_LIMIT_S applies.
-LIMIT_TIMES_MEDIAN = 20.0
-SHORTEST_LIMIT_S = 300.0
-FIRST_LIMIT_S = 3600.0
-FEW = 5
+LIMIT_TIMES_MEDIAN = 20.0  # not measured
+SHORTEST_LIMIT_S = 300.0  # not measured
+FIRST_LIMIT_S = 3600.0  # not measured
+FEW = 5  # not measured
 
 
 @dataclass

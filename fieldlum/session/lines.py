@@ -18,7 +18,7 @@ from fieldlum.errors import InputError
 # A line and its flush take milliseconds. After this time the line is appended without the lock: one
 # append mixes with another only on a file system that splits writes, and the CRC would show it.
 _MAX_LOCK_S = 0.25
-_LOCK_EVERY_S = 0.002
+_LOCK_EVERY_S = 0.002  # not measured
 _TAIL_BYTES = 1 << 20  # searched for the last valid line; a torn tail is far shorter
 
 

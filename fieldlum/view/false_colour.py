@@ -10,7 +10,7 @@ import numpy as np
 from fieldlum.view.measured_picture import MeasuredPicture
 from fieldlum.view.regions import Region, region_mask, shared_scale
 
-_INCHES, _DPI = 6.4, 150
+_INCHES, _DPI = 6.4, 150  # 960 pixels wide
 _MOST_PIXELS = 1200  # drawn along an edge; more is not visible at this size
 COLOURS = "inferno"  # perceptually uniform, and readable without red and green
 

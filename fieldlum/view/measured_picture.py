@@ -16,7 +16,7 @@ from fieldlum.glare.single import picture_glare
 from fieldlum.projection import equirect_rays, equirect_solid_angles
 from fieldlum.records import Flag, Float
 
-_DRAWN_SOURCES = 12
+_DRAWN_SOURCES = 12  # strongest sources with an outline; not measured
 Outline = tuple[tuple[int, int], ...]
 
 

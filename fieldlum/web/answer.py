@@ -26,11 +26,11 @@ from fieldlum.session.files.sidecar import newest_sidecar
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
 QUIET_BEFORE_S = 90.0
-_LOOK_EVERY_S = 5.0
-_LOWEST_PRIORITY = 19
+_LOOK_EVERY_S = 5.0  # not measured
+_LOWEST_PRIORITY = 19  # of POSIX nice
 ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day
 LEAST_CAPTURES = 8  # fewer leave every class open
-_DAYS_KEPT = 400
+_DAYS_KEPT = 400  # a year and a month of answers
 PROGRAM = (
     sys.executable,
     "-c",

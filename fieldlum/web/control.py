@@ -24,7 +24,7 @@ from fieldlum.errors import InputError
 from fieldlum.plan.extra import add_extra
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
 
-_MAX_BODY = 8192
+_MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 
 
 @dataclass(slots=True)

@@ -22,8 +22,8 @@ from fieldlum.session import Session, decode_line, decode_sample
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page
 _BINS = 86400 // BIN_S
-_DAYS_KEPT = 6
-_EVENTS_KEPT = 60
+_DAYS_KEPT = 6  # in memory; bounds it
+_EVENTS_KEPT = 60  # in memory; more than a page shows
 
 
 class LineTail:

@@ -28,8 +28,8 @@ from fieldlum.web.snapshot import Snapshots, known_slot
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
-_MAX_CONNECTIONS = 64
-_YEAR_S = 31_536_000
+_MAX_CONNECTIONS = 64  # bounds the open files; not measured
+_YEAR_S = 31_536_000  # 365 days
 
 
 class Guard:

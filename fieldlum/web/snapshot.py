@@ -30,8 +30,8 @@ from fieldlum.web.follow import BIN_S, IrradianceFollower, JournalFollower, Jour
 from fieldlum.web.pictures import scale_of
 from fieldlum.web.words import event_words
 
-_FINDINGS_EVERY = timedelta(minutes=5)
-_EVENTS_SHOWN = 25
+_FINDINGS_EVERY = timedelta(minutes=5)  # not measured
+_EVENTS_SHOWN = 25  # not measured: about a screen
 # A journal this far ahead of the computer's clock comes from `capture --clock fast`.
 _REHEARSAL = timedelta(hours=1)
 

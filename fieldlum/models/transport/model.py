@@ -48,7 +48,7 @@ Array = NDArray[Any]
 # Pixels, drawn by solid angle, that choose the recipe and calibrate the uncertainty. Not measured.
 SAMPLE = 600
 HOURS_AT_ONCE = 64  # bounds the work memory of a prediction to some 100 MB at 460 x 230
-LEAST_HOURS = 3
+LEAST_HOURS = 3  # fewer give no kernel to choose; not measured
 
 
 @dataclass(frozen=True)

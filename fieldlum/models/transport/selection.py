@@ -34,7 +34,14 @@ Array = NDArray[Any]
 FLOOR_CDM2 = 1.0  # lower values are raised to it for scores (the paper's floor)
 ONE_SEASON_DEG = 20.0  # range of the sun's declination below which captures are of one season
 SEASONS_APART_DEG = 10.0  # gap in the declinations of the captures' days between two seasons
-NOISES = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
+NOISES = (
+    1e-4,
+    1e-3,
+    3e-3,
+    1e-2,
+    3e-2,
+    1e-1,
+)  # from a clean rendering to a room that changes; not measured
 # Least noise for captures of one season: their held-out days do not test other seasons.
 ONE_SEASON_NOISE = 3e-3
 CHOOSING = 250  # pixels that choose kernel and recipe; bounds the time

@@ -27,7 +27,7 @@ LOG10_E = float(np.log10(np.e))
 NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal distribution
 # The sun's share of the light between overcast, intermediate and clear hours. Not measured.
 CLASSES = (0.05, 0.5)
-MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)
+MIDDLES = (CLASSES[0] / 2, (CLASSES[0] + CLASSES[1]) / 2, CLASSES[1] + 0.2)  # of the classes
 LEAST_SD = 1e-4  # avoids division by zero
 LEAST_VARIANCE = 1e-9  # avoids division by zero
 # Cap the sd of ln L: beyond a factor of ten, one pixel would dominate the hour's mean.
