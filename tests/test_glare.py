@@ -18,6 +18,7 @@ from fieldlum.glare import (
 )
 from fieldlum.glare.fisheye import fisheye_solid_angles
 from fieldlum.glare.sources import group_pixels, sources_of, widen
+from fieldlum.glare.standards import disturbed_share
 from fieldlum.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.records import SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
@@ -159,6 +160,22 @@ def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
     assert got["dgp"][0, 0] == pytest.approx(ref.dgp, abs=0.005)
     assert got["ugr"][0, 0] == pytest.approx(ref.ugr, abs=0.4)
     assert got["dgi"][0, 0] == pytest.approx(ref.dgi, abs=0.4)
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+def test_the_share_of_disturbed_directions_is_that_of_evalglare() -> None:
+    maps = np.full((115, 230), 400.0, np.float32)
+    maps[30:70, 85:145] = 20_000.0
+    azimuths = [0.0, 90.0, 150.0, 180.0, 230.0]
+    own = glare_directions(maps[None], 180.0, azimuths)["dgp"]
+    theirs = np.array(
+        [[reference_glare(panorama_to_fisheye(maps, 180.0, a)).dgp for a in azimuths]]
+    )
+    assert np.abs(theirs - 0.40).min() > 0.02  # no direction is near the limit
+    assert disturbed_share(own) == disturbed_share(theirs) == pytest.approx(0.6, abs=0.21)
+    assert np.isnan(disturbed_share(np.full((1, 3), np.nan)))
+    np.testing.assert_allclose(disturbed_share(np.array([[np.nan, 0.41, 0.2]])), 0.5)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -175,6 +175,9 @@ def _table(answer: dict[str, Any]) -> None:
         )
         if "reference" in view:
             _reference_line(view["reference"])
+    share = answer["disturbed_share"]
+    if share is not None and len(answer["views"]) > 1:
+        click.echo(f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions")
     click.echo("  * an estimate: Ev with the spectrum of D65")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from fieldlum.errors import InputError
 from fieldlum.glare.pictures import Picture
+from fieldlum.glare.standards import disturbed_share
 from fieldlum.records import Flag, Panorama, SunSource, utc_text
 
 # Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).
@@ -36,6 +37,7 @@ def answer_of(
 ) -> dict[str, Any]:
     """Return the values of one picture that both kinds of picture have."""
     panorama = picture.panorama
+    known = [np.nan if view["dgp"] is None else view["dgp"] for view in views]
     return {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
@@ -43,6 +45,7 @@ def answer_of(
         "sun": None if sun is None else asdict(sun),
         "melanopic_der": "D65, assumed",
         "views": views,
+        "disturbed_share": plain(float(disturbed_share(np.array([known]))[0])),
         "warnings": warnings + picture_warnings(picture),
     }
 

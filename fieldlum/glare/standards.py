@@ -17,6 +17,8 @@ from fieldlum.projection import NOT_SEEN, SEEN
 from fieldlum.records import Float
 
 CLASSES = (("high", 0.35), ("medium", 0.40), ("minimum", 0.45))  # EN 17037:2018, strictest first
+# From here on glare is "disturbing" (Wienold 2009, Building Simulation, table 2).
+DISTURBING_DGP = 0.40
 NO_CLASS = "none"
 NOT_SEEN_CLASS = NOT_SEEN  # no class, because no lens saw enough of that direction
 EXCEEDED_SHARE = 0.05  # EN 17037:2018, annex A.5
@@ -24,6 +26,17 @@ EXCEEDED_SHARE = 0.05  # EN 17037:2018, annex A.5
 # same way. Chosen, not measured; the intervals covered 99.8 % of drawn rooms (docs/accuracy.md).
 COMMON_ERROR = 0.5
 DRAWS = 400  # years drawn for an interval: its ends are the 10th and the 390th
+
+
+def disturbed_share(dgp: Float) -> NDArray[np.float64]:
+    """Return the share of view directions with disturbing glare, 0 to 1, [n].
+
+    dgp : [n, d], NaN for directions that no lens saw, which do not count. NaN without a direction.
+    """
+    known = np.isfinite(dgp)
+    over = (np.where(known, dgp, 0.0) > DISTURBING_DGP).sum(axis=1)
+    count = known.sum(axis=1)
+    return np.divide(over, count, out=np.full(len(over), np.nan), where=count > 0)
 
 
 @dataclass(frozen=True, slots=True)

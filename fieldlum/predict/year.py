@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.glare.geometry import panorama_views, view_azimuths_deg
-from fieldlum.glare.standards import GlareDoubt
+from fieldlum.glare.standards import GlareDoubt, disturbed_share
 from fieldlum.glare.unseen import (
     view_coverage,
 )
@@ -207,5 +207,6 @@ def measure(
     figures["u_dgp"] = np.hypot(u_of_maps, np.sqrt((off**2).mean(axis=0)))
     for values in figures.values():
         values[:, ~coverage.judged] = np.nan
+    hours["disturbed_share"] = disturbed_share(figures["dgp"])
     annual = Annual(folder, {}, light.t_utc, np.asarray(azimuths_deg, float), hours, figures)
     return annual, GlareDoubt(coverage.words, least, most, drawn), u_of_maps

@@ -27,6 +27,7 @@ HOUR_COLUMNS = (
     "occupied",
     "trusted",
     "expected_log10_mse",
+    "disturbed_share",
 )
 VIEW_COLUMNS = {  # name: digits written
     "dgp": 4,
@@ -44,6 +45,7 @@ VIEW_COLUMNS = {  # name: digits written
 }
 # Version 0.1.0 did not write these columns; they are NaN for its years.
 LATER_COLUMNS = ("dgp_low", "dgp_high")
+LATER_HOUR_COLUMNS = ("disturbed_share",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,8 @@ class HourlyFile:
             if column.get("format", np.ones(1)).max() > FORMAT:
                 raise ValueError(f"a format over {FORMAT}: read it with a newer fieldlum")
             blank = np.full(len(body), np.nan)
+            for name in LATER_HOUR_COLUMNS:
+                column.setdefault(name, blank)
             for name in LATER_COLUMNS:
                 for a in azimuths_deg:
                     column.setdefault(_view_column(name, a), blank)
