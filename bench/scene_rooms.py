@@ -41,8 +41,8 @@ from fieldlum.scene.view import pixel_rays
 from fieldlum.scene_fit.apply import earlier, scene_of, with_patches, with_scene
 from fieldlum.scene_fit.fit import SceneFit, fit_scene
 from fieldlum.scene_fit.guess import guess_of, room_of
+from fieldlum.scene_fit.parameters import room_parameters
 from fieldlum.scene_fit.scene_file import Scene
-from fieldlum.scene_fit.search import room_parameters
 from fieldlum.scene_fit.stage import judged_scene
 from fieldlum.scene_fit.sun_path import sun_earlier
 from fieldlum.scene_fit.verdict import sunny_hours

@@ -22,16 +22,11 @@ from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.guess import Solid, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
+from fieldlum.scene_fit.parameters import room_parameters, stated_albedo
 from fieldlum.scene_fit.renderer import surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
 from fieldlum.scene_fit.scene_search import Misfits
-from fieldlum.scene_fit.search import (
-    PRIOR_SHARE,
-    Objective,
-    pattern_search,
-    room_parameters,
-    stated_albedo,
-)
+from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search
 from fieldlum.scene_fit.solid_cost import SolidCost
 from fieldlum.scene_fit.stage import choose_by_misfit
 

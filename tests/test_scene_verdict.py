@@ -16,8 +16,8 @@ from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.scene_fit import stage
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.guess import guess_of
+from fieldlum.scene_fit.parameters import stated_albedo
 from fieldlum.scene_fit.scene_search import Misfits
-from fieldlum.scene_fit.search import stated_albedo
 from fieldlum.scene_fit.verdict import (
     FOLDS,
     GeometryCandidate,

@@ -104,7 +104,7 @@ def propose_bars(picture: WindowPicture, guess: Guess, number: int) -> list[Bar]
 
 
 def _dips(profile: Array, edges: Array) -> list[tuple[float, float]]:
-    """Extents of the dips of a profile [k] with cell edges [k + 1]; a dip's width is its area."""
+    """Return the dips of a profile [k] with cell edges [k + 1]: extents as wide as their area."""
     good = np.isfinite(profile)
     if good.sum() < 20:
         return []

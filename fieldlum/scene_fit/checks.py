@@ -82,7 +82,7 @@ def check_captures(data: Dataset, room: Room) -> None:
 
 
 def _windows_turned_deg(data: Dataset, room: Room) -> float | None:
-    """How far clockwise the panorama shows the windows from where they are stated; None: there."""
+    """Return by how many degrees clockwise the windows differ from `room`; None if they agree."""
     height, width = data.shape
     _, rays = pixel_rays(height, data.heading_deg, 1)
     ends = surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
@@ -105,7 +105,7 @@ def _windows_turned_deg(data: Dataset, room: Room) -> float | None:
 
 
 def _sun_turned_deg(data: Dataset, room: Room) -> float | None:
-    """How far clockwise windows must be turned for the room's light to follow the sun; None: not.
+    """Return by how many degrees clockwise light follows the sun off `room`; None if it agrees.
 
     The mean luminance of the room is fitted by diffuse light, by direct light on the windows and by
     direct light on the ground, none of them negative.
@@ -136,7 +136,7 @@ def _sun_turned_deg(data: Dataset, room: Room) -> float | None:
 
 
 def _two_views(data: Dataset) -> tuple[int, int, float] | None:
-    """Numbers of captures of two views, and the correlation of their pictures; None: one view.
+    """Return numbers of captures of two views, and their correlation; None for one view.
 
     Captures whose room is marked as in another state, such as lamps, take no part.
     """

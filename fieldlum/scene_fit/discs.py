@@ -51,7 +51,7 @@ class PoseFit:
 
     @property
     def u(self) -> dict[str, float]:
-        """Standard uncertainties by name."""
+        """Return standard uncertainties by name."""
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:
@@ -124,7 +124,7 @@ class _Problem:
     prior_sd: Array
 
     def residuals(self, values: Array) -> Array:
-        """Measured direction less the sun's, in standard uncertainties, [n, 3]."""
+        """Return the measured direction less the sun's, in standard uncertainties, [n, 3]."""
         heading, tilt, roll, clock, scale = values
         true = _scaled(self.measured, scale, self.axis_deg) @ (
             rotation(heading, tilt, roll, self.axis_deg).T
@@ -133,7 +133,7 @@ class _Problem:
         return (true - suns) / self.sigma[:, None]
 
     def solve(self, keep: NDArray[np.bool_], excess: float = 1.0) -> tuple[Array, Array]:
-        """Gauss-Newton with the priors: values [5] and covariance [5, 5].
+        """Return values [5] and covariance [5, 5] by Gauss-Newton steps with the priors.
 
         excess: variance of the discs in units of their sigma squared.
         """
@@ -184,7 +184,7 @@ def _least_explained(problem: _Problem, keep: NDArray[np.bool_]) -> tuple[int, f
 
 
 def _scaled(directions: Array, scale: float, axis_deg: float) -> Array:
-    """Directions [n, 3] with their angle from the axis times (1 + scale)."""
+    """Return directions [n, 3] with their angle from the axis times (1 + scale)."""
     a = np.radians(axis_deg)
     axis = np.array([np.sin(a), np.cos(a), 0.0])
     angle = np.arccos(np.clip(directions @ axis, -1.0, 1.0))

@@ -93,7 +93,7 @@ class SceneEvidence:
         )
 
     def suns_room(self, guess: Guess) -> NDArray[np.float32]:
-        """Directions to the sun in room axes under the guess's north and clock, [n, 3]."""
+        """Return directions to the sun in room axes under the guess's north and clock, [n, 3]."""
         at = guess.clock_min + _CLOCK_REACH_MIN
         low = int(np.clip(np.floor(at), 0, len(self.clock) - 2))
         share = at - low
@@ -102,13 +102,13 @@ class SceneEvidence:
         return (world @ guess.turn.T).astype(np.float32)
 
     def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Irradiance per lx of the sun [n, m], and where the rays end."""
+        """Return irradiance per lx of the sun [n, m], and where the rays end."""
         ends = surfaces(guess, self.rays)
         suns = self.suns_room(guess)
         return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), SUB), ends
 
     def patches(self, guess: Guess, albedo: Array) -> Array:
-        """Luminance of the sun patches [n, m] cd/m2; albedo [6 + solids] of the surfaces."""
+        """Return luminance of the sun patches [n, m] cd/m2; albedo [6 + solids] of the surfaces."""
         ends = surfaces(guess, self.rays)
         tone = albedo[ends.surface]
         suns, count = self.suns_room(guess), len(self.pixels)
@@ -139,12 +139,12 @@ class SceneEvidence:
 
     @cached_property
     def dark_misfit(self) -> float:
-        """Mean misfit without any patch."""
+        """Return the mean misfit without any patch."""
         return float((self.dark_loss @ self.weights).mean())
 
     @cached_property
     def dark_loss(self) -> Array:
-        """Saturated squared log error of each entry without a patch, [n, m]."""
+        """Return the saturated squared log error of each entry without a patch, [n, m]."""
         return _saturated(np.log(self.below) - self.log_seen)
 
     def loss(self, entry: NDArray[np.intp], patch: Array) -> Array:
@@ -152,7 +152,7 @@ class SceneEvidence:
         return _saturated(np.log(self.below.ravel()[entry] + patch) - self.log_seen.ravel()[entry])
 
     def pixel_albedo(self, ends: Surfaces, albedo: Array) -> Array:
-        """Mean albedo of what a pixel's rays end on, [m]."""
+        """Return the mean albedo of what a pixel's rays end on, [m]."""
         value = np.where(ends.surface >= 0, albedo[ends.surface], 0.0)
         hit = np.bincount(self.pixel, ends.surface >= 0, len(self.pixels))
         return np.bincount(self.pixel, value, len(self.pixels)) / np.maximum(hit, 1.0)
@@ -169,7 +169,7 @@ class SceneEvidence:
 
     @property
     def directions(self) -> Array:
-        """Middle direction of each pixel, [m, 3]."""
+        """Return the middle direction of each pixel, [m, 3]."""
         total = np.stack(
             [np.bincount(self.pixel, self.rays[:, k], len(self.pixels)) for k in range(3)], axis=1
         )
@@ -250,7 +250,7 @@ def gather(data: Dataset, room: Room, *, pixels: int = PIXELS, seed: int = 0) ->
 
 
 def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
-    """Rows with direct sun before a window, the strongest first up to `MAX_HOURS`, in order."""
+    """Return rows with direct sun before a window, in order: the strongest up to `MAX_HOURS`."""
     from fieldlum.scene.geometry import WALLS
 
     suns = data.light.sun_direction @ guess.turn.T
@@ -298,7 +298,7 @@ def _all_rays(data: Dataset) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
 
 
 def _rays(data: Dataset, chosen: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Sub-rays of the chosen pixels [r, 3], and which of the chosen each belongs to [r]."""
+    """Return sub-rays of the chosen pixels [r, 3], and which of the chosen each belongs to [r]."""
     from fieldlum.scene.view import pixel_rays
 
     pixel, rays = pixel_rays(data.shape[0], data.heading_deg, SUB)

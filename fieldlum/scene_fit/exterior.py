@@ -10,7 +10,7 @@ import numpy as np
 
 from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
-from fieldlum.scene_fit.search import Parameter
+from fieldlum.scene_fit.parameters import Parameter
 
 # Grids from which searches start. Distance and height of a facade trade against each other, so that
 # a factor of two in distance is fine enough; its angle of elevation decides which suns it hides.
@@ -79,7 +79,10 @@ def is_outside(guess: Guess, solid: Solid) -> bool:
 
 
 def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]:
-    """The faces of a solid outside and its place; no prior. Its albedo shows in no patch inside."""
+    """Return the faces and the place of a solid outside as parameters without a prior.
+
+    Its albedo is none of them: no patch inside shows it.
+    """
 
     def parameter(name: str, move: Callable[[Solid, float], Solid]) -> Parameter:
         def change(g: Guess, by: float) -> Guess:

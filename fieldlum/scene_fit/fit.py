@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
+from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
 from fieldlum.scene_fit.scene_search import (
     COARSE_PIXELS_EVERY,
@@ -23,9 +24,6 @@ from fieldlum.scene_fit.scene_search import (
     Misfits,
     SceneSearch,
     StatedRoom,
-)
-from fieldlum.scene_fit.search import (
-    CLOCK_SD_MIN,
 )
 
 if TYPE_CHECKING:
@@ -124,7 +122,7 @@ def fit_scene(
 
 
 def _with_albedo(room: Room, albedo: Array) -> Room:
-    """The room with the albedos found; solids have theirs already."""
+    """Return the room with the fitted albedos; solids have theirs already."""
     return replace(
         room,
         reflectance_walls=float(np.mean(albedo[:4])),

@@ -12,8 +12,8 @@ from scipy.ndimage import label
 
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence
 from fieldlum.scene_fit.guess import Guess, Solid
+from fieldlum.scene_fit.parameters import Parameter
 from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
-from fieldlum.scene_fit.search import Parameter
 
 Array = NDArray[np.floating]
 
@@ -92,7 +92,7 @@ def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelD
 
 
 def _loss(evidence: SceneEvidence, patch: Array) -> Array:
-    """Mean misfit of each pixel over the hours, [m]."""
+    """Return the mean misfit of each pixel over the hours, [m]."""
     lit = np.flatnonzero(patch)
     loss = evidence.dark_loss.copy()
     loss.ravel()[lit] = evidence.loss(lit, patch.ravel()[lit])
@@ -175,7 +175,7 @@ def _distinct(solids: Sequence[Solid]) -> list[Solid]:
 
 
 def solid_parameters(number: int) -> list[Parameter]:
-    """The faces and the albedo of a solid on or above the floor; no prior."""
+    """Return faces, place and albedo of a solid inside as parameters without a prior."""
 
     def changed(change: Callable[[Solid, float], Solid]) -> Callable[[Guess, float], Guess]:
         def apply(g: Guess, by: float) -> Guess:

@@ -77,7 +77,7 @@ class Guess:
 
     @property
     def turn(self) -> Array:
-        """Rows are the room's axes in the stated world axes: room = turn @ world, [3, 3]."""
+        """Return the room's axes in the stated world axes as rows: room = turn @ world, [3, 3]."""
         azimuth = np.radians(self.wall_azimuth_deg)
         x = (-np.cos(azimuth), np.sin(azimuth), 0.0)
         y = (-np.sin(azimuth), -np.cos(azimuth), 0.0)
@@ -85,7 +85,7 @@ class Guess:
 
     @property
     def camera_turn(self) -> Array:
-        """Rotation from the picture's stated world axes to room axes, [3, 3]."""
+        """Return the rotation from the picture's stated world axes to room axes, [3, 3]."""
         return self.turn @ rotation(0.0, self.tilt_deg, self.roll_deg, self.axis_deg)
 
 

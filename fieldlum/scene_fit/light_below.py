@@ -26,7 +26,7 @@ _PATCH_SHARE = 0.3  # of a pixel's light; where a patch is more, the light below
 
 
 def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:
-    """Light that the pixels [n, m] would show without direct sun on them [cd/m2].
+    """Return light that the pixels [n, m] would show without direct sun on them [cd/m2].
 
     patch [n, m]: a known patch, taken off; entries that it dominates count less.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Site, parse_utc
 from fieldlum.scene_fit.discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
-from fieldlum.scene_fit.search import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
+from fieldlum.scene_fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
 from fieldlum.session import Session
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class PosePrior:
     covariance: Array
 
     def cost(self, guess: Guess) -> float:
-        """Squared distance of the guess's pose in standard deviations."""
+        """Return the squared distance of the guess's pose in standard deviations."""
         off = np.array([getattr(guess, name) for name in POSE_NAMES]) - self.values
         return float(off @ np.linalg.solve(self.covariance, off))
 

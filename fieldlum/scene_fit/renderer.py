@@ -225,7 +225,7 @@ def _both(span: tuple[float, float], shift: Array) -> tuple[Array, Array]:
 
 
 def _meets(bar: Bar, at_inner: Array, slope: Array) -> NDArray[np.bool_]:
-    """Whether lines that cross the wall's inner face at `at_inner` [k] meet the bar."""
+    """Return whether lines that cross the wall's inner face at `at_inner` [k] meet the bar."""
     first = at_inner + slope * np.float32(bar.depth_m[0])
     last = at_inner + slope * np.float32(bar.depth_m[1])
     return (np.maximum(first, last) > bar.span_m[0]) & (np.minimum(first, last) < bar.span_m[1])

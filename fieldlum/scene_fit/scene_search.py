@@ -19,18 +19,20 @@ from fieldlum.scene_fit.exterior import (
 )
 from fieldlum.scene_fit.furniture import pixel_depths, propose_solids, solid_parameters
 from fieldlum.scene_fit.guess import Guess, guess_of
+from fieldlum.scene_fit.parameters import (
+    SUN_DEG_PER_MIN,
+    Parameter,
+    bar_parameters,
+    room_parameters,
+    stated_albedo,
+)
 from fieldlum.scene_fit.renderer import SHELL
 from fieldlum.scene_fit.search import (
     PRIOR_SHARE,
-    SUN_DEG_PER_MIN,
     Objective,
-    Parameter,
     along_valley,
-    bar_parameters,
     pattern_search,
     principal_search,
-    room_parameters,
-    stated_albedo,
 )
 from fieldlum.scene_fit.solid_cost import SolidCost
 
@@ -76,14 +78,14 @@ class StatedRoom:
 
     @property
     def start_clocks_min(self) -> tuple[float, ...]:
-        """Clocks to start from: several where the clock is not known to a minute."""
+        """Return clocks to start from: several if the clock is not known to a minute."""
         clock, sd = 0.0, self.clock_sd_min
         if self.pose is not None:
             clock, sd = float(self.pose.values[3]), self.pose.u_clock_min
         return START_CLOCKS_MIN if sd > 1.0 else (clock,)
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
-        """The guess at another clock, with the pose that belongs to it."""
+        """Return the guess at another clock, with the pose that belongs to it."""
         if self.pose is not None:
             return self.pose.at_clock(guess, clock_min)
         moved = clock_min - guess.clock_min
@@ -121,8 +123,7 @@ class SceneSearch:
         return self.evidence.hours(self.fit_hours)
 
     def box(self, guess: Guess) -> Guess:
-        """North, clock, sizes, camera, window edges and what shades the windows, from several
-        clocks.
+        """Search north, clock, sizes, camera, window edges and shades from several clocks.
 
         A shade that is missing bends all other numbers, so it is sought before the fine steps.
         """
@@ -136,7 +137,7 @@ class SceneSearch:
         return self.refined(min(tries, key=lambda pair: pair[0])[1])
 
     def refined(self, guess: Guess) -> Guess:
-        """North, clock, sizes, camera and window edges in small steps, and albedos."""
+        """Search north, clock, sizes, camera and window edges in small steps; estimate albedos."""
         for _ in range(2):
             self.albedo = self.evidence.albedos(guess, self.albedo)
             fine = self.objective(self.fit_evidence)
@@ -157,13 +158,13 @@ class SceneSearch:
         return guess
 
     def _covered(self, guess: Guess, coarse: Objective) -> Guess:
-        """The guess with the blind or curtain that takes most misfit away."""
+        """Return the guess with the blind or curtain that takes most misfit away."""
         trials = [replace(guess, bars=(*guess.bars, bar)) for bar in propose_covers(guess)]
         trial = min(trials, key=coarse)
         return pattern_search(coarse, trial, bar_parameters(trial)[-3:], coarse=4.0, fine=2.0)[0]
 
     def _faced(self, guess: Guess) -> Guess:
-        """The guess with the facade or canopy that takes most misfit away."""
+        """Return the guess with the facade or canopy that takes most misfit away."""
         thin = self.fit_evidence.thinned(COARSE_PIXELS_EVERY)
         cost = self._solid_cost(thin, guess, self._albedo_with_solids(guess))
         parameters = exterior_parameters(len(guess.solids))
@@ -175,7 +176,7 @@ class SceneSearch:
         return min(tries, key=lambda pair: pair[1])[0]
 
     def bars(self, guess: Guess) -> Guess:
-        """Bars in the picture of each window, in place, width and depth."""
+        """Find bars in the picture of each window; search their place, width and depth."""
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
         proposals = []
@@ -193,7 +194,7 @@ class SceneSearch:
         return trial if cost < objective(guess) else self._pruned(guess)
 
     def _pruned(self, guess: Guess) -> Guess:
-        """Without the bars that are too thin, or that fit hours or hours kept out do not want."""
+        """Return the guess without thin bars and without bars that do not pay."""
         bars = [b for b in guess.bars if b.span_m[1] - b.span_m[0] >= MIN_BAR_M]
         guess = replace(guess, bars=tuple(bars))
         for bar in list(guess.bars):
@@ -203,7 +204,7 @@ class SceneSearch:
         return guess
 
     def _pays(self, without: Guess, with_it: Guess, least: float) -> bool:
-        """Whether an element takes enough misfit away, in the search's hours and those kept out."""
+        """Return whether an element lowers the misfit enough, in both groups of hours."""
         for hours, share in ((self.fit_hours, least), (self.kept_out, KEPT_OUT_GAIN)):
             objective = self.objective(self.evidence.hours(hours))
             if objective(with_it) > objective(without) * (1.0 - share):
@@ -236,7 +237,7 @@ class SceneSearch:
         return SolidCost(evidence, guess, albedo, self.objective(evidence).prior(guess))
 
     def pruned(self, guess: Guess) -> Guess:
-        """Without the bars and solids that do not pay any more, now that others are known."""
+        """Return the guess without the bars and solids that no longer pay."""
         guess = self._pruned(guess)
         for solid in list(guess.solids[len(self.start.solids) :]):
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
@@ -254,8 +255,10 @@ class SceneSearch:
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
 
     def restarted(self, guess: Guess, seed: int) -> Guess:
-        """The best of searches from other clocks and displaced rooms, now that bars and furniture
-        are known: the first search may have stopped in a valley that they close.
+        """Return the best of searches from other clocks and displaced rooms.
+
+        Bars and furniture are known now: they may close the valley in which the first search
+        stopped.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
@@ -269,7 +272,7 @@ class SceneSearch:
         return min(tries, key=lambda pair: pair[1])[0]
 
     def polish(self, guess: Guess, hours: NDArray[np.intp], every: int = 1) -> Guess:
-        """Everything together, in small steps, at every n-th pixel."""
+        """Search all numbers together in small steps, at every n-th pixel."""
         objective = self.objective(self.evidence.hours(hours).thinned(every))
         parameters: list[Parameter] = [*self.parameters, *bar_parameters(guess)]
         for number, solid in enumerate(guess.solids):
@@ -279,7 +282,7 @@ class SceneSearch:
         return principal_search(objective, guess, parameters)[0]
 
     def misfits(self, guess: Guess) -> Misfits:
-        """Misfit of no patch, the stated box and the guess on the hours kept out."""
+        """Return the misfit of no patch, the stated box and the guess on hours of no search."""
         evidence = self.evidence.hours(self.kept_out)
         albedo = self._albedo_with_solids(guess)
         stated = evidence.patches(self.start, evidence.albedos(self.start, self.albedo[:SHELL]))

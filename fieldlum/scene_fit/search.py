@@ -4,194 +4,29 @@ trade against each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.records import Room
-from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.evidence import WIDTH, SceneEvidence
-from fieldlum.scene_fit.guess import Bar, Guess
+from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.parameters import POSE_NAMES, SUN_DEG_PER_MIN, Change, Parameter
 
 if TYPE_CHECKING:
     from fieldlum.scene_fit.pose_prior import PosePrior
 
 Array = NDArray[np.floating]
 
-Change = Callable[[Guess, float], Guess]
-
-# Standard deviations of what a person states with a tape measure and a compass (docs/scene.md).
-NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
-LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
-PRIOR_SHARE = 0.0015  # of the stated misfit: what one standard deviation of one number must pay
-MIN_GAIN_SHARE = 1e-5
-POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
-SUN_DEG_PER_MIN = 0.25  # of azimuth: a late clock and a turned north look alike
-MAX_MOVES = 6
-_PRINCIPAL_GAIN = 0.02  # of the cost: what the first step along a principal axis would change
 _LONGEST_STEPS = 3.0  # first steps of the parameters, along axes that hardly change the misfit
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A number of the scene: how it changes, its first and last step, and its prior's sd."""
-
-    name: str
-    read: Callable[[Guess], float]
-    change: Change
-    first_step: float
-    last_step: float
-    sd: float
-
-
-def _tuple_at(values: tuple[float, ...], index: int, by: float) -> tuple[float, ...]:
-    return (*values[:index], values[index] + by, *values[index + 1 :])
-
-
-def room_parameters(
-    guess: Guess, *, with_wall: bool = True, clock_sd_min: float = CLOCK_SD_MIN
-) -> list[Parameter]:
-    """North, clock, level, sizes, camera, wall thickness and the edges of each window.
-
-    The camera's height is the one known length: it sets the scale.
-    """
-    size, camera = guess.size_m, guess.camera_m
-
-    def sized(axis: int) -> Change:
-        return lambda g, by: replace(g, size_m=_tuple_at(g.size_m, axis, by))
-
-    def placed(axis: int) -> Change:
-        return lambda g, by: replace(g, camera_m=_tuple_at(g.camera_m, axis, by))
-
-    parameters = [
-        Parameter(
-            "north_deg",
-            lambda g: g.north_deg,
-            lambda g, by: replace(g, north_deg=g.north_deg + by),
-            0.5,
-            0.03,
-            NORTH_SD_DEG,
-        ),
-        Parameter(
-            "clock_min",
-            lambda g: g.clock_min,
-            lambda g, by: replace(g, clock_min=float(np.clip(g.clock_min + by, -19.0, 19.0))),
-            2.0,
-            0.12,
-            clock_sd_min,
-        ),
-        _level("tilt_deg"),
-        _level("roll_deg"),
-    ]
-    if with_wall:
-        parameters.append(
-            Parameter(
-                "wall_azimuth_deg",
-                lambda g: g.wall_azimuth_deg,
-                lambda g, by: replace(g, wall_azimuth_deg=g.wall_azimuth_deg + by),
-                0.5,
-                0.03,
-                NORTH_SD_DEG,
-            )
-        )
-    for axis, name in enumerate(("width_m", "depth_m")):
-        sd = max(LENGTH_SD_SHARE * size[axis], 0.03)
-        reader = _reader(lambda g, a: g.size_m[a], axis)
-        parameters.append(Parameter(name, reader, sized(axis), 0.04, 0.004, sd))
-    for axis, name in enumerate(("camera_x_m", "camera_y_m")):
-        reader = _reader(lambda g, a: g.camera_m[a], axis)
-        parameters.append(Parameter(name, reader, placed(axis), 0.04, 0.004, CAMERA_SD_M))
-    del camera
-    parameters.append(
-        Parameter(
-            "thickness_m",
-            lambda g: g.thickness_m,
-            lambda g, by: replace(g, thickness_m=max(g.thickness_m + by, 0.01)),
-            0.04,
-            0.004,
-            THICKNESS_SD_M,
-        )
-    )
-    for number in range(len(guess.windows)):
-        parameters += _window_parameters(number)
-    return parameters
-
-
-def _level(name: str) -> Parameter:
-    def change(g: Guess, by: float) -> Guess:
-        return replace(g, **{name: getattr(g, name) + by})
-
-    return Parameter(name, lambda g: getattr(g, name), change, 0.25, 0.03, LEVEL_SD_DEG)
-
-
-def _reader(read: Callable[[Guess, int], float], index: int) -> Callable[[Guess], float]:
-    return lambda g: read(g, index)
-
-
-def _window_parameters(number: int) -> list[Parameter]:
-    def edge(which: str, end: int) -> Parameter:
-        def change(g: Guess, by: float) -> Guess:
-            rect = g.windows[number]
-            spans = _tuple_at(getattr(rect, which), end, by)
-            moved = replace(rect, **{which: spans})
-            return replace(g, windows=(*g.windows[:number], moved, *g.windows[number + 1 :]))
-
-        def read(g: Guess) -> float:
-            rect = g.windows[number]
-            value = getattr(rect, which)[end]
-            if which == "u_m" and rect.wall in ("south", "east"):
-                return g.size_m[1 - WALLS[rect.wall][0]] - value  # as measured, from the left end
-            return value
-
-        name = f"window {number + 1} {which[0]}{end}"
-        return Parameter(name, read, change, 0.04, 0.004, EDGE_SD_M)
-
-    return [edge("u_m", 0), edge("u_m", 1), edge("z_m", 0), edge("z_m", 1)]
-
-
-def bar_parameters(guess: Guess) -> list[Parameter]:
-    """Place, width and depth of each bar; no prior, bars were found and not stated."""
-    parameters: list[Parameter] = []
-    for number in range(len(guess.bars)):
-
-        def changed(change: Callable[[Bar, float], Bar], number: int = number) -> Change:
-            def apply(g: Guess, by: float) -> Guess:
-                bars = list(g.bars)
-                bars[number] = change(bars[number], by)
-                return replace(g, bars=tuple(bars))
-
-            return apply
-
-        moves: dict[str, tuple[Callable[[Bar], float], Callable[[Bar, float], Bar]]] = {
-            "place": (lambda b: b.span_m[0], _moved_bar),
-            "width": (lambda b: b.span_m[1] - b.span_m[0], _widened_bar),
-            "depth": (lambda b: b.depth_m[1], _deepened_bar),
-        }
-        for name, (read, change) in moves.items():
-            reader = _bar_reader(read, number)
-            label = f"bar {number + 1} {name}"
-            parameters.append(Parameter(label, reader, changed(change), 0.02, 0.004, np.inf))
-    return parameters
-
-
-def _bar_reader(read: Callable[[Bar], float], number: int) -> Callable[[Guess], float]:
-    return lambda g: read(g.bars[number])
-
-
-def _moved_bar(bar: Bar, by: float) -> Bar:
-    return replace(bar, span_m=(bar.span_m[0] + by, bar.span_m[1] + by))
-
-
-def _widened_bar(bar: Bar, by: float) -> Bar:
-    low, high = bar.span_m[0] - by / 2.0, bar.span_m[1] + by / 2.0
-    return replace(bar, span_m=(low, high)) if high > low else bar
-
-
-def _deepened_bar(bar: Bar, by: float) -> Bar:
-    return replace(bar, depth_m=(bar.depth_m[0], max(bar.depth_m[1] + by, bar.depth_m[0] + 0.005)))
+_PRINCIPAL_GAIN = 0.02  # of the cost: what the first step along a principal axis would change
+MAX_MOVES = 6  # in one direction, before the other numbers have their turn
+MIN_GAIN_SHARE = 1e-5  # of the cost: less is rounding
+# Of the stated misfit: what one standard deviation of one number must pay. With a third of it the
+# coarse search of a room with a canopy moved the clock by 13 minutes (bench/scene_rooms.py).
+PRIOR_SHARE = 0.0015
 
 
 class GuessCost(Protocol):
@@ -236,7 +71,7 @@ class Objective:
         return np.concatenate([self.albedo, more]) if missing > 0 else self.albedo
 
     def prior(self, guess: Guess) -> float:
-        """What departing from the stated numbers costs."""
+        """Return what the departure from the stated numbers costs."""
         by_disc = POSE_NAMES if self.pose is not None else ()
         z = [
             (p.read(guess) - p.read(self.start)) / p.sd
@@ -245,14 +80,6 @@ class Objective:
         ]
         pose = 0.0 if self.pose is None else self.pose.cost(guess)
         return self.prior_unit * (float(np.sum(np.square(z))) + pose)
-
-
-def stated_albedo(room: Room) -> Array:
-    """Albedo of the six surfaces of the shell as stated: west, east, south, north, floor,
-    ceiling.
-    """
-    walls = [room.reflectance_walls] * 4
-    return np.array([*walls, room.reflectance_floor, room.reflectance_ceiling])
 
 
 def pattern_search(
@@ -314,7 +141,7 @@ def _prior_curvature(objective: Objective, parameters: Sequence[Parameter]) -> A
 
 
 def _along(parameters: Sequence[Parameter], direction: Array) -> Change:
-    """A move of all parameters by `direction` [p] times their first steps."""
+    """Return a move of all parameters by `direction` [p] times their first steps."""
 
     def change(guess: Guess, by: float) -> Guess:
         for p, share in zip(parameters, direction, strict=True):
@@ -355,7 +182,7 @@ def search_moves(
 def compound_moves(
     guess: Guess, parameters: Sequence[Parameter], pose: PosePrior | None = None
 ) -> list[tuple[str, Change, float, float]]:
-    """Moves of several numbers at once, along which the misfit hardly changes: name, change, first
+    """Return moves of several numbers along which the misfit hardly changes: name, change, first
     and last step.
 
     A search along single numbers stops in such valleys: north and clock; a window, the camera and
@@ -400,7 +227,7 @@ def compound_moves(
 
 
 def _along_discs(pose: PosePrior) -> Change:
-    """A later clock with the pose that keeps the sun's discs where they are."""
+    """Return a change to a later clock with the pose that leaves the sun's discs in place."""
     slopes = pose.covariance[:3, 3] / pose.covariance[3, 3]
 
     def change(guess: Guess, by_min: float) -> Guess:
@@ -416,7 +243,7 @@ def _along_discs(pose: PosePrior) -> Change:
 
 
 def along_valley(guess: Guess, by_min: float) -> Guess:
-    """A later clock with north following the sun, so that patches stay where they are at noon."""
+    """Return the guess at a later clock, with north turned so that noon's patches stay."""
     clock = float(np.clip(guess.clock_min + by_min, -19.0, 19.0))
     moved = clock - guess.clock_min
     north = guess.north_deg - SUN_DEG_PER_MIN * moved

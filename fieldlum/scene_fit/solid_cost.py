@@ -54,7 +54,7 @@ class SolidCost:
 
     @property
     def without(self) -> float:
-        """Misfit without the solid."""
+        """Return the misfit without the solid."""
         return self.evidence.misfit_of_lit(self._lit.hour, self._lit.ray, self._shine)
 
     def __call__(self, guess: Guess) -> float:
