@@ -17,6 +17,7 @@ from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.profiles import bracket_exposures, load_camera_profile
 from fieldlum.records import Panorama, Room, Site, SunSource, Window, utc_text
 from fieldlum.scene_fit.guess import guess_of
+from fieldlum.scene_fit.parameters import LEVEL_SD_DEG
 from fieldlum.scene_fit.pose_prior import (
     MeasuredDiscs,
     PosePrior,
@@ -75,11 +76,12 @@ def test_an_open_clock_leaves_a_valley_and_no_wrong_north() -> None:
     start = replace(
         guess_of(Room(window=(Window("south", 1.0, 2.0, 0.8, 1.8),))), north_deg=NORTH_DEG
     )
-    # A late clock with the pose that follows it costs little: less than the clock's own prior.
-    late = prior.at_clock(start, 3.0)
-    assert late.clock_min == 3.0 and abs(late.north_deg - NORTH_DEG) > 0.2
-    assert prior.cost(late) < 1.5
-    assert prior.cost(replace(start, clock_min=3.0)) > 50.0
+    # A late clock with the pose that follows it costs what the priors of clock and level cost: a
+    # minute goes with 0.17 degrees of roll. Without the pose it contradicts the discs.
+    late = prior.at_clock(start, 1.5)
+    assert late.clock_min == 1.5 and abs(late.north_deg - NORTH_DEG) > 0.1
+    assert prior.cost(late) < (0.17 * 1.5 / LEVEL_SD_DEG) ** 2 + 0.5
+    assert prior.cost(replace(start, clock_min=1.5)) > 12.0
     assert isinstance(prior.drawn(np.random.default_rng(0)), PosePrior)
 
 
