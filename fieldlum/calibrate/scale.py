@@ -121,7 +121,7 @@ def from_table(
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
-    """Return the profile's k over the one that the picture was merged with.
+    """Return the profile's k divided by the k that the picture was merged with.
 
     Raises InputError for another calibration.
     """

@@ -241,10 +241,10 @@ def fit(samples: Samples) -> VignettingFit:
 
 
 def _slips(samples: Samples) -> NDArray[np.bool_]:
-    """Return which readings their neighbours contradict (a shadow, a lamp that blinked), [n].
+    """Return which readings contradict their neighbours (a shadow, a lamp that blinked), [n].
 
-    Only if the neighbours are near the curve: at a steep rim, where several readings are far from
-    it together, none is left out.
+    A reading counts only if its neighbours are near the curve. At a steep rim several neighbouring
+    readings are far from it: these are all used.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     order = 4 if len(r) < 12 else 6

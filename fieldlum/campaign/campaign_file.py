@@ -15,7 +15,7 @@ _EXPECTED = "one table [[room]] for each room, with session = FOLDER"
 class CampaignRoom:
     """One room. Paths are relative to CAMPAIGN.toml; an empty value takes that of [common].
 
-    session: its folder. site and set: what `plan` makes a missing session from. model, seed,
+    session: its folder. site and set: from which `plan` creates a missing session. model, seed,
     budget_min: of `train`. weather and views: of `predict`. size: of `merge`.
     """
 

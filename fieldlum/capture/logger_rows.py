@@ -126,8 +126,8 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Remove rows with these times and texts from the day files; return their number.
 
-    The earlier day file is kept in irradiance/withdrawn/. Delete clean.csv: a day file in which
-    rows only moved has the length that clean.csv was computed from.
+    The earlier day file stays in irradiance/withdrawn/. Delete clean.csv too: it is only updated if
+    the length of a day file changes, and rows that moved do not change it.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

@@ -75,7 +75,8 @@ def parse_metadata(text: str) -> FrameMetadata:
         raise DeviceError(f"rpicam: metadata that cannot be used: {what}") from None
     if not all(math.isfinite(v) and v > 0 for v in (*values, digital)):
         raise DeviceError(
-            f"rpicam: metadata state an exposure of {values[0]:g} us at gain {values[1]:g}"
+            f"rpicam: impossible metadata: an exposure of {values[0]:g} us at gain {values[1]:g}; "
+            "expected numbers above 0"
         )
     return FrameMetadata(values[0] * 1e-6, values[1], digital)
 

@@ -247,7 +247,8 @@ def _sample(
 def number_of(text: str, quantity: str) -> float | None:
     """Return a logger's number, or None for its NAN.
 
-    Raises ValueError for a text that is no number, and for an irradiance outside -200 to 4000 W/m2.
+    Raises ValueError for a text that is not a number, and for an irradiance outside -200 to 4000
+    W/m2.
     """
     if text.upper() in ("NAN", "-NAN", "INF", "-INF"):
         return None

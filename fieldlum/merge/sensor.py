@@ -154,7 +154,7 @@ def _open_frames(shots: Sequence[Shot], profile: CameraProfile, budget_bytes: in
 
 
 def _check_noise(frames: _Frames, sampled: SampledFrames, fit: RatioFit, fits: bool) -> SeenNoise:
-    """Return the noise of raw frames compared with the profile's, and let the merge use it."""
+    """Return the noise of raw frames over the profile's, and set it in the frames' variances."""
     if not (frames.raw and fits):
         return SeenNoise()
     noise = seen_noise(sampled.samples, sampled.pairs, fit.correction)

@@ -318,7 +318,10 @@ def _upright(
 
 
 def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
-    """Yield outer frame, bars between panes and transom, as deep as wide, around the pane."""
+    """Yield the boxes of a window's outer frame, of the bars between its panes and of its transom.
+
+    Each box is as deep as it is wide.
+    """
     f = window.frame_m
     if f <= 0:
         return

@@ -91,7 +91,7 @@ def _ends(
     rays: RoomRays, rows: NDArray[np.intp], distance: Float32, axis: NDArray[np.int8],
     surface: NDArray[np.int16],
 ) -> Surfaces:  # fmt: skip
-    """Return the ends of some of the rays; normals are against the ray."""
+    """Return the ends of some of the rays; normals point against the ray."""
     position = rays.eye_m[:, None] + rays.direction[:, rows] * distance
     sign = np.where(rays.direction[axis, rows] > 0.0, -1.0, 1.0).astype(np.float32)
     return Surfaces(np.ascontiguousarray(position.T, np.float32), axis, sign, surface)

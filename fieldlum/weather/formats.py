@@ -347,7 +347,7 @@ def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float)
         y, m, d = (_integer(path, line, text) for text in (year, month, day))
         start = datetime(y, m, d, tzinfo=UTC)
         if not 0 <= hour <= 24:
-            raise ValueError(f"hour {hour:g}")
+            raise ValueError(f"hour {hour:g} is outside 0 to 24")
     except ValueError as error:
         found = f"line {line}: no such time {year}-{month}-{day} hour {hour:g} ({error})"
         raise InputError(
