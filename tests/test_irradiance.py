@@ -13,10 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
+from tiny_field import T0, make_session
 
 from fieldlum import irradiance, light_clock, sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance import Mark, check, derive, health, minute_means, series_of, sky_geometry
+from fieldlum.irradiance.day_curves import MOST_DAYS, chosen_days, draw_days
 from fieldlum.records import IrradianceSample, Site, SiteFile, Slot
 from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files import clean_csv
@@ -408,3 +410,31 @@ def test_nothing_logged_is_not_enough(tmp_path: Path) -> None:
     made = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 60.0, 180.0, ())], {})
     with pytest.raises(NotEnoughDataError, match="no irradiance"):
         irradiance.run(made)
+
+
+# ----------------------------------------------------------------------------------------------
+# day curves
+
+
+@pytest.mark.analytic
+def test_days_with_captures_are_drawn_first() -> None:
+    # analytic: of 100 days, the two with captures (one is early too) and the earliest others
+    days = np.arange(1000, 1100)
+    shown = chosen_days(days, {1098, 1050, 5000})
+    assert len(shown) == MOST_DAYS and shown == sorted(shown)
+    assert set(shown) == {*range(1000, 1000 + MOST_DAYS - 1), 1098}
+
+
+@pytest.mark.contract
+def test_pair_draws_the_days_once(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    rows = 60
+    t = T0.timestamp() + 60.0 * np.arange(rows)
+    light = np.linspace(100.0, 200.0, rows)
+    flags = np.array([""] * (rows - 1) + ["spike"], object)
+    source = np.array(["measured"] * rows, object)
+    clean_csv.CleanIrradiance(t, light, light, light, source, flags).write(session.clean_irradiance)
+    path = draw_days(session)
+    assert path is not None and path.read_bytes().startswith(b"\x89PNG")
+    before = path.stat().st_mtime_ns
+    assert draw_days(session) == path and path.stat().st_mtime_ns == before

@@ -28,6 +28,7 @@ def command(session_folder: Path, scheduler_text: str, force: bool) -> None:
       fieldlum pair office-2027
     """
     from fieldlum import irradiance, pair
+    from fieldlum.irradiance.day_curves import draw_days
     from fieldlum.session import open_session
 
     scheduler = scheduler_of(scheduler_text)
@@ -36,6 +37,8 @@ def command(session_folder: Path, scheduler_text: str, force: bool) -> None:
         health = irradiance.run(session, force=force, progress=progress)
     for warning in health.warnings:
         terminal.say(f"note: {warning}")
+    if (picture := draw_days(session, force=force)) is not None:
+        terminal.say(f"irradiance of each day: {picture}")
     with terminal.progress("pair") as progress:
         pairs = pair.run(session, force=force, scheduler=scheduler, progress=progress)
     usable = sum(p.ok for p in pairs)
