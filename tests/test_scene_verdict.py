@@ -178,3 +178,17 @@ def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert scene_.expected_log10_mse is None
     assert any("directions" in note for note in scene_.notes)
+
+
+@pytest.mark.property
+def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    verdict = SceneVerdict("fitted", 3e-3, True, "fitted: least error", ())
+    monkeypatch.setattr(stage, "judge_fit", lambda *_args, **_more: verdict)
+    many = _fit_of(CAPTURES)
+    m = many.misfits
+    few = replace(
+        many, hours=9, misfits=Misfits(m.none[:3], m.stated[:3], m.fitted[:3], m.days[:3])
+    )
+    scene_ = stage.judged_scene(CAPTURES, few)
+    assert scene_.chosen == "fitted" and not scene_.trusted
+    assert any("capture at least 12 clear hours" in note for note in scene_.notes)

@@ -17,7 +17,7 @@ from fieldlum.scene_fit.fit import SceneFit, fit_scene
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.pose_prior import pose_note, pose_of, prior_of, read_discs
 from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
-from fieldlum.scene_fit.scene_search import Misfits
+from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY, Misfits
 from fieldlum.scene_fit.verdict import GeometryCandidate, SceneVerdict, judge
 from fieldlum.session import Session
 
@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from fieldlum.models import Patch
     from fieldlum.models.data import Dataset
     from fieldlum.scene_fit.verdict import Predictor
+
+
+# With three hours or fewer, the standard error of their mean misfit is as uncertain as half of
+# itself: (2 (n - 1)) ** -0.5.
+MIN_HOURS_OUTSIDE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +91,8 @@ def judged_scene(
     """Return the fit as a scene, with the geometry that left-out sun directions choose.
 
     Where too few directions of the sun were captured for that, the patch misfit of hours kept out
-    of the search chooses alone, nothing is expected, and the choice is not trusted.
+    of the search chooses alone, nothing is expected, and the choice is not trusted. It is not
+    trusted with fewer than `MIN_HOURS_OUTSIDE` of these hours either.
     """
     chosen, reason = choose_by_misfit(fit.misfits)
     try:
@@ -94,9 +100,18 @@ def judged_scene(
     except NotEnoughDataError as error:
         scene = scene_of(fit, chosen, reason)
         return replace(scene, trusted=False, notes=(*scene.notes, str(error)))
+    scene = scene_of(fit, cast("Chosen", verdict.chosen), f"{verdict.reason}. {reason}")
+    outside = len(fit.misfits.none)
+    if outside < MIN_HOURS_OUTSIDE:
+        lacking = KEPT_OUT_EVERY * MIN_HOURS_OUTSIDE
+        note = (
+            f"{fit.hours} clear hours, {outside} of them outside the search: too few to confirm "
+            f"the choice; capture at least {lacking} clear hours"
+        )
+        scene = replace(scene, notes=(*scene.notes, note))
     return replace(
-        scene_of(fit, cast("Chosen", verdict.chosen), f"{verdict.reason}. {reason}"),
-        trusted=verdict.trusted,
+        scene,
+        trusted=verdict.trusted and outside >= MIN_HOURS_OUTSIDE,
         expected_log10_mse=verdict.expected_log10_mse,
     )
 
