@@ -1,10 +1,10 @@
 """What each trouble of a campaign costs, alone and together, and what the tool reported.
 
-    python bench/hard_campaign.py FOLDER [--troubles hard.toml] [--height 29] [--seeds 1]
+    python bench/hard_campaign.py FOLDER [--site office.toml] [--troubles hard.toml] [--seeds 1]
 
-Simulates nine days of the shipped office with each trouble of the file alone, with all and with
-none, trains light transport on the pictures, and scores it on hours of the year that were rendered
-without troubles. Prints a table.
+Simulates nine days of a room (the shipped office) with each trouble of the file alone, with all and
+with none, trains light transport on the pictures, and scores it on hours of the year that were
+rendered without troubles. Prints a table.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from fieldlum.session import create_session, open_session
 from fieldlum.simulate import Troubles, load_troubles
 from fieldlum.site_toml import load_site
 from fieldlum.train.consistency_warnings import doubts, hard_captures
+from fieldlum.train.room_changes import without_changes
 from fieldlum.train.setting import settle
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"
@@ -52,6 +53,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
+    parser.add_argument(
+        "--site", type=Path, default=shipped("capture_plans") / "seattle-office.toml"
+    )
     parser.add_argument("--troubles", type=Path, default=HARD)
     parser.add_argument("--height", type=int, default=29)
     parser.add_argument("--seeds", type=int, default=1)
@@ -59,7 +63,7 @@ def main() -> None:
     parser.add_argument("--names", default="", help="some troubles alone, with commas")
     asked = parser.parse_args()
     wrong = load_troubles(asked.troubles)
-    test = _campaign(asked.folder / "test", None, asked.height, asked.folder, asked.hours)
+    test = _campaign(asked, asked.folder / "test", None, asked.hours)
     names = asked.names.split(",") if asked.names else wrong.names
     rows: list[dict[str, Any]] = []
     for seed in range(asked.seeds):
@@ -69,7 +73,7 @@ def main() -> None:
             if name == "none" and seed:
                 continue
             out = asked.folder / f"{name}-{seed}"
-            data = _campaign(out, troubles, asked.height, asked.folder)
+            data = _campaign(asked, out, troubles)
             rows.append({"trouble": name, "seed": seed} | _row(data, test))
             rows[-1]["times_clean"] = rows[-1]["log10_mse_weighted"] / rows[0]["log10_mse_weighted"]
             print(markdown(rows[-1:], COLUMNS).splitlines()[-1], flush=True)
@@ -77,10 +81,10 @@ def main() -> None:
 
 
 def _campaign(
-    out: Path, troubles: Troubles | None, height: int, cache: Path, hours: int = 0
+    asked: argparse.Namespace, out: Path, troubles: Troubles | None, hours: int = 0
 ) -> Dataset:
-    """Nine days of the office, or `hours` hours of the year, as training data."""
-    setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    """Return nine days of the room, or `hours` hours of the year, as training data."""
+    setup = load_site(asked.site)
     weather = simulate.weather_for(setup)
     request = plan.Request("9-day", today=date(2027, 1, 1), year=2027)
     slots = plan.make_plan(setup, request).slots
@@ -90,15 +94,22 @@ def _campaign(
     made = (out / "session.toml").is_file()
     session = open_session(out) if made else create_session(out, setup, slots, {"set": "hard"})
     simulate.run(
-        session, weather, height=height, quality="draft", troubles=troubles, cache=cache, workers=1
+        session,
+        weather,
+        height=asked.height,
+        quality="draft",
+        troubles=troubles,
+        cache=asked.folder,
+        workers=1,
     )
     return load_pairs(session)
 
 
 def _row(data: Dataset, test: Dataset) -> dict[str, Any]:
+    data, changes = without_changes(data, with_patch=True)
     fitted = fit("transport", data, patch="absolute", seed=0)
     fitted, setting = settle(fitted, data, "absolute")
-    said = [*doubts(fitted, data), *hard_captures(fitted, data), *setting]
+    said = [*changes, *doubts(fitted, data), *hard_captures(fitted, data), *setting]
     found = summary(evaluate(fitted, truth(test)))
     predicted = fitted.predict(test.light, test.patch_cdm2).luminance_cdm2
     own = stated_disc_lx(test.setup, test.light)

@@ -23,6 +23,7 @@ from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
+from fieldlum.train.room_changes import without_changes
 from fieldlum.train.selection import ModelSelection, Trial, choose
 from fieldlum.train.setting import settle
 from fieldlum.train.trials import dense_folds, evaluate_folds, fit_timed
@@ -43,13 +44,18 @@ MIN_PASSES_TO_JUDGE = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """Result of training. not_judged: trials that were too short for their scores to count."""
+    """A trained model and how it was chosen.
+
+    not_judged: trials that were too short for their scores to count; data: the captures that were
+    learned from, without those of a changed room.
+    """
 
     fitted: Fitted
     trials: tuple[Trial, ...]
     not_judged: tuple[Trial, ...]
     choice: ModelSelection
     fit_s: float
+    data: Dataset
     notes: tuple[str, ...] = ()
     captures: dict[str, Any] = field(default_factory=dict)
 
@@ -110,6 +116,7 @@ def fit_and_score(
     Raises NotEnoughDataError if there are too few hours to hold any out.
     """
     patch = patch_mode(data, patch)
+    data, changed = without_changes(data, with_patch=patch != "none")
     folds = day_folds(data)
     if not folds:
         raise NotEnoughDataError(
@@ -155,8 +162,8 @@ def fit_and_score(
     )
     fitted, warned = settle(fitted, data, patch, progress)
     doubted = (*doubts(fitted, data), *hard_captures(fitted, data), *warned)
-    notes = (*_notes(data, patch, model, trials), *left_out, *doubted)
-    return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, notes)
+    notes = (*_notes(data, patch, model, trials), *left_out, *changed, *doubted)
+    return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes)
 
 
 def _is_too_short(trial: Trial) -> bool:
@@ -234,7 +241,7 @@ def run(
         checkpoint=checkpoint,
         progress=progress,
     )
-    enough = how_many(data, mode, seed=seed, progress=progress) if captures else {}
+    enough = how_many(result.data, mode, seed=seed, progress=progress) if captures else {}
     answer = {
         "models": result.table(seed),
         "chosen": result.choice.name,
@@ -252,7 +259,7 @@ def run(
         models.save(
             out,
             result.fitted,
-            data,
+            result.data,
             patch=mode,
             seed=seed,
             chosen_because=result.choice.reason,

@@ -1,0 +1,247 @@
+"""How well each capture agrees with the others: a Gaussian process over the light outside, shared
+by all pixels, so that leaving out any set of captures costs one small inverse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.light import LAMP_LX, Kernel
+from fieldlum.models.data import Dataset
+from fieldlum.models.transport.features import (
+    LEAST_CDM2,
+    UNSURE,
+    TrainingArrays,
+    pixel_scale,
+    training_arrays_of,
+)
+
+Array = NDArray[Any]
+Rows = NDArray[np.intp]
+
+_THIN_HEIGHT = 20  # rows of the maps that are compared, at least
+_PIXELS = 200  # drawn by solid angle
+_LEAST_LEVEL_CDM2 = 1.0  # median of a picture that can be judged: the floor of the scores
+_OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun patches
+_PATCH_SHARE = 0.05  # of a pixel's luminance: a sun patch above it, or next to it, hides the rest
+_NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances; smaller ones are not resolved
+_LAMP_VARIANCE = 100.0  # prior variance of a lamp's light, as in fieldlum.light.Kernel
+_TRIM = 0.1  # share of the pixels with the largest deviations, which are edges of sun patches
+_LEAST_TYPICAL = 0.01  # of the variance that the process states
+# Squared deviation over that of the median capture or day, in nine simulated rooms at 46 x 23
+# pixels. Largest without a change: 185 and 6; lamps of 10 cd/m2 at dusk: 140 and more; a day with a
+# blind half down: 20 and more. Above a limit a search begins; what is left out is decided by gain.
+CAPTURE_LIMIT = 100.0
+DAY_LIMIT = 10.0
+_SOFT = 0.1  # of the limits: smaller deviations cost little
+PRICE = float(np.log1p(1.0 / _SOFT))  # of a capture that is left out: its cost at the limit
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """The captures `rows` [k], each predicted by the others.
+
+    inverse [k, k] of their covariance; weights [k, P]: inverse times values; error [k, P]: measured
+    less predicted; variance [k] of the prediction and the noise.
+    """
+
+    rows: Rows
+    inverse: Array
+    weights: Array
+    error: Array
+    variance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """Captures as a Gaussian process over the light outside.
+
+    y, valid [n, P]: light of a pixel over its usual answer to the light outside, and where it is a
+    surface without direct sun; covariance [n, n]; spread [n]: relative variance of an hour, in
+    units of the noise; days [n]; judged [n]: pictures with enough light; total_lx [n].
+    """
+
+    y: Array
+    valid: NDArray[np.bool_]
+    covariance: Array
+    spread: Array
+    days: NDArray[Any]
+    judged: NDArray[np.bool_]
+    total_lx: Array
+
+    def with_lamp(self, rows: Rows) -> Process:
+        """Return the process in which a lamp is on in the captures `rows`."""
+        lit = np.zeros(len(self.days))
+        lit[rows] = LAMP_LX / self.total_lx[rows]
+        return replace(self, covariance=self.covariance + _LAMP_VARIANCE * np.outer(lit, lit))
+
+    def lamp_light(self, rows: Rows, noise: float) -> float:
+        """Return the light of the lamp that is on in `rows`, median over pixels, per `LAMP_LX`."""
+        judged = np.flatnonzero(self.judged)
+        lit = np.zeros(len(self.days))
+        lit[rows] = LAMP_LX / self.total_lx[rows]
+        noisy = self.noisy(noise)[np.ix_(judged, judged)]
+        weights = np.linalg.solve(noisy, _LAMP_VARIANCE * lit[judged])
+        return float(np.median(weights @ self.y[judged]))
+
+    def noisy(self, noise: float) -> Array:
+        """Return the covariance of measured values, [n, n]."""
+        return self.covariance + np.diag(noise * self.spread)
+
+    def left_out(self, rows: Rows, noise: float) -> LeftOut:
+        """Return what the captures `rows` deviate by from the others, each left out."""
+        inverse = np.linalg.inv(self.noisy(noise)[np.ix_(rows, rows)])
+        weights = inverse @ self.y[rows]  # [k, P]
+        variance = 1.0 / np.diagonal(inverse)
+        return LeftOut(rows, inverse, weights, weights * variance[:, None], variance)
+
+    def factor(self, rows: Rows, noise: float) -> NDArray[np.float64]:
+        """Return measured light over that predicted by `rows` of other days, median over pixels,
+        [n].
+        """
+        factor = np.ones(len(self.days))
+        for day in np.unique(self.days):
+            block, others = np.flatnonzero(self.days == day), rows[self.days[rows] != day]
+            noisy = self.noisy(noise)[np.ix_(others, others)]
+            weights = np.linalg.solve(noisy, self.covariance[np.ix_(others, block)])
+            predicted = np.maximum(weights.T @ self.y[others], 0.05)  # of the usual light
+            factor[block] = np.median(self.y[block] / predicted, axis=1)
+        return factor
+
+    def squares(self, out: LeftOut) -> Array:
+        """Return squared deviations of single captures over their variance, [k, P]."""
+        return np.where(self.valid[out.rows], out.error, 0.0) ** 2 / out.variance[:, None]
+
+    def day_squares(self, out: LeftOut) -> dict[Any, float]:
+        """Return the mean squared deviation of each day, all its captures jointly, from what the
+        other days predict, over its variance.
+
+        With the inverse Q of the covariance and the rows D of a day, the deviation is
+        e = Q_DD^-1 (Q y)_D and its covariance Q_DD^-1 (the block form of the leave-one-out
+        identity), so that no other inverse of this size is needed.
+        """
+        days, squares = self.days[out.rows], {}
+        for day in np.unique(days):
+            block = np.flatnonzero(days == day)
+            inner = out.inverse[np.ix_(block, block)]
+            error = np.linalg.solve(inner, out.weights[block])
+            error = np.where(self.valid[out.rows[block]], error, 0.0)
+            squares[day] = _trimmed((error * (inner @ error)).mean(axis=0))
+        return squares
+
+
+def _trimmed(values: Array) -> float:
+    count = max(1, round((1.0 - _TRIM) * len(values)))
+    return float(np.partition(values, count - 1)[:count].mean())
+
+
+def process_of(data: Dataset, *, with_patch: bool) -> Process:
+    """Return the captures as a process. Values that are hidden (a sun patch, flags) are filled."""
+    small = data.thin(_THIN_HEIGHT)
+    arrays = training_arrays_of(small, with_patch=with_patch)
+    luminance = np.maximum(arrays.luminance, LEAST_CDM2).astype(float)
+    judged = np.median(luminance, axis=1) > _LEAST_LEVEL_CDM2
+    if arrays.patch is None:  # unknown sun patches look like a change
+        judged &= arrays.features.beam < _OVERCAST
+    y = luminance / (arrays.light.total_lx[:, None] * pixel_scale(arrays))
+    valid = _valid(arrays, small)
+    pixels = _draw(arrays, valid)
+    y, valid = y[:, pixels], valid[:, pixels]  # [n, P]
+    level = [np.median(v[ok]) if ok.any() else 1.0 for v, ok in zip(y, valid, strict=True)]
+    level = np.array(level)
+    covariance = Kernel(arrays.facades)(arrays.features, arrays.features)
+    spread = level**2 * (1.0 + arrays.unsure / UNSURE)
+    y = np.where(valid, y, level[:, None])
+    total = arrays.light.total_lx
+    process = Process(y, valid, covariance, spread, small.days, judged, total)
+    rows = np.flatnonzero(judged)
+    for _ in range(2):  # hidden values follow those that are seen
+        filled = process.y.copy()
+        filled[rows] -= process.left_out(rows, _NOISES[1]).error
+        process = replace(process, y=np.where(valid, y, filled))
+    return process
+
+
+def _draw(arrays: TrainingArrays, valid: NDArray[np.bool_]) -> Rows:
+    """Return pixels that are valid in most captures, drawn by solid angle."""
+    pixels = np.flatnonzero(valid.mean(axis=0) > 0.5)
+    share = arrays.weights[pixels] / arrays.weights[pixels].sum()
+    count = min(_PIXELS, len(pixels))
+    return np.sort(np.random.default_rng(0).choice(pixels, count, replace=False, p=share))
+
+
+def _valid(arrays: TrainingArrays, data: Dataset) -> NDArray[np.bool_]:
+    """Return where pixels are surfaces without direct sun, [n, P]."""
+    from scipy.ndimage import maximum_filter
+
+    valid = ~arrays.filled
+    if arrays.patch is not None and data.patch_cdm2 is not None:
+        wide = np.pad(data.patch_cdm2, ((0, 0), (0, 0), (1, 1)), mode="wrap")
+        near = maximum_filter(wide, (1, 3, 3), mode="nearest")[:, :, 1:-1][:, data.seen]
+        valid &= near <= _PATCH_SHARE * np.maximum(arrays.luminance, LEAST_CDM2)
+    valid[:, arrays.open_sky.index] = False
+    return valid
+
+
+@dataclass(frozen=True, slots=True)
+class Typical:
+    """What deviations are compared with: noise variance; squared deviation of each pixel [P], of
+    the median capture and of the median day.
+    """
+
+    noise: float
+    pixel: Array
+    capture: float
+    day: float
+
+
+def typical(process: Process, rows: Rows) -> Typical:
+    """Return the usual deviations among the captures `rows`."""
+    noise = _likely_noise(process, rows)
+    out = process.left_out(rows, noise)
+    squares = process.squares(out)
+    pixel = np.median(squares, axis=0)
+    pixel = np.maximum(pixel, max(0.2 * float(np.median(pixel)), _LEAST_TYPICAL))
+    capture = float(np.median([_trimmed(row / pixel) for row in squares]))
+    day = float(np.median(list(process.day_squares(out).values())))
+    return Typical(noise, pixel, capture, max(day, _LEAST_TYPICAL))
+
+
+def _likely_noise(process: Process, rows: Rows) -> float:
+    """Return the noise under which half of the captures are most likely."""
+    costs = []
+    for noise in _NOISES:
+        out = process.left_out(rows, noise)
+        ratio = np.median(process.squares(out), axis=1)
+        size = float(np.median(ratio))
+        costs.append(float(np.median(np.log(out.variance * size) + ratio / size)))
+    return _NOISES[int(np.argmin(costs))]
+
+
+def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dict[Any, float]]:
+    """Return the deviation of each capture of `rows` [k] and of their days, in units of the
+    limits.
+    """
+    out = process.left_out(rows, usual.noise)
+    squares = process.squares(out) / usual.pixel
+    count = max(1, round((1.0 - _TRIM) * squares.shape[1]))
+    captures = np.partition(squares, count - 1, axis=1)[:, :count].mean(axis=1)
+    days = {day: v / (usual.day * DAY_LIMIT) for day, v in process.day_squares(out).items()}
+    return captures / (usual.capture * CAPTURE_LIMIT), days
+
+
+def disagreement(process: Process, rows: Rows, usual: Typical) -> float:
+    """Return how much the captures `rows` contradict each other, each large deviation counted by
+    its logarithm.
+    """
+    captures, days = deviations(process, rows, usual)
+    live, counts = np.unique(process.days[rows], return_counts=True)
+    of_days = sum(
+        count * np.log1p(days[day] / _SOFT)
+        for day, count in zip(live, counts.tolist(), strict=True)
+    )
+    return float(np.log1p(captures / _SOFT).sum() + of_days)

@@ -1,0 +1,92 @@
+"""Unmarked changes of the room are found, named, and cost little; clean rooms raise no alarm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from learning_room import dataset
+from test_transport import log_mse
+
+from fieldlum.models.data import Dataset
+from fieldlum.models.transport import fit
+from fieldlum.train.room_changes import find_changes, without_changes
+
+DAYS = tuple(f"2027-{month}-{day}" for month in ("03", "06", "12") for day in (19, 20, 21))
+CLEAN = dataset(DAYS, height=12)
+TEST = dataset(("2027-04-15", "2027-05-10", "2027-11-03"), seed=5, height=12)
+HOURS = np.array([(t.hour - 8) % 24 + t.minute / 60.0 for t in CLEAN.light.t_utc])  # Seattle
+
+
+def error(data: Dataset) -> float:
+    return log_mse(fit(data).predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST)
+
+
+CLEAN_MSE = error(CLEAN)
+
+
+def lit(days: tuple[str, ...]) -> tuple[Dataset, np.ndarray]:
+    """A lamp in the evenings of some days: 150 cd/m2 more, uneven."""
+    on = (HOURS >= 16.0) & np.isin(CLEAN.days, np.array(days, "datetime64[D]"))
+    lamp = 100.0 + 100.0 * np.random.default_rng(0).random(CLEAN.shape)
+    maps = CLEAN.luminance_cdm2 + on[:, None, None] * lamp
+    return replace(CLEAN, luminance_cdm2=maps.astype(np.float32)), on
+
+
+def shaded(day: str) -> Dataset:
+    """A blind half down on one day: 0.4 of the light in the upper half, 0.7 in the lower one."""
+    maps = CLEAN.luminance_cdm2.copy()
+    on = np.flatnonzero(np.datetime64(day) == CLEAN.days)
+    maps[on, : CLEAN.shape[0] // 2] *= 0.4
+    maps[on, CLEAN.shape[0] // 2 :] *= 0.7
+    return replace(CLEAN, luminance_cdm2=maps)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_clean_room_raises_no_alarm(seed: int) -> None:
+    data = dataset(DAYS, seed=seed, height=12)
+    assert find_changes(data, with_patch=True) is None
+    same, notes = without_changes(data, with_patch=True)
+    assert same is data and notes == []
+
+
+@pytest.mark.property
+def test_noise_of_level_and_of_the_sky_raises_no_alarm() -> None:
+    level = np.exp(0.2 * np.random.default_rng(0).standard_normal(len(CLEAN)))
+    maps = CLEAN.luminance_cdm2 * level[:, None, None].astype(np.float32)
+    assert find_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True) is None
+
+
+@pytest.mark.slow
+@pytest.mark.property
+@pytest.mark.parametrize(
+    "days", [("2027-03-20", "2027-06-19", "2027-06-21"), ("2027-06-20", "2027-06-21", "2027-12-19")]
+)
+def test_a_lamp_of_some_evenings_is_found_and_left_out(days: tuple[str, ...]) -> None:
+    """Two of three June evenings have it: the one without it is not the exception."""
+    data, on = lit(days)
+    changes = find_changes(data, with_patch=True)
+    assert changes is not None and not len(changes.unexplained)
+    assert set(changes.lamp) <= set(np.flatnonzero(on))
+    better, notes = without_changes(data, with_patch=True)
+    assert len(notes) == 1 and "a lamp was on" in notes[0]
+    assert all(data.slots[row] in notes[0] for row in changes.lamp)
+    assert error(better) < 1.5 * CLEAN_MSE  # 6 times unless it is found
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_a_blind_of_one_day_is_named_and_left_out() -> None:
+    data = shaded("2027-12-20")
+    better, notes = without_changes(data, with_patch=True)
+    assert len(notes) == 1 and "2027-12-20 contradict the other days" in notes[0]
+    assert set(data.slots) - set(better.slots) == {
+        slot for slot, day in zip(data.slots, data.days, strict=True) if str(day) == "2027-12-20"
+    }
+    assert error(data) > 3.0 * error(better)
+
+
+@pytest.mark.contract
+def test_three_days_do_not_show_which_is_the_exception() -> None:
+    some = np.isin(shaded("2027-12-20").days, np.unique(CLEAN.days)[-3:])
+    assert find_changes(shaded("2027-12-20").take(some), with_patch=True) is None
