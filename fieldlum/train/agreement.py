@@ -1,5 +1,6 @@
-"""How well each capture agrees with the others: a Gaussian process over the light outside, shared
-by all pixels, so that leaving out any set of captures costs one small inverse.
+"""How well each capture agrees with the others, by a Gaussian process over the light outside.
+
+All pixels share the process, so that leaving out any set of captures costs one small inverse.
 """
 
 from __future__ import annotations
@@ -100,9 +101,7 @@ class Process:
         return LeftOut(rows, inverse, weights, weights * variance[:, None], variance)
 
     def factor(self, rows: Rows, noise: float) -> NDArray[np.float64]:
-        """Return measured light over that predicted by `rows` of other days, median over pixels,
-        [n].
-        """
+        """Return the median over pixels of measured light over that of other days, [n]."""
         factor = np.ones(len(self.days))
         for day in np.unique(self.days):
             block, others = np.flatnonzero(self.days == day), rows[self.days[rows] != day]
@@ -117,12 +116,11 @@ class Process:
         return np.where(self.valid[out.rows], out.error, 0.0) ** 2 / out.variance[:, None]
 
     def day_squares(self, out: LeftOut) -> dict[Any, float]:
-        """Return the mean squared deviation of each day, all its captures jointly, from what the
-        other days predict, over its variance.
+        """Return the mean squared deviation of each day from what the other days predict.
 
-        With the inverse Q of the covariance and the rows D of a day, the deviation is
-        e = Q_DD^-1 (Q y)_D and its covariance Q_DD^-1 (the block form of the leave-one-out
-        identity), so that no other inverse of this size is needed.
+        All captures of the day count jointly, over their covariance. With the inverse Q of the
+        covariance and the rows D of a day, the deviation is e = Q_DD^-1 (Q y)_D and its covariance
+        Q_DD^-1 (the block form of the leave-one-out identity).
         """
         days, squares = self.days[out.rows], {}
         for day in np.unique(days):
@@ -189,8 +187,10 @@ def _valid(arrays: TrainingArrays, data: Dataset) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, slots=True)
 class Typical:
-    """What deviations are compared with: noise variance; squared deviation of each pixel [P], of
-    the median capture and of the median day.
+    """What deviations are compared with.
+
+    noise: its relative variance; pixel [P]: median squared deviation of each pixel; capture, day:
+    of the median capture and the median day.
     """
 
     noise: float
@@ -223,9 +223,7 @@ def _likely_noise(process: Process, rows: Rows) -> float:
 
 
 def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dict[Any, float]]:
-    """Return the deviation of each capture of `rows` [k] and of their days, in units of the
-    limits.
-    """
+    """Return the deviation of each capture of `rows` [k] and of their days, over the limits."""
     out = process.left_out(rows, usual.noise)
     squares = process.squares(out) / usual.pixel
     count = max(1, round((1.0 - _TRIM) * squares.shape[1]))
@@ -235,8 +233,9 @@ def deviations(process: Process, rows: Rows, usual: Typical) -> tuple[Array, dic
 
 
 def disagreement(process: Process, rows: Rows, usual: Typical) -> float:
-    """Return how much the captures `rows` contradict each other, each large deviation counted by
-    its logarithm.
+    """Return how much the captures `rows` contradict each other.
+
+    Each deviation counts by its logarithm, so that one large deviation does not decide.
     """
     captures, days = deviations(process, rows, usual)
     live, counts = np.unique(process.days[rows], return_counts=True)

@@ -209,8 +209,9 @@ def _rows_of(process: Process, days: Collection[Any]) -> Rows:
 
 
 def _worst_unit(process: Process, rows: Rows, usual: Typical) -> Rows | None:
-    """Return the capture or the day without which the rest agrees best; None where leaving out
-    none of them is worth it.
+    """Return the capture or the day without which the rest agrees best.
+
+    None if leaving out each of them gains too little.
     """
     captures, days = deviations(process, rows, usual)
     if max(captures.max(), *days.values()) <= 1.0:
