@@ -135,7 +135,7 @@ def _figures(
     from fieldlum import predict
 
     chosen = next(row for row in scores["models"] if row["name"] == scores["chosen"])
-    ends = predict.best_and_worst(annual.about["protection"])
+    ends = predict.best_and_worst(annual.summary.protection)
     assert ends is not None  # the demo's lenses see every direction
     best = ends[0]
     return (
@@ -163,12 +163,12 @@ def _figures(
         (
             "a year",
             f"{len(annual)} hours",
-            f"predicted at {annual.about['width']} x {annual.about['height']}",
+            f"predicted at {annual.summary.width} x {annual.summary.height}",
         ),
         (
             "best view",
-            f"{compass_name(best['azimuth_deg'])}, {best['azimuth_deg']:.0f}°",
-            best["sentence"],
+            f"{compass_name(best.azimuth_deg)}, {best.azimuth_deg:.0f}°",
+            best.sentence,
         ),
     )
 

@@ -218,12 +218,12 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
 @pytest.mark.contract
 def test_one_best_direction_in_headline_figures_and_pictures(page: Path, session: Session) -> None:
     year = predict.read_annual(session.annual / "transport")
-    ends = predict.best_and_worst(year.about["protection"])
+    ends = predict.best_and_worst(year.summary.protection)
     assert ends is not None
-    best = annual_page.named(ends[0]["azimuth_deg"])
+    best = annual_page.named(ends[0].azimuth_deg)
     kinds = predict.read_pictures(year.folder).kinds
     text = page.read_text("utf-8")
     assert f"Sit facing {best}" in text
-    assert {k.split()[-1] for k in kinds if " best " in k} == {f"{ends[0]['azimuth_deg']:g}"}
-    assert f"best: {best.split()[0]} {ends[0]['azimuth_deg']:.0f}°" in text
+    assert {k.split()[-1] for k in kinds if " best " in k} == {f"{ends[0].azimuth_deg:g}"}
+    assert f"best: {best.split()[0]} {ends[0].azimuth_deg:.0f}°" in text
     assert "1 days" not in text

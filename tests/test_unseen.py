@@ -153,9 +153,11 @@ def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
 @pytest.mark.contract
 def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual) -> None:
     answer, why = annual_page.answer(year)
-    best, worst = predict.best_and_worst(year.about["protection"]) or ({}, {})
-    assert best["class"] != "not seen" and worst["class"] != "not seen"
-    assert annual_page.named(best["azimuth_deg"]) in answer and "Nothing is known about" in why
+    ends = predict.best_and_worst(year.summary.protection)
+    assert ends is not None
+    best, worst = ends
+    assert "not seen" not in (best.glare_class, worst.glare_class)
+    assert annual_page.named(best.azimuth_deg) in answer and "Nothing is known about" in why
     assert "not seen" in annual_page.polar(year).alt
     table = annual_page.directions_section(year).tables[0]
     assert any(row[1]["text"] == "not seen" and row[3] == "–" for row in table.rows)
@@ -167,7 +169,7 @@ def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual
 
 @pytest.mark.contract
 def test_no_direction_at_all_is_said_and_not_drawn(year: predict.Annual) -> None:
-    blind = [{**row, "class": "not seen"} for row in year.about["protection"]]
+    blind = tuple(replace(row, glare_class="not seen") for row in year.summary.protection)
     assert predict.best_and_worst(blind) is None
-    nothing = replace(year, about={**year.about, "protection": blind})
+    nothing = replace(year, summary=replace(year.summary, protection=blind))
     assert "No view direction can be judged" in annual_page.answer(nothing)[0]

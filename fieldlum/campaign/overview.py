@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from fieldlum.records import Progress, quiet
 from fieldlum.report.page import Figure, Page, Row, Section, Table, render, svg_figure
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.files.predict_json import DirectionYear, PredictFile, SkyToCapture
 from fieldlum.version import __version__
 
 GLARE_DGP = "0.40"  # disturbing, EN 17037
@@ -39,30 +40,35 @@ class RoomOverview:
     planned: int = 0
     usable: int = 0
     failed: tuple[tuple[str, str], ...] = ()
-    protection: tuple[dict[str, Any], ...] = ()
+    protection: tuple[DirectionYear, ...] = ()
     occupied_hours: int = 0
-    capture_next: tuple[dict[str, Any], ...] = ()
+    capture_next: tuple[SkyToCapture, ...] = ()
     drifts: dict[str, DriftSeries] = field(default_factory=dict)
 
     @property
-    def judged(self) -> list[dict[str, Any]]:
+    def judged(self) -> list[DirectionYear]:
         """Directions with a result."""
-        return [row for row in self.protection if row["class"] != NOT_SEEN]
+        return [row for row in self.protection if row.glare_class != NOT_SEEN]
 
     @property
-    def worst(self) -> dict[str, Any] | None:
+    def worst(self) -> DirectionYear | None:
         """Direction with the largest DGP in 5 % of the hours; None without a year."""
-        return max(self.judged, key=lambda row: row["dgp_exceeded"], default=None)
+        return max(self.judged, key=exceeded, default=None)
 
     @property
-    def best(self) -> dict[str, Any] | None:
+    def best(self) -> DirectionYear | None:
         """Direction with the smallest DGP in 5 % of the hours; None without a year."""
-        return min(self.judged, key=lambda row: row["dgp_exceeded"], default=None)
+        return min(self.judged, key=exceeded, default=None)
 
     @property
     def drifting(self) -> list[DriftSeries]:
         """Quantities that drift."""
         return [series for series in self.drifts.values() if series.drifts]
+
+
+def exceeded(row: DirectionYear | None) -> float:
+    """Return the DGP in 5 % of the hours; -1 without a direction or a figure."""
+    return -1.0 if row is None or row.dgp_exceeded is None else row.dgp_exceeded
 
 
 def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
@@ -82,16 +88,16 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     found = status(session)
     pairs = PairsFile.find(session.pairs)
     years = [folder for folder in session.annual_folders() if folder.name == room.model]
-    about = read_annual(years[0]).about if years else {}
+    year = read_annual(years[0]).summary if years else PredictFile()
     return RoomOverview(
         room.session,
         captured=found["capture"]["done"],
         planned=found["plan"]["slots"],
         usable=len(pairs.usable),
         failed=_failed(session, pairs),
-        protection=tuple(about.get("protection", ())),
-        occupied_hours=int(about.get("occupancy", {}).get("hours", 0)),
-        capture_next=tuple(about.get("capture_next") or ()),
+        protection=year.protection,
+        occupied_hours=year.occupancy.hours,
+        capture_next=year.capture_next,
         drifts=drifts_of(session),
     )
 
@@ -149,9 +155,9 @@ def _plain(room: RoomOverview) -> dict[str, Any]:
         "planned": room.planned,
         "usable": room.usable,
         "failed": [list(pair) for pair in room.failed],
-        "worst": room.worst,
-        "best": room.best,
-        "capture_next": list(room.capture_next),
+        "worst": room.worst.table() if room.worst else None,
+        "best": room.best.table() if room.best else None,
+        "capture_next": [asdict(hour) for hour in room.capture_next],
         "drift": changes,
     }
 
@@ -159,7 +165,7 @@ def _plain(room: RoomOverview) -> dict[str, Any]:
 def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
     broken = [room for room in rooms if room.broken]
     judged = [room for room in rooms if room.worst is not None]
-    bad = [room for room in judged if room.worst and room.worst["class"] == "none"]
+    bad = [room for room in judged if room.worst and room.worst.glare_class == "none"]
     moving = [room for room in rooms if room.drifting]
     slots = sum(len(room.failed) for room in rooms)
     answer = (
@@ -193,17 +199,17 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _direction(row: dict[str, Any]) -> str:
-    return f"{compass_name(row['azimuth_deg'])} ({row['azimuth_deg']:.0f}°)"
+def _direction(row: DirectionYear) -> str:
+    return f"{compass_name(row.azimuth_deg)} ({row.azimuth_deg:.0f}°)"
 
 
-def _chip(row: dict[str, Any]) -> dict[str, str]:
-    return {"kind": row["class"] if row["certain"] else "open", "text": row["class"]}
+def _chip(row: DirectionYear) -> dict[str, str]:
+    return {"kind": row.glare_class if row.certain else "open", "text": row.glare_class}
 
 
 def _glare(rooms: Sequence[RoomOverview]) -> Section:
     body: list[tuple[Any, ...]] = []
-    for room in sorted(rooms, key=lambda r: -(r.worst or {"dgp_exceeded": -1})["dgp_exceeded"]):
+    for room in sorted(rooms, key=lambda r: -exceeded(r.worst)):
         worst, best = room.worst, room.best
         if worst is None or best is None:
             continue
@@ -212,8 +218,8 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
                 room.session,
                 _direction(worst),
                 _chip(worst),
-                f"{worst['dgp_exceeded']:.2f}",
-                f"{worst['hours_over'][GLARE_DGP]} of {room.occupied_hours}",
+                f"{exceeded(worst):.2f}",
+                f"{worst.hours_over[GLARE_DGP]} of {room.occupied_hours}",
                 _direction(best),
                 _chip(best),
             )
@@ -315,7 +321,7 @@ def _next(rooms: Sequence[RoomOverview]) -> Section:
     for room in rooms:
         owed = room.planned - room.captured
         hours = "; ".join(
-            f"{h['date']} {h['hour']} (direct {h['dni_wm2']:.0f}, diffuse {h['dhi_wm2']:.0f} W/m²)"
+            f"{h.date} {h.hour} (direct {h.dni_wm2:.0f}, diffuse {h.dhi_wm2:.0f} W/m²)"
             for h in room.capture_next[:_NEXT]
         )
         if owed > 0 or hours:

@@ -109,27 +109,26 @@ def command(
             scheduler=scheduler,
             progress=show,
         )
-    about = annual.about
+    summary = annual.summary
     if as_json:
-        emit_json({"folder": str(annual.folder), "new": new, **about})
+        emit_json({"folder": str(annual.folder), "new": new, **annual.about})
         return
     if not new:
         say(
             "nothing to do: this year was predicted from the same model, weather and settings "
             "(--force predicts it again)"
         )
-    for text in about.get("model_warnings", ()):
+    for text in summary.model_warnings:
         say(text)
-    for text in (*about["weather"]["repairs"], *about["notes"]):
+    for text in (*summary.weather.repairs, *summary.notes):
         say(f"note: {text}")
-    click.echo(f"{about['hours']} daylight hours in {annual.folder / 'hourly.csv'}")
-    for row in about["protection"]:
-        azimuth = row["azimuth_deg"]
-        click.echo(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row['sentence']}")
-    if about["capture_next"]:
+    click.echo(f"{summary.hours} daylight hours in {annual.folder / 'hourly.csv'}")
+    for row in summary.protection:
+        azimuth = row.azimuth_deg
+        click.echo(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row.sentence}")
+    if summary.capture_next:
         click.echo("To decide what is open, capture skies like these:")
-        for hour in about["capture_next"]:
+        for hour in summary.capture_next:
             click.echo(
-                f"  {hour['date']} {hour['hour']}  DNI {hour['dni_wm2']:.0f}, DHI "
-                f"{hour['dhi_wm2']:.0f} W/m²"
+                f"  {hour.date} {hour.hour}  DNI {hour.dni_wm2:.0f}, DHI {hour.dhi_wm2:.0f} W/m²"
             )

@@ -28,11 +28,11 @@ from fieldlum.session.files.predict_json import PredictFile
 class Annual:
     """A predicted year.
 
-    hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each; about: predict.json.
+    hours: `HOUR_COLUMNS`, [n] each; views: `VIEW_COLUMNS`, [n, d] each; summary: predict.json.
     """
 
     folder: Path
-    about: dict[str, Any]
+    summary: PredictFile
     t_utc: tuple[datetime, ...]
     azimuths_deg: NDArray[np.float64]
     hours: dict[str, NDArray[np.float64]]
@@ -40,6 +40,11 @@ class Annual:
 
     def __len__(self) -> int:
         return len(self.t_utc)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Return the object that `predict --json` prints."""
+        return self.summary.table()
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
@@ -74,9 +79,9 @@ def write_hourly(annual: Annual, timezone: str) -> None:
     )
 
 
-def write_about(annual: Annual) -> None:
+def write_summary(annual: Annual) -> None:
     """Write predict.json, as the last file: a folder that has it is complete."""
-    PredictFile.from_table(annual.about, annual.folder).write(annual.folder)
+    annual.summary.write(annual.folder)
 
 
 def write_pictures(path: Path, pictures: Pictures) -> None:
@@ -107,9 +112,9 @@ def rounded(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def read_annual(folder: Path) -> Annual:
     """Read a predicted year. Raises InputError if `folder` has none."""
-    about = PredictFile.read(folder)
-    rows = HourlyFile.read(folder, np.array(about.azimuths_deg), about.hours)
-    return Annual(folder, about.table, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
+    summary = PredictFile.read(folder)
+    rows = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
+    return Annual(folder, summary, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
 
 
 def read_pictures(folder: Path) -> Pictures:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo
 
@@ -23,6 +24,13 @@ from fieldlum.predict.occupancy import Occupancy
 from fieldlum.projection import NOT_SEEN, PARTLY_SEEN, SEEN, compass_name, seen_shares
 from fieldlum.records import utc_text
 from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.predict_json import (
+    DirectionYear,
+    PredictFile,
+    SkyToCapture,
+    YearOccupancy,
+    YearWeather,
+)
 from fieldlum.site_toml import site_table
 from fieldlum.version import __version__
 
@@ -61,7 +69,7 @@ def judge(
     return protection(dgp, known, occupied_hours, annual.azimuths_deg, rng, doubt.hours(used))
 
 
-def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[dict[str, Any]]:
+def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[SkyToCapture]:
     """Return the occupied hours whose uncertainty keeps a class open, most uncertain first.
 
     At most one hour a day. A direction that was not fully seen stays open, whatever the same lens
@@ -82,65 +90,56 @@ def hours_to_settle(annual: Annual, found: Protection, zone: str) -> list[dict[s
             continue
         days.add(local.date())
         named.append(
-            {
-                "date": local.strftime("%d %B"),
-                "hour": local.strftime("%H:%M"),
-                "dni_wm2": float(annual.hours["dni_wm2"][used[k]]),
-                "dhi_wm2": float(annual.hours["dhi_wm2"][used[k]]),
-                "worth": float(worth[k]),
-            }
+            SkyToCapture(
+                local.strftime("%d %B"),
+                local.strftime("%H:%M"),
+                float(annual.hours["dni_wm2"][used[k]]),
+                float(annual.hours["dhi_wm2"][used[k]]),
+                float(worth[k]),
+            )
         )
     return named
 
 
-def about_year(
+def summary_of_year(
     room: ModelRoom,
     config: ModelConfig,
     weather: Weather,
-    inputs: dict[str, Any],
+    inputs: Mapping[str, Any],
     occupancy: Occupancy,
     annual: Annual,
     found: Protection,
     days: int,
-) -> dict[str, Any]:
+) -> PredictFile:
     """Return the content of predict.json."""
     used = annual.occupied
     untrusted = float((annual.hours["trusted"][used] < 1).mean()) if used.any() else 0.0
-    return {
-        "software": {"fieldlum": __version__},
-        "inputs": inputs,
-        "model": config.model,
-        "setup": site_table(room.setup),
-        "height": room.height,
-        "width": room.width,
-        "heading_deg": room.heading_deg,
-        "azimuths_deg": annual.azimuths_deg.tolist(),
-        "weather": {
-            "name": weather.name,
-            "synthetic": weather.synthetic,
-            "repairs": list(weather.repairs),
-        },
-        "hours": len(annual),
-        "days": days,
-        "first": utc_text(annual.t_utc[0]),
-        "last": utc_text(annual.t_utc[-1]),
-        "occupancy": {
-            "text": occupancy.text,
-            "hours": found.occupied_hours,
-            "lit": int(used.sum()),
-            "untrusted_share": untrusted,
-        },
-        "disc_from": room.disc_from,
-        "seen_share": [] if room.seen is None else _shares(room, annual),
-        "model_warnings": list(config.state.get("warnings", ())),
-        "notes": [
+    return PredictFile(
+        software={"fieldlum": __version__},
+        inputs=inputs,
+        model=config.model,
+        setup=site_table(room.setup),
+        height=room.height,
+        width=room.width,
+        heading_deg=room.heading_deg,
+        azimuths_deg=tuple(annual.azimuths_deg.tolist()),
+        weather=YearWeather(weather.name, weather.synthetic, tuple(weather.repairs)),
+        hours=len(annual),
+        days=days,
+        first=utc_text(annual.t_utc[0]),
+        last=utc_text(annual.t_utc[-1]),
+        occupancy=YearOccupancy(occupancy.text, found.occupied_hours, int(used.sum()), untrusted),
+        disc_from=room.disc_from,
+        seen_share=() if room.seen is None else tuple(_shares(room, annual)),
+        model_warnings=tuple(config.state.get("warnings", ())),
+        notes=(
             *_notes(weather, room, untrusted, days),
             *_unseen_notes(found),
             *_disc_note(annual),
-        ],
-        "protection": protection_table(found),
-        "capture_next": hours_to_settle(annual, found, room.setup.site.timezone),
-    }
+        ),
+        protection=protection_of(found),
+        capture_next=tuple(hours_to_settle(annual, found, room.setup.site.timezone)),
+    )
 
 
 def poor(config: ModelConfig) -> bool:
@@ -206,49 +205,54 @@ def _notes(weather: Weather, room: ModelRoom, untrusted: float, days: int) -> li
     return notes
 
 
-def protection_table(found: Protection) -> list[dict[str, Any]]:
-    """Return one plain dict for each direction; figures of an unseen direction are None."""
+def protection_of(found: Protection) -> tuple[DirectionYear, ...]:
+    """Return one record for each direction; figures of an unseen direction are None."""
     rows = []
     for i, over in enumerate(found.hours_over):
         judged = bool(found.judged[i])
         low, high = (None if ends is None else ends[i] for ends in (found.low, found.high))
         hours = zip(("0.35", "0.40", "0.45"), over, strict=True)
         rows.append(
-            {
-                "azimuth_deg": float(found.azimuths_deg[i]),
-                "class": found.classes[i],
-                "certain": bool(found.certain[i]),
-                "seen": found.seen[i],
-                "dgp_exceeded": float(found.dgp_exceeded[i]) if judged else None,
-                "low": float(low) if judged and low is not None else None,
-                "high": float(high) if judged and high is not None else None,
-                "share": EXCEEDED_SHARE,
-                "hours_over": {name: int(count) if judged else None for name, count in hours},
-                "sentence": found.sentence(i),
-            }
+            DirectionYear(
+                float(found.azimuths_deg[i]),
+                found.classes[i],
+                bool(found.certain[i]),
+                found.seen[i],
+                float(found.dgp_exceeded[i]) if judged else None,
+                float(low) if judged and low is not None else None,
+                float(high) if judged and high is not None else None,
+                EXCEEDED_SHARE,
+                {name: int(count) if judged else None for name, count in hours},
+                found.sentence(i),
+            )
         )
-    return rows
+    return tuple(rows)
 
 
-def best_and_worst(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+def best_and_worst(
+    rows: Sequence[DirectionYear],
+) -> tuple[DirectionYear, DirectionYear] | None:
     """Return the directions with the least and the most glare; None if no direction was seen.
 
     A partly seen direction is ranked by the upper end of its interval for the best, and by its
     lower figure for the worst, so that an unseen part never makes a direction a recommendation.
     """
-    judged = [row for row in rows if row["class"] != NOT_SEEN]
+    judged = [row for row in rows if row.glare_class != NOT_SEEN]
     if not judged:
         return None
 
-    def over(row: dict[str, Any]) -> int:
-        return sum(row["hours_over"].values())
+    def over(row: DirectionYear) -> int:
+        return sum(count or 0 for count in row.hours_over.values())
 
-    def as_best(row: dict[str, Any]) -> tuple[float, int]:
-        whole = row.get("seen", SEEN) == SEEN
-        if whole:
-            return row["dgp_exceeded"], over(row)
-        return (1.0 if row["high"] is None else row["high"]), over(row)
+    def as_best(row: DirectionYear) -> tuple[float, int]:
+        if row.seen == SEEN:
+            return _exceeded(row), over(row)
+        return (1.0 if row.high is None else row.high), over(row)
 
     best = min(judged, key=as_best)
-    worst = max(judged, key=lambda row: (row["dgp_exceeded"], over(row)))
+    worst = max(judged, key=lambda row: (_exceeded(row), over(row)))
     return best, worst
+
+
+def _exceeded(row: DirectionYear) -> float:
+    return 0.0 if row.dgp_exceeded is None else row.dgp_exceeded

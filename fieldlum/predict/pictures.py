@@ -26,9 +26,9 @@ def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
     """
     used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
     dgp = annual.views["dgp"][used]
-    ends = best_and_worst(annual.about["protection"])
+    ends = best_and_worst(annual.summary.protection)
     for name, row in () if ends is None else (("worst", ends[1]), ("best", ends[0])):
-        direction = int(np.argmin(np.abs(annual.azimuths_deg - row["azimuth_deg"])))
+        direction = int(np.argmin(np.abs(annual.azimuths_deg - row.azimuth_deg)))
         order = used[np.argsort(dgp[:, direction], kind="stable")]
         for share, kind in ((0.5, "typical"), (0.95, "p95"), (1.0, "highest")):
             hour = order[min(int(share * len(order)), len(order) - 1)]

@@ -20,7 +20,7 @@ from fieldlum.models.disc_in_view import (
     EDGE_SD_DEG,
     drawn_discs_lx,
 )
-from fieldlum.predict.annual import Annual, write_about, write_hourly, write_pictures
+from fieldlum.predict.annual import Annual, write_hourly, write_pictures, write_summary
 from fieldlum.predict.blocks import ModelRoom, room_of
 from fieldlum.predict.checks import (
     already,
@@ -30,7 +30,7 @@ from fieldlum.predict.checks import (
     fitted_uncertainty,
     inputs_of,
 )
-from fieldlum.predict.glare_summary import about_year, judge, poor
+from fieldlum.predict.glare_summary import judge, poor, summary_of_year
 from fieldlum.predict.hours_unit import HourFigures, hour_units
 from fieldlum.predict.maps import MapStore
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
@@ -39,6 +39,7 @@ from fieldlum.records import Progress, quiet
 from fieldlum.room_states import OFF
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS
+from fieldlum.session.files.predict_json import PredictFile
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval
 
@@ -115,11 +116,12 @@ def run(
         annual.hours["trusted"][:] = 0.0
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     found = judge(annual, doubt, u_of_maps, hours_used, seed)
-    annual.about.update(about_year(room, config, weather, inputs, occupancy, annual, found, days))
+    summary = summary_of_year(room, config, weather, inputs, occupancy, annual, found, days)
+    annual = replace(annual, summary=summary)
     write_hourly(annual, zone)
     pictures = telling_pictures(load(model_folder), room, light, annual)
     write_pictures(folder / "pictures.npz", pictures)
-    write_about(annual)
+    write_summary(annual)
     return PredictedYear(annual, new=True)
 
 
@@ -208,5 +210,7 @@ def measure(
     for values in figures.values():
         values[:, ~coverage.judged] = np.nan
     hours["disturbed_share"] = disturbed_share(figures["dgp"])
-    annual = Annual(folder, {}, light.t_utc, np.asarray(azimuths_deg, float), hours, figures)
+    annual = Annual(
+        folder, PredictFile(), light.t_utc, np.asarray(azimuths_deg, float), hours, figures
+    )
     return annual, GlareDoubt(coverage.words, least, most, drawn), u_of_maps

@@ -48,7 +48,7 @@ def find(session: Session) -> SessionArtefacts:
     )
     annual = read_annual(years[-1]) if years else None
     models = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
-    named = annual.about["inputs"]["model"] if annual else ""
+    named = annual.summary.inputs["model"] if annual else ""
     newest = max(
         models, key=lambda f: (f.name == named, (f / "config.json").stat().st_mtime), default=None
     )
@@ -70,7 +70,7 @@ def _settings(session: Session, found: SessionArtefacts) -> Section:
     if found.annual is not None:
         rows += [
             (f"prediction: {key}", _text(value))
-            for key, value in _flat(found.annual.about["inputs"])
+            for key, value in _flat(found.annual.summary.inputs)
         ]
         rows += [
             (f"weather: {key}", _text(value)) for key, value in _flat(found.annual.about["weather"])
@@ -172,13 +172,13 @@ def _facts(
     if found.config is not None:
         facts.append(("model", found.config.model))
     if found.annual is not None:
-        about = found.annual.about
+        summary = found.annual.summary
         facts += [
-            ("hours predicted", f"{about['hours']}"),
-            ("weather", about["weather"]["name"]),
+            ("hours predicted", f"{summary.hours}"),
+            ("weather", summary.weather.name),
             (
                 "hours like captured ones",
-                f"{100 * (1 - about['occupancy']['untrusted_share']):.0f} %",
+                f"{100 * (1 - summary.occupancy.untrusted_share):.0f} %",
             ),
         ]
     return tuple(facts)
@@ -187,12 +187,12 @@ def _facts(
 def _warnings(year: Annual | None) -> tuple[str, ...]:
     if year is None:
         return ()
-    weather = year.about["weather"]
-    repairs = [f"Weather repaired: {text}." for text in weather["repairs"]]
+    weather = year.summary.weather
+    repairs = [f"Weather repaired: {text}." for text in weather.repairs]
     synthetic = (
-        ["The weather is synthetic: do not judge this place by it."] if weather["synthetic"] else []
+        ["The weather is synthetic: do not judge this place by it."] if weather.synthetic else []
     )
-    doubted = [_spoken(text) for text in year.about.get("model_warnings", ())]
+    doubted = [_spoken(text) for text in year.summary.model_warnings]
     return (*doubted, *synthetic, *repairs)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -39,6 +39,7 @@ from fieldlum.report.page import (
     png_figure,
     svg_figure,
 )
+from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.sun import standard_time
 
 CLASS_WORDS = {
@@ -56,7 +57,7 @@ def named(azimuth_deg: float) -> str:
 
 def answer(annual: Annual) -> tuple[str, str]:
     """Return the direction to sit in, and the reason, in words."""
-    rows = annual.about["protection"]
+    rows = annual.summary.protection
     ends = best_and_worst(rows)
     if ends is None:
         return (
@@ -64,12 +65,12 @@ def answer(annual: Annual) -> tuple[str, str]:
             "Turn the camera on its head (headings in SITE.toml), or use a lens that sees more.",
         )
     best, worst = ends
-    hours = annual.about["occupancy"]["hours"]
-    first = f"Sit facing {named(best['azimuth_deg'])}: {_class_words(best)}."
+    hours = annual.summary.occupancy.hours
+    first = f"Sit facing {named(best.azimuth_deg)}: {_class_words(best)}."
     contrast = (
-        f"Facing {named(worst['azimuth_deg'])}, disturbing glare (DGP above 0.40) comes in "
-        f"{worst['hours_over']['0.40']} of {hours} occupied hours of the year; facing "
-        f"{named(best['azimuth_deg'])} in {best['hours_over']['0.40']}. "
+        f"Facing {named(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
+        f"{worst.hours_over['0.40']} of {hours} occupied hours of the year; facing "
+        f"{named(best.azimuth_deg)} in {best.hours_over['0.40']}. "
     )
     limit = (
         "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) "
@@ -79,35 +80,33 @@ def answer(annual: Annual) -> tuple[str, str]:
     return first, f"{contrast}{_unseen_words(rows)}{limit}"
 
 
-def _unseen_words(rows: list[dict[str, Any]]) -> str:
+def _unseen_words(rows: Sequence[DirectionYear]) -> str:
     """Return a sentence that names the directions without an answer."""
-    blind = [named(row["azimuth_deg"]) for row in rows if row["class"] == NOT_SEEN]
+    blind = [named(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     if not blind:
         return ""
     return f"Nothing is known about {', '.join(blind)}: the camera did not see these directions. "
 
 
-def _class_words(row: dict[str, Any]) -> str:
-    words = f"{CLASS_WORDS[row['class']]} from glare"
-    if row.get("seen") == PARTLY_SEEN and not row["certain"]:
+def _class_words(row: DirectionYear) -> str:
+    words = f"{CLASS_WORDS[row.glare_class]} from glare"
+    if row.seen == PARTLY_SEEN and not row.certain:
         return f"{words}, for the part of the view that was seen"
-    if row["low"] is None:
+    if row.low is None:
         return f"{words}; this model cannot state a confidence"
-    return (
-        words if row["certain"] else f"{words} is likeliest, but the captures do not decide it yet"
-    )
+    return words if row.certain else f"{words} is likeliest, but the captures do not decide it yet"
 
 
 def polar(annual: Annual) -> Figure:
     """Return the polar plot of DGP by view direction."""
-    rows = annual.about["protection"]
-    azimuths = np.array([row["azimuth_deg"] for row in rows])
+    rows = annual.summary.protection
+    azimuths = np.array([row.azimuth_deg for row in rows])
     exceeded, *bounds = (
-        np.array([np.nan if row[k] is None else row[k] for row in rows], float)
-        for k in ("dgp_exceeded", "low", "high")
+        np.array([np.nan if value is None else value for value in values], float)
+        for values in zip(*((row.dgp_exceeded, row.low, row.high) for row in rows), strict=True)
     )
     bounds = [None if np.isnan(ends).all() else ends for ends in bounds]
-    spoken = ", ".join(f"{named(row['azimuth_deg'])} {_figure(row)}" for row in rows)
+    spoken = ", ".join(f"{named(row.azimuth_deg)} {_figure(row)}" for row in rows)
     band = " The grey band is its 95 % interval." if bounds[0] is not None else ""
     return svg_figure(
         polar_svg(azimuths, exceeded, *bounds),
@@ -119,33 +118,33 @@ def polar(annual: Annual) -> Figure:
     )
 
 
-def _figure(row: dict[str, Any]) -> str:
+def _figure(row: DirectionYear) -> str:
     """Return the DGP that 5 % of the occupied hours exceed, or that it is unknown."""
-    return NOT_SEEN if row["dgp_exceeded"] is None else f"{row['dgp_exceeded']:.2f}"
+    return NOT_SEEN if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
 
 
-def _settled(row: dict[str, Any]) -> str:
-    if row["class"] == NOT_SEEN:
+def _settled(row: DirectionYear) -> str:
+    if row.glare_class == NOT_SEEN:
         return "–"
-    if row["certain"]:
+    if row.certain:
         return "yes"
-    return "cannot tell yet" if row["low"] is not None else "no uncertainty known"
+    return "cannot tell yet" if row.low is not None else "no uncertainty known"
 
 
 def _direction_table(annual: Annual) -> Table:
     rows = []
-    for row in annual.about["protection"]:
-        interval = "–" if row["low"] is None else f"{row['low']:.2f} to {row['high']:.2f}"
-        chip = {"kind": row["class"] if row["certain"] else "open", "text": row["class"]}
-        if row.get("seen") == PARTLY_SEEN:
+    for row in annual.summary.protection:
+        interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
+        chip = {"kind": row.glare_class if row.certain else "open", "text": row.glare_class}
+        if row.seen == PARTLY_SEEN:
             chip["text"] += ", partly seen"
-        over = {k: "–" if v is None else v for k, v in row["hours_over"].items()}
+        over = {k: "–" if v is None else v for k, v in row.hours_over.items()}
         rows.append(
             (
-                named(row["azimuth_deg"]),
+                named(row.azimuth_deg),
                 chip,
                 _settled(row),
-                "–" if row["dgp_exceeded"] is None else f"{row['dgp_exceeded']:.2f}",
+                "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}",
                 interval,
                 over["0.35"],
                 over["0.40"],
@@ -168,32 +167,27 @@ def _direction_table(annual: Annual) -> Table:
 def directions_section(annual: Annual) -> Section:
     """Return the section on the view directions."""
     tables = [_direction_table(annual)]
-    wanted = annual.about.get("capture_next") or []
+    wanted = annual.summary.capture_next
     if wanted:
-        rows = tuple(
-            (w["date"], w["hour"], f"{w['dni_wm2']:.0f}", f"{w['dhi_wm2']:.0f}") for w in wanted
-        )
+        rows = tuple((w.date, w.hour, f"{w.dni_wm2:.0f}", f"{w.dhi_wm2:.0f}") for w in wanted)
         head = ("date", "local time", "direct, W/m²", "diffuse, W/m²")
         tables.append(
             Table(head, rows, "Hours like these, when captured, would decide the open classes")
         )
-    ends = best_and_worst(annual.about["protection"])
+    ends = best_and_worst(annual.summary.protection)
     curve = svg_figure(
         exceedance_svg(
             annual.views["dgp"][annual.occupied][:, annual.judged],
-            annual.about["occupancy"]["hours"],
+            annual.summary.occupancy.hours,
             annual.azimuths_deg[annual.judged],
-            (("worst", ends[1]["azimuth_deg"]), ("best", ends[0]["azimuth_deg"])),
+            (("worst", ends[1].azimuth_deg), ("best", ends[0].azimuth_deg)),
         )
         if ends
         else "",
         "Exceedance curves of DGP for each direction over the occupied hours.",
         "Share of the occupied hours in which a DGP is exceeded; each grey line is a direction.",
     )
-    text = (
-        f"Occupied hours: {annual.about['occupancy']['text']}. "
-        f"{' '.join(annual.about['notes'][1:])}"
-    )
+    text = f"Occupied hours: {annual.summary.occupancy.text}. {' '.join(annual.summary.notes[1:])}"
     rows = (Row((curve,)),) if ends else ()
     return Section("directions", "Where to sit", text, rows, tuple(tables))
 
@@ -240,14 +234,12 @@ def when_section(annual: Annual, zone: str) -> Section:
             (False, True),
         ),
     )
-    ends = best_and_worst(annual.about["protection"])
+    ends = best_and_worst(annual.summary.protection)
     names = [
         named(a) if good else f"{named(a)}: not seen"
         for a, good in zip(annual.azimuths_deg, judged, strict=True)
     ]
-    start = (
-        0 if ends is None else int(np.argmin(np.abs(annual.azimuths_deg - ends[1]["azimuth_deg"])))
-    )
+    start = 0 if ends is None else int(np.argmin(np.abs(annual.azimuths_deg - ends[1].azimuth_deg)))
     alt = (
         "Day by hour map of the year; days run to the right, hours of standard time upwards. "
         "Read it with the arrow keys."
