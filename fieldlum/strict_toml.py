@@ -15,6 +15,8 @@ from fieldlum.errors import InputError
 
 T = TypeVar("T")
 
+_MAX_BYTES = 4_000_000  # the largest file of this tool has some kB; /dev/zero has no end
+
 
 def build(cls: type[T], table: dict[str, Any], where: str) -> T:
     """Build a frozen dataclass from a TOML table; check nested dataclasses, tuples and Literals.
@@ -88,8 +90,13 @@ def _value(hint: Any, value: Any, where: str) -> Any:
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file. Raises InputError for a missing file or for a file that is no TOML."""
     try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            found = f"more than {_MAX_BYTES / 1e6:.0f} MB"
+            raise InputError(path, found, "a TOML file", "check the path")
         # Editors of Windows write a byte order mark before the text.
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise InputError(
             path, error.strerror or str(error), "a readable TOML file", "check the path"

@@ -6,6 +6,7 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from tiny_field import make_session
@@ -16,6 +17,7 @@ from fieldlum.cli.estimates import estimate_text, predict_s, train_s
 from fieldlum.devices import CameraInfo
 from fieldlum.doctor.instruments import judge_camera
 from fieldlum.errors import InputError
+from fieldlum.images import write_radiance_hdr
 from fieldlum.session import read_journal, sole_user
 
 pytestmark = pytest.mark.contract
@@ -83,6 +85,30 @@ def test_doctor_draws_the_room(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, ["doctor", str(tmp_path / "s")])
     assert "check windows, camera and north" in shown.output
     assert (tmp_path / "s" / "room.svg").read_text(encoding="utf-8").startswith("<svg")
+
+
+def test_control_codes_of_a_file_name_do_not_reach_the_terminal(tmp_path: Path) -> None:
+    name = str(tmp_path / "a\x1b]0;title\x07.toml")
+    shown = CliRunner().invoke(main, ["info", name])
+    assert shown.exit_code == 3
+    assert shown.output.isprintable() or shown.output.rstrip("\n").isprintable()
+
+
+def test_an_endless_file_is_refused(tmp_path: Path) -> None:
+    endless = Path("/dev/zero")
+    if not endless.exists():
+        pytest.skip("no /dev/zero here")
+    words = ["plan", str(endless), "--set", "9-day", "--out", str(tmp_path / "s")]
+    shown = CliRunner().invoke(main, words)
+    assert shown.exit_code == 3 and "more than 4 MB" in shown.output
+
+
+def test_a_black_picture_is_doubted(tmp_path: Path) -> None:
+    path = tmp_path / "black.hdr"
+    view = "-vta -vd 0 -1 0 -vu 0 0 1 -vv 180 -vh 180"
+    write_radiance_hdr(path, np.zeros((64, 64), np.float32), view=view)
+    shown = CliRunner().invoke(main, ["glare", str(path)])
+    assert "the picture has no light" in shown.output
 
 
 def test_a_maker_is_named_once() -> None:

@@ -92,14 +92,14 @@ class _CommandGroup(click.Group):
         try:
             return super().invoke(ctx)
         except FieldlumError as error:
-            click.echo(f"fieldlum {ctx.invoked_subcommand}: {error}", err=True)
+            _complain(ctx, str(error))
             sys.exit(error.exit_code)
         except OSError as error:
             if error.errno not in DISK_TROUBLE:
                 raise
             place = f"{error.filename}: " if error.filename else ""
             said = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
-            click.echo(f"fieldlum {ctx.invoked_subcommand}: {said}", err=True)
+            _complain(ctx, said)
             sys.exit(BAD_FILE)
         except ModuleNotFoundError as error:
             if error.name not in COMPUTE_PACKAGES:
@@ -108,13 +108,19 @@ class _CommandGroup(click.Group):
                 f"the package {error.name} is not installed: this computer captures only; "
                 f"install it with: pip install 'fieldlum[compute]'"
             )
-            click.echo(f"fieldlum {ctx.invoked_subcommand}: {said}", err=True)
+            _complain(ctx, said)
             sys.exit(BAD_FILE)
         except KeyboardInterrupt:
             click.echo(
                 f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True
             )
             sys.exit(INTERRUPTED)
+
+
+def _complain(ctx: click.Context, text: str) -> None:
+    """Print an error as one line; names of files may hold control codes of the terminal."""
+    shown = "".join(c if c.isprintable() else "?" for c in text.replace("\n", " "))
+    click.echo(f"fieldlum {ctx.invoked_subcommand}: {shown}", err=True)
 
 
 def _hold_standard_files() -> None:

@@ -159,6 +159,8 @@ def _merge_session(
         state: sum(v.state == state for v in verdicts) for state in ("merged", "kept", "failed")
     }
     say(", ".join(f"{n} {state}" for state, n in counts.items() if n))
+    if (sheet := session.panoramas / "contact-1.png").is_file():
+        say(f"look at {sheet}")
 
 
 def _merge_files(

@@ -37,8 +37,9 @@ def emit_json(answer: Any) -> None:
 
 
 def say(text: str) -> None:
-    """Print a sentence for the user on stderr."""
-    click.echo(text, err=True)
+    """Print a sentence for the user on stderr, without control codes of the terminal."""
+    shown = "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
+    click.echo(shown, err=True)
 
 
 def say_if(text: str) -> None:

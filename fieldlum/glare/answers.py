@@ -94,6 +94,8 @@ def picture_warnings(picture: Picture) -> list[str]:
         warnings.append(
             "its VIEW has no -vd: the glare is right, but the azimuth 0 is an assumption"
         )
+    if not (picture.panorama.luminance_cdm2 > 0).any():
+        warnings.append("the picture has no light: every pixel is 0, the figures mean nothing")
     flags = picture.panorama.flags
     clipped = 0 if flags is None else int((flags & Flag.CLIPPED_HIGH > 0).sum())
     if clipped:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _MERGE_ALIKE = "render or merge all brackets at one size and heading"
 _PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again"
+_NAMED = 3  # slots in a note
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +186,9 @@ def load_pairs(
         notes.append(f"{refused} rows with ok = 0 are not used")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
     if dark:
-        notes.append(f"{len(dark)} rows without any irradiance are not used")
+        more = f" and {len(dark) - _NAMED} more" if len(dark) > _NAMED else ""
+        named = ", ".join(Path(row.panorama).stem for row in dark[:_NAMED])
+        notes.append(f"not used, no irradiance: {named}{more}")
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
         raise NotEnoughDataError(f"{path}: no usable row")
