@@ -183,9 +183,10 @@ def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, 
 
 
 def _held_out(levels: Levels, order: int) -> Array:
-    """Squared relative error of each frame between the extreme times, all of its time held out.
+    """Return the squared relative error of predicting each frame from the other exposure times.
 
-    Noise counts by the blocks' weights, so that dark frames do not decide.
+    The shortest and the longest time are not predicted. Blocks count by their weights, so
+    that noise in dark frames does not decide.
     """
     out = np.full(len(levels.seconds), np.nan)
     for seconds in np.unique(levels.seconds)[1:-1]:  # never beyond the frames that fit

@@ -289,9 +289,10 @@ def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
 
 
 def _alike(a: Detail, b: Detail) -> float | None:
-    """Return the share of common detail of two frames where both are known.
+    """Return how far the details of two frames agree: 1 equal, 0 unrelated, -1 opposite.
 
-    Relative to the frame with less detail; None with too little detail.
+    Pixels known in both frames count, relative to the frame with less detail. Returns None if
+    that is too little.
     """
     both = (a != 2) & (b != 2)
     x, y = a[both].astype(np.int32), b[both].astype(np.int32)

@@ -188,7 +188,7 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
         elif frame.codes.shape[:2] != shape or frame.exposure.f_number != exposures[0].f_number:
             raise InputError(
                 path,
-                "another size or aperture than the frames before",
+                "size or aperture differs from the frames before",
                 "one bracket of one camera",
                 "remove this frame",
             )

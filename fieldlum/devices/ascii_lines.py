@@ -219,9 +219,9 @@ def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
             text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str
         )
     except (ValueError, RecursionError):
-        raise DeviceError(f"line {text[:60]!r} is no JSON object") from None
+        raise DeviceError(f"line {text[:60]!r} is not a JSON object") from None
     if not isinstance(found, dict):
-        raise DeviceError(f"line {text[:60]!r} is no JSON object")
+        raise DeviceError(f"line {text[:60]!r} is not a JSON object")
     return _having(profile, found, text)
 
 

@@ -53,7 +53,7 @@ class Crew(Protocol):
         ...
 
     def status(self) -> str:
-        """Return who works, in a few words."""
+        """Return a line for the status view: which workers run."""
         ...
 
 
