@@ -1,4 +1,4 @@
-"""What stands outside a window and shades it: a facade opposite, a wing at one side, a canopy."""
+"""Objects outside a window that shade it: a facade opposite, a wing at one side, a canopy."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _outside(
 
 
 def is_outside(guess: Guess, solid: Solid) -> bool:
-    """Return whether a solid lies outside the walls."""
+    """Return whether a solid is outside the walls."""
     return any(
         solid.high_m[axis] <= 0.0 or solid.low_m[axis] >= guess.size_m[axis] for axis in (0, 1)
     )
@@ -81,7 +81,7 @@ def is_outside(guess: Guess, solid: Solid) -> bool:
 def exterior_parameters(number: int, first_step: float = 0.5) -> list[Parameter]:
     """Return the faces and the place of a solid outside as parameters without a prior.
 
-    Its albedo is none of them: no patch inside shows it.
+    Its albedo is not a parameter, because no sun patch inside depends on it.
     """
 
     def parameter(name: str, move: Callable[[Solid, float], Solid]) -> Parameter:

@@ -136,7 +136,7 @@ def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
     if u["north_deg"] > 0.2 and u["clock_min"] > 0.8:
         notes.append(
             f"north (+-{u['north_deg']:.1f} degrees) and clock (+-{u['clock_min']:.1f} min) cannot "
-            f"be told apart well: captures of another season or of the sun's disc would do it"
+            f"be separated well: captures of another season or of the sun's disc would do it"
         )
     if len(np.unique(evidence.days)) < 3:
         notes.append("sunny hours on fewer than three days: the uncertainties are of hours alone")

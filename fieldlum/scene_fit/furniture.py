@@ -1,4 +1,7 @@
-"""Furniture: boxes proposed where single pixels ask for another depth, kept where they pay."""
+"""Furniture: boxes are proposed where the light on single pixels fits a nearer or farther surface.
+
+The search adds a box only if it lowers the misfit enough.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +48,8 @@ class PixelDepths:
 def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
     """Try depths, faces and albedos for every pixel alone.
 
-    Each pixel has its own pattern of sunlit and dark hours. Where the guess explains it worse than
-    a surface at another depth would, something stands there that the guess does not know.
+    Each pixel has its own pattern of sunlit and dark hours. Where a surface at another depth would
+    explain the pattern better than the guess does, the guess lacks an object.
     """
     order = np.argsort(evidence.pixel, kind="stable")
     first = np.searchsorted(evidence.pixel[order], range(len(evidence.pixels)))
@@ -100,8 +103,9 @@ def _loss(evidence: SceneEvidence, patch: Array) -> Array:
 
 
 def propose_solids(found: PixelDepths, guess: Guess) -> list[Solid]:
-    """Return boxes on the floor where pixels that ask for another depth cluster in plan, those that
-    gain most first.
+    """Return boxes on the floor, those with the largest gain first.
+
+    A box is proposed where pixels that fit another depth better cluster in plan.
     """
     use = found.gain > MIN_PIXEL_GAIN
     inside = (found.position_m[:, 2] > 0.1) & (found.position_m[:, 2] < guess.size_m[2] - 0.1)

@@ -65,6 +65,7 @@ class Misfits:
     days: NDArray[np.datetime64]
 
     def mean(self) -> dict[str, float]:
+        """Return the mean share over the hours: without sun patches, stated room, fitted room."""
         return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
 
 
@@ -114,12 +115,14 @@ class SceneSearch:
         self.prior_unit = PRIOR_SHARE * float(evidence.misfit(patch).mean())
 
     def objective(self, evidence: SceneEvidence) -> Objective:
+        """Return the cost of a guess at some hours or pixels of the evidence."""
         return Objective(
             evidence, self.start, self.parameters, self.albedo, self.prior_unit, self.stated.pose
         )
 
     @property
     def fit_evidence(self) -> SceneEvidence:
+        """The evidence of the hours that the search uses."""
         return self.evidence.hours(self.fit_hours)
 
     def box(self, guess: Guess) -> Guess:
@@ -164,7 +167,7 @@ class SceneSearch:
         return pattern_search(coarse, trial, bar_parameters(trial)[-3:], coarse=4.0, fine=2.0)[0]
 
     def _faced(self, guess: Guess) -> Guess:
-        """Return the guess with the facade or canopy that takes most misfit away."""
+        """Return the guess with the facade or canopy that lowers the misfit most."""
         thin = self.fit_evidence.thinned(COARSE_PIXELS_EVERY)
         cost = self._solid_cost(thin, guess, self._albedo_with_solids(guess))
         parameters = exterior_parameters(len(guess.solids))
@@ -212,8 +215,9 @@ class SceneSearch:
         return True
 
     def furniture(self, guess: Guess) -> Guess:
-        """Add the solid that takes most misfit away, of those that single pixels propose; none
-        where none pays.
+        """Add the proposed solid that lowers the misfit most.
+
+        Returns the guess unchanged if no solid lowers it enough.
         """
         albedo = self._albedo_with_solids(guess)
         depths = pixel_depths(self.fit_evidence, guess, albedo)

@@ -1,5 +1,6 @@
-"""Pattern search for the scene that explains the captures: one number at a time, and pairs that
-trade against each other.
+"""Pattern search for the scene that explains the captures.
+
+One number is changed at a time, or several of which one can compensate for another.
 """
 
 from __future__ import annotations
@@ -30,12 +31,16 @@ PRIOR_SHARE = 0.0015
 
 
 class GuessCost(Protocol):
-    """What a search makes small: a function of a guess; pose as in `Objective`."""
+    """The cost that a search minimises: a function of a guess."""
 
     @property
-    def pose(self) -> PosePrior | None: ...
+    def pose(self) -> PosePrior | None:
+        """The prior that replaces those of `POSE_NAMES`, as in `Objective`."""
+        ...
 
-    def __call__(self, guess: Guess) -> float: ...
+    def __call__(self, guess: Guess) -> float:
+        """Return the cost of a guess."""
+        ...
 
 
 @dataclass(slots=True)
@@ -54,6 +59,7 @@ class Objective:
     count: int = field(default=0)
 
     def __call__(self, guess: Guess) -> float:
+        """Return the mean misfit of a guess plus its prior."""
         self.count += 1
         return self.evidence.mean_misfit(guess, self._albedo(guess)) + self.prior(guess)
 
@@ -182,11 +188,11 @@ def search_moves(
 def compound_moves(
     guess: Guess, parameters: Sequence[Parameter], pose: PosePrior | None = None
 ) -> list[tuple[str, Change, float, float]]:
-    """Return moves of several numbers along which the misfit hardly changes: name, change, first
-    and last step.
+    """Return moves of several numbers along which the misfit hardly changes.
 
-    A search along single numbers stops in such valleys: north and clock; a window, the camera and
-    a wall that shift together; a window's two edges; the wall and north.
+    Each has a name, the change, the first and the last step. A search along single numbers stops
+    in such valleys: north and clock; a window, the camera and a wall that shift together; a
+    window's two edges; the wall and north.
     """
     by_name = {p.name: p.change for p in parameters}
 
