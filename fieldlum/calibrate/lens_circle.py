@@ -51,8 +51,8 @@ class Circle:
 def circle(picture: NDArray[np.uint8]) -> Circle:
     """Find the image circle of a bright frame: scikit-image's Hough transform, then the edge.
 
-    The edge is refined along 720 rays, at half of the brightness just inside. Raises InputError
-    without a circle.
+    The edge is refined along 720 rays: linear light there is half way between just inside the
+    circle and the darkest place outside. Raises InputError without a circle.
 
     picture : [h, w], 8-bit grey.
     """

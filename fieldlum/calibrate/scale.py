@@ -158,7 +158,10 @@ def _refuse_clipped(
 ) -> None:
     if picture.flags is not None and (picture.flags[inside] & Flag.CLIPPED_HIGH).any():
         raise InputError(
-            file, f"clipped in every frame {place}", "light that a frame exposes", remedy
+            file,
+            f"clipped in every frame {place}",
+            "light that at least one frame records without clipping",
+            remedy,
         )
 
 
@@ -198,7 +201,7 @@ def spot_cdm2(
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
         remedy = "check it: azimuth is clockwise from north, altitude up from the horizon"
-        raise InputError(file, f"no light {place}", "a place in the picture", remedy)
+        raise InputError(file, f"no light {place}", "a direction that the picture shows", remedy)
     spread = float(values.std() / values.mean() / np.sqrt(len(values)))
     return float(trim_mean(values, 0.1)), spread
 

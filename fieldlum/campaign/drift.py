@@ -163,9 +163,10 @@ def _headings(
 
 
 def sky_ratios(session: Session) -> list[tuple[datetime, float]]:
-    """Return measured over expected luminance of the sky in the window, in percent of its median.
+    """Return how far the window's sky is above its usual luminance at each capture, in percent.
 
-    Expected is the Perez sky of the logged irradiance. It is wrong by tens of percent in one hour
+    That is measured over expected luminance, over the median of this ratio, less one. Expected is
+    the Perez sky of the logged irradiance. It is wrong by tens of percent in one hour
     and right on average, so only its change over many hours shows a drift of k.
     """
     from fieldlum.scene import window_fraction

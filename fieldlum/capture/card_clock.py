@@ -170,7 +170,8 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
     """Return why the plan contradicts an offset, or an empty text.
 
-    The check finds a camera whose date is a day off: no time zone is that far away.
+    It finds an offset that is wrong by whole hours, up to 26 (time zone or date), and a clock that
+    was set between brackets.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
     hits = [

@@ -23,7 +23,10 @@ _PADDED = re.compile(r"[+-]?0\d")
 
 
 def constant(values: Sequence[Hashable]) -> Hashable | None:
-    """Return the value that all but one in sixty have; None without one or with under 20 values."""
+    """Return the value that nearly all have; None without one, or for fewer than 20 values.
+
+    One value may differ, or one in sixty if there are more.
+    """
     if len(values) < ENOUGH:
         return None
     value, count = Counter(values).most_common(1)[0]

@@ -209,7 +209,10 @@ def _exposure(lines: Sequence[str], path: Path) -> NDArray[np.float64]:
     total = np.prod(_numbers(lines, "COLORCORR=", 3, path), axis=0) * exposure  # [3]
     if not (np.isfinite(total).all() and (total > 0).all()):
         raise InputError(
-            path, f"EXPOSURE {exposure:g}", "a number above 0", "correct the header line"
+            path,
+            f"EXPOSURE and COLORCORR lines with the product {total}",
+            "finite numbers above 0",
+            "correct these header lines",
         )
     return total
 

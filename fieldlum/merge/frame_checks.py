@@ -22,8 +22,8 @@ _HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 class FirstLook:
     """Result of the first look at the frames.
 
-    plateau_dn: by ISO; black_off_dn: the file's black level minus the profile's, largest over the
-    colours.
+    plateau_dn: the counts at which each colour saturates, by ISO; black_off_dn: the file's black
+    level minus the profile's, largest over the colours.
     """
 
     plateau_dn: dict[float, Plateau]

@@ -109,8 +109,8 @@ def verdict(report: MergeReport) -> str:
         )
     if report.noise_over_profile > 1.0:
         notes.append(
-            f"noise is {report.noise_over_profile:.1f} times that of the profile's gain and read "
-            f"noise"
+            f"shot noise or read noise is {report.noise_over_profile:.1f} times the profile's; u "
+            f"contains the larger value: check gain_e_per_dn and read_noise_e of the profile"
         )
     notes += [
         f"the camera turned by {m.turn_deg:.2f} deg ({m.shift_px:.1f} px) between "

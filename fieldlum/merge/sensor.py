@@ -107,9 +107,10 @@ def merge_sensor(
     budget_bytes: int = FRAMES_BYTES,
     progress: Progress = quiet,
 ) -> tuple[SensorImage, Findings]:
-    """Merge frames of one heading, sorted by exposure, longest first.
+    """Merge the frames of one heading.
 
-    turn_deg: heading of the camera relative to the target's. Frames are kept in memory up to
+    shots: already sorted by exposure, longest first. turn_deg: heading of the camera minus that of
+    the resulting picture. Frames are kept in memory up to
     `budget_bytes`. Raises InputError for a frame that cannot be read or does not belong.
     """
     options = options or MergeOptions()

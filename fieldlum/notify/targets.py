@@ -77,7 +77,7 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
             understood = [sender.add(target) for target in targets]
     except ImportError:
         remedy = "install it: pip install 'fieldlum[notify]'"
-        raise InputError(source, "messages to send", "the package apprise", remedy) from None
+        raise InputError(source, "messages cannot be sent", "the package apprise", remedy) from None
     if not all(understood):
         raise InputError(
             f"{source}:{understood.index(False) + 1}",

@@ -20,9 +20,10 @@ COARSEST_S = 900.0  # rows further apart do not describe a bracket; not measured
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """Irradiance during a bracket.
+    """Outdoor irradiance during a bracket; NaN is unknown.
 
-    NaN: unknown. why: the reason if it may not be used; caution: a doubt about it.
+    why: the reason that this irradiance must not be used, or empty; caution: a doubt about it, or
+    empty.
     """
 
     ghi_wm2: float = np.nan

@@ -61,9 +61,9 @@ def time_under(law: str, nominal_s: float) -> float:
 
 
 def law_of_labels(nominal_s: ArrayLike, model: str = "") -> ShutterLaw:
-    """Return the grid that all labels [n] of a bracket fit best; third stops if both fit equally.
+    """Return whether a bracket's labels [n] are in half or third stops; thirds if both fit equally.
 
-    model : the camera's; labels of a Theta are exact (theta-web-api-v2.1, shutterSpeed).
+    model : of the camera; labels of a Theta are exact times (theta-web-api-v2.1, shutterSpeed).
     """
     if "theta" in model.casefold():
         return ShutterLaw(EXACT, "labels")

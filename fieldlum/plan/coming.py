@@ -91,7 +91,8 @@ def _of_this_place(config: ModelConfig, site: Site) -> bool:
 def captured_features(session: Session, task: choose.Learning) -> Features:
     """Return the features of the captures, [n].
 
-    By the measured irradiance of pairs.csv, or else by that of the weather year.
+    A capture in pairs.csv has its measured irradiance; one that is not paired yet has that of the
+    weather year, and is left out where the weather has none.
     """
     times, dni, dhi = _paired(session)
     known = {slot_id(t) for t in times}

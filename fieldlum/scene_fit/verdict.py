@@ -192,7 +192,10 @@ def choose_geometry(scores: Sequence[GeometryScore]) -> SceneVerdict:
         if score.expected_log10_mse < _WORTH * chosen.expected_log10_mse:
             chosen = score
     text = ", ".join(f"{s.name} {s.expected_log10_mse:.1e}" for s in scores)
-    reason = f"{chosen.name}: least error where sun directions are left out ({text})"
+    reason = (
+        f"{chosen.name}: no richer geometry has a clearly smaller error on sun directions "
+        f"that were left out ({text})"
+    )
     measured = [s for s in scores if np.isfinite(s.misfit)]
     other = min(measured, key=lambda s: s.misfit) if measured else chosen
     agrees = other.name == chosen.name or chosen.misfit <= _SAME_MISFIT * other.misfit

@@ -59,10 +59,11 @@ def _measure_warning(found: Setting, measure: RoomError) -> str:
     first = found.findings[0]
     return (
         f"WARNING: captured sun patches are not where [room] puts them ({found.hours} hours): "
-        f"{measure.name} {measure.amount_m:+.2f} m explains {measure.gain / first.stated:.0%} of "
-        f"the misfit, {first.cause} {first.gain / first.stated:.0%}, so the captures do not show "
-        f"which is wrong; measure the camera's place and the windows again before changing north "
-        f"or clock. Until then hours that depend on sun patches are doubted"
+        f"changing {measure.name} by {measure.amount_m:+.2f} m would explain "
+        f"{measure.gain / first.stated:.0%} of the misfit, changing {first.cause} "
+        f"{first.gain / first.stated:.0%}. The captures do not show which is wrong: measure the "
+        f"camera's place and the windows again before changing north or clock. Until then hours "
+        f"that depend on sun patches are doubted"
     )
 
 
@@ -79,9 +80,9 @@ def _words(finding: SettingFinding) -> str:
             f"the room is turned against the camera by {a[0]:+.1f} +- {e[0]:.1f} degrees"
         ),
         "camera": lambda: (
-            f"the camera was displaced: patches belong {a[0]:+.1f} +- {e[0]:.1f} pixels to the "
-            f"right and "
-            f"{a[1]:+.1f} +- {e[1]:.1f} down"
+            f"the camera was displaced: computed patches fit the captured ones if they move "
+            f"{a[0]:+.1f} +- {e[0]:.1f} pixels to the right and {a[1]:+.1f} +- {e[1]:.1f} pixels "
+            f"down (negative: left, up)"
         ),
     }
     return texts[finding.cause]()

@@ -33,7 +33,7 @@ def passes_over_data(fitted: Fitted) -> float | None:
 
 
 class Spent(NamedTuple):
-    """Seconds of wall clock and of computing; on a busy machine only the second is meaningful."""
+    """Seconds by the wall clock, and of computing; on a busy machine only `cpu_s` is meaningful."""
 
     wall_s: float
     cpu_s: float

@@ -48,13 +48,12 @@ class ClickedPicture:
         """Return the panorama of a slot, or the newest. Raises InputError without one."""
         files = session.panorama_files()
         chosen = next((path for path in files if path.stem == slot), None) if slot else None
-        if slot and chosen is None:
-            example = files[-1].stem if files else "none is merged yet"
-            raise InputError(session.root, f"no panorama {slot}", f"a slot such as {example}")
         if not files:
-            raise InputError(
-                session.root, "no merged panorama", "one", f"run fieldlum merge {session.root}"
-            )
+            expected, remedy = "a merged session", f"run fieldlum merge {session.root}"
+            raise InputError(session.root, "no merged panorama", expected, remedy)
+        if slot and chosen is None:
+            expected, remedy = f"a slot such as {files[-1].stem}", "see panoramas/"
+            raise InputError(session.root, f"no panorama {slot}", expected, remedy)
         path = chosen or files[-1]
         panorama = read_panorama(path)
         height, width = panorama.luminance_cdm2.shape

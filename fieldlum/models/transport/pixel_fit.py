@@ -62,7 +62,10 @@ class Basis:
 
 
 def basis_of(covariance: Array, rank: int) -> Basis:
-    """Return the `rank` largest eigenfeatures, without those under a millionth of the largest."""
+    """Return the `rank` leading eigenvectors of a covariance [n, n], scaled by their eigenvalues.
+
+    Eigenvalues under a millionth of the largest are left out.
+    """
     value, vector = np.linalg.eigh(covariance)
     keep = np.argsort(value)[::-1][:rank]
     keep = keep[value[keep] > 1e-6 * value[keep[0]]]

@@ -190,10 +190,11 @@ def slip_variance(
 def experience(
     light: Light, beam: Array, train: Light, train_beam: Array, held_out_mse: Array, guess: Array
 ) -> Array:
-    """Return the mean held-out error of captures with a near and equally strong sun, [m].
+    """Return the error to expect in m hours by the held-out errors of similar captures, [m].
 
-    It is at least the `guess` [m], which is also used where there is no such capture. beam,
-    train_beam: the sun's share of the light.
+    It is their mean, weighted by how near the sun is and how similar its share of the light. Where
+    few captures are similar it approaches `guess` [m]; it is never below `guess`. beam [m],
+    train_beam [n]: the sun's share of the light; held_out_mse [n].
     """
     cosine = np.clip(light.sun_direction @ train.sun_direction.T, -1.0, 1.0)
     near = np.exp(
