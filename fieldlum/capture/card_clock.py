@@ -170,7 +170,7 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
     """Return why the plan contradicts an offset, or an empty text.
 
-    It finds an offset that is wrong by whole hours, up to 26 (time zone or date), and a clock that
+    It finds an offset that is wrong by full hours, up to 26 (time zone or date), and a clock that
     was set between brackets.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
