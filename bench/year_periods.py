@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.bench import CURVE, PERIODS, _keep, charts, machine, markdown, year
+from fieldlum.bench import CURVE, PERIODS, charts, machine, markdown, store, year
 from fieldlum.bench.rows import parse_specs
 from fieldlum.models.data import load_pairs
 
@@ -32,7 +32,7 @@ def main() -> None:
     (spec,) = parse_specs([asked.model])
     print(f"{len(data)} hours of {data.shape[1]}x{data.shape[0]}, {machine()}", flush=True)
     rows = year.compare_periods(spec, data)
-    _keep(asked.out, "periods", rows, charts.collection_periods)
+    store(asked.out, "periods", rows, charts.collection_periods)
     print(markdown(rows, PERIODS), flush=True)
     order = np.random.default_rng(0).permutation(len(data))
     test, pool = (
@@ -40,7 +40,7 @@ def main() -> None:
         data.take(np.sort(order[year.TEST_HOURS :])),
     )
     rows = year.learning_curve(spec, pool, test)
-    _keep(asked.out, "learning_curve", rows, charts.learning_curves)
+    store(asked.out, "learning_curve", rows, charts.learning_curves)
     print(markdown(rows, CURVE), flush=True)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fieldlum.api.files import load_camera_profile, load_site
 from fieldlum.records import Panorama, Progress, SiteFile, quiet
 
 if TYPE_CHECKING:
+    from fieldlum.glare.answers import GlareAnswer
     from fieldlum.merge import MergeResult
     from fieldlum.plan import Plan
     from fieldlum.profiles import CameraProfile
@@ -138,7 +139,7 @@ def merge_frames(
 
 def evaluate_glare(
     picture: Panorama | str | Path, view_azimuths_deg: Sequence[float] = ()
-) -> dict[str, Any]:
+) -> GlareAnswer:
     """Evaluate glare of a luminance map in one or several view directions.
 
     Parameters

@@ -123,7 +123,7 @@ def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def _store(out: Path, name: str, rows: Sequence[dict[str, Any]], chart: Any, *more: Any) -> None:
+def store(out: Path, name: str, rows: Sequence[dict[str, Any]], chart: Any, *more: Any) -> None:
     """Write NAME.csv and NAME.png."""
     _write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
@@ -173,7 +173,7 @@ def run(
     if rendering:
         table.append(rendering)
         rows.append(rendering)
-    _store(out, "scores", table, charts.speed_accuracy, machine())
+    store(out, "scores", table, charts.speed_accuracy, machine())
     _write_csv(out / "scores_by_seed.csv", rows)
     parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     parts += _curves(data, test, specs, out, progress)
@@ -183,7 +183,7 @@ def run(
         regimes = stress.run(
             spec, teach, check, _without_test(pool, data, check), progress=progress
         )
-        _store(out, "stress", regimes, charts.stress)
+        store(out, "stress", regimes, charts.stress)
         parts.append(f"## Stress\n\n{markdown(regimes, STRESS)}")
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
     head += (
@@ -239,12 +239,12 @@ def _curves(
             for spec in quick
             for row in year.learning_curve(spec, pool, held, progress=progress)
         ]
-        _store(out, "learning_curve", rows, charts.learning_curves)
+        store(out, "learning_curve", rows, charts.learning_curves)
         parts.append(f"## Captures\n\n{markdown(rows, CURVE)}")
     if year.is_year(data):
         rows = [
             row for spec in quick for row in year.compare_periods(spec, data, progress=progress)
         ]
-        _store(out, "periods", rows, charts.collection_periods)
+        store(out, "periods", rows, charts.collection_periods)
         parts.append(f"## Collection periods\n\n{markdown(rows, PERIODS)}")
     return parts

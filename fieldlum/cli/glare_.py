@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from fieldlum.cli.options import json_lines_option
 from fieldlum.cli.terminal import emit_json, say
+
+if TYPE_CHECKING:
+    from fieldlum.glare.answers import GlareAnswer
 
 BAD_FILE = 3
 # Columns of --csv: a contract, additions only at the end.
@@ -133,20 +137,20 @@ def command(
         ctx.exit(BAD_FILE)
 
 
-def csv_rows(answer: dict[str, Any]) -> list[dict[str, Any]]:
+def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
     """Return one row for each view, with the names of `CSV_COLUMNS`."""
-    whole = {key: answer.get(key) for key in ("file", "t_utc", "covered_share")}
+    whole: dict[str, object] = {key: answer.get(key) for key in ("file", "t_utc", "covered_share")}
     whole["calibration_factor"] = answer.get("calibration_factor")
     whole["warnings"] = "; ".join(answer["warnings"])
     rows = []
     for view in answer["views"]:
         reference = view.get("reference") or {}
         extra = {f"reference_{key}": reference.get(key) for key in ("dgp", "ev_lx")}
-        rows.append({key: (view | whole | extra).get(key) for key in CSV_COLUMNS})
+        rows.append({key: {**view, **whole, **extra}.get(key) for key in CSV_COLUMNS})
     return rows
 
 
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+def _write_csv(path: Path, rows: list[dict[str, object]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(CSV_COLUMNS)
@@ -154,7 +158,7 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
             writer.writerow("" if row[key] is None else row[key] for key in CSV_COLUMNS)
 
 
-def _table(answer: dict[str, Any]) -> None:
+def _table(answer: GlareAnswer) -> None:
     click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")
     if "calibration_factor" in answer:
         click.echo(f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance")
@@ -163,15 +167,16 @@ def _table(answer: dict[str, Any]) -> None:
         if view["dgp"] is None:
             click.echo(f"  {view['azimuth_deg']:5.1f}°  {view['verdict']}")
             continue
-        shown = {k: "    -" if v is None else v for k, v in view.items()}
         bounds = (
-            f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}" if "dgp_low" in view else ""
+            f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}"
+            if "dgp_low" in view and "dgp_high" in view
+            else ""
         )
         click.echo(
             f"  {view['azimuth_deg']:5.1f}°  {view['dgp']:.3f}  {view['dgps']:.3f}  "
             f"{view['ev_lx']:6.0f}"
-            f"  {view['melanopic_edi_lx']:6.0f}  {_figure(shown['ugr'])}  {_figure(shown['dgi'])}"
-            f"  {_figure(shown['window_to_task'])}        {view['verdict']}{bounds}"
+            f"  {view['melanopic_edi_lx']:6.0f}  {_figure(view['ugr'])}  {_figure(view['dgi'])}"
+            f"  {_figure(view['window_to_task'])}        {view['verdict']}{bounds}"
         )
         if "reference" in view:
             _reference_line(view["reference"])
@@ -181,7 +186,7 @@ def _table(answer: dict[str, Any]) -> None:
     click.echo("  * an estimate: Ev with the spectrum of D65")
 
 
-def _reference_line(answer: dict[str, Any]) -> None:
+def _reference_line(answer: Mapping[str, Any]) -> None:
     click.echo(
         f"     evalglare: DGP {answer['dgp']:.3f}, Ev {answer['ev_lx']:.0f} lx, "
         f"UGR {answer['ugr']:.1f}, DGI {answer['dgi']:.1f}, {answer['sources']} sources "
@@ -189,5 +194,5 @@ def _reference_line(answer: dict[str, Any]) -> None:
     )
 
 
-def _figure(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:5.1f}"
+def _figure(value: float | None) -> str:
+    return "    -" if value is None else f"{value:5.1f}"

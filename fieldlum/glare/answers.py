@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
@@ -23,6 +23,55 @@ VERDICTS = (
 )
 
 
+class ViewAnswer(TypedDict):
+    """One view direction of `glare --json`; figures of an unseen direction are None.
+
+    dgp_low, dgp_high: bounds of a partly seen direction. sources: the strongest glare sources of a
+    single picture. reference: the answer of evalglare.
+    """
+
+    azimuth_deg: float
+    altitude_deg: NotRequired[float]
+    ev_lx: float | None
+    dgp: float | None
+    dgps: float | None
+    ugr: float | None
+    dgi: float | None
+    ugp: float | None
+    cgi: float | None
+    veiling_cdm2: float | None
+    veiling_age70_cdm2: float | None
+    task_cdm2: float | None
+    window_to_task: float | None
+    uniformity: float | None
+    melanopic_edi_lx: float | None
+    verdict: str
+    seen: str
+    seen_share: float
+    dgp_low: NotRequired[float]
+    dgp_high: NotRequired[float]
+    source_count: NotRequired[int]
+    sources: NotRequired[list[dict[str, float]]]
+    reference: NotRequired[dict[str, float | str]]
+
+
+class GlareAnswer(TypedDict):
+    """The object that `glare --json` prints for one picture."""
+
+    file: str
+    t_utc: str | None
+    heading_deg: float
+    sun: dict[str, float | str] | None
+    melanopic_der: str
+    views: list[ViewAnswer]
+    disturbed_share: float | None
+    warnings: list[str]
+    covered_share: float
+    rammg_cdm2: NotRequired[float]
+    rammg_lightness: NotRequired[float]
+    calibration_factor: NotRequired[float]
+
+
 def verdict(dgp: float) -> str:
     """Return the grade of a DGP, one of Wienold's four."""
     return next(name for limit, name in VERDICTS if dgp < limit)
@@ -31,10 +80,11 @@ def verdict(dgp: float) -> str:
 def answer_of(
     path: Path,
     picture: Picture,
-    views: list[dict[str, Any]],
+    views: list[ViewAnswer],
     warnings: list[str],
     sun: SunSource | None,
-) -> dict[str, Any]:
+    covered_share: float,
+) -> GlareAnswer:
     """Return the values of one picture that both kinds of picture have."""
     panorama = picture.panorama
     known = [np.nan if view["dgp"] is None else view["dgp"] for view in views]
@@ -47,6 +97,7 @@ def answer_of(
         "views": views,
         "disturbed_share": plain(float(disturbed_share(np.array([known]))[0])),
         "warnings": warnings + picture_warnings(picture),
+        "covered_share": covered_share,
     }
 
 

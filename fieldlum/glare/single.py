@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from fieldlum.errors import InputError
 from fieldlum.glare.answers import (
+    GlareAnswer,
+    ViewAnswer,
     answer_of,
     plain,
     scaled_sun,
@@ -44,7 +46,7 @@ def picture_glare(
     reference: bool = False,
     view_options: str = "",
     measured_ev_lx: float | None = None,
-) -> dict[str, Any]:
+) -> GlareAnswer:
     """Return file, views (one dict each), contrast of a panorama, and warnings.
 
     view_options : replace the view that the file states. measured_ev_lx : scale the picture so that
@@ -58,12 +60,14 @@ def picture_glare(
     if not ev or ev <= 0.0:
         raise InputError(path, "no light in the view", "a picture to scale", "check the picture")
     factor = measured_ev_lx / ev
-    return judge(picture, path, azimuths_deg, reference, factor) | {"calibration_factor": factor}
+    answer = judge(picture, path, azimuths_deg, reference, factor)
+    answer["calibration_factor"] = factor
+    return answer
 
 
 def panorama_glare(
     panorama: Panorama, azimuths_deg: Sequence[float] = (), *, reference: bool = False
-) -> dict[str, Any]:
+) -> GlareAnswer:
     """Return the same as `picture_glare` for a panorama in memory; its `file` is "".
 
     Raises InputError for a map that is not twice as wide as high, or not finite.
@@ -78,12 +82,14 @@ def panorama_glare(
             "use a map of all directions (equirectangular)",
         )
     picture = Picture(panorama, None)
-    return _panorama_answer(picture, source, azimuths_deg, reference, 1.0) | {"file": ""}
+    answer = _panorama_answer(picture, source, azimuths_deg, reference, 1.0)
+    answer["file"] = ""
+    return answer
 
 
 def _panorama_answer(
     picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
-) -> dict[str, Any]:
+) -> GlareAnswer:
     """Judge a panorama in the given directions, with its luminance times `factor`."""
     panorama = picture.panorama
     azimuths = np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
@@ -99,8 +105,9 @@ def _panorama_answer(
             azimuth = row["azimuth_deg"]
             fisheye = panorama_to_fisheye(maps, panorama.heading_deg, azimuth, sun=sun)
             row["reference"] = asdict(reference_glare(fisheye))
-    contrast = {"rammg_cdm2": rammg(maps), "rammg_lightness": rammg_lightness(maps)}
-    return answer_of(path, picture, views, warnings, sun) | {"covered_share": 1.0} | contrast
+    answer = answer_of(path, picture, views, warnings, sun, 1.0)
+    answer["rammg_cdm2"], answer["rammg_lightness"] = rammg(maps), rammg_lightness(maps)
+    return answer
 
 
 def _view_rows(
@@ -109,7 +116,7 @@ def _view_rows(
     azimuths: np.ndarray,
     sun: SunSource | None,
     seen: np.ndarray | None,
-) -> list[dict[str, Any]]:
+) -> list[ViewAnswer]:
     """Return the figures of each direction; seen [H, W], None if all pixels were seen."""
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
@@ -133,7 +140,7 @@ def _view_rows(
             row["verdict"] = _bounds_verdict(row["dgp_low"], row["dgp_high"])
         if not coverage.judged[i]:
             row |= dict.fromkeys((*figures, "melanopic_edi_lx")) | {"verdict": NOT_SEEN}
-        views.append(row)
+        views.append(cast(ViewAnswer, row))
     return views
 
 

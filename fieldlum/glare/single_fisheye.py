@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from fieldlum.errors import InputError
 from fieldlum.glare.answers import (
+    GlareAnswer,
+    ViewAnswer,
     answer_of,
     plain_values,
     scaled_sun,
@@ -31,7 +33,7 @@ SHOWN_SOURCES = 20  # listed one by one, because a noisy picture can have thousa
 
 def single_picture_glare(
     picture: Picture, path: Path, azimuths_deg: Sequence[float], reference: bool, factor: float
-) -> dict[str, Any]:
+) -> GlareAnswer:
     """Judge a picture in its own view direction, with its luminance times `factor`.
 
     Raises InputError for other directions and for pixels that are not finite.
@@ -61,7 +63,7 @@ def single_picture_glare(
         warnings.append(
             f"the picture covers {100 * share:.0f} % of the view: Ev and DGP are lower bounds"
         )
-    return answer_of(path, picture, [row], warnings, sun) | {"covered_share": share}
+    return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share)
 
 
 def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:

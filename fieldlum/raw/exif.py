@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -18,6 +19,15 @@ from fieldlum.records import Exposure
 # Roll of the camera by EXIF Orientation (EXIF 2.32). Mirrored orientations are written by no
 # camera.
 _ROLL_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: -90.0}
+
+
+class ExifTag(Protocol):
+    """A tag of exifread: text, or a list of numbers or fractions."""
+
+    @property
+    def values(self) -> object:
+        """Return the content of the tag."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +45,7 @@ class FrameInfo:
     model: str = ""
 
 
-def tags_of(path: Path) -> dict[str, Any]:
+def tags_of(path: Path) -> dict[str, ExifTag]:
     """Return the tags that exifread finds; no tags if it cannot parse the file.
 
     Raises InputError for a file that is missing or empty.
@@ -59,7 +69,7 @@ def tags_of(path: Path) -> dict[str, Any]:
     return {}
 
 
-def numbers(tags: dict[str, Any], *names: str) -> list[float]:
+def numbers(tags: Mapping[str, ExifTag], *names: str) -> list[float]:
     """Return the values of the first of `names` that exists and has finite numbers only."""
     for name in names:
         values = getattr(tags.get(name), "values", None)
@@ -70,7 +80,7 @@ def numbers(tags: dict[str, Any], *names: str) -> list[float]:
     return []
 
 
-def _text(tags: dict[str, Any], *names: str) -> str:
+def _text(tags: Mapping[str, ExifTag], *names: str) -> str:
     for name in names:
         values = getattr(tags.get(name), "values", None)
         if isinstance(values, str) and values.strip("\0 "):
@@ -78,7 +88,7 @@ def _text(tags: dict[str, Any], *names: str) -> str:
     return ""
 
 
-def _camera_time(tags: dict[str, Any]) -> datetime | None:
+def _camera_time(tags: Mapping[str, ExifTag]) -> datetime | None:
     stamp = _text(tags, "EXIF DateTimeOriginal", "Image DateTimeOriginal", "Image DateTime")
     day, _, clock = stamp.partition(" ")
     second = _text(tags, "EXIF SubSecTimeOriginal")
@@ -89,14 +99,14 @@ def _camera_time(tags: dict[str, Any]) -> datetime | None:
     return None
 
 
-def _nd_name(tags: dict[str, Any]) -> str:
+def _nd_name(tags: Mapping[str, ExifTag]) -> str:
     text = _text(tags, "Image ImageDescription")
     return text.removeprefix("ND=") if text.startswith("ND=") else ""
 
 
 def info_of(
     path: Path,
-    tags: dict[str, Any],
+    tags: Mapping[str, ExifTag],
     fallback: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     lens_f_number: float = 0.0,

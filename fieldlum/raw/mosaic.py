@@ -8,7 +8,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError
 from fieldlum.raw.dng import channel_positions
-from fieldlum.raw.exif import FrameInfo, info_of, numbers, tags_of
+from fieldlum.raw.exif import ExifTag, FrameInfo, info_of, numbers, tags_of
 from fieldlum.records import Exposure
 
 # A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels.
@@ -244,7 +244,7 @@ def _pattern(path: Path, raw: Any) -> tuple[str, NDArray[np.intp]]:
     return cfa, index
 
 
-def _colour_matrix(raw: Any, tags: dict[str, Any]) -> NDArray[np.float64] | None:
+def _colour_matrix(raw: Any, tags: Mapping[str, ExifTag]) -> NDArray[np.float64] | None:
     """Return the matrix from XYZ to camera, [3, 3]: LibRaw's, else the DNG's ColorMatrix2 or 1."""
     known = np.asarray(raw.rgb_xyz_matrix, float)[:3]
     if np.any(known):

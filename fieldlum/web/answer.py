@@ -15,13 +15,14 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import IO, Any
 
 from fieldlum.records import utc_text
 from fieldlum.session import Session, replacing
+from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
@@ -138,18 +139,18 @@ class Worker:
 
     def _keep(self, captured: int, annual: Path) -> None:
         """Append the classes to the history of answers."""
-        about = json.loads((annual / "predict.json").read_text(encoding="utf-8"))
+        year = PredictFile.read(annual)
         hours: list[dict[str, Any]] = []
         with suppress(OSError, ValueError, KeyError):
             hours = json.loads((self.folder / "useful hours.out").read_text("utf-8"))["hours"]
         row = {
             "t_utc": utc_text(datetime.now(UTC)),
             "captures": captured,
-            "weather": about["weather"]["name"],
-            "synthetic": bool(about["weather"]["synthetic"]),
-            "warnings": [*about["model_warnings"], *about["notes"]],
-            "protection": about["protection"],
-            "capture_next": about["capture_next"][:5],
+            "weather": year.weather.name,
+            "synthetic": year.weather.synthetic,
+            "warnings": [*year.model_warnings, *year.notes],
+            "protection": [row.table() for row in year.protection],
+            "capture_next": [asdict(hour) for hour in year.capture_next[:5]],
             "useful": hours[:8],
         }
         rows = [*read_answers(self.session), row][-_DAYS_KEPT:]
