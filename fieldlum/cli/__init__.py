@@ -57,7 +57,7 @@ DISK_TROUBLE = {
     errno.EIO: "the disk or card does not answer: copy what can be read to another one",
     errno.ENOTDIR: "name a folder",
     errno.EISDIR: "name a file",
-    errno.EEXIST: "name a new folder, or an existing one",
+    errno.EEXIST: "name a folder",
     errno.ENAMETOOLONG: "choose shorter names",
 }
 

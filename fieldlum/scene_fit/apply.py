@@ -21,7 +21,8 @@ from fieldlum.site_toml import site_table
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-_SAME_HEADING_DEG = 0.05  # of the digits that a panorama's header keeps; north is found to 0.1
+# Chosen: above the rounding of a panorama's header, below the 0.1 degrees to which north is found.
+_SAME_HEADING_DEG = 0.05
 
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:

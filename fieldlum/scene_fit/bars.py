@@ -15,15 +15,18 @@ from fieldlum.scene_fit.renderer import lit_entries, surfaces
 
 Array = NDArray[np.floating]
 
-# From the study of the office (docs/scene.md): its bars are 8 cm wide and 12 cm deep.
+# From the study of the office (docs/scene.md): its bars are 8 cm wide and 12 cm deep. The others
+# were chosen with it and not varied since: a slope of the sun against the window's normal above
+# which the depth blurs a bar, the dip of the light at a bar, the width of the median around it, the
+# widths between noise and a column, the depth that the search starts from.
 CELL_M = 0.02
-MAX_SLOPE = 0.6  # of the sun against the window's normal: flatter suns blur the bars' depth
-MIN_DIP = 0.2  # of the light between bars
+MAX_SLOPE = 0.6
+MIN_DIP = 0.2
 RUNNING_M = 1.0
-MAX_BAR_M = 0.2  # wider is no bar: a column, a wall between windows
+MAX_BAR_M = 0.2
 MIN_BAR_M = 0.015
 START_DEPTH_M = 0.06
-_WHOLE = 0.8  # share of a pixel's rays that must be lit for its brightness to count
+_LIT_SHARE = 0.8  # chosen, not varied: of a pixel's rays, for its brightness to count
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def window_picture(
     u = position[:, along] + reach * suns[lit.hour, along]
     z = position[:, 2] + reach * suns[lit.hour, 2]
     steep = np.hypot(suns[lit.hour, along], suns[lit.hour, 2]) < MAX_SLOPE * toward
-    use = steep & (share[flat] > _WHOLE) & np.isfinite(value[flat]) & np.isfinite(weight[flat])
+    use = steep & (share[flat] > _LIT_SHARE) & np.isfinite(value[flat]) & np.isfinite(weight[flat])
     u_m = np.arange(rect.u_m[0], rect.u_m[1] + CELL_M, CELL_M)
     z_m = np.arange(rect.z_m[0], rect.z_m[1] + CELL_M, CELL_M)
     w = weight[flat][use]

@@ -26,22 +26,27 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Chosen, not measured: a third of the least turn; a turn beyond what the search corrects for a
+# compass near steel; hours, of which fewer show no pattern.
 _TURN_STEP_DEG = 10.0
-_MIN_TURN_DEG = 30.0  # the search takes up what a compass near steel is off
-_MIN_HOURS = 12  # fewer hours do not show a pattern
-# In the office and in three rendered rooms, as they are: 0 (windows), 1.0 (sun); turned by 180
-# degrees: 2.6 to 3.0, and 0.48 to 0.54.
+_MIN_TURN_DEG = 30.0
+_MIN_HOURS = 12
+# Measured in the office and in three rendered rooms, as they are: 0 (windows), 1.0 (sun); turned by
+# 180 degrees: 2.6 to 3.0, and 0.48 to 0.54.
 _WINDOW_LOG_GAIN = 1.0
 _SUN_ERROR_SHARE = 0.7
-_SUN_SHARE = 0.05  # of the room's light that follows the sun before the stated windows
-# One room: correlation 0.93 to 0.97, unexplained 0.83 to 0.86. The office turned by 16 degrees in
-# half of the captures: 0.78 and 0.49; with a second room: 0.54 and 0.31.
+_SUN_SHARE = 0.05  # chosen: of the room's light, that follows the sun before the stated windows
+# Measured: one room, correlation 0.93 to 0.97, unexplained 0.83 to 0.86; the office turned by 16
+# degrees in half of the captures: 0.78 and 0.49; with a second room: 0.54 and 0.31.
 _SAME_VIEW_CORRELATION = 0.88
 _TWO_VIEWS_UNEXPLAINED = 0.65
+# Chosen, not measured: below this share, captures of a second view do not move the fit; rows coarse
+# enough that noise averages out; a luminance below that of a room by day; rounds of two means,
+# which settle in about five.
 _MIN_VIEW_SHARE = 0.04
 _VIEW_ROWS = 24
 _FLOOR_CDM2 = 0.1
-_ROUNDS = 20  # of two means; they settle in about five
+_ROUNDS = 20
 _REMEDY = "nothing was written, and train goes on with the stated [room] or --scene none"
 
 

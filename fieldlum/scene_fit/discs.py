@@ -26,10 +26,13 @@ NAMES = ("heading_deg", "tilt_deg", "roll_deg", "clock_min", "lens_scale")
 # Standard uncertainties before any disc was measured: a compass near steel, a camera set by hand,
 # a camera clock compared with NTP (`import` and `capture` record that), an equidistant lens model.
 PRIOR_SD = (5.0, 1.0, 1.0, 0.1, 0.01)
-LEAST_DISCS = 3
-_GROSS_SIGMAS = 5.0  # a disc this far from where the others put it is a reflection or a lamp
-_STEPS = 12  # Gauss-Newton steps; three are enough for errors of a few degrees
-_OPEN_SHARE = 0.5  # of the prior's uncertainty: above it the discs did not determine a parameter
+LEAST_DISCS = 3  # chosen: six coordinates, one more than the five parameters
+# Chosen, not measured: so far from the other discs, one is a reflection or a lamp; four times the
+# steps that errors of a few degrees need; half of the prior's uncertainty, above which the discs
+# did not determine a parameter; a correlation at which two parameters have one known combination.
+_GROSS_SIGMAS = 5.0
+_STEPS = 12
+_OPEN_SHARE = 0.5
 _VALLEY_CORRELATION = 0.98
 
 

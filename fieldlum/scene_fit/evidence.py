@@ -29,11 +29,11 @@ Array = NDArray[np.floating]
 MAX_HOURS = 60
 PIXELS = 4000
 SUB = 2  # rays a pixel is divided into, each way
-MIN_SUNNY_HOURS = 6
-WIDTH = 0.4  # log error at which a pixel counts as half wrong
-_FAINT_SUN = 0.1  # of the strongest direct sun before a window
-_CLOCK_REACH_MIN = 20
-_WINDOW_MARGIN_DEG = 4.0  # pixels so near a window are left out: they may look through it
+MIN_SUNNY_HOURS = 6  # chosen: with every third kept out, four hours are left to fit
+WIDTH = 0.4  # chosen with the study, not varied: log error at which a pixel counts as half wrong
+_FAINT_SUN = 0.1  # chosen, not measured: of the strongest direct sun before a window
+_CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
+_WINDOW_MARGIN_DEG = 4.0  # chosen: pixels nearer to a window are left out, may look through it
 
 
 @dataclass(frozen=True)

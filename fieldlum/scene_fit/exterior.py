@@ -12,19 +12,24 @@ from fieldlum.scene.geometry import WALLS
 from fieldlum.scene_fit.guess import Bar, Guess, Solid, WindowRect
 from fieldlum.scene_fit.parameters import Parameter
 
-# Grids from which searches start. Distance and height of a facade trade against each other, so that
-# a factor of two in distance is fine enough; its angle of elevation decides which suns it hides.
+# Grids from which searches start; chosen, not varied. A facade farther away and higher gives nearly
+# the same shade, so that a factor of two in distance is fine enough; its angle of elevation decides
+# which suns it hides.
 FACADE_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
 FACADE_ELEVATIONS_DEG = (6.0, 10.0, 14.0, 18.0, 24.0, 30.0, 40.0)
-FACADE_THICKNESS_M = 2.0
-REACH_M = 40.0  # of a facade to either side of the window: past every sun that enters
-CANOPY_GAPS_M = (0.05, 0.3)  # above the window's upper edge
+FACADE_THICKNESS_M = 2.0  # chosen: hardly changes the shade of a facade that starts at the ground
+REACH_M = 40.0  # chosen: of a facade to either side of the window, past every sun that enters
+# Chosen, not measured: gaps above the window's upper edge, depths and thickness of common canopies,
+# the overhang to either side, shares of a window that a blind or a curtain covers. A thinner shade
+# than `THINNEST_M` explains noise; no captured patch shows the outside, so that a common facade's
+# albedo is taken.
+CANOPY_GAPS_M = (0.05, 0.3)
 CANOPY_DEPTHS_M = (0.4, 0.8, 1.3, 2.0)
 CANOPY_THICKNESS_M = 0.1
-THINNEST_M = 0.08  # a thinner shade explains noise
-CANOPY_OVERHANG_M = 1.5  # to either side of the window
-COVERED_SHARES = (0.15, 0.3, 0.45, 0.6, 0.75)  # of a window by a blind or a curtain
-ALBEDO = 0.4  # no captured patch shows the outside: a common facade
+THINNEST_M = 0.08
+CANOPY_OVERHANG_M = 1.5
+COVERED_SHARES = (0.15, 0.3, 0.45, 0.6, 0.75)
+ALBEDO = 0.4
 
 Side = Literal["all", "low", "high"]
 

@@ -20,16 +20,19 @@ from fieldlum.scene_fit.renderer import OUTSIDE, Surfaces, lit_entries, surfaces
 
 Array = NDArray[np.floating]
 
-# From the study of the office and one more room (docs/scene.md).
+# From the study of the office and one more room (docs/scene.md): depths and albedos tried for each
+# pixel, the gain in a pixel's misfit that is more than noise, cells of the plan in which pixels are
+# grouped, cells and boxes that are enough, the smallest box.
 DEPTHS = 40
 NEAREST_M = 0.3
 ALBEDOS = (0.1, 0.2, 0.35, 0.5, 0.7)
-MIN_PIXEL_GAIN = 0.02  # of a pixel's misfit: less is noise
-CELL_M = 0.15  # of the plan in which proposals are grouped
+MIN_PIXEL_GAIN = 0.02
+CELL_M = 0.15
 MIN_CELLS = 2
 MAX_PROPOSALS = 12
 MIN_SIZE_M = 0.08
-MIN_TABLE_M, TABLE_TOP_M = 0.35, 0.05  # a table's top on thin legs lets the sun pass below it
+# Chosen, not measured: the sun passes below a table's top on thin legs.
+MIN_TABLE_M, TABLE_TOP_M = 0.35, 0.05
 
 # The faces that a pixel may look at: axis and sign of the normal.
 FACES = ((2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))

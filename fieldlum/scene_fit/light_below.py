@@ -17,12 +17,13 @@ Array = NDArray[np.floating]
 # From a study of two rooms rendered by Radiance, made before this code (docs/scene.md).
 RANK = 15  # few enough features that smooth light cannot imitate a patch
 ROUNDS = 6
-BRIGHTER, DARKER = 0.12, 0.5  # a patch never takes light away: what is darker is forgiven less
-# Of the level of one hour, which has nothing else to fit: dark pixels are noise there.
+BRIGHTER, DARKER = 0.12, 0.5  # a sun patch only adds light: brighter pixels lose weight sooner
+# Chosen with the study: an hour's level is one number, so that dark pixels are noise there; a
+# luminance below that of a room by day; a share of the mean diagonal, so that a system is solvable.
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
 LEAST_CDM2 = 0.1
 _RIDGE = 1e-3
-_PATCH_SHARE = 0.3  # of a pixel's light; where a patch is more, the light below is hardly seen
+_PATCH_SHARE = 0.3  # chosen: of a pixel's light; a stronger patch hides the light below
 
 
 def light_below(data: Dataset, seen: Array, patch: Array | None = None) -> Array:

@@ -20,7 +20,8 @@ Change = Callable[[Guess, float], Guess]
 NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
 LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
 POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
-SUN_DEG_PER_MIN = 0.25  # of azimuth: a late clock and a turned north look alike
+# The mean sun's 360 degrees in 24 hours, by definition: a late clock and a turned north look alike.
+SUN_DEG_PER_MIN = 0.25
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from fieldlum.scene_fit.guess import Guess
 if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
-SHOWN_HOURS = 4
+SHOWN_HOURS = 4  # chosen: one page in print
 FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
 
 

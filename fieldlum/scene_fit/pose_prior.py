@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 # Allowance for the lens model and the mount, which the sidecar's sigma_deg leaves out
 # (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.
 LEAST_U_DEG = 0.02
-_LENS_SCALE_SD = 0.01
+_LENS_SCALE_SD = 0.01  # chosen, not measured: of an equidistant model without a lens calibration
 _FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")  # of `discs.NAMES`, as `POSE_NAMES`
 
 

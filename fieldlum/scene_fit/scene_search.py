@@ -42,17 +42,22 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
+# Chosen, not varied: two thirds of the hours to fit, one third to check; clocks a little beyond the
+# prior's 5 minutes, and half of that from a fitted room; a third of the pixels in a third of the
+# time.
 KEPT_OUT_EVERY = 3
 START_CLOCKS_MIN = (-6.0, 0.0, 6.0)
 RESTART_CLOCKS_MIN = (-3.0, 0.0, 3.0)
 COARSE_PIXELS_EVERY = 3
-BAR_GAIN = 0.002  # share of the misfit that a bar must take away
+BAR_GAIN = 0.002  # chosen: share by which a bar must lower the misfit; a bar shades few pixels
 SOLID_GAIN = 0.004  # likewise a solid; a proposal that explains noise takes less (docs/scene.md)
-KEPT_OUT_GAIN = 0.001  # on the hours kept out
+KEPT_OUT_GAIN = 0.001  # chosen: on the hours kept out, more than rounding
+# Chosen, for time: each solid costs a search. Trials are the best proposals of the grid, from which
+# searches start. A shade needs a larger gain, because a wrong one moves north, clock and edges.
 MAX_SOLIDS = 8
 MAX_SHADES = 2
-SHADE_TRIALS = 3  # proposals of the grid that a search starts from
-SHADE_GAIN = 0.02  # more than a solid's: a wrong shade moves north, clock and edges
+SHADE_TRIALS = 3
+SHADE_GAIN = 0.02
 
 
 @dataclass(frozen=True)

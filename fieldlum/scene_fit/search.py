@@ -21,10 +21,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-_LONGEST_STEPS = 3.0  # first steps of the parameters, along axes that hardly change the misfit
-_PRINCIPAL_GAIN = 0.02  # of the cost: what the first step along a principal axis would change
-MAX_MOVES = 6  # in one direction, before the other numbers have their turn
-MIN_GAIN_SHARE = 1e-5  # of the cost: less is rounding
+# Chosen, not varied. The first step along a principal axis changes the cost by `_PRINCIPAL_GAIN`,
+# but is at most `_LONGEST_STEPS` first steps of the parameters. After `MAX_MOVES` in one direction
+# the other numbers have their turn. A gain below `MIN_GAIN_SHARE` of the cost is rounding.
+_LONGEST_STEPS = 3.0
+_PRINCIPAL_GAIN = 0.02
+MAX_MOVES = 6
+MIN_GAIN_SHARE = 1e-5
 # Of the stated misfit: what one standard deviation of one number must pay. With a third of it the
 # coarse search of a room with a canopy moved the clock by 13 minutes (bench/scene_rooms.py).
 PRIOR_SHARE = 0.0015
