@@ -28,7 +28,7 @@ from fieldlum.calibrate.response import residuals
 from fieldlum.images import read_radiance_hdr
 from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
-from fieldlum.merge.frames import JpegSignal
+from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.shift import shifts
 from fieldlum.photometry import dark_floor, fit_response, pick_places, snap_shutter_s
 from fieldlum.profiles import CameraProfile, Response, load_camera_profile

@@ -21,7 +21,8 @@ from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_sensor, merge_
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frame_checks import NO_PLATEAU
-from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
+from fieldlum.merge.frames import RawSignal, lens_crop, load_raw
+from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.project import ProjectedImage, blend
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.photometry import vertical_illuminance_lx

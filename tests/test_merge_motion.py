@@ -14,7 +14,8 @@ from fieldlum.cli import main
 from fieldlum.images import read_panorama
 from fieldlum.merge.bracket import merge_sensor
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import JpegSignal, RawSignal, over_colours, over_mosaic
+from fieldlum.merge.frames import RawSignal, over_colours, over_mosaic
+from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.motion import Ballot, leave_out_moved, vote
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.photometry import srgb_table, z_per_cdm2

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frame_cache import FrameStore
-from fieldlum.merge.frames import JpegSignal
 from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
+from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.photometry import srgb_table
 from fieldlum.projection import Equirect, LensGeometry
 from fieldlum.records import Flag

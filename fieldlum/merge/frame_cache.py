@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.merge.estimator import Signal
-from fieldlum.merge.frames import JpegSignal, RawSignal
+from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.shift import Small
 
 # 18 JPEG frames of a fisheye's 13 megapixels, or 16 raw ones of 24: with the sums about 1.5 GB.

@@ -22,8 +22,9 @@ from fieldlum.merge.exposures import (
 )
 from fieldlum.merge.frame_cache import FRAMES_BYTES, FrameStore
 from fieldlum.merge.frame_checks import FirstLook, first_look
-from fieldlum.merge.frames import Crop, lens_crop, load_jpeg, load_raw, over_colours, over_mosaic
+from fieldlum.merge.frames import Crop, lens_crop, load_raw, over_colours, over_mosaic
 from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
+from fieldlum.merge.jpeg_signal import load_jpeg
 from fieldlum.merge.motion import leave_out_moved
 from fieldlum.merge.noise import SeenNoise, seen_noise
 from fieldlum.merge.options import MergeOptions

@@ -1,0 +1,190 @@
+"""JPEG frames as linear signals: codes through tables of the response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.linear_light import (
+    check_frame,
+    frame_z_per_cdm2,
+    nd_factors,
+    response_tables,
+)
+from fieldlum.merge.estimator import Strip
+from fieldlum.merge.frames import Crop, evenly_spread
+from fieldlum.merge.shift import Small, reduced
+from fieldlum.merge.shots import Shot
+from fieldlum.profiles import CameraProfile
+from fieldlum.raw import read_jpeg
+
+# Codes: noise of a JPEG pixel besides its quantisation. Sensor 0.5, rounding to YCbCr and of its
+# cosines 0.7; these are correlated between colours and neighbours, so that sums of them need the
+# 1.0 (bench/merge_budget.py --kind jpeg).
+_SIGMA_CODE = 1.0
+
+
+_Z_STEPS, _Z_TOP = 1 << 14, 1.02  # of the table over z
+
+
+_TOP_CODE = 250  # of a JPEG: a pixel above it is treated as saturated
+
+
+@dataclass(frozen=True)
+class JpegSignal:
+    """Codes [h, w, 3] with a table of z for each colour.
+
+    The weights by predicted z are in a table too.
+    """
+
+    codes: NDArray[np.uint8]
+    z_of_code: NDArray[np.float32]  # [256, 3]
+    per_cdm2: NDArray[np.float32]  # [w, 3]; or a scalar or [3], which is slower
+    low_code: int
+    high_code: int
+    dark_end: bool  # the most exposed frame: there is no brighter one for codes below low_code
+    bright_end: bool
+    through_nd: bool = False
+
+    @cached_property
+    def _top(self) -> int:
+        return _TOP_CODE if self.bright_end else self.high_code
+
+    def _rows(self, colours: NDArray[Any]) -> NDArray[Any]:
+        """Return [3] as [w, 3]: numpy then processes complete rows, not three values at a time."""
+        return np.ascontiguousarray(np.broadcast_to(colours, self.codes.shape[1:]))
+
+    @cached_property
+    def _limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Lowest and highest z to predict from, and highest readable z, [w, 3] each."""
+        low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
+        return (
+            self._rows(low),
+            self._rows(self.z_of_code[self._top]),
+            self._rows(self.z_of_code[_TOP_CODE]),
+        )
+
+    @cached_property
+    def _offsets(self) -> NDArray[np.intp]:
+        return self._rows(np.arange(3, dtype=np.intp) * _Z_STEPS)
+
+    @cached_property
+    def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Variance of z, and weight of a predicted z, over z in equal steps, [3 steps].
+
+        The colours follow each other.
+        """
+        z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
+        variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
+        codes = np.arange(256.0)
+        low, per = 0 if self.dark_end else self.low_code, self._rows(self.per_cdm2)[0]
+        for c in range(3):
+            curve = self.z_of_code[:, c].astype(np.float64) + np.arange(256) * 1e-9
+            code = np.interp(z, curve, codes)
+            slope = np.interp(code, codes, np.maximum(np.gradient(curve), 1e-6))
+            variance[c] = slope**2 * (_SIGMA_CODE**2 + 1 / 12)
+            weight[c] = np.where((code >= low) & (code <= self._top), per[c] / variance[c], 0.0)
+        return variance.reshape(-1), weight.reshape(-1)
+
+    def _looked_up(self, table: NDArray[np.float32], z: Strip) -> Strip:
+        """Return the values of a table over z, computed in z's own memory.
+
+        An unknown luminance, infinite, is above all codes.
+        """
+        z *= np.float32(_Z_STEPS / _Z_TOP)
+        np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
+        index = z.astype(np.intp)
+        index += self._offsets
+        return np.take(table, index, out=z, mode="clip")
+
+    def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
+        """See `Signal`."""
+        import cv2
+
+        part = self.codes[first:last]
+        linear = np.asarray(cv2.LUT(part, self.z_of_code.reshape(1, 256, 3)), np.float32)
+        a, b = max(first - 2, 0), min(last + 2, len(self.codes))
+        if self.codes[a:b].max(initial=0) <= _TOP_CODE:
+            return linear, None
+        below = cv2.inRange(
+            self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3
+        )  # 255 where no colour is full
+        wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
+        return linear, np.repeat(wide[:, :, None], 3, axis=2)
+
+    def weight(self, predicted_cdm2: Strip) -> Strip:
+        """See `Signal`."""
+        return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
+
+    def usable(self, counts: Strip) -> NDArray[np.bool_]:
+        """See `Signal`."""
+        low, high, _ = self._limits
+        ok = counts >= low
+        ok &= counts <= high
+        return ok
+
+    def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
+        """See `Signal`."""
+        return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
+
+    def largest_cdm2(self) -> NDArray[np.float32]:
+        """See `Signal`."""
+        return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
+
+    def small(self) -> Small:
+        """Return the green picture, for its edges."""
+        import cv2
+
+        green = np.ascontiguousarray(self.codes[..., 1])
+        light = np.asarray(cv2.LUT(green, np.ascontiguousarray(self.z_of_code[:, 1])), np.float32)
+        return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
+
+    def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
+        """See `Signal`."""
+        at = evenly_spread(len(self.codes), rows)
+        step = max(1, self.codes.shape[1] // columns)
+        full = np.stack(
+            [_or_none(self.strip(int(i), int(i) + 1)[1], self.codes.shape[1:]) for i in at]
+        )
+        per = self._rows(self.per_cdm2)[::step]
+        codes = self.codes[at][:, ::step]
+        return replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False), full[
+            :, ::step
+        ]
+
+
+def _or_none(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    return np.zeros(shape, bool) if mask is None else mask[0]
+
+
+def load_jpeg(
+    shot: Shot,
+    profile: CameraProfile,
+    crop: Crop,
+    ends: tuple[bool, bool] = (False, False),
+) -> JpegSignal:
+    """Read a JPEG frame. ends: whether it is the bracket's most, least exposed frame.
+
+    Raises InputError.
+    """
+    frame = read_jpeg(shot.path)
+    check_frame(shot.path, frame.codes.shape, frame.model, profile)
+    per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)
+    return JpegSignal(
+        np.ascontiguousarray(
+            frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
+        ),
+        response_tables(profile).astype(np.float32),
+        np.tile(
+            np.asarray([per / f for f in factors], np.float32),
+            (crop.width, 1),
+        ),
+        profile.response.low_code,
+        profile.response.high_code,
+        *ends,
+        bool(shot.exposure.nd),
+    )
