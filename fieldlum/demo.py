@@ -37,14 +37,14 @@ class Preset:
 
     height: int  # of the panoramas; they are twice as wide
     quality: str  # of the rendered truth
-    budget_min: float  # for the dense network
+    budget_min: float  # of `train`
     troubles: str = ""  # file in capture_plans/
 
 
 PRESETS = {
-    "quick": Preset(115, "quick", 0.5),
+    "quick": Preset(115, "quick", 2.0),
     "paper": Preset(230, "paper", 30.0),
-    "hard": Preset(58, "draft", 0.5, "troubles/hard.toml"),
+    "hard": Preset(58, "draft", 2.0, "troubles/hard.toml"),
 }
 
 Show = Callable[[str], Any]

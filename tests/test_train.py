@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from learning_room import dataset, write_pairs
 
-from fieldlum import models
+from fieldlum import models, train
 from fieldlum.cli import main, train_
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.models.data import Dataset
@@ -231,3 +231,48 @@ def test_a_model_of_the_same_captures_and_options_is_kept(tmp_path: Path) -> Non
     assert [kept(darker, seed=1), kept(darker, seed=1)] == [False, True]
     (out / "scores.json").unlink()
     assert not kept(darker, seed=1)
+
+
+class CountedClock:
+    """A clock that only advances by what fits and scans cost."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("budget_min", [5.0, 10.0, 40.0])
+def test_the_budget_bounds_the_complete_command(
+    budget_min: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Held-out folds, the network, the stored model, the scan and the learning curve."""
+    clock = CountedClock()
+    cost_s = {"mean": 1.0, "nearest": 1.0, "transport": 20.0}
+
+    def fit(name: str, data: Dataset, **options: Any) -> models.Fitted:
+        clock.now_s += options.pop("budget_s", None) or cost_s[name]
+        return real("nearest" if name == "dense" else "mean", data, patch="none", seed=0)
+
+    def scan(fitted: models.Fitted, *_: Any) -> tuple[models.Fitted, list[str]]:
+        clock.now_s += 20.0
+        return fitted, []
+
+    real = models.fit
+    monkeypatch.setattr(models, "fit", fit)
+    monkeypatch.setattr(train, "settle", scan)
+    answer = run(DATA, "auto", budget_min=budget_min, out=tmp_path, clock=clock, spent_s=10.0)
+    assert clock.now_s + 10.0 <= 60.0 * budget_min
+    folds = {row["name"]: row["folds"] for row in answer["models"]}
+    assert folds["transport"] >= 2 and (budget_min < 10.0 or folds["transport"] == 5)
+    assert budget_min < 40.0 or answer["captures"]["curve"]
+    assert answer["captures"] or any("no time for the learning" in n for n in answer["notes"])
+
+
+@pytest.mark.property
+def test_a_spent_budget_leaves_the_learning_curve_out_and_reports_it(tmp_path: Path) -> None:
+    answer = run(DATA, "mean", budget_min=1e-3, spent_s=60.0, out=tmp_path)
+    assert any("no time for the learning curve" in note for note in answer["notes"])
+    assert answer["captures"] == {} and {row["folds"] for row in answer["models"]} == {2}

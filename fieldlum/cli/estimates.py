@@ -25,9 +25,11 @@ def merge_s(folders: Iterable[Path]) -> float:
 
 
 def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
-    """Return the time to train; the budget is used by the dense network only. In s."""
-    transport = _TRANSPORT_S * captures * pixels if model in ("auto", "transport") else 0.0
-    return transport + (60.0 * budget_min if model in ("auto", "dense") else 0.0)
+    """Return the time to train, in s: the complete budget if the dense network is tried."""
+    if model in ("auto", "dense"):
+        return 60.0 * budget_min
+    needed = _TRANSPORT_S * captures * pixels if model == "transport" else 0.0
+    return min(needed, 60.0 * budget_min)
 
 
 def predict_s(pixels: int, directions: int) -> float:

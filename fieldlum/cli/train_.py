@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ from fieldlum.model_registry import MODELS
     default=10.0,
     show_default=True,
     type=click.FloatRange(min=0, min_open=True),
-    help="Minutes.",
+    help="Minutes for the complete command.",
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of everything random in training.")
 @scene_option
@@ -63,9 +64,10 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session or a pairs.csv. The budget is for the dense network, half for its held-out
-    folds and half for the final model; the other models use the time they need. A model of the same
-    captures and options is not trained again.
+    PAIRS is a session or a pairs.csv. The budget is for the complete command: reading, held-out
+    days, the stored model and the learning curve. Two held-out folds of each quick model, and the
+    scan of the setting, are always run. A model of the same captures and options is not trained
+    again.
 
     \b
     Example:
@@ -76,6 +78,7 @@ def command(
     from fieldlum.scene_fit.apply import in_scene
     from fieldlum.train import default_folder, run
 
+    started = time.monotonic()
     folder = out or default_folder(pairs, model)
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)
@@ -87,6 +90,7 @@ def command(
             data,
             model,
             budget_min=budget,
+            spent_s=time.monotonic() - started,
             patch=patch,
             seed=seed,
             out=folder,

@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ from fieldlum.train.folds import day_folds, one_day_only
 from fieldlum.train.room_changes import without_changes
 from fieldlum.train.selection import ModelSelection, Trial, choose
 from fieldlum.train.setting import settle
+from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import dense_folds, evaluate_folds, fit_timed
 from fieldlum.version import __version__
 
@@ -33,9 +35,7 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
-FOLD_SHARE = 0.5  # of the budget of slow models; the rest is for the stored model; not measured
-# All folds of a quick model, unless they take longer [s]: the budget is for the slow models.
-QUICK_S = 300.0
+FOLD_SHARE = 0.5  # of the time of slow models; the rest is for the stored model; not measured
 # Under one pass over the training pixels the network's errors depend on the processor's speed
 # (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the model
 # suits a room.
@@ -107,14 +107,18 @@ def fit_and_score(
     *,
     patch: Patch = "absolute",
     budget_s: float = 600.0,
+    budget: TimeBudget | None = None,
     seed: int = 0,
     checkpoint: Path | None = None,
     progress: Progress = quiet,
 ) -> Result:
     """Run trials on held-out days, choose a model, and fit it on all of the data.
 
-    Raises NotEnoughDataError if there are too few hours to hold any out.
+    budget: a budget that other steps share; `budget_s` from now on unless given. Two held-out folds
+    and one fit of each quick model, and the scan of the setting, are never left out. Raises
+    NotEnoughDataError if there are too few hours to hold any out.
     """
+    budget = budget or TimeBudget.starting(budget_s)
     patch = patch_mode(data, patch)
     data, changed = without_changes(data, with_patch=patch != "none")
     folds = day_folds(data)
@@ -127,7 +131,7 @@ def fit_and_score(
     left_out: list[str] = []
     for name in names:
         slow = MODELS[name].slow
-        limit = FOLD_SHARE * budget_s if slow else max(FOLD_SHARE * budget_s, QUICK_S)
+        limit = FOLD_SHARE * budget.slow_s if slow else budget.quick_s
         some = dense_folds(folds, limit) if slow else tuple(folds)
         try:
             trials.append(
@@ -139,6 +143,7 @@ def fit_and_score(
                     seed=seed,
                     budget_s=limit,
                     keep_maps=True,
+                    clock=budget.clock,
                     progress=progress,
                 )
             )
@@ -150,13 +155,15 @@ def fit_and_score(
     trials = [trial for trial in trials if not _is_too_short(trial)]
     left_out += [f"{trial.name}: {_too_short(trial)}" for trial in not_judged]
     choice = choose(trials, data) if model == "auto" else ModelSelection(model, "requested")
-    more = {"checkpoint": checkpoint} if checkpoint is not None and MODELS[choice.name].slow else {}
+    more: dict[str, Any] = {}
+    if checkpoint is not None and MODELS[choice.name].slow:
+        more["checkpoint"] = checkpoint
     fitted, spent = fit_timed(
         choice.name,
         data,
         patch=patch,
         seed=seed,
-        budget_s=(1.0 - FOLD_SHARE) * budget_s,
+        budget_s=budget.slow_s,
         progress=progress,
         **more,
     )
@@ -164,6 +171,9 @@ def fit_and_score(
     doubted = (*doubts(fitted, data), *hard_captures(fitted, data), *warned)
     notes = (*_notes(data, patch, model, trials), *left_out, *changed, *doubted)
     return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes)
+
+
+_NO_CURVE = "no time for the learning curve; raise --budget"
 
 
 def _is_too_short(trial: Trial) -> bool:
@@ -203,11 +213,13 @@ def run(
     model: str = "auto",
     *,
     budget_min: float = 10.0,
+    spent_s: float = 0.0,
     patch: Patch = "absolute",
     seed: int = 0,
     out: Path,
     captures: bool = True,
     force: bool = False,
+    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
     """Train, write the model and its scores to `out`, and return what `train --json` prints.
@@ -232,16 +244,24 @@ def run(
     if not force and (table := trained_before(out, inputs)) is not None:
         return table | {"kept": True}
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
+    budget = TimeBudget.starting(60.0 * budget_min - spent_s, clock)
     result = fit_and_score(
         data,
         model,
         patch=patch,
-        budget_s=60.0 * budget_min,
+        budget=budget,
         seed=seed,
         checkpoint=checkpoint,
         progress=progress,
     )
-    enough = how_many(result.data, mode, seed=seed, progress=progress) if captures else {}
+    enough, notes = {}, list(result.notes)
+    if captures:
+        fit_s = max((t.fit_s for t in result.trials if not MODELS[t.name].slow), default=0.0)
+        curve = how_many(
+            result.data, mode, seed=seed, budget=budget, fit_s=fit_s, progress=progress
+        )
+        enough = curve or {}
+        notes += [_NO_CURVE] if curve is None else []
     answer = {
         "models": result.table(seed),
         "chosen": result.choice.name,
@@ -249,7 +269,7 @@ def run(
         "parameters": result.fitted.parameters,
         "final_fit_s": result.fit_s,
         "captures": enough,
-        "notes": list(result.notes),
+        "notes": notes,
         "inputs": inputs,
     }
     text = json.dumps(answer, default=lambda value: value.tolist())

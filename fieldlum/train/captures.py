@@ -13,12 +13,14 @@ from fieldlum.models.scores import by_day
 from fieldlum.records import Progress, quiet
 from fieldlum.statistics import standard_error
 from fieldlum.train.folds import day_folds
+from fieldlum.train.time_budget import TimeBudget
 from fieldlum.train.trials import evaluate_folds
 
 SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)  # points of the learning curve
 FOLDS = 3  # enough for a curve, and faster than `folds.MOST_FOLDS`
 FEWEST = 12  # captures; with fewer there are too few points for a curve
 THIN_HEIGHT = 20  # rows; errors are the same on average, and fits take seconds
+_NEXT_POINT = 2.0  # time of the next point over that of the last one: at most twice the captures
 
 
 def order_of_use(data: Dataset) -> np.ndarray:
@@ -37,20 +39,26 @@ def how_many(
     *,
     seed: int = 0,
     model: str = "transport",
+    budget: TimeBudget | None = None,
+    fit_s: float = 0.0,
     progress: Progress = quiet,
-) -> dict[str, Any]:
+) -> dict[str, Any] | None:
     """Return the error on held-out days against the number of captures, in the order of use.
 
-    curve: captures, error, standard error over days. enough: the fewest captures within one
-    standard error of all of them. added_nothing: slots after those in the order of use. The result
-    is empty for too few captures.
+    curve: captures that were fitted, error, standard error over days. enough: the fewest captures
+    within one standard error of all of them. added_nothing: slots after those in the order of use.
+    fit_s: time of one fit [s], by which the first point is judged. The result is empty for too few
+    captures, None if the budget ends before the last point.
     """
     if len(data) < FEWEST or len(np.unique(data.days)) < 3:
         return {}
     small = data.thin(THIN_HEIGHT)
     folds = day_folds(small, FOLDS)
-    curve = []
+    curve, next_s = [], FOLDS * fit_s
     for k, share in enumerate(SHARES):
+        left_s = np.inf if budget is None else budget.left_s
+        if left_s <= next_s:
+            return None
         progress(k, len(SHARES), "learning curve")
         some = [type(fold)(_first(small, fold.teach, share), fold.check) for fold in folds]
         trial = evaluate_folds(model, small, some, patch=patch, seed=seed, glare=False)
@@ -58,11 +66,13 @@ def how_many(
         daily = by_day(trial.scores.mse_weighted, days)[1]
         curve.append(
             {
-                "captures": round(share * len(data)),
+                "captures": trial.n_train,
                 "mse": float(daily.mean()),
                 "se": standard_error(daily),
             }
         )
+        if budget is not None:
+            next_s = _NEXT_POINT * (left_s - budget.left_s)
     best = min(curve, key=lambda point: point["mse"])
     enough = next(
         p["captures"] for p in curve if p["mse"] <= best["mse"] + np.nan_to_num(best["se"])

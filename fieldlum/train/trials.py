@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -46,14 +46,15 @@ def fit_timed(
     patch: Patch,
     seed: int,
     budget_s: float | None,
+    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
     **more: Any,
 ) -> tuple[Fitted, Spent]:
     """Return a fitted model and the time it took."""
-    wall, cpu = time.monotonic(), time.process_time()
+    wall, cpu = clock(), time.process_time()
     limit = {"budget_s": budget_s} if MODELS[name].slow else {}
     fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **limit, **more)
-    return fitted, Spent(time.monotonic() - wall, time.process_time() - cpu)
+    return fitted, Spent(clock() - wall, time.process_time() - cpu)
 
 
 def evaluate_folds(
@@ -66,34 +67,33 @@ def evaluate_folds(
     budget_s: float | None = None,
     glare: bool = True,
     keep_maps: bool = False,
+    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
     **more: Any,
 ) -> Trial:
     """Fit on each fold's training rows and compare on its held-out rows.
 
     budget_s: for all folds together [s]. A slow model divides it over the folds. A quick one skips
-    the remaining folds once it is used up, but never runs fewer than two, so that large maps of a
-    month do not delay the result.
+    the remaining folds if the next one would exceed it, but never runs fewer than two, so that
+    large maps of a month do not delay the result.
     """
     parts: list[Scores] = []
     passes: list[float] = []
     wall_s, cpu_s, taught = 0.0, 0.0, 0
     share = budget_s / len(folds) if budget_s else None
-    started = time.monotonic()
+    started = clock()
     for fold in folds:
-        if (
-            budget_s
-            and not MODELS[name].slow
-            and len(parts) >= LEAST_FOLDS
-            and time.monotonic() - started > budget_s
-        ):
-            break
+        if budget_s is not None and not MODELS[name].slow and len(parts) >= LEAST_FOLDS:
+            used = clock() - started
+            if used + used / len(parts) > budget_s:  # with the next fold
+                break
         fitted, spent = fit_timed(
             name,
             data.take(fold.teach),
             patch=patch,
             seed=seed,
             budget_s=share,
+            clock=clock,
             progress=progress,
             **more,
         )
