@@ -52,8 +52,9 @@ def test_a_long_command_states_its_time_and_stays_alive_in_a_log(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert estimate_text(5.0) == ""
-    # analytic: the measured costs of docs/scale.md, twice the captures
-    assert train_s("transport", 216, 460 * 230, 10.0) == pytest.approx(106.0)
+    # analytic: the measured cost of docs/scale.md; twice the captures add its linear part again
+    assert train_s("transport", 108, 460 * 230, 10.0) == pytest.approx(53.0)
+    assert train_s("transport", 216, 460 * 230, 10.0) == pytest.approx(68.0)
     assert estimate_text(predict_s(460 * 230, 10), 2).startswith("this takes about 80 seconds")
     now = iter([0.0, 30.0, 90.0, 100.0, 200.0])
     monkeypatch.setattr(terminal.time, "monotonic", lambda: next(now))

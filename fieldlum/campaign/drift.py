@@ -61,9 +61,13 @@ class DriftSeries:
     def text(self) -> str:
         """Return the change with its interval, or the number of values."""
         if not np.isfinite(self.change):
-            return f"{len(self.values)} values" if len(self.values) else "–"
-        unit = UNITS[self.kind]
-        return f"{self.change:+.1f} {unit} ({self.low:+.1f} to {self.high:+.1f})"
+            return f"values: {len(self.values)}" if len(self.values) else "–"
+        digits = 2 if LIMITS[self.kind] <= 1.0 else 1
+        change, low, high = (
+            f"{round(value, digits) + 0.0:+.{digits}f}"  # without a negative zero
+            for value in (self.change, self.low, self.high)
+        )
+        return f"{change} {UNITS[self.kind]} ({low} to {high})"
 
 
 def series(

@@ -169,7 +169,8 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
     moving = [room for room in rooms if room.drifting]
     slots = sum(len(room.failed) for room in rooms)
     answer = (
-        f"{len(bad)} of {len(judged)} rooms have a view direction without protection from glare."
+        f"{_count(len(bad), 'room')} of {len(judged)} with a predicted year "
+        f"{'has' if len(bad) == 1 else 'have'} a view direction without protection from glare."
         if judged
         else "No room has a predicted year yet."
     )
@@ -233,10 +234,13 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
         "best direction",
         "class",
     )
+    without = [room.session for room in rooms if room.worst is None and not room.broken]
     text = (
         "Rooms with a predicted year, the worst first. A grey class is not decided by the "
         "captures so far."
     )
+    if without:
+        text += f" Without a predicted year: {', '.join(without)}."
     return Section("glare", "Which room has glare", text, (), (Table(head, tuple(body)),))
 
 
@@ -290,7 +294,8 @@ def _curve(name: str, series: DriftSeries) -> Figure:
     unit = UNITS[series.kind]
     svg = (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" xmlns="http://www.w3.org/2000/svg" '
-        f'font-size="11" font-family="sans-serif"><line x1="{pad}" x2="{width - pad}" '
+        f'style="max-width: {width:.0f}px" font-size="11" font-family="sans-serif">'
+        f'<line x1="{pad}" x2="{width - pad}" '
         f'y1="{height / 2}" y2="{height / 2}" stroke="#9aa5b0"/>{points}'
         f'{marks}<text x="2" y="{pad - 8}">{top:+.3g} {unit}</text>'
         f'<text x="2" y="{height - 4}">{-top:+.3g} {unit}</text><text x="{width - pad}" '
@@ -312,6 +317,7 @@ def _failures(rooms: Sequence[RoomOverview]) -> Section:
             more = f" and {len(slots) - _SLOTS} more" if len(slots) > _SLOTS else ""
             body.append((room.session, why, f"{len(slots)}", ", ".join(slots[:_SLOTS]) + more))
     text = "Slots missed or aborted, captured but not merged, or rejected by pair."
+    text += "" if body else " No slot failed."
     table = Table(("room", "reason", "slots", "which"), tuple(body), words=True)
     return Section("failed", "Which slots failed", text, (), (table,) if body else ())
 
@@ -327,5 +333,6 @@ def _next(rooms: Sequence[RoomOverview]) -> Section:
         if owed > 0 or hours:
             body.append((room.session, f"{max(owed, 0)}", hours or "nothing is open"))
     text = "Slots that are still to be captured, and hours that would decide an open class."
+    text += "" if body else " Nothing is open."
     table = Table(("room", "slots to do", "hours like these"), tuple(body), words=True)
     return Section("next", "What to capture next", text, (), (table,) if body else ())

@@ -11,10 +11,13 @@ from pathlib import Path
 
 # docs/scale.md: 4 s for a bracket of nine raw frames of 24 megapixels, 28 MB each.
 _MERGE_S_PER_BYTE = 4.0 / 250e6
-# docs/scale.md: 53 s for 108 captures at 460 x 230; every step is linear in both.
-_TRANSPORT_S = 53.0 / (108 * 460 * 230)
-# docs/scale.md: 154 s for a year with sun patches and ten directions at 460 x 230.
-_YEAR_S = 154.0 / (460 * 230 * 10)
+# A line through 39 s for 48 captures at 60 x 30 (bench/campaign_rooms.py) and 53 s for 108 captures
+# at 460 x 230 (docs/scale.md): most of the time goes into the room's own light, for any size.
+_TRANSPORT_FIXED_S = 38.0
+_TRANSPORT_S = 15.0 / (108 * 460 * 230)
+# A line through 30 s for 8 directions at 60 x 30 and 154 s for ten at 460 x 230, from the same.
+_YEAR_FIXED_S = 30.0
+_YEAR_S = 124.0 / (460 * 230 * 10)
 _LEAST_PRINTED_S = 20.0
 
 
@@ -28,13 +31,13 @@ def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
     """Return the time to train, in s: the complete budget if the dense network is tried."""
     if model in ("auto", "dense"):
         return 60.0 * budget_min
-    needed = _TRANSPORT_S * captures * pixels if model == "transport" else 0.0
-    return min(needed, 60.0 * budget_min)
+    transport = _TRANSPORT_FIXED_S + _TRANSPORT_S * captures * pixels
+    return min(transport if model == "transport" else 0.0, 60.0 * budget_min)
 
 
 def predict_s(pixels: int, directions: int) -> float:
     """Return the time to predict a year, in s."""
-    return _YEAR_S * pixels * directions
+    return _YEAR_FIXED_S + _YEAR_S * pixels * directions
 
 
 def duration_text(seconds: float) -> str:
