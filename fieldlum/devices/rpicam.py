@@ -182,8 +182,9 @@ class RpicamCamera:
         if off_ev > LARGEST_STEP_EV and stretched:
             raise DeviceError(
                 f"rpicam: {shutter_text(asked.shutter_s)} s requested, but the sensor exposed "
-                f"{metadata.shutter_s:.4g} s and multiplied by {metadata.digital_gain:g}: longer "
-                f"than this module can; remove the long exposures from [bracket] and plan again"
+                f"{metadata.shutter_s:.4g} s and the program multiplied the picture by "
+                f"{metadata.digital_gain:g}: longer than this module can; remove the long "
+                f"exposures from [bracket] and plan again"
             )
         gain = asked.iso / ISO_OF_GAIN_1
         if abs(math.log2(metadata.analogue_gain / gain)) > LARGEST_STEP_EV:

@@ -235,7 +235,7 @@ def _sample(
 ) -> IrradianceSample:
     stamp = row[names.index("TIMESTAMP")]
     if not _TIME.fullmatch(stamp):
-        raise ValueError(f"time {stamp[:30]!r}")
+        raise ValueError(f"{stamp[:30]!r} is not a time")
     t_utc = datetime.fromisoformat(stamp).replace(tzinfo=UTC) - utc_offset
     values: dict[str, float | None] = {}
     for quantity, i in chosen.items():

@@ -85,7 +85,7 @@ def answer_of(
     sun: SunSource | None,
     covered_share: float,
 ) -> GlareAnswer:
-    """Return the values of one picture that both kinds of picture have."""
+    """Return the answer for one picture, a panorama or a fisheye, from the rows of its views."""
     panorama = picture.panorama
     known = [np.nan if view["dgp"] is None else view["dgp"] for view in views]
     return {

@@ -157,7 +157,7 @@ def _header(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         if file.read(4) != b"\x76\x2f\x31\x01":
             raise InputError(
-                path, "no OpenEXR file", "an .exr picture", "check which program wrote the file"
+                path, "not an OpenEXR file", "an .exr picture", "check which program wrote the file"
             )
     try:
         with OpenEXR.File(str(path), header_only=True) as exr:

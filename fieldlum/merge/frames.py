@@ -1,4 +1,4 @@
-"""Raw frames as linear signals: the meaning of each frame's counts, and what both kinds share."""
+"""Raw frames as linear signals, and what raw and JPEG frames have in common."""
 
 from __future__ import annotations
 

@@ -104,7 +104,10 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
 
 
 def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
-    """Return the disagreement of frames next to each other after `correction`."""
+    """Return how far frames next to each other in exposure disagree, after `correction`.
+
+    correction: factors on the exposures of the frames.
+    """
     delta = np.log(correction)
     return [
         NeighbourQuality(

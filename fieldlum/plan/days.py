@@ -71,7 +71,10 @@ def season_date(year: int, which: int, site: Site) -> date:
 def _event_dates(
     seasons: Sequence[int], margin: int, earliest: date, year: int | None, site: Site
 ) -> list[date]:
-    """Return each season's date: in `year`, or the first with all margin days ahead."""
+    """Return the date of each equinox or solstice: in `year`, else the next possible one.
+
+    Without `year`, `margin` days before the date must not be earlier than `earliest`.
+    """
     dates = []
     for which in seasons:
         if year is not None:
