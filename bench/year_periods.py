@@ -10,6 +10,7 @@ The same tables as `fieldlum bench` writes for a year, without its score table.
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ def main() -> None:
     (spec,) = parse_specs([asked.model])
     print(f"{len(data)} hours of {data.shape[1]}x{data.shape[0]}, {machine()}", flush=True)
     rows = year.compare_periods(spec, data)
-    store(asked.out, "periods", rows, charts.collection_periods)
+    store(asked.out, "periods", rows, partial(charts.collection_periods, rows=rows))
     print(markdown(rows, PERIODS), flush=True)
     order = np.random.default_rng(0).permutation(len(data))
     test, pool = (
@@ -40,7 +41,7 @@ def main() -> None:
         data.take(np.sort(order[year.TEST_HOURS :])),
     )
     rows = year.learning_curve(spec, pool, test)
-    store(asked.out, "learning_curve", rows, charts.learning_curves)
+    store(asked.out, "learning_curve", rows, partial(charts.learning_curves, rows=rows))
     print(markdown(rows, CURVE), flush=True)
 
 

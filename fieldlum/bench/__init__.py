@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,7 +94,7 @@ def machine() -> str:
 # writing
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a value as a cell of a Markdown table."""
     if value is None:
         return "-"
@@ -107,7 +109,7 @@ def shown(value: Any) -> str:
     return str(value)
 
 
-def markdown(rows: Sequence[dict[str, Any]], columns: dict[str, str]) -> str:
+def markdown(rows: Sequence[Mapping[str, object]], columns: dict[str, str]) -> str:
     """Return a Markdown table of the columns that have a value in some row."""
     used = [key for key in columns if any(row.get(key) is not None for row in rows)]
     lines = ["| " + " | ".join(columns[key] for key in used) + " |", "|" + "---|" * len(used)]
@@ -115,7 +117,7 @@ def markdown(rows: Sequence[dict[str, Any]], columns: dict[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
     names = list(dict.fromkeys(key for row in rows for key in row))
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=names)
@@ -123,11 +125,13 @@ def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def store(out: Path, name: str, rows: Sequence[dict[str, Any]], chart: Any, *more: Any) -> None:
-    """Write NAME.csv and NAME.png."""
+def store(
+    out: Path, name: str, rows: Sequence[Mapping[str, object]], draw: Callable[[Path], None]
+) -> None:
+    """Write NAME.csv, and NAME.png by `draw`."""
     _write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
-        chart(path, rows, *more)
+        draw(path)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -173,7 +177,7 @@ def run(
     if rendering:
         table.append(rendering)
         rows.append(rendering)
-    store(out, "scores", table, charts.speed_accuracy, machine())
+    store(out, "scores", table, lambda path: charts.speed_accuracy(path, table, machine()))
     _write_csv(out / "scores_by_seed.csv", rows)
     parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     parts += _curves(data, test, specs, out, progress)
@@ -183,8 +187,9 @@ def run(
         regimes = stress.run(
             spec, teach, check, _without_test(pool, data, check), progress=progress
         )
-        store(out, "stress", regimes, charts.stress)
-        parts.append(f"## Stress\n\n{markdown(regimes, STRESS)}")
+        cells = [asdict(regime) for regime in regimes]
+        store(out, "stress", cells, lambda path: charts.stress(path, regimes))
+        parts.append(f"## Stress\n\n{markdown(cells, STRESS)}")
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
     head += (
         f"; test {len(test)} hours of {test.source}.\n\n" if test else "; test: held-out days.\n\n"
@@ -239,12 +244,12 @@ def _curves(
             for spec in quick
             for row in year.learning_curve(spec, pool, held, progress=progress)
         ]
-        store(out, "learning_curve", rows, charts.learning_curves)
+        store(out, "learning_curve", rows, partial(charts.learning_curves, rows=rows))
         parts.append(f"## Captures\n\n{markdown(rows, CURVE)}")
     if year.is_year(data):
         rows = [
             row for spec in quick for row in year.compare_periods(spec, data, progress=progress)
         ]
-        store(out, "periods", rows, charts.collection_periods)
+        store(out, "periods", rows, partial(charts.collection_periods, rows=rows))
         parts.append(f"## Collection periods\n\n{markdown(rows, PERIODS)}")
     return parts

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fieldlum.plot_style import GRID, open_axes
+
+if TYPE_CHECKING:
+    from fieldlum.bench.stress import StressRow
 
 # Liu et al. 2020, Table 1 and section 5: training 30 min, 0.1 s for a map, log10 MSE 9.54e-3.
 PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"
@@ -160,15 +163,15 @@ def collection_periods(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     figure.savefig(path)
 
 
-def stress(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def stress(path: Path, rows: Sequence[StressRow]) -> None:
     """Draw each regime's error over the normal error; blue if the tool itself reported it."""
     figure, axis = _figure(9.0, 0.32 * len(rows) + 1.2)
     for k, row in enumerate(reversed(rows)):
-        colour = "#0b6e99" if row["told"] else "#c2410c"
-        axis.plot([1.0, row["times_normal"]], [k, k], color=colour, linewidth=1.5)
-        axis.plot(row["times_normal"], k, "o", color=colour, markersize=7)
+        colour = "#0b6e99" if row.told else "#c2410c"
+        axis.plot([1.0, row.times_normal], [k, k], color=colour, linewidth=1.5)
+        axis.plot(row.times_normal, k, "o", color=colour, markersize=7)
     axis.axvline(1.0, color="#6b7280", linewidth=1)
-    axis.set_yticks(range(len(rows)), [row["regime"] for row in reversed(rows)], fontsize=8)
+    axis.set_yticks(range(len(rows)), [row.regime for row in reversed(rows)], fontsize=8)
     axis.set(
         xscale="log",
         xlabel="error over the normal case (blue: the tool reported it; red: it did not)",

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -238,6 +237,32 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 # results
 
 
+@dataclass(frozen=True, slots=True)
+class StressRow:
+    """One regime; the fields are the columns of stress.csv.
+
+    told: the tool itself reported the error. wild: count of gross errors; wild_unflagged: those
+    that were trusted. beside: name of the normal case; times_normal: error over that case's.
+    """
+
+    name: str
+    regime: str
+    n_train: int
+    n_test: int
+    fit_cpu_s: float
+    log10_mse_weighted: float
+    median: float
+    worst: float
+    expected_mse: float | None
+    untrusted_share: float
+    warned: bool
+    told: bool
+    wild: int
+    wild_unflagged: int
+    beside: str
+    times_normal: float = 1.0
+
+
 def run(
     spec: Spec,
     data: Dataset,
@@ -246,9 +271,9 @@ def run(
     *,
     budget_s: float = 60.0,
     progress: Progress = quiet,
-) -> list[dict[str, Any]]:
+) -> list[StressRow]:
     """Return one row for each regime, with the ratio to its normal case."""
-    rows: list[dict[str, Any]] = []
+    rows: list[StressRow] = []
     normal: dict[str, float] = {}
     for case in cases(data, test, pool):
         progress(len(rows), 0, case.name)
@@ -258,14 +283,15 @@ def run(
         )
         fitted, wrong = settle(fitted, case.train, patch_mode(train, spec.patch))
         warned = bool(doubts(fitted, train) or wrong)
-        row = _row(case, evaluate(fitted, truth(asked, glare=False)), spent.cpu_s, warned)
-        normal.setdefault(case.name, row["log10_mse_weighted"])
-        row["times_normal"] = row["log10_mse_weighted"] / normal[case.normal]
-        rows.append({"name": spec.label, **row})
+        scores = evaluate(fitted, truth(asked, glare=False))
+        row = _row(spec.label, case, scores, spent.cpu_s, warned)
+        error = row.log10_mse_weighted
+        normal.setdefault(case.name, error)
+        rows.append(replace(row, times_normal=error / normal[case.normal]))
     return rows
 
 
-def _row(case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> dict[str, Any]:
+def _row(label: str, case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> StressRow:
     error, expected = scores.mse_weighted, scores.expected_mse
     bad = error > max(GROSS_MSE, 4.0 * float(np.median(error)))
     wild = error > GROSS_MSE
@@ -278,19 +304,20 @@ def _row(case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> dict[str
         or (bad.any() and bool((~scores.trusted)[bad].mean() > 0.5))
         or bool((~scores.trusted).mean() > 0.5)
     )
-    return {
-        "regime": case.name,
-        "n_train": len(case.train),
-        "n_test": len(scores),
-        "fit_cpu_s": fit_cpu_s,
-        "log10_mse_weighted": float(error.mean()),
-        "median": float(np.median(error)),
-        "worst": float(error.max()),
-        "expected_mse": float(expected.mean()) if known else None,
-        "untrusted_share": float((~scores.trusted).mean()),
-        "warned": warned,
-        "told": bool(told),
-        "wild": int(wild.sum()),
-        "wild_unflagged": int((wild & ~feared).sum()),
-        "beside": case.normal,
-    }
+    return StressRow(
+        label,
+        case.name,
+        len(case.train),
+        len(scores),
+        fit_cpu_s,
+        float(error.mean()),
+        float(np.median(error)),
+        float(error.max()),
+        float(expected.mean()) if known else None,
+        float((~scores.trusted).mean()),
+        warned,
+        bool(told),
+        int(wild.sum()),
+        int((wild & ~feared).sum()),
+        case.normal,
+    )
