@@ -15,7 +15,7 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.profiles import bracket_exposures, load_camera_profile
-from fieldlum.records import Panorama, Room, Site, SunSource, Window, utc_text
+from fieldlum.records import Panorama, Room, Site, SunSource, Window
 from fieldlum.scene_fit.guess import guess_of
 from fieldlum.scene_fit.parameters import LEVEL_SD_DEG
 from fieldlum.scene_fit.pose_prior import (
@@ -27,7 +27,7 @@ from fieldlum.scene_fit.pose_prior import (
     read_discs,
 )
 from fieldlum.session import Session
-from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 TIMES = [datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.3 * k) for k in range(5)]
@@ -36,9 +36,8 @@ NORTH_DEG = 1.3
 
 def _write_sidecar(session: Session, slot: str, when: datetime, place: tuple[float, ...]) -> None:
     session.panoramas.mkdir(exist_ok=True)
-    measured = dict(zip(("altitude_deg", "azimuth_deg", "sigma_deg"), place, strict=True))
-    table = {"measured": measured | {"t_utc": utc_text(when)}}
-    Sidecar(slot, when, sun=table).write(session.sidecar(slot))
+    seen = SidecarSun(measured=MeasuredSun(*place, when))
+    Sidecar(slot, when, sun=seen).write(session.sidecar(slot))
 
 
 def _slot(when: datetime) -> str:

@@ -15,7 +15,6 @@ from fieldlum.errors import InputError
 from fieldlum.images import read_panorama
 from fieldlum.light import light_at
 from fieldlum.projection import equirect_rays, equirect_solid_angles, signed_angle_deg
-from fieldlum.records import parse_utc
 from fieldlum.session import Session
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar
@@ -157,12 +156,10 @@ def _headings(
     site = session.site_file().site
     rows: list[tuple[datetime, float]] = []
     for t, note in dated:
-        centre = (note.sun or {}).get("measured") or {}
-        if "azimuth_deg" in centre:
-            at = parse_utc(centre["t_utc"]) if centre.get("t_utc") else t
-            true_deg = float(sun.position([at], site).azimuth_deg[0])
-            offset_deg = signed_angle_deg(float(centre["azimuth_deg"]) - true_deg)
-            rows.append((t, float(offset_deg)))
+        centre = note.sun.measured if note.sun else None
+        if centre is not None:
+            true_deg = float(sun.position([centre.t_utc or t], site).azimuth_deg[0])
+            rows.append((t, float(signed_angle_deg(centre.azimuth_deg - true_deg))))
     return rows
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.linear_light import lens_geometry
-from fieldlum.merge.disc import MEASURED, MeasuredSun, sun_on_sensor, take_out_disc
+from fieldlum.merge.disc import MEASURED, sun_on_sensor, take_out_disc
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.project import blend, finish, view_through
 from fieldlum.merge.quality import report_of, verdict
@@ -22,6 +22,7 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.records import Flag, Panorama, Progress, quiet
 from fieldlum.session.files.merge_report import MergeReport
+from fieldlum.session.files.sidecar import MeasuredSun
 from fieldlum.sun_disc import SunDisc
 
 

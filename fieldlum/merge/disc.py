@@ -8,7 +8,7 @@ source from the irradiance of that hour.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
@@ -31,20 +31,6 @@ _BLUR_RAD = np.radians(0.5)  # of a lens; not measured
 _DISC_PART = 0.05  # of the brightest pixel's excess: dimmer pixels are sky; not measured
 MEASURED = "nd-frames"
 OPEN = "merge"
-
-
-@dataclass(frozen=True, slots=True)
-class MeasuredSun:
-    """Where the pictures show the sun's centre, by the profile's lens and the camera's heading.
-
-    sigma_deg: standard uncertainty of the centre along each axis, without that of lens and pose.
-    t_utc: mean time of the frames that show it; None where their times are unknown.
-    """
-
-    altitude_deg: float
-    azimuth_deg: float
-    sigma_deg: float
-    t_utc: datetime | None
 
 
 def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:

@@ -121,7 +121,7 @@ def summary_due(session: Session) -> bool:
 
 
 def _row(session: Session, sidecar: Sidecar, typical: Mapping[str, float]) -> QualityRow:
-    report, sun = sidecar.report, sidecar.sun or {}
+    report, sun = sidecar.report, sidecar.sun
     times = [frame.t_utc for frame in report.frames if frame.t_utc]
     figures: dict[str, float | None] = {
         name: getattr(report, name) for name in QUALITY_COLUMNS if hasattr(report, name)
@@ -134,7 +134,7 @@ def _row(session: Session, sidecar: Sidecar, typical: Mapping[str, float]) -> Qu
         frames=len(report.frames),
         drift_percent=drift_percent(sidecar, typical),
         ghi_change_percent=ghi_change_percent(session, min(times), max(times)) if times else None,
-        sun_lx=sun.get("normal_illuminance_lx"),
-        sun_origin=str(sun.get("origin", "")),
+        sun_lx=sun.normal_illuminance_lx if sun else None,
+        sun_origin=sun.origin if sun else "",
         **figures,
     )

@@ -12,7 +12,6 @@ from fieldlum.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.images import write_panorama
 from fieldlum.merge.bracket import MergeResult, merge_shots
 from fieldlum.merge.disc import (
-    MeasuredSun,
     disc_px,
     expected_sun_deg,
     mosaic_u_rel,
@@ -23,12 +22,12 @@ from fieldlum.merge.shots import Shot, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
-from fieldlum.records import CLIPPED_SUN, Progress, Site, SunSource, quiet, utc_text
+from fieldlum.records import CLIPPED_SUN, Progress, Site, SunSource, quiet
 from fieldlum.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, is_worker_trouble, run_each
 from fieldlum.session import Session, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.merge_report import MergeReport
-from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.version import __version__
 
@@ -197,7 +196,7 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: dict[s
         result.panorama.t_utc,
         result.verdict,
         result.report,
-        sun=_sun_table(result.panorama.sun, result.sun, p),
+        sun=_sidecar_sun(result.panorama.sun, result.sun, p),
         factors={
             "k": p.scale.k,
             "y_from_rgb": p.colour.y_from_rgb,
@@ -215,28 +214,20 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: dict[s
     ).write(session.sidecar(job.slot))
 
 
-def _sun_table(
+def _sidecar_sun(
     sun: SunSource | None, measured: MeasuredSun | None, profile: CameraProfile
-) -> dict[str, Any] | None:
+) -> SidecarSun | None:
     if sun is None:
         return None
-    centre = None
-    if measured is not None:
-        centre = {
-            "altitude_deg": round(measured.altitude_deg, 4),
-            "azimuth_deg": round(measured.azimuth_deg, 4),
-            "sigma_deg": float(f"{measured.sigma_deg:.3g}"),
-            "t_utc": utc_text(measured.t_utc) if measured.t_utc else "",
-        }
-    return {
-        "altitude_deg": sun.altitude_deg,
-        "azimuth_deg": sun.azimuth_deg,
-        "normal_illuminance_lx": sun.normal_illuminance_lx,
-        "u_mosaic_percent": round(100 * _sun_u_rel(profile), 2),
-        "origin": sun.origin,
-        "lower_bound": sun.origin == CLIPPED_SUN,
-        "measured": centre,
-    }
+    return SidecarSun(
+        sun.altitude_deg,
+        sun.azimuth_deg,
+        sun.normal_illuminance_lx,
+        round(100 * _sun_u_rel(profile), 2),
+        sun.origin,
+        sun.origin == CLIPPED_SUN,
+        measured,
+    )
 
 
 def _sun_u_rel(profile: CameraProfile) -> float:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.records import Site, parse_utc
+from fieldlum.records import Site
 from fieldlum.scene_fit.discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
 from fieldlum.scene_fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
 from fieldlum.session import Session
@@ -86,16 +86,10 @@ def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
     from fieldlum.session.files.sidecar import Sidecar
 
     sidecar = Sidecar.read(path)
-    measured: dict[str, Any] = (sidecar.sun or {}).get("measured") or {}
-    when = parse_utc(measured["t_utc"]) if measured.get("t_utc") else sidecar.t_utc
-    if not measured or when is None:
+    measured = sidecar.sun.measured if sidecar.sun else None
+    if measured is None or (when := measured.t_utc or sidecar.t_utc) is None:
         return None
-    return (
-        float(measured["altitude_deg"]),
-        float(measured["azimuth_deg"]),
-        max(float(measured["sigma_deg"]), LEAST_U_DEG),
-        when,
-    )
+    return measured.altitude_deg, measured.azimuth_deg, max(measured.sigma_deg, LEAST_U_DEG), when
 
 
 def pose_of(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,77 @@ _EXPECTED, _REMEDY = "the sidecar of a merged panorama", "merge the bracket agai
 
 
 @dataclass(frozen=True, slots=True)
+class MeasuredSun:
+    """The sun's centre in the pictures, by the profile's lens and the camera's heading.
+
+    sigma_deg: standard uncertainty of the centre along each axis, without that of lens and pose.
+    t_utc: mean time of the frames that show it; None where their times are unknown.
+    """
+
+    altitude_deg: float
+    azimuth_deg: float
+    sigma_deg: float
+    t_utc: datetime | None = None
+
+    def table(self) -> dict[str, float | str]:
+        """Return the JSON object, with 4 decimals of the angles and 3 digits of sigma."""
+        return {
+            "altitude_deg": round(self.altitude_deg, 4),
+            "azimuth_deg": round(self.azimuth_deg, 4),
+            "sigma_deg": float(f"{self.sigma_deg:.3g}"),
+            "t_utc": utc_text(self.t_utc) if self.t_utc else "",
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class SidecarSun:
+    """The sun's disc that was removed from a panorama.
+
+    Angles are the apparent ones of the ephemeris. u_mosaic_percent: uncertainty of the illuminance
+    from too few pixels under the disc. lower_bound: every frame clips in the disc.
+    """
+
+    altitude_deg: float | None = None
+    azimuth_deg: float | None = None
+    normal_illuminance_lx: float | None = None
+    u_mosaic_percent: float = 0.0
+    origin: str = ""
+    lower_bound: bool = False
+    measured: MeasuredSun | None = None
+
+    def table(self) -> dict[str, object]:
+        """Return the JSON object."""
+        return {**asdict(self), "measured": self.measured.table() if self.measured else None}
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> SidecarSun:
+        """Build from the JSON object. Raises KeyError, TypeError or ValueError."""
+        centre = table.get("measured")
+        altitude, azimuth, illuminance = (
+            None if table.get(name) is None else float(table[name])
+            for name in ("altitude_deg", "azimuth_deg", "normal_illuminance_lx")
+        )
+        return cls(
+            altitude,
+            azimuth,
+            illuminance,
+            float(table.get("u_mosaic_percent") or 0.0),
+            str(table.get("origin", "")),
+            bool(table.get("lower_bound", False)),
+            _centre(centre) if centre else None,
+        )
+
+
+def _centre(table: Mapping[str, Any]) -> MeasuredSun:
+    return MeasuredSun(
+        float(table["altitude_deg"]),
+        float(table["azimuth_deg"]),
+        float(table["sigma_deg"]),
+        parse_utc(table["t_utc"]) if table.get("t_utc") else None,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Sidecar:
     """One sidecar. report: how well the bracket was merged, the key `quality` of the file."""
 
@@ -25,7 +97,7 @@ class Sidecar:
     t_utc: datetime | None = None
     verdict: str = ""
     report: MergeReport = field(default_factory=MergeReport)
-    sun: dict[str, Any] | None = None
+    sun: SidecarSun | None = None
     factors: dict[str, Any] = field(default_factory=dict)
     profile_name: str = ""
     profile_sha256: str = ""
@@ -44,7 +116,7 @@ class Sidecar:
     @property
     def sun_u_percent(self) -> float:
         """Uncertainty of the sun's illuminance from few usable pixels on the disc [%]."""
-        return float((self.sun or {}).get("u_mosaic_percent") or 0.0)
+        return self.sun.u_mosaic_percent if self.sun else 0.0
 
     @classmethod
     def read(cls, path: Path) -> Sidecar:
@@ -62,7 +134,7 @@ class Sidecar:
                 parse_utc(table["t_utc"]) if table.get("t_utc") else None,
                 str(table.get("verdict", "")),
                 MergeReport.from_table(table.get("quality") or {}),
-                table.get("sun"),
+                SidecarSun.from_table(table["sun"]) if table.get("sun") else None,
                 dict(table.get("factors") or {}),
                 str(profile.get("name", "")),
                 str(profile.get("sha256", "")),
@@ -89,7 +161,7 @@ class Sidecar:
                 "t_utc": utc_text(self.t_utc) if self.t_utc else "",
                 "verdict": self.verdict,
                 "quality": self.report.table(),
-                "sun": self.sun,
+                "sun": self.sun.table() if self.sun else None,
                 "factors": self.factors,
                 "profile": {"name": self.profile_name, "sha256": self.profile_sha256},
                 "inputs": self.inputs,
