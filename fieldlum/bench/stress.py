@@ -241,8 +241,8 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 class StressRow:
     """One regime; the fields are the columns of stress.csv.
 
-    told: the tool itself reported the error. wild: count of gross errors; wild_unflagged: those
-    that were trusted. beside: name of the normal case; times_normal: error over that case's.
+    The last columns: whether the tool itself reported the error, counts of gross errors and of
+    those that were trusted, the normal case, and the error over that of the normal case.
     """
 
     name: str
