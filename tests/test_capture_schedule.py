@@ -170,3 +170,13 @@ def test_a_clock_before_the_journal_is_refused(rig: Field) -> None:
     rig.clock = FastClock(T0 - timedelta(days=400))
     with pytest.raises(DeviceError, match="set the clock"):
         rig.run()
+
+
+@pytest.mark.contract
+def test_slots_without_exposures_are_refused_at_the_start(rig: Field) -> None:
+    """A session of random hours of a year has no brackets to take."""
+    slots = [replace(slot, exposures=()) for slot in rig.session.slots()]
+    write_plan(rig.session.plan, slots, "UTC")
+    with pytest.raises(NotEnoughDataError, match="no slot has an exposure"):
+        rig.run()
+    assert "aborted" not in [row["event"] for row in read_journal(rig.session)]

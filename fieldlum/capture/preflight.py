@@ -40,10 +40,15 @@ def refuse_what_is_not_offered(
     """Raise DeviceError for planned exposures that the camera cannot be set to.
 
     The check ends with the first complete bracket: a later mismatch may be a dial that a person
-    turned and can turn back.
+    turned and can turn back. Raise NotEnoughDataError for slots without any exposure.
     """
     if any(state.outcome == "done" for state in states.values()):
         return
+    empty = [slot.id for slot in slots if not slot.exposures]
+    if len(empty) == len(slots) and empty:  # hours of `simulate --year-sample`, not of a plan
+        raise NotEnoughDataError(
+            f"no slot has an exposure, the first is {empty[0]}: plan the session with fieldlum plan"
+        )
     if said := not_offered(camera, dict.fromkeys(e for slot in slots for e in slot.exposures)):
         more = f" (and {len(said) - 1} more)" if len(said) > 1 else ""
         raise DeviceError(
