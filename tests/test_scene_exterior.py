@@ -86,3 +86,13 @@ def test_principal_axes_follow_a_valley_of_three_numbers() -> None:
     found, cost = principal_search(objective, turned, search.parameters)
     assert cost < 1.01 * objective(start) < objective(turned)
     assert abs(found.wall_azimuth_deg - start.wall_azimuth_deg) < 0.6 * 0.6
+
+
+@pytest.mark.property
+def test_restarts_return_the_best_and_the_spread_of_results_alike() -> None:
+    search, start = _search(())
+    cost = search.objective(search.fit_evidence.thinned(3))
+    best = search.restarted(start, seed=0)
+    assert cost(best) <= cost(start)
+    assert set(search.valley) == {p.name for p in search.parameters}
+    assert all(sd >= 0.0 for sd in search.valley.values())

@@ -20,6 +20,7 @@ from fieldlum.scene_fit.apply import in_scene, scene_of, with_scene
 from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import fit_scene
+from fieldlum.scene_fit.furniture import solid_parameters
 from fieldlum.scene_fit.guess import Solid, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
 from fieldlum.scene_fit.parameters import room_parameters, stated_albedo
@@ -234,3 +235,33 @@ def test_costs_of_sunlit_entries_and_of_one_solid_are_those_of_everything(
     assert objective(more) == pytest.approx(everything + objective.prior(more), rel=1e-6)
     assert cost(more) == pytest.approx(objective(more), rel=1e-6)
     assert cost.without != pytest.approx(cost(more) - cost.prior, rel=1e-3)
+
+
+@pytest.mark.property
+def test_furniture_is_on_the_floor_or_a_table_top() -> None:
+    box, top = Solid((1.0, 1.0, 0.0), (2.0, 2.0, 0.7), 0.4), Solid((3, 1, 0.7), (4, 2, 0.75), 0.4)
+    guess = replace(guess_of(ROOM), solids=(box, top))
+    rng = np.random.default_rng(1)
+    for number in (0, 1):
+        for _ in range(50):
+            for parameter in solid_parameters(number):
+                guess = parameter.change(guess, float(rng.normal(0.0, 0.3)))
+    first, second = guess.solids
+    assert first.low_m[2] == 0.0 and first.high_m[2] > 0.0
+    assert second.low_m[2] >= 0.0
+    assert second.high_m[2] - second.low_m[2] == pytest.approx(0.05)
+    for solid in guess.solids:
+        assert all(h > low for low, h in zip(solid.low_m, solid.high_m, strict=True))
+
+
+@pytest.mark.analytic
+def test_the_albedo_of_a_solid_is_the_searched_one(evidence: SceneEvidence) -> None:
+    """A list of albedos that a light estimate left behind must not replace it."""
+    light, dark = (Solid((1.0, 1.0, 0.0), (2.4, 2.0, 0.7), albedo) for albedo in (0.7, 0.2))
+    albedo = np.append(stated_albedo(ROOM), 0.5)
+    guess = replace(guess_of(ROOM), solids=(light,))
+    objective = Objective(evidence, guess, room_parameters(guess), albedo, 0.0)
+    cost = objective(guess)
+    assert cost != pytest.approx(objective(replace(guess, solids=(dark,))), rel=1e-3)
+    bare = replace(guess, solids=())
+    assert cost == pytest.approx(SolidCost(evidence, bare, albedo[:6], 0.0)(guess), rel=1e-6)

@@ -100,20 +100,21 @@ def fit_scene(
     guess = search.polish(guess, np.arange(len(evidence)))
     progress(88, 100, "uncertainties")
     spread = posterior(search.objective(evidence), guess, room, seed)
+    u = {name: float(np.hypot(u, search.valley[name])) for name, u in spread.u.items()}
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
-    notes = tuple(_notes(spread.u, evidence))
+    notes = tuple(_notes(u, evidence))
     progress(100, 100, "")
     return SceneFit(
         room,
         data.heading_deg,
         guess,
         room_found,
-        search.albedo,
+        search.albedo_with_solids(guess),
         before,
         after,
-        spread.u,
+        u,
         misfits,
         len(evidence),
         notes,

@@ -31,6 +31,7 @@ CELL_M = 0.15
 MIN_CELLS = 2
 MAX_PROPOSALS = 12
 MIN_SIZE_M = 0.08
+MIN_SIDE_M = 0.04  # chosen, not measured: a thinner solid explains noise
 # Chosen, not measured: the sun passes below a table's top on thin legs.
 MIN_TABLE_M, TABLE_TOP_M = 0.35, 0.05
 
@@ -182,7 +183,11 @@ def _distinct(solids: Sequence[Solid]) -> list[Solid]:
 
 
 def solid_parameters(number: int) -> list[Parameter]:
-    """Return faces, place and albedo of a solid inside as parameters without a prior."""
+    """Return faces, place and albedo of a solid inside as parameters without a prior.
+
+    A solid is on the floor, or it is a table's top of constant thickness. A box at any height would
+    have any distance: a near high one hides the same pixels as a far low one.
+    """
 
     def changed(change: Callable[[Solid, float], Solid]) -> Callable[[Guess, float], Guess]:
         def apply(g: Guess, by: float) -> Guess:
@@ -198,7 +203,7 @@ def solid_parameters(number: int) -> list[Parameter]:
             values[axis] += by
             other = solid.high_m if which == "low_m" else solid.low_m
             extent = (other[axis] - values[axis]) * (1.0 if which == "low_m" else -1.0)
-            if extent < 0.01 or (axis == 2 and values[2] < 0.0):
+            if extent < MIN_SIDE_M:
                 return solid
             return replace(solid, **{which: tuple(values)})
 
@@ -207,6 +212,16 @@ def solid_parameters(number: int) -> list[Parameter]:
 
         name = f"solid {number + 1} {which[0]}{'xyz'[axis]}"
         return Parameter(name, read, changed(move), 0.16, 0.01, np.inf)
+
+    def lift(solid: Solid, by: float) -> Solid:
+        """Return a box with another height, or a table's top at another height."""
+        low, high = list(solid.low_m), list(solid.high_m)
+        high[2] += by
+        if low[2] > 0.0:
+            low[2] += by
+        if low[2] < 0.0 or high[2] - low[2] < 0.8 * TABLE_TOP_M:
+            return solid
+        return replace(solid, low_m=tuple(low), high_m=tuple(high))
 
     def tone(solid: Solid, by: float) -> Solid:
         return replace(solid, albedo=float(np.clip(solid.albedo + by, 0.03, 0.9)))
@@ -233,4 +248,12 @@ def solid_parameters(number: int) -> list[Parameter]:
         np.inf,
     )
     faces = [face("low_m", 0), face("high_m", 0), face("low_m", 1), face("high_m", 1)]
-    return [slide(0), slide(1), *faces, face("low_m", 2), face("high_m", 2), albedo]
+    top = Parameter(
+        f"solid {number + 1} hz",
+        lambda g: g.solids[number].high_m[2],
+        changed(lift),
+        0.16,
+        0.01,
+        np.inf,
+    )
+    return [slide(0), slide(1), *faces, top, albedo]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fieldlum.models.data import Dataset
 
 SHOWN_HOURS = 4  # chosen: one page in print
+PLAN_MARGIN_M = 2.0  # chosen: shows what is next to the walls
 FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
 
 
@@ -139,5 +140,7 @@ def _plan(fit: SceneFit) -> Any:
     axis.set_xlabel("x [m]")
     axis.set_ylabel("y [m]")
     axis.set_title("plan: fitted (black), stated (blue), windows orange", fontsize=9)
-    axis.margins(0.05)
+    # A facade may be 40 m wide: only what is near the room is shown.
+    axis.set_xlim(-PLAN_MARGIN_M, guess.size_m[0] + PLAN_MARGIN_M)
+    axis.set_ylim(-PLAN_MARGIN_M, guess.size_m[1] + PLAN_MARGIN_M)
     return figure

@@ -47,7 +47,8 @@ Array = NDArray[np.floating]
 # time.
 KEPT_OUT_EVERY = 3
 START_CLOCKS_MIN = (-6.0, 0.0, 6.0)
-RESTART_CLOCKS_MIN = (-3.0, 0.0, 3.0)
+SAME_COST = 1.03  # costs within 3 % are alike: exact and wrong clocks differ by less in a valley
+RESTART_CLOCKS_MIN = (-3.0, 3.0)
 COARSE_PIXELS_EVERY = 3
 BAR_GAIN = 0.002  # chosen: share by which a bar must lower the misfit; a bar shades few pixels
 SOLID_GAIN = 0.004  # likewise a solid; a proposal that explains noise takes less (docs/scene.md)
@@ -113,6 +114,7 @@ class SceneSearch:
     ) -> None:
         self.data, self.evidence, self.stated = data, evidence, stated
         self.fit_hours, self.kept_out = fit_hours, kept_out
+        self.valley: dict[str, float] = {}
         self.start = guess_of(stated.room, data.heading_deg)
         self.parameters = room_parameters(self.start, clock_sd_min=stated.clock_sd_min)
         self.albedo = evidence.albedos(self.start, stated_albedo(stated.room))
@@ -174,7 +176,7 @@ class SceneSearch:
     def _faced(self, guess: Guess) -> Guess:
         """Return the guess with the facade or canopy that lowers the misfit most."""
         thin = self.fit_evidence.thinned(COARSE_PIXELS_EVERY)
-        cost = self._solid_cost(thin, guess, self._albedo_with_solids(guess))
+        cost = self._solid_cost(thin, guess, self.albedo_with_solids(guess))
         parameters = exterior_parameters(len(guess.solids))
         trials = [replace(guess, solids=(*guess.solids, s)) for s in propose_exterior(guess)]
         order = sorted(range(len(trials)), key=[cost(t) for t in trials].__getitem__)
@@ -187,9 +189,10 @@ class SceneSearch:
         """Find bars in the picture of each window; search their place, width and depth."""
         covers = [b for b in guess.bars if b.span_m[1] - b.span_m[0] > MAX_BAR_M]
         bare = replace(guess, bars=tuple(covers))
+        albedo = self.albedo_with_solids(bare)
         proposals = []
         for number in range(len(guess.windows)):
-            picture = window_picture(self.fit_evidence, bare, number, self.albedo)
+            picture = window_picture(self.fit_evidence, bare, number, albedo)
             proposals += propose_bars(picture, bare, number)
         if not proposals:
             return self._pruned(guess)
@@ -224,7 +227,7 @@ class SceneSearch:
 
         Returns the guess unchanged if no solid lowers it enough.
         """
-        albedo = self._albedo_with_solids(guess)
+        albedo = self.albedo_with_solids(guess)
         depths = pixel_depths(self.fit_evidence, guess, albedo)
         coarse = self._solid_cost(self.fit_evidence.thinned(COARSE_PIXELS_EVERY), guess, albedo)
         limit = coarse.prior + coarse.without * (1.0 - SOLID_GAIN)
@@ -254,31 +257,37 @@ class SceneSearch:
                 guess = without
         return guess
 
-    def _albedo_with_solids(self, guess: Guess) -> Array:
+    def albedo_with_solids(self, guess: Guess) -> Array:
+        """Return the albedo of shell and solids, [6 + solids]; a solid's is a searched number."""
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in guess.solids]])
 
     def relight(self, guess: Guess) -> None:
         """Find the light below the patches again, now that the patches are known better."""
         self.albedo = self.evidence.albedos(guess, self.albedo)
-        albedo = self._albedo_with_solids(guess)
+        albedo = self.albedo_with_solids(guess)
         self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, albedo))
 
     def restarted(self, guess: Guess, seed: int) -> Guess:
         """Return the best of searches from other clocks and displaced rooms.
 
         Bars and furniture are known now: they may close the valley in which the first search
-        stopped.
+        stopped. `valley` becomes the standard deviation of each number over results that cost
+        nearly the same: the captures do not separate them.
         """
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
         tries = [pattern_search(coarse, guess, self.parameters, coarse=0.25, fine=2.0)]
-        for later in RESTART_CLOCKS_MIN if len(self.stated.start_clocks_min) > 1 else (0.0, 0.0):
+        for later in RESTART_CLOCKS_MIN if len(self.stated.start_clocks_min) > 1 else (0.0,):
             start = along_valley(guess, later)
             for p in self.parameters:
                 start = p.change(start, float(rng.normal(0.0, p.first_step)))
-            trial, _ = pattern_search(coarse, start, self.parameters, coarse=0.5, fine=2.0)
-            tries.append(principal_search(coarse, trial, self.parameters))
-        return min(tries, key=lambda pair: pair[1])[0]
+            tries.append(pattern_search(coarse, start, self.parameters, coarse=0.5, fine=2.0))
+        best, least = min(tries, key=lambda pair: pair[1])
+        alike = [trial for trial, cost in tries if cost < SAME_COST * least]
+        self.valley = {
+            p.name: float(np.std([p.read(trial) for trial in alike])) for p in self.parameters
+        }
+        return best
 
     def polish(self, guess: Guess, hours: NDArray[np.intp], every: int = 1) -> Guess:
         """Search all numbers together in small steps, at every n-th pixel."""
@@ -293,7 +302,7 @@ class SceneSearch:
     def misfits(self, guess: Guess) -> Misfits:
         """Return the misfit of no patch, the stated box and the guess on hours of no search."""
         evidence = self.evidence.hours(self.kept_out)
-        albedo = self._albedo_with_solids(guess)
+        albedo = self.albedo_with_solids(guess)
         stated = evidence.patches(self.start, evidence.albedos(self.start, self.albedo[:SHELL]))
         fitted = evidence.patches(guess, albedo)
         nothing = np.zeros_like(fitted)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fieldlum.scene_fit.evidence import WIDTH, SceneEvidence
 from fieldlum.scene_fit.guess import Guess
 from fieldlum.scene_fit.parameters import POSE_NAMES, SUN_DEG_PER_MIN, Change, Parameter
+from fieldlum.scene_fit.renderer import SHELL
 
 if TYPE_CHECKING:
     from fieldlum.scene_fit.pose_prior import PosePrior
@@ -75,9 +76,7 @@ class Objective:
         return (scale * error / np.sqrt(error**2 + WIDTH**2)).ravel()
 
     def _albedo(self, guess: Guess) -> Array:
-        missing = 6 + len(guess.solids) - len(self.albedo)
-        more = [solid.albedo for solid in guess.solids[len(guess.solids) - max(missing, 0) :]]
-        return np.concatenate([self.albedo, more]) if missing > 0 else self.albedo
+        return np.concatenate([self.albedo[:SHELL], [solid.albedo for solid in guess.solids]])
 
     def prior(self, guess: Guess) -> float:
         """Return what the departure from the stated numbers costs."""
