@@ -20,6 +20,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import IO, Any
 
+from fieldlum.errors import InputError
 from fieldlum.records import utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.predict_json import PredictFile
@@ -132,7 +133,7 @@ class Worker:
         if good:
             given = () if self.weather == "synthetic" else ("--weather", self.weather)
             self._run("useful hours", "plan", root, "--next", "--json", *given)
-            with suppress(OSError, ValueError, KeyError):
+            with suppress(OSError, ValueError, KeyError, InputError):
                 self._keep(captured, annual)
         if not self._stop.is_set():
             self._answered_at = captured
