@@ -76,9 +76,7 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     process = process_of(data, with_patch=with_patch)
     if len(np.unique(process.days[process.judged])) < FEWEST_DAYS:
         return None
-    lamp = find_lamp(process, _hours(data))
-    if len(lamp):
-        process = process.with_lamp(lamp)
+    lamp, process = find_lamp(process, _hours(data))
     unexplained, complete_days = find_unexplained(process)
     if not len(lamp) and not len(unexplained):
         return None
@@ -127,11 +125,15 @@ def _hours(data: Dataset) -> NDArray[np.float64]:
 # a lamp
 
 
-def find_lamp(process: Process, hours: NDArray[np.float64]) -> Rows:
-    """Return the captures in which a lamp was on, [k]; hours [n]: local standard time."""
+def find_lamp(process: Process, hours: NDArray[np.float64]) -> tuple[Rows, Process]:
+    """Return the captures in which a lamp was on at times, [k], and the process with that lamp.
+
+    hours [n]: local standard time. A lamp that is on in all captures is part of the room: it
+    changes the process and not the captures.
+    """
     rows = np.flatnonzero(process.judged)
     if len(np.unique(process.days)) > _MOST_DAYS:
-        return _NO_ROWS
+        return _NO_ROWS, process
     usual = typical(process, rows)
     without = disagreement(process, rows, usual)
 
@@ -146,9 +148,13 @@ def find_lamp(process: Process, hours: NDArray[np.float64]) -> Rows:
     blocks = [hours >= h for h in _EVENINGS_H] + [hours < h for h in _MORNINGS_H]
     found = [_lit_days(process, block & process.judged, cost) for block in blocks]
     best = min(found, key=cost)
+    always = process.with_lamp(rows)
+    if without - disagreement(always, rows, usual) > max(_LEAST_GAIN, without - cost(best)):
+        return _NO_ROWS, always
     if without - cost(best) < _LEAST_GAIN:
-        return _NO_ROWS
-    return _each_capture(process, best, cost)
+        return _NO_ROWS, process
+    lit = _each_capture(process, best, cost)
+    return lit, process.with_lamp(lit)
 
 
 def _lit_days(process: Process, block: NDArray[np.bool_], cost: Callable[[Rows], float]) -> Rows:
