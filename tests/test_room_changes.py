@@ -90,3 +90,9 @@ def test_a_blind_of_one_day_is_named_and_left_out() -> None:
 def test_three_days_do_not_show_which_is_the_exception() -> None:
     some = np.isin(shaded("2027-12-20").days, np.unique(CLEAN.days)[-3:])
     assert find_changes(shaded("2027-12-20").take(some), with_patch=True) is None
+
+
+@pytest.mark.property
+def test_a_lamp_that_is_always_on_is_no_change() -> None:
+    maps = CLEAN.luminance_cdm2 + np.float32(150.0)
+    assert find_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True) is None

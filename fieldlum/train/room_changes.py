@@ -1,7 +1,7 @@
 """Captures of a changed room that nobody marked: find them by the captures of all other days.
 
 Two kinds are searched for, each priced by the captures that it takes: a lamp was on in the mornings
-or evenings of some days, and captures or complete days contradict the rest.
+or evenings of some days, and captures, complete days or a season contradict the rest.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum import sun
 from fieldlum.models.data import Dataset
+from fieldlum.models.transport.selection import seasons
 from fieldlum.train.agreement import (
     PRICE,
     Process,
@@ -203,8 +204,8 @@ def find_unexplained(process: Process) -> tuple[Rows, tuple[Any, ...]]:
         most = _MOST_SHARE * len(judged)
         if unit is None or len(judged) - len(rows) + len(unit) > most:
             break
-        if len(unit) == (process.days[rows] == process.days[unit[0]]).sum() and len(unit) > 1:
-            whole.append(process.days[unit[0]])
+        if len(unit) > 1:
+            whole += list(np.unique(process.days[unit]))
         rows = np.setdiff1d(rows, unit)
     out = np.union1d(np.setdiff1d(judged, rows), _rows_of(process, whole))
     return out.astype(np.intp), tuple(whole)
@@ -215,7 +216,7 @@ def _rows_of(process: Process, days: Collection[Any]) -> Rows:
 
 
 def _worst_unit(process: Process, rows: Rows, usual: Typical) -> Rows | None:
-    """Return the capture or the day without which the rest agrees best.
+    """Return the capture, the day or the season without which the rest agrees best.
 
     None if leaving out each of them gains too little.
     """
@@ -224,6 +225,9 @@ def _worst_unit(process: Process, rows: Rows, usual: Typical) -> Rows | None:
         return None
     units = [np.array([row]) for row in rows[captures > _SUSPECT]]
     units += [rows[process.days[rows] == day] for day, size in days.items() if size > _SUSPECT]
+    season = seasons(process.days)[rows]
+    if season.max() > 0:  # snow is in all days of a winter
+        units += [rows[season == k] for k in np.unique(season)]
     now = disagreement(process, rows, usual)
     gains = [
         now - disagreement(process, np.setdiff1d(rows, unit), usual) - PRICE * len(unit)
