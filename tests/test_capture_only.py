@@ -62,7 +62,7 @@ def test_plan_to_status_without_torch_and_pyradiance(tmp_path: Path) -> None:
         shown = _run(tmp_path, *words)
         assert code is None or shown.returncode == code, (words, shown.stderr)
         assert "Traceback" not in shown.stderr, (words, shown.stderr)
-    assert ", 0 owed" in _run(tmp_path, "status", "other").stdout
+    assert ", 0 to do" in _run(tmp_path, "status", "other").stdout
 
 
 def test_a_command_that_needs_more_says_what_to_install(tmp_path: Path) -> None:

@@ -502,7 +502,9 @@ def test_the_command(model: Path, weather: Path, tmp_path: Path) -> None:
     broken.write_text("month,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,much,100\n")
     failed = CliRunner().invoke(main, ["predict", str(model), "--weather", str(broken)])
     assert failed.exit_code == 3
-    assert failed.stderr.count("\n") == 1
+    first, *others = failed.stderr.splitlines()
+    assert first.startswith("this takes about") and len(others) == 1
+    assert "b.csv: line 2: dni_wm2 is 'much'" in others[0]
     assert (
         CliRunner().invoke(main, ["predict", str(tmp_path), "--weather", str(weather)]).exit_code
         == 3
