@@ -254,7 +254,7 @@ def test_an_extra_bracket_fits_between_planned_ones(tmp_path: Path) -> None:
     assert slot.t_utc == noon + timedelta(minutes=22)
     assert slot.exposures == LADDER and EXTRA in slot.tags
     assert [s.id for s in session.slots()] == [plan[0].id, slot.id, plan[1].id]
-    with pytest.raises(InputError, match="is planned at"):
+    with pytest.raises(InputError, match="is planned already"):
         add_extra(session, noon + timedelta(minutes=20, seconds=30))
 
 

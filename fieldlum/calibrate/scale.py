@@ -229,7 +229,7 @@ def fit(
             bad.label,
             f"meter {bad.meter:g}, picture {bad.image:g}",
             "values above zero",
-            "remove that line",
+            "remove its line from the csv of readings",
         )
     log = np.log(meter / image)
     centre, weight = _centre(log, u)

@@ -130,7 +130,10 @@ def reading(
     flags = np.zeros(len(light), int) if picture.flags is None else picture.flags.ravel()
     if (flags[inside] & (Flag.CLIPPED_HIGH | Flag.OUTSIDE_LENS)).any():
         raise InputError(
-            file, f"{label} is clipped or not seen", "a dark place in the picture", "check the line"
+            file,
+            f"{label} is clipped or not seen",
+            "a dark place in the picture",
+            "check its line in the csv",
         )
     seen = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
     use = seen & ~inside & (light > 0)
@@ -143,7 +146,9 @@ def reading(
     stray = float(light[inside].mean()) - true_cdm2
     if stray <= 0:
         found = f"{label}: {light[inside].mean():.3g} cd/m2, not more than its true luminance"
-        raise InputError(file, found, "stray light above it", "remove the line")
+        raise InputError(
+            file, found, "stray light above it", "remove its line from the csv of dark places"
+        )
     return StrayReading(label, file, stray, away, flux)
 
 

@@ -98,9 +98,9 @@ def _readable(path: Path, told: Mapping[str, Any]) -> Sequence[IrradianceSample]
 
 
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Append rows whose time and values are new; return their number.
+    """Append rows whose time is in no day file yet; return their number.
 
-    Rows that differ at the same time all stay.
+    Of the given rows, those that differ at the same time all stay; copies do not.
     """
     wanted = sorted(samples, key=lambda s: s.t_utc)
     if not wanted:

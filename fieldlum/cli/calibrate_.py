@@ -40,7 +40,7 @@ def command() -> None:
     """Fit a camera's profile from ordinary captures.
 
     Each fit starts from a profile (--camera) and writes a new one (--out); both may be one file.
-    Raw cameras also have shutter and pixels, once some sessions are merged.
+    Raw cameras also have pixels and linearity and, once some sessions are merged, shutter.
 
     \b
     Example, in this order:

@@ -182,8 +182,8 @@ def _check_brightness(rows: NDArray[np.float32], brightest: float, path: Path) -
     if not largest <= brightest:
         raise InputError(
             path,
-            f"a pixel of {largest:.3g} W/sr/m2",
-            f"at most {brightest:.3g} W/sr/m2",
+            f"a stored value of {largest:.3g}",
+            f"at most {brightest:.3g}",
             "the file is damaged: copy it again",
         )
 

@@ -68,8 +68,8 @@ def health(
     warnings: list[str] = []
     if offset is not None and offset > NIGHT_LIGHT_WM2:
         warnings.append(
-            f"{offset:.0f} W/m2 in the middle of the night: a lamp, or a wrong clock, offset or "
-            f"longitude"
+            f"{offset:.0f} W/m2 in the middle of the night: check for a lamp, the logger's clock, "
+            f"its --utc-offset, and longitude_deg"
         )
     elif offset is not None and abs(offset) >= NIGHT_OFFSET_WARN_WM2:
         warnings.append(

@@ -105,7 +105,8 @@ def verdict(report: MergeReport) -> str:
         notes.append(report.orientation_conflict)
     if abs(report.black_off_dn) > BLACK_WARN_DN:
         notes.append(
-            f"the files' black level differs from the profile's by {report.black_off_dn:+.1f} DN"
+            f"the files' black level differs from the profile's by {report.black_off_dn:+.1f} DN: "
+            f"check that the profile belongs to this camera"
         )
     if report.noise_over_profile > 1.0:
         notes.append(

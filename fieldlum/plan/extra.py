@@ -32,7 +32,8 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
     busy = timedelta(seconds=seconds) + MARGIN
     for slot in (slot for slot in slots if slot.t_utc >= now_utc):
         if EXTRA in slot.tags:
-            raise InputError(session.plan, f"an extra bracket is planned at {slot.id}", "one")
+            found = f"an extra bracket is planned already, at {slot.id}"
+            raise InputError(session.plan, found, "one at a time", "ask again after it")
         if at - busy < slot.t_utc < at + busy:
             needs = f"{busy.total_seconds():.0f} s without a planned bracket"
             found = f"bracket {slot.id} is too near"

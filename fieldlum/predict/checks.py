@@ -124,7 +124,7 @@ def inputs_of(
 
     synthetic = str(weather) == SYNTHETIC
     if not synthetic and not weather.is_file():
-        raise InputError(weather, "no such file", "an EPW, TMY3 or CSV weather file")
+        raise InputError(weather, "no such file", "a weather file, or the word synthetic")
     return {
         "model": model.resolve().name,
         "model_sha256": sha256(model / "config.json"),

@@ -79,7 +79,10 @@ class Objective:
         return np.concatenate([self.albedo[:SHELL], [solid.albedo for solid in guess.solids]])
 
     def prior(self, guess: Guess) -> float:
-        """Return what the departure from the stated numbers costs."""
+        """Return the cost of departing from the stated numbers.
+
+        Where sun discs gave a pose, `POSE_NAMES` are compared with that pose instead.
+        """
         by_disc = POSE_NAMES if self.pose is not None else ()
         z = [
             (p.read(guess) - p.read(self.start)) / p.sd

@@ -138,8 +138,8 @@ def judge_fit(
 def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     """Return the geometry that hours kept out of the search support, and why in words.
 
-    A richer geometry must beat each simpler one by more than one standard error of the paired
-    difference, hours taken as independent.
+    From the simplest on, a geometry replaces the one chosen so far if it is better by more than one
+    standard error of the paired difference, hours taken as independent.
     """
     order: tuple[Chosen, ...] = ("none", "stated", "fitted")
     chosen: Chosen = "none"

@@ -66,7 +66,10 @@ def read_plan(path: Path) -> list[Slot]:
     """Return the slots of a plan. Raises InputError with the line."""
     if not path.is_file():
         raise InputError(
-            path, "no such file", "the plan of a session", "write one with: fieldlum plan SITE.toml"
+            path,
+            "no such file",
+            "the plan of a session",
+            "restore it, or plan a new session: fieldlum plan SITE.toml --set 9-day --out FOLDER",
         )
     slots: list[Slot] = []
     with path.open(newline="", encoding="utf-8") as file:

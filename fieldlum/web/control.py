@@ -63,7 +63,9 @@ class Control:
     def _extra(self, asked: dict[str, Any]) -> str:
         state = self._running()
         if state["next"] is not None and state["next"]["state"] == "running":
-            raise InputError(self.session.root, "a bracket is being taken", "none", "ask after it")
+            raise InputError(
+                self.session.root, "a bracket is being taken", "none", "ask again after it"
+            )
         slot = add_extra(self.session, datetime.now(UTC))
         return f"An extra bracket is planned at {slot.t_utc:%H:%M} UTC."
 

@@ -90,7 +90,7 @@ class Snapshots:
             }
 
     def moment(self) -> Moment:
-        """Return what decides whether there is time to compute something."""
+        """Return the time to the next slot, whether a capture is busy, and how many are done."""
         with self._lock:
             journal, slots = self._journal.update(), self._slots()
             now, rehearsal = self._now(journal)
