@@ -3,8 +3,8 @@
     python bench/stray_light.py SESSION [--out docs/results/stray-light.md]
 
 SESSION: one with truth/ (`fieldlum simulate` or `fieldlum demo`). A lens of 186 degrees looks at
-its panoramas along four headings. Its pictures are the truth plus haze (a power of the angle, which
-is none of the fitted kernels) plus a ghost (an image 8 degrees wide of the field's light, mirrored
+its panoramas along four headings. Its pictures are the truth plus haze (a power of the angle, not
+one of the fitted kernels) plus a ghost (an image 8 degrees wide of the field's light, mirrored
 at the axis, which no kernel of the angle explains). Three pictures have black traps at twelve
 directions; they give the kernel. The other pictures judge it: Ev and DGP along the axis, and the
 darkest tenth of the pixels.
@@ -127,7 +127,7 @@ def figures(light: Array, view: View) -> tuple[float, float]:
     shape = view.true.luminance_cdm2.shape
     panorama = Panorama(light.reshape(shape), view.true.heading_deg)
     answer = evaluate_glare(panorama, [view.true.heading_deg])["views"][0]
-    return float(answer["ev_lx"]), float(answer["dgp"])
+    return float(answer["ev_lx"] or 0.0), float(answer["dgp"] or 0.0)
 
 
 def row(lens: SimulatedLens, pictures: list[Panorama], profile: CameraProfile) -> str:
@@ -171,7 +171,7 @@ def row(lens: SimulatedLens, pictures: list[Panorama], profile: CameraProfile) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("session", type=Path)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=int, default=12)
@@ -200,6 +200,7 @@ def main() -> None:
     for haze, ghost in LENSES:
         lines.append(row(SimulatedLens(haze, ghost), pictures, profile))
         print(lines[-1], flush=True)
+    lines += ["", "A real lens: [outside the image circle](stray-border.md)."]
     if given.out:
         given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
