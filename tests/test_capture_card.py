@@ -219,7 +219,7 @@ def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
 def test_two_bodies_of_one_model_are_two_cameras() -> None:
     def frames(serial: str, number: int) -> list[CardFrame]:
         return [
-            CardFrame(Path(f"{serial}{i}.NEF"), LADDER[0], NOON, False, "D850", serial)
+            CardFrame(Path(f"{serial}{i}.NEF"), LADDER[0], NOON, None, "D850", serial)
             for i in range(number)
         ]
 

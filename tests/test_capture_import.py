@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -158,13 +158,15 @@ def test_campaigns_have_clocks_of_their_own() -> None:
 # files
 
 
-def write_card(folder: Path, frames: list[CardFrame]) -> None:
+def write_card(folder: Path, frames: list[CardFrame], zone_h: int | None = None) -> None:
+    """zone_h: UTC offset that the camera writes into EXIF; none without it."""
     folder.mkdir(parents=True)
     for frame in frames:
         codes = np.full((8, 8, 3), int(frame.exposure.shutter_s * 1000) % 250, np.uint8)
-        naive = frame.t_camera.replace(tzinfo=None)
+        zone = None if zone_h is None else timezone(timedelta(hours=zone_h))
+        shown = frame.t_camera.replace(tzinfo=zone)
         write_jpeg(
-            folder / frame.path.with_suffix(".jpg").name, codes, frame.exposure, t_camera=naive
+            folder / frame.path.with_suffix(".jpg").name, codes, frame.exposure, t_camera=shown
         )
 
 
@@ -212,6 +214,54 @@ def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_
     assert [states[slot.id].outcome for slot in PLAN[2:9]] == ["done"] * 6 + [""]
     again = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
     assert (again.brackets, again.known, again.moved) == (0, 6, ())
+
+
+@pytest.mark.contract
+def test_an_offset_in_exif_and_a_stated_one_are_both_counted(
+    session: Session, tmp_path: Path
+) -> None:
+    """A stated offset applies to the clock as shown, not on top of the offset in EXIF. Where the
+    two differ, both counts show which is right; the edge of the day alone can tell.
+    """
+    write_card(tmp_path / "card", card(PLAN, PDT_S), zone_h=-7)
+    words = ["import", str(session.root), str(tmp_path / "card")]
+    hour_off = CliRunner().invoke(main, [*words, "--utc-offset", "-08:00"])
+    assert hour_off.exit_code == 0
+    assert (
+        "note: --utc-offset -08:00 was used, but EXIF states UTC -07:00: 55 of 60 frames are near "
+        "slots with the stated offset, 60 with the camera's own; import the card again without "
+        "--utc-offset" in hour_off.output
+    )
+    assert hour_off.output.count("of 60") == 1 and hour_off.output.count("camera clock:") == 1
+    same = CliRunner().invoke(main, [*words, "--utc-offset", "-07:00"])
+    assert same.exit_code == 0 and "EXIF" not in same.output
+    again = CliRunner().invoke(main, words)
+    assert "camera clock: UTC -07:00, stated in EXIF\n" in again.output
+    assert "0 brackets with 0 frames" in again.output and "12 brackets were imported before" in (
+        again.output
+    )
+
+
+@pytest.mark.contract
+def test_a_stated_offset_that_fits_better_than_exif_is_kept(
+    session: Session, tmp_path: Path
+) -> None:
+    write_card(tmp_path / "card", card(PLAN, PDT_S), zone_h=1)  # set in Geneva, never changed
+    report = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
+    assert report.brackets == 12 and len(report.notes) == 1
+    assert report.notes[0].endswith(
+        "60 of 60 frames are near slots with the stated offset, 20 with the camera's own"
+    )
+
+
+@pytest.mark.contract
+def test_one_clock_of_two_campaigns_is_printed_once(tmp_path: Path) -> None:
+    june = [replace(s, t_utc=s.t_utc + timedelta(days=90)) for s in PLAN]
+    session = create_session(tmp_path / "s", SiteFile(SEATTLE), [*PLAN, *june], {})
+    write_card(tmp_path / "card", card([*PLAN, *june], PDT_S))
+    done = CliRunner().invoke(main, ["import", str(session.root), str(tmp_path / "card")])
+    assert done.exit_code == 0 and "24 brackets" in done.output
+    assert done.output.count("camera clock: UTC -07:00, fitted to the plan") == 1
 
 
 @pytest.mark.contract

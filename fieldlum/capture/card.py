@@ -99,10 +99,12 @@ def read_card(
         if info.t_camera is None:
             left_out.append(f"{path}: EXIF has no time")
             continue
-        aware = info.t_camera.tzinfo is not None
+        offset = info.t_camera.utcoffset()  # None for a camera that writes no offset
+        offset_s = None if offset is None else offset.total_seconds()
+        aware = offset is not None
         when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
         who = info.model or info.make or "a camera without a name in EXIF"
-        frames.append(CardFrame(path, info.exposure, when, aware, who, _body_serial(path)))
+        frames.append(CardFrame(path, info.exposure, when, offset_s, who, _body_serial(path)))
     return frames, left_out
 
 

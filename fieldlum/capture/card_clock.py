@@ -6,6 +6,7 @@ Also find where the clock was set during a campaign.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import timedelta
 from itertools import pairwise
 from zoneinfo import ZoneInfo
@@ -14,6 +15,7 @@ import numpy as np
 
 from fieldlum.capture.match_card import (
     WITHIN_S,
+    CardFrame,
     Group,
     Offset,
     find_offset,
@@ -29,6 +31,7 @@ from fieldlum.records import SiteFile, Slot
 _NIGHT_S = 4 * 3600.0
 _HOURS = range(-26, 27)  # civil time zones span UTC-12 to UTC+14: two of them differ by 26 h
 _STEP_S = 1800.0  # a smaller change is drift of the clock
+_SAME_OFFSET_S = 60.0  # EXIF states offsets in minutes
 # A change of the clock counts only if it brings this many more brackets to slots. Not measured: two
 # brackets can be early or late by chance.
 _EVIDENCE = 3
@@ -44,7 +47,7 @@ def clock_offset(
     if told_s is not None:
         start = Offset(told_s, "--utc-offset")
     elif tells_utc(groups):
-        start = Offset(0.0, "the frames' own UTC offset")
+        start = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
     else:
         start = find_offset(groups, slots, _expected_s(groups, slots, setup))
     if start is None and not fitting_offsets(groups, slots):
@@ -70,7 +73,67 @@ def clock_offset(
 
 def tells_utc(groups: Sequence[Group]) -> bool:
     """Return whether every frame has its UTC offset in EXIF."""
-    return all(frame.known_utc for group in groups for frame in group.frames)
+    return all(f.exif_offset_s is not None for group in groups for f in group.frames)
+
+
+def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
+    stated = {f.exif_offset_s for group in groups for f in group.frames}
+    return tuple(sorted(offset_s for offset_s in stated if offset_s is not None))
+
+
+def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
+    """Return frames with the time that the camera's clock showed, without the offset in EXIF.
+
+    A stated --utc-offset applies to the clock itself. exif_offset_s remains, for `contradiction`.
+    """
+    return [
+        replace(f, t_camera=f.t_camera + timedelta(seconds=f.exif_offset_s or 0.0)) for f in frames
+    ]
+
+
+def contradiction(groups: Sequence[Group], slots: Sequence[Slot], told_s: float) -> str:
+    """Return the counts of frames near slots by the stated offset and by EXIF's own, or no text.
+
+    groups: with times from `as_shown`. The text is empty where both agree within a minute.
+    """
+    own = [g for g in groups if g.frames[0].exif_offset_s is not None]
+    offsets_s = _exif_offsets_s(own)
+    if not slots or all(abs(offset_s - told_s) <= _SAME_OFFSET_S for offset_s in offsets_s):
+        return ""
+    stated, exif = 0, 0
+    for group in own:
+        by_exif_s = group.frames[0].exif_offset_s or 0.0
+        stated += len(group.frames) * _near([group], slots, told_s)
+        exif += len(group.frames) * _near([group], slots, by_exif_s)
+    total = sum(len(group.frames) for group in own)
+    text = (
+        f"--utc-offset {hms(told_s)} was used, but EXIF states UTC {hms_list(offsets_s)}: "
+        f"{stated} of {total} frames are near slots with the stated offset, {exif} with the "
+        "camera's own"
+    )
+    if exif > stated:
+        return f"{text}; import the card again without --utc-offset, and the logger by itself"
+    if exif == stated:
+        return f"{text}; the plan cannot decide: compare the camera's clock with UTC"
+    return text
+
+
+def hms(seconds: float) -> str:
+    """Return an offset as +HH:MM, with seconds where it has some."""
+    minutes, rest = divmod(round(abs(seconds)), 60)
+    return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (
+        f":{rest:02d}" if rest else ""
+    )
+
+
+def hms_list(offsets_s: Sequence[float]) -> str:
+    """Return offsets in words, such as "-08:00 and -07:00"."""
+    return " and ".join(hms(offset_s) for offset_s in offsets_s)
+
+
+def _near(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> int:
+    """Return how many brackets are near slots."""
+    return int(np.sum(np.abs(late_s(groups, slots, offset_s)) <= WITHIN_S))
 
 
 def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile) -> list[float]:
@@ -122,15 +185,7 @@ def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.n
     """
     everything = [group for day in days for group in day]
     base = next(iter(fitting_offsets(everything, slots)), 0.0) % 3600.0
-    return np.array(
-        [
-            [
-                np.sum(np.abs(late_s(day, slots, base + 3600.0 * hour)) <= WITHIN_S)
-                for hour in _HOURS
-            ]
-            for day in days
-        ]
-    )
+    return np.array([[_near(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days])
 
 
 def _steadiest(hits: np.ndarray) -> list[int]:
@@ -174,9 +229,7 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
     was set between brackets.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
-    hits = [
-        int(np.sum(np.abs(late_s(groups, slots, offset.seconds + s)) <= WITHIN_S)) for s in shifts
-    ]
+    hits = [_near(groups, slots, offset.seconds + s) for s in shifts]
     as_it_is, best = hits[shifts.index(0.0)], int(np.argmax(hits))
     if hits[best] >= as_it_is + _EVIDENCE:
         return (

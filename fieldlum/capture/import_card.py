@@ -10,7 +10,15 @@ from pathlib import Path
 
 from fieldlum.capture.bracket import shots, write_capture
 from fieldlum.capture.card import card_files, of_the_session, read_card, without_copies
-from fieldlum.capture.card_clock import clock_offset, clock_parts, clock_steps, doubt, tells_utc
+from fieldlum.capture.card_clock import (
+    as_shown,
+    clock_offset,
+    clock_parts,
+    clock_steps,
+    contradiction,
+    doubt,
+    tells_utc,
+)
 from fieldlum.capture.logger_rows import adopt_rows, check_rows
 from fieldlum.capture.match_card import (
     Group,
@@ -108,6 +116,8 @@ def _adopt_card(
     frames, unread = read_card(files, progress, lens_f_number=profile.camera.fixed_f_number)
     frames, strangers = of_the_session(frames, setup)
     frames, copies = without_copies(frames)
+    if utc_offset_s is not None:
+        frames = as_shown(frames)
     groups = group_frames(
         frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings))
     )
@@ -134,7 +144,8 @@ def _adopt_card(
             f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})"
             for u in unmatched
         ]
-        if said := doubt(part, slots, offset):
+        opposed = contradiction(part, slots, utc_offset_s) if utc_offset_s is not None else ""
+        if said := opposed or doubt(part, slots, offset):
             notes.append(said)
     if refused and not matched:
         raise refused[0]

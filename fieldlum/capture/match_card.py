@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -29,14 +29,14 @@ _HALF_COUNT = 5000  # cameras number their files up to 9999 (DCF 2.0)
 class CardFrame:
     """A frame as EXIF describes it.
 
-    t_camera: the camera's clock, read as if it were UTC. known_utc: EXIF has the clock's UTC
-    offset.
+    t_camera: the camera's clock, read as if it were UTC; with exif_offset_s, UTC itself.
+    exif_offset_s: the clock minus UTC [s] where EXIF states it.
     """
 
     path: Path
     exposure: Exposure
     t_camera: datetime
-    known_utc: bool = False
+    exif_offset_s: float | None = None
     camera: str = ""  # model
     serial: str = ""  # serial number of the body, if EXIF has it
 
@@ -55,10 +55,15 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """The camera's clock minus UTC [s], and how it was found."""
+    """The camera's clock minus UTC [s], and how it was found.
+
+    seconds: what frames' t_camera is ahead of UTC. exif_s: the offsets in EXIF that t_camera was
+    already corrected by.
+    """
 
     seconds: float
     how: str
+    exif_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,10 +229,8 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     middle = float(np.median(near))
     if float(np.median(np.abs(near - middle))) > _STEADY_S or abs(middle) < 1.0:
         return offset
-    return Offset(
-        offset.seconds + middle,
-        f"{offset.how}, clock {middle:+.0f} s from {len(near)} timed brackets",
-    )
+    how = f"{offset.how}, clock {middle:+.0f} s from {len(near)} timed brackets"
+    return replace(offset, seconds=offset.seconds + middle, how=how)
 
 
 def match_groups(

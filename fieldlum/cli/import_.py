@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
+
+if TYPE_CHECKING:
+    from fieldlum.capture.match_card import Offset
 
 _SHOWN = 20  # lines of each kind; fits a terminal
 
@@ -116,7 +120,9 @@ def _summary(report: object) -> list[str]:
     from fieldlum.capture.import_card import Report
 
     assert isinstance(report, Report)
-    lines = [f"camera clock: UTC {_hms(offset.seconds)}, {offset.how}" for offset in report.offsets]
+    # one line for campaigns with the same clock
+    clocks = [f"camera clock: UTC {_clock(offset)}, {offset.how}" for offset in report.offsets]
+    lines = list(dict.fromkeys(clocks))
     if report.late_s:
         lines.append(f"brackets start {median(report.late_s):+.0f} s from their slots (median)")
     if report.moved:
@@ -130,8 +136,7 @@ def _summary(report: object) -> list[str]:
     return lines
 
 
-def _hms(seconds: float) -> str:
-    minutes, rest = divmod(round(abs(seconds)), 60)
-    return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (
-        f":{rest:02d}" if rest else ""
-    )
+def _clock(offset: Offset) -> str:
+    from fieldlum.capture.card_clock import hms, hms_list
+
+    return hms_list(offset.exif_s) if offset.exif_s else hms(offset.seconds)
