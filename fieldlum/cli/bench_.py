@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fieldlum.cli.options import json_option, out_option, pairs_argument, scene_option, site_option
+from fieldlum.cli.options import (
+    PATH,
+    json_option,
+    out_option,
+    pairs_argument,
+    scene_option,
+    site_option,
+)
 from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.model_registry import MODELS
 
@@ -17,12 +24,8 @@ if TYPE_CHECKING:
 
 @click.command()
 @pairs_argument
-@click.option(
-    "--test", type=click.Path(path_type=Path), help="Pairs to test on. [default: held-out days]"
-)
-@click.option(
-    "--pool", type=click.Path(path_type=Path), help="Pairs of other seasons, for --stress."
-)
+@click.option("--test", type=PATH, help="Pairs to test on. [default: held-out days]")
+@click.option("--pool", type=PATH, help="Pairs of other seasons, for --stress.")
 @site_option
 @click.option(
     "--models",

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -19,9 +19,7 @@ from fieldlum.cli.options import EXISTING_PATH
     help="Chart corners in FRAME, from the dark skin patch clockwise: 8 numbers.",
 )
 @calibration_options
-def command(
-    source: Path, corners: str | None, camera: str, out: Path, picture: Path | None, as_json: bool
-) -> None:
+def command(source: Path, corners: str | None, refit: Refit) -> None:
     """Fit luminance from camera R, G, B, by spot readings or a chart.
 
     SPOTS.csv: file, x_px, y_px, luminance_cdm2 of surfaces of many colours. FRAME: a 24-patch chart
@@ -34,16 +32,14 @@ def command(
     from dataclasses import replace
 
     from fieldlum.calibrate import colour, pictures
-    from fieldlum.profiles import load_camera_profile
 
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     if source.suffix.lower() == ".csv":
         colours = colour.from_table(source, profile)
     else:
         colours = colour.from_chart(source, profile, _numbers(corners, 8) if corners else ())
     found = colour.fit(colours, profile)
-    if picture:
-        pictures.save(pictures.of_colour(colours, found), picture)
+    refit.draw(lambda: pictures.of_colour(colours, found))
     if source.suffix.lower() == ".csv" and abs(found.scale - 1) > 0.03:
         terminal.say(f"note: the readings fit k times {found.scale:.3f}: run calibrate scale next")
     figures = {
@@ -52,9 +48,7 @@ def command(
         "readings": len(colours.y),
     }
     new = replace(profile.colour, y_from_rgb=found.y_from_rgb, u_rel=round(found.u_rel, 5))
-    write_profile(
-        out, profile, [source, *colours.frames], [found.choice.line], figures, as_json, colour=new
-    )
+    refit.write(profile, [source, *colours.frames], [found.choice.line], figures, colour=new)
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 if TYPE_CHECKING:
-    from fieldlum.profiles import CameraProfile
+    from fieldlum.calibrate.boards import Boards
+    from fieldlum.profiles import CameraProfile, Lens
 
 
 @click.command()
@@ -49,10 +50,7 @@ def command(
     circle: bool,
     chessboard: str | None,
     against: Path | None,
-    camera: str,
-    out: Path,
-    picture: Path | None,
-    as_json: bool,
+    refit: Refit,
 ) -> None:
     """Fit centre, circle, mapping and pose of a lens.
 
@@ -67,9 +65,7 @@ def command(
     """
     from dataclasses import replace
 
-    from fieldlum.profiles import load_camera_profile
-
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     if sum((circle, chessboard is not None, against is not None)) > 1:
         raise click.UsageError(
             "--circle, --chessboard and --against exclude each other: use one of them"
@@ -82,18 +78,18 @@ def command(
     if full_angle_deg is not None:
         start = replace(start, full_angle_deg=full_angle_deg)
     if circle or against is not None:
-        new, line, figures = _edge(sources, start, against, picture)
+        new, line, figures = _edge(sources, start, against, refit)
     else:
-        new, line, figures = _mapping(sources, start, chessboard, profile, picture)
+        new, line, figures = _mapping(sources, start, chessboard, profile, refit)
     lenses = list(profile.lens)
     lenses[lens_number - 1] = new
     frames = [*sources, *([against] if against else [])]
-    write_profile(out, profile, frames, [line], figures, as_json, lens=tuple(lenses))
+    refit.write(profile, frames, [line], figures, lens=tuple(lenses))
 
 
 def _edge(
-    sources: tuple[Path, ...], start: Any, against: Path | None, picture: Path | None
-) -> tuple[Any, str, dict]:
+    sources: tuple[Path, ...], start: Lens, against: Path | None, refit: Refit
+) -> tuple[Lens, str, dict[str, Any]]:
     from dataclasses import replace
 
     from fieldlum.calibrate import lens_circle, pictures
@@ -110,8 +106,7 @@ def _edge(
             {"shift_px": [right, down]},
         )
     found = lens_circle.circle(grey)
-    if picture:
-        pictures.save(pictures.of_circle(grey, found), picture)
+    refit.draw(lambda: pictures.of_circle(grey, found))
     line = f"lens: circle of radius {found.radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
     figures = {"centre_px": list(found.centre_px), "radius_px": found.radius_px, "u_px": found.u_px}
     return lens_circle.circle_lens(start, found, start.full_angle_deg), line, figures
@@ -119,18 +114,17 @@ def _edge(
 
 def _mapping(
     sources: tuple[Path, ...],
-    start: Any,
+    start: Lens,
     chessboard: str | None,
     profile: CameraProfile,
-    picture: Path | None,
-) -> tuple[Any, str, dict]:
+    refit: Refit,
+) -> tuple[Lens, str, dict[str, Any]]:
     from fieldlum.calibrate import boards, lens, pictures
 
     seen = _boards(sources, chessboard, profile) if chessboard else None
     targets = seen.targets if seen else lens.from_table(sources[0])
     found = boards.fit(seen, start) if seen else lens.fit(targets, start)
-    if picture:
-        pictures.save(pictures.of_lens(targets, found), picture)
+    refit.draw(lambda: pictures.of_lens(targets, found))
     if found.widest_deg < 0.9 * start.full_angle_deg / 2:
         terminal.say(
             f"note: no target beyond {found.widest_deg:.0f} deg from the axis: the mapping from "
@@ -154,7 +148,7 @@ def _mapping(
     return found.lens, line, figures
 
 
-def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) -> Any:
+def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) -> Boards:
     from fieldlum.calibrate import boards
 
     try:

@@ -6,16 +6,14 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
 @click.command()
 @click.argument("frames", nargs=-1, required=True, type=EXISTING_PATH)
 @calibration_options
-def command(
-    frames: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
-) -> None:
+def command(frames: tuple[Path, ...], refit: Refit) -> None:
     """Fit how raw counts depart from proportion to light.
 
     FRAMES are raw frames of one steady light (a lit wall, a lamp after half an hour) at six or more
@@ -29,16 +27,14 @@ def command(
     from dataclasses import replace
 
     from fieldlum.calibrate import linearity, pictures
-    from fieldlum.profiles import load_camera_profile
 
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     folders = {path: sorted(p for p in path.glob("*") if p.is_file()) for path in frames}
     files = [file for path in frames for file in (folders[path] if path.is_dir() else [path])]
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
     levels = linearity.read_levels(files, plain)
     found = linearity.fit(levels)
-    if picture:
-        pictures.save(pictures.of_linearity(levels, found), picture)
+    refit.draw(lambda: pictures.of_linearity(levels, found))
     sensor = replace(
         profile.sensor,
         linearity=found.coefficients,
@@ -51,4 +47,4 @@ def command(
         "exposure_offset_s": found.offset_s,
         "u_exposure_offset_s": found.u_offset_s,
     }
-    write_profile(out, profile, levels.frames, [found.choice.line], figures, as_json, sensor=sensor)
+    refit.write(profile, levels.frames, [found.choice.line], figures, sensor=sensor)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -18,10 +18,7 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(
     sources: tuple[Path, ...],
     dark: bool,
-    camera: str,
-    out: Path,
-    picture: Path | None,
-    as_json: bool,
+    refit: Refit,
 ) -> None:
     """List hot, dead and stuck pixels in the profile (raw cameras).
 
@@ -36,14 +33,10 @@ def command(
     from dataclasses import replace
 
     from fieldlum.calibrate import pictures, pixels
-    from fieldlum.profiles import load_camera_profile
 
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     found = pixels.find(sources, profile, dark=dark)
-    if picture:
-        pictures.save(
-            pictures.of_pixels(found, profile.camera.width_px, profile.camera.height_px), picture
-        )
+    refit.draw(lambda: pictures.of_pixels(found, profile.camera.width_px, profile.camera.height_px))
     known = tuple(sorted({*profile.sensor.bad_px, *found.bad_px}))
     figures: dict[str, Any] = {
         "found": len(found.bad_px),
@@ -51,7 +44,7 @@ def command(
         "views": found.views,
         "by_chance": found.by_chance,
     }
-    if as_json:
+    if refit.as_json:
         figures["bad_px"] = [list(place) for place in found.bad_px]
     sensor = replace(profile.sensor, bad_px=known)
-    write_profile(out, profile, found.frames, [found.line], figures, as_json, sensor=sensor)
+    refit.write(profile, found.frames, [found.line], figures, sensor=sensor)

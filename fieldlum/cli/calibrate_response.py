@@ -6,16 +6,14 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
 @click.command()
 @click.argument("brackets", nargs=-1, required=True, type=EXISTING_PATH)
 @calibration_options
-def command(
-    brackets: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
-) -> None:
+def command(brackets: tuple[Path, ...], refit: Refit) -> None:
     """Fit JPEG codes to linear light, from brackets of a still scene.
 
     BRACKETS are folders with one bracket each, or the JPEG files of one bracket.
@@ -27,13 +25,11 @@ def command(
     import numpy as np
 
     from fieldlum.calibrate import pictures, response
-    from fieldlum.profiles import load_camera_profile
 
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     places = response.sample(response.brackets_in(brackets), profile, np.random.default_rng(1))
     found = response.fit(places)
-    if picture:
-        pictures.save(pictures.of_response(places, found), picture)
+    refit.draw(lambda: pictures.of_response(places, found))
     figures = {
         "kind": found.response.kind,
         "u_rel": found.response.u_rel,
@@ -43,13 +39,11 @@ def command(
         "shutter_law_misfit_percent": places.law.misfit_percent,
     }
     known = places.law.decided_by == "frames" or profile.shutter_law != "auto"
-    write_profile(
-        out,
+    refit.write(
         profile,
         places.frames,
         [found.choice.line],
         figures,
-        as_json,
         response=found.response,
         shutter_law=places.law.law if known else profile.shutter_law,
     )

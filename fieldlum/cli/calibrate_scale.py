@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -22,9 +22,7 @@ from fieldlum.cli.options import EXISTING_PATH
     help="The meter's own relative uncertainty.",
 )
 @calibration_options
-def command(
-    readings_csv: Path, meter_u: float, camera: str, out: Path, picture: Path | None, as_json: bool
-) -> None:
+def command(readings_csv: Path, meter_u: float, refit: Refit) -> None:
     """Fit the absolute factor k from spot and illuminance readings.
 
     READINGS.csv: panorama, azimuth_deg, altitude_deg, luminance_cdm2 or illuminance_lx. The
@@ -38,16 +36,14 @@ def command(
 
     from fieldlum.calibrate import pictures, scale
     from fieldlum.photometry import illuminance_verdict
-    from fieldlum.profiles import load_camera_profile
 
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     readings, frames, notes = scale.from_table(readings_csv, profile)
     found = scale.fit(readings, meter_u, readings_csv)
     doubt = scale.check_level(found, profile, readings_csv)
     for note in [*notes, *scale.slips(readings, found), *([doubt] if doubt else [])]:
         terminal.say(f"note: {note}")
-    if picture:
-        pictures.save(pictures.of_scale(readings, found), picture)
+    refit.draw(lambda: pictures.of_scale(readings, found))
     points = [
         {
             "reading": r.label,
@@ -57,11 +53,10 @@ def command(
         }
         for r, off in zip(readings, found.residual, strict=True)
     ]
-    for point in [] if as_json else points:
+    for point in [] if refit.as_json else points:
         click.echo(
             f"  {point['reading']:32} meter {point['meter']:9.4g}  picture "
-            f"{point['picture']:9.4g}  "
-            f"{point['off_percent']:+6.2f} %"
+            f"{point['picture']:9.4g}  {point['off_percent']:+6.2f} %"
         )
     gates = [
         illuminance_verdict(r.image * found.factor, r.meter)
@@ -76,11 +71,11 @@ def command(
         "far": list(found.far),
         "illuminance": gates,
     }
-    if as_json:
+    if refit.as_json:
         figures["points"] = points
     line = f"{found.choice.line}; k = {k:g}, u {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; vertical illuminance: {gate}" for gate in gates) + (
         f"; CAUTION: {doubt}" if doubt else ""
     )
     new = replace(profile.scale, k=k, u_rel=u)
-    write_profile(out, profile, [readings_csv, *frames], [line], figures, as_json, scale=new)
+    refit.write(profile, [readings_csv, *frames], [line], figures, scale=new)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,11 +15,61 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import PATH, json_option, out_option
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from fieldlum.profiles import CameraProfile
 
 
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """The common options: --camera to start from, and where the fit's results go."""
+
+    camera: str
+    out: Path
+    picture: Path | None
+    as_json: bool
+
+    def profile(self) -> CameraProfile:
+        """Load the profile to start from. Raises InputError for an invalid one."""
+        from fieldlum.profiles import load_camera_profile
+
+        return load_camera_profile(self.camera)
+
+    def draw(self, figure: Callable[[], Figure]) -> None:
+        """Save the figure if --picture names a file."""
+        from fieldlum.calibrate import pictures
+
+        if self.picture:
+            pictures.save(figure(), self.picture)
+
+    def write(
+        self,
+        profile: CameraProfile,
+        frames: Iterable[Path],
+        lines: list[str],
+        figures: dict[str, Any],
+        **changed: Any,
+    ) -> None:
+        """Write the profile with its changed parts, and print the choice and the figures."""
+        from fieldlum.calibrate import save_calibration
+
+        save_calibration(self.out, profile, frames, lines, datetime.now(UTC).date(), **changed)
+        if self.as_json:
+            terminal.emit_json({**figures, "why": lines, "profile": str(self.out)})
+            return
+        shown = [f"{name}: {value}" for name, value in figures.items()]
+        click.echo("\n".join([*lines, *shown, f"wrote {self.out}"]))
+
+
 def calibration_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Add --camera, --out, --picture and --json."""
+    """Add --camera, --out, --picture and --json, as one argument `refit`."""
+
+    @functools.wraps(function)
+    def gathered(
+        *, camera: str, out: Path, picture: Path | None, as_json: bool, **own: Any
+    ) -> None:
+        function(**own, refit=Refit(camera, out, picture, as_json))
+
     for option in (
         json_option,
         click.option("--picture", type=PATH, help="Draw readings, fit and residuals (PNG, SVG)."),
@@ -26,25 +78,5 @@ def calibration_options(function: Callable[..., None]) -> Callable[..., None]:
             "--camera", required=True, help="The profile to start from: a file, or a shipped name."
         ),
     ):
-        function = option(function)
-    return function
-
-
-def write_profile(
-    out: Path,
-    profile: CameraProfile,
-    frames: Iterable[Path],
-    lines: list[str],
-    figures: dict[str, Any],
-    as_json: bool,
-    **changed: Any,
-) -> None:
-    """Write the profile with its changed parts, and print the choice and the figures."""
-    from fieldlum.calibrate import save_calibration
-
-    save_calibration(out, profile, frames, lines, datetime.now(UTC).date(), **changed)
-    if as_json:
-        terminal.emit_json({**figures, "why": lines, "profile": str(out)})
-        return
-    shown = [f"{name}: {value}" for name, value in figures.items()]
-    click.echo("\n".join([*lines, *shown, f"wrote {out}"]))
+        gathered = option(gathered)
+    return gathered

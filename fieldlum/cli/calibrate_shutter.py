@@ -8,16 +8,14 @@ from typing import Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
 @click.command()
 @click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=EXISTING_PATH)
 @calibration_options
-def command(
-    sessions: tuple[Path, ...], camera: str, out: Path, picture: Path | None, as_json: bool
-) -> None:
+def command(sessions: tuple[Path, ...], refit: Refit) -> None:
     """Fit the shutter's true times from merged sessions (raw cameras).
 
     The SESSIONs must be merged with this profile. A pair of neighbouring times is used if five or
@@ -28,15 +26,14 @@ def command(
       fieldlum calibrate shutter my-session --camera mine.toml --out mine.toml
     """
     from fieldlum.calibrate import pictures, shutter
-    from fieldlum.profiles import find_camera_profile, load_camera_profile
+    from fieldlum.profiles import find_camera_profile
     from fieldlum.session import open_session, sha256
 
-    profile, digest = load_camera_profile(camera), sha256(find_camera_profile(camera))
+    profile, digest = refit.profile(), sha256(find_camera_profile(refit.camera))
     read = [shutter.from_session(open_session(path), digest) for path in sessions]
     profile = shutter.with_law_of(profile, [file for _, sidecars in read for file in sidecars])
     found = shutter.fit([bracket for brackets, _ in read for bracket in brackets], profile)
-    if picture:
-        pictures.save(pictures.of_shutter(found), picture)
+    refit.draw(lambda: pictures.of_shutter(found))
     for why in found.left_out:
         terminal.say(f"note: not used: {why}")
     rows = [
@@ -49,21 +46,18 @@ def command(
         }
         for t, known, n in zip(found.times, found.assumed_s, found.brackets, strict=True)
     ]
-    for row in [] if as_json else rows:
+    for row in [] if refit.as_json else rows:
         off, u = 100 * (row["true_s"] / row["assumed_s"] - 1), 100 * row["u_rel"]
         click.echo(
             f"  {row['nominal_s']:<10.6g} s is {row['true_s']:<10.6g} s: {off:+6.2f} % from the "
-            f"profile, "
-            f"u {u:.2f} %, {row['brackets']} brackets"
+            f"profile, u {u:.2f} %, {row['brackets']} brackets"
         )
-    figures: dict[str, Any] = {"times": rows} if as_json else {"times": len(rows)}
+    figures: dict[str, Any] = {"times": rows} if refit.as_json else {"times": len(rows)}
     files = [file for _, sidecars in read for file in sidecars]
-    write_profile(
-        out,
+    refit.write(
         profile,
         files,
         [found.line],
         figures,
-        as_json,
         shutter=shutter.with_times(profile, found),
     )

@@ -6,16 +6,14 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
 @click.command()
 @click.argument("readings_csv", metavar="READINGS.csv", type=EXISTING_PATH)
 @calibration_options
-def command(
-    readings_csv: Path, camera: str, out: Path, picture: Path | None, as_json: bool
-) -> None:
+def command(readings_csv: Path, refit: Refit) -> None:
     """Fit the lens's stray light from black traps in bright fields.
 
     READINGS.csv has panorama, azimuth_deg and altitude_deg of places that emit no light: the hole
@@ -28,13 +26,11 @@ def command(
       fieldlum calibrate stray traps.csv --camera mine.toml --out mine.toml --picture stray.png
     """
     from fieldlum.calibrate import pictures, stray
-    from fieldlum.profiles import load_camera_profile
 
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     readings = stray.from_table(readings_csv, profile)
     found = stray.fit(readings, readings_csv)
-    if picture:
-        pictures.save(pictures.of_stray(readings, found), picture)
+    refit.draw(lambda: pictures.of_stray(readings, found))
     files = list(dict.fromkeys(r.picture for r in readings))
     figures = {
         "angle_deg": list(found.kernel.angle_deg),
@@ -42,13 +38,11 @@ def command(
         "u_rel": found.kernel.u_rel,
         "total_share": round(found.total_share, 5),
     }
-    write_profile(
-        out,
+    refit.write(
         profile,
         [readings_csv, *files],
         [found.choice.line],
         figures,
-        as_json,
         stray=found.kernel,
         glare_floor_rel=0.0,  # the kernel's u_rel is its successor
     )

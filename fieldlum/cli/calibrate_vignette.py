@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import calibration_options, write_profile
+from fieldlum.cli.calibrate_shared import Refit, calibration_options
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -25,10 +25,7 @@ from fieldlum.cli.options import EXISTING_PATH
 def command(
     sources: tuple[Path, ...],
     lens_number: int,
-    camera: str,
-    out: Path,
-    picture: Path | None,
-    as_json: bool,
+    refit: Refit,
 ) -> None:
     """Fit the loss of light towards the edge, for one aperture.
 
@@ -40,9 +37,8 @@ def command(
       fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
     """
     from fieldlum.calibrate import pictures, vignette
-    from fieldlum.profiles import load_camera_profile
 
-    profile = load_camera_profile(camera)
+    profile = refit.profile()
     if lens_number > len(profile.lens):
         raise click.UsageError(
             f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)}"
@@ -54,9 +50,8 @@ def command(
         else vignette.from_uniform(sources, profile, lens_number - 1)
     )
     found = vignette.fit(samples)
-    if picture:
-        half = profile.lens[samples.lens].full_angle_deg / 2
-        pictures.save(pictures.of_vignette(samples, found, half), picture)
+    half_deg = profile.lens[samples.lens].full_angle_deg / 2
+    refit.draw(lambda: pictures.of_vignette(samples, found, half_deg))
     lenses = list(profile.lens)
     lenses[samples.lens] = vignette.with_curve(lenses[samples.lens], samples.f_number, found)
     figures = {
@@ -64,6 +59,4 @@ def command(
         "coefficients": list(found.coefficients),
         "u_rel": found.u_rel,
     }
-    write_profile(
-        out, profile, samples.frames, [found.choice.line], figures, as_json, lens=tuple(lenses)
-    )
+    refit.write(profile, samples.frames, [found.choice.line], figures, lens=tuple(lenses))

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli.options import (
+    PATH,
+    Decorator,
     force_option,
     json_option,
     out_option,
@@ -20,9 +22,7 @@ if TYPE_CHECKING:
     from fieldlum.campaign.stages import Stage
 
 SKIPPED_EXIT_CODE = 3  # exit code when a room was skipped
-campaign_argument = click.argument(
-    "campaign_file", metavar="CAMPAIGN.toml", type=click.Path(path_type=Path)
-)
+campaign_argument = click.argument("campaign_file", metavar="CAMPAIGN.toml", type=PATH)
 
 
 @click.group("campaign")
@@ -40,17 +40,15 @@ def command() -> None:
     """
 
 
-def _run(
-    campaign_file: Path, stage: Stage, scheduler_text: str, force: bool, as_json: bool
-) -> None:
+def _run(campaign_file: Path, stage: Stage, scheduler: str, force: bool, as_json: bool) -> None:
     """Run a stage, print one line a room, exit with 3 if any room was skipped."""
     from fieldlum.campaign import read_campaign, run_stage
 
     campaign = read_campaign(campaign_file)
-    scheduler = scheduler_of(scheduler_text)
+    where = scheduler_of(scheduler)
     results = []
     with progress(f"campaign {stage}") as show:
-        for result in run_stage(campaign, stage, scheduler=scheduler, force=force, progress=show):
+        for result in run_stage(campaign, stage, scheduler=where, force=force, progress=show):
             results.append(result)
             if not as_json:
                 click.echo(f"{result.session} {result.state}: {result.text}")
@@ -63,74 +61,39 @@ def _run(
         raise SystemExit(SKIPPED_EXIT_CODE)
 
 
-@command.command("plan")
-@campaign_argument
-@json_option
-def plan_command(campaign_file: Path, as_json: bool) -> None:
-    """Plan the rooms that have no session yet.
+def _add_stage(stage: Stage, text: str, example: str = "", *options: Decorator) -> None:
+    """Add the command of a stage, with --json and the options that the stage has."""
 
-    \b
-    Example:
-      fieldlum campaign plan rooms/CAMPAIGN.toml
-    """
-    _run(campaign_file, "plan", "local", False, as_json)
+    def run_rooms(
+        campaign_file: Path, as_json: bool, scheduler_text: str = "local", force: bool = False
+    ) -> None:
+        _run(campaign_file, stage, scheduler_text, force, as_json)
 
-
-@command.command("status")
-@campaign_argument
-@json_option
-def status_command(campaign_file: Path, as_json: bool) -> None:
-    """Show what each room has done and what is still to do.
-
-    \b
-    Example:
-      fieldlum campaign status rooms/CAMPAIGN.toml
-    """
-    _run(campaign_file, "status", "local", False, as_json)
+    line = f"fieldlum campaign {stage} rooms/CAMPAIGN.toml {example}".rstrip()
+    run_rooms.__doc__ = f"{text}\n\n\b\nExample:\n  {line}\n"
+    for option in (json_option, *reversed(options), campaign_argument):
+        run_rooms = option(run_rooms)
+    command.command(stage)(run_rooms)
 
 
-@command.command("merge")
-@campaign_argument
-@scheduler_option
-@force_option
-@json_option
-def merge_command(campaign_file: Path, scheduler_text: str, force: bool, as_json: bool) -> None:
-    """Merge and pair every room.
-
-    \b
-    Example:
-      fieldlum campaign merge rooms/CAMPAIGN.toml --scheduler processes:8
-    """
-    _run(campaign_file, "merge", scheduler_text, force, as_json)
-
-
-@command.command("train")
-@campaign_argument
-@scheduler_option
-@json_option
-def train_command(campaign_file: Path, scheduler_text: str, as_json: bool) -> None:
-    """Train a model for every room; each room is one unit of work.
-
-    \b
-    Example:
-      fieldlum campaign train rooms/CAMPAIGN.toml --scheduler processes:4
-    """
-    _run(campaign_file, "train", scheduler_text, False, as_json)
-
-
-@command.command("predict")
-@campaign_argument
-@scheduler_option
-@force_option
-@json_option
-def predict_command(campaign_file: Path, scheduler_text: str, force: bool, as_json: bool) -> None:
-    """Predict a year for every room.
-
-    \b
-    Example:
-      fieldlum campaign predict rooms/CAMPAIGN.toml --scheduler cluster.json
-    """
-    _run(campaign_file, "predict", scheduler_text, force, as_json)
+_add_stage("plan", "Plan the rooms that have no session yet.")
+_add_stage("status", "Show what each room has done and what is still to do.")
+_add_stage(
+    "merge", "Merge and pair every room.", "--scheduler processes:8", scheduler_option, force_option
+)
+_add_stage(
+    "train",
+    "Train a model for every room; each room is one unit of work.",
+    "--scheduler processes:4",
+    scheduler_option,
+)
+_add_stage(
+    "predict",
+    "Predict a year for every room.",
+    "--scheduler cluster.json",
+    scheduler_option,
+    force_option,
+)
 
 
 @command.command("report")
@@ -138,7 +101,7 @@ def predict_command(campaign_file: Path, scheduler_text: str, force: bool, as_js
 @out_option("Folder of the overview", default="campaign/ next to CAMPAIGN.toml")
 @click.option(
     "--table",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Also write all hourly figures: FILE.csv, or FILE.parquet (fieldlum[parquet]).",
 )
 @json_option

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import session_argument
+from fieldlum.cli.options import PATH, session_argument
 from fieldlum.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--status-json",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Update this file, for watching from elsewhere.",
 )
 @click.option(
@@ -168,8 +168,7 @@ def command(
     with suppress(OSError):  # the terminal may be closed by now
         click.echo(
             f"{session.root}: {outcomes.count('done')} brackets, {outcomes.count('missed')} "
-            f"missed, "
-            f"{outcomes.count('aborted')} aborted"
+            f"missed, {outcomes.count('aborted')} aborted"
         )
     aborted = [state.why for state in ledger.slots.values() if state.outcome == "aborted"]
     if aborted:

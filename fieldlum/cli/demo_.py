@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from fieldlum.cli.options import PATH
 from fieldlum.cli.terminal import progress, say
 from fieldlum.records import Progress
 
@@ -20,7 +21,7 @@ def _shown(name: str) -> Iterator[Progress]:
 
 
 @click.command()
-@click.argument("folder", default="fieldlum-demo", type=click.Path(path_type=Path))
+@click.argument("folder", default="fieldlum-demo", type=PATH)
 @click.option(
     "--preset",
     type=click.Choice(["quick", "paper", "hard"]),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fieldlum.cli.options import json_lines_option
+from fieldlum.cli.options import FILE_PATH, PATH, json_lines_option
 from fieldlum.cli.terminal import emit_json, say
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ CSV_COLUMNS = (
 
 
 @click.command()
-@click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("images", nargs=-1, required=True, type=PATH)
 @click.option(
     "--view-azimuth",
     "azimuths",
@@ -75,7 +75,7 @@ CSV_COLUMNS = (
 @click.option(
     "--csv",
     "csv_path",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE_PATH,
     metavar="FILE",
     help="Write one row for each picture and view.",
 )

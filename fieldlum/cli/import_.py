@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import session_argument
+from fieldlum.cli.options import PATH, session_argument
 
 if TYPE_CHECKING:
     from fieldlum.capture.match_card import Offset
@@ -47,11 +47,11 @@ def _columns(
 
 @click.command("import")
 @session_argument
-@click.argument("folder", metavar="[FOLDER]", required=False, type=click.Path(path_type=Path))
+@click.argument("folder", metavar="[FOLDER]", required=False, type=PATH)
 @click.option(
     "--irradiance",
     "logger",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="A logger's file: Campbell TOA5 or CSV.",
 )
 @click.option(

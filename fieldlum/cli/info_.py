@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fieldlum.cli.options import json_lines_option
+from fieldlum.cli.options import PATH, json_lines_option
 from fieldlum.cli.terminal import emit_json, say
 from fieldlum.errors import InputError
 
@@ -16,7 +16,7 @@ _LINE = 200  # characters of a value without --json
 
 
 @click.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, type=PATH)
 @json_lines_option
 def command(files: tuple[Path, ...], as_json: bool) -> None:
     """Describe a raw, picture, plan, profile or model.

@@ -11,6 +11,7 @@ from fieldlum.cli.estimates import estimate_text, merge_s
 from fieldlum.cli.options import (
     DEFAULT_FISHEYE_SIZE,
     DEFAULT_SIZE,
+    PATH,
     dimensions,
     force_option,
     json_option,
@@ -26,13 +27,13 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("session", required=False, type=click.Path(path_type=Path))
-@click.argument("more", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("session", required=False, type=PATH)
+@click.argument("more", nargs=-1, type=PATH)
 @click.option("--frames", is_flag=True, help="Merge the named FILES instead of a session.")
 @click.option(
     "--camera", help="Camera profile: a TOML file or a name in calibration/ (with --frames)."
 )
-@click.option("--out", type=click.Path(path_type=Path), help="OUT.exr or OUT.hdr (with --frames).")
+@click.option("--out", type=PATH, help="OUT.exr or OUT.hdr (with --frames).")
 @click.option(
     "--size",
     metavar="WxH",

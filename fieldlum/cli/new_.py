@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from fieldlum.cli.options import PATH
 from fieldlum.errors import InputError
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
 
@@ -17,7 +18,7 @@ _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 
 
 @click.command("new")
-@click.argument("site_file", metavar="SITE.toml", type=click.Path(path_type=Path))
+@click.argument("site_file", metavar="SITE.toml", type=PATH)
 def command(site_file: Path) -> None:
     """Ask for what a site needs and write its SITE.toml.
 

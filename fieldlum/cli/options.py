@@ -16,6 +16,8 @@ Decorator = Callable[[Command], Command]
 
 PATH = click.Path(path_type=Path)
 EXISTING_PATH = click.Path(path_type=Path, exists=True)
+FILE_PATH = click.Path(path_type=Path, dir_okay=False)
+CAPTURE_SET = click.Choice(("month", "9-day", "12-day", "4-day", "even", "best"))
 
 session_argument = click.argument("session_folder", metavar="SESSION", type=PATH)
 """The session folder, as the parameter `session_folder`."""
@@ -43,7 +45,6 @@ scene_option = click.option(
     default="",
     help="Folder of a fitted scene, or none. [default: scene/ next to the pairs, if it exists]",
 )
-budget_type = click.FloatRange(min=0, min_open=True)
 
 
 def out_option(content: str, *, default: str = "", required: bool = False) -> Decorator:

@@ -9,18 +9,16 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import json_option, out_option
+from fieldlum.cli.options import CAPTURE_SET, EXISTING_PATH, PATH, json_option, out_option
 
 if TYPE_CHECKING:
     from fieldlum.records import Site
     from fieldlum.weather import Weather
 
-SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
-
 
 @click.command("plan")
-@click.argument("target", metavar="SITE.toml|SESSION", type=click.Path(path_type=Path, exists=True))
-@click.option("--set", "set_", type=click.Choice(SETS), help="Which hours of the year to capture.")
+@click.argument("target", metavar="SITE.toml|SESSION", type=EXISTING_PATH)
+@click.option("--set", "set_", type=CAPTURE_SET, help="Which hours of the year to capture.")
 @click.option(
     "--start",
     type=click.DateTime(["%Y-%m-%d"]),
@@ -39,7 +37,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.option(
     "--weather",
     "weather_file",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="EPW, TMY3 or CSV: skies and coverage.",
 )
 @out_option("The session folder")

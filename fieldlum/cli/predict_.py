@@ -8,6 +8,7 @@ import click
 
 from fieldlum.cli.estimates import estimate_text, predict_s
 from fieldlum.cli.options import (
+    PATH,
     force_option,
     json_option,
     out_option,
@@ -18,12 +19,12 @@ from fieldlum.cli.terminal import emit_json, progress, say, say_if
 
 
 @click.command()
-@click.argument("model_folder", metavar="MODELDIR", type=click.Path(path_type=Path))
+@click.argument("model_folder", metavar="MODELDIR", type=PATH)
 @click.option(
     "--weather",
     "weather_path",
     required=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="EPW, TMY3, TMY2, PVGIS, NSRDB, SolarAnywhere or CSV; or the word synthetic: an invented "
     "year, unfit to judge a place.",
 )
@@ -51,7 +52,7 @@ from fieldlum.cli.terminal import emit_json, progress, say, say_if
 @click.option(
     "--occupancy",
     "occupancy_path",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="When the room is used: csv days,start,end, or 8760 rows of occupied. [default: 08:00 to "
     "18:00]",
 )

@@ -11,7 +11,10 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import (
+    CAPTURE_SET,
     DEFAULT_SIZE,
+    EXISTING_PATH,
+    PATH,
     force_option,
     json_option,
     out_option,
@@ -25,16 +28,14 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
     from fieldlum.weather import Weather
 
-SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
-
 
 @click.command("simulate")
-@click.argument("site", metavar="SITE.toml|SESSION", type=click.Path(path_type=Path, exists=True))
+@click.argument("site", metavar="SITE.toml|SESSION", type=EXISTING_PATH)
 @out_option("The session folder")
 @click.option(
     "--set",
     "set_",
-    type=click.Choice(SETS),
+    type=CAPTURE_SET,
     default="9-day",
     show_default=True,
     help="Hours to render.",
@@ -56,7 +57,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.option(
     "--weather",
     "weather_file",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="EPW, TMY3 or CSV of the place.",
 )
 @click.option(
@@ -71,7 +72,7 @@ SETS = ("month", "9-day", "12-day", "4-day", "even", "best")
 @click.option(
     "--troubles",
     "troubles_file",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="TOML of troubles: clouds, lamps, a knocked camera ... (docs/simulation.md).",
 )
 @click.option(

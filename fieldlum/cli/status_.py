@@ -53,8 +53,7 @@ def _lines(s: dict[str, Any]) -> list[str]:
         f"{s['session']}: {s['name']}",
         f"plan        {plan['slots']} slots" + (f" ({plan['set']})" if plan["set"] else ""),
         f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} "
-        f"aborted, "
-        f"{capture['owed']} to do{upcoming}; {capture['frames']} frames",
+        f"aborted, {capture['owed']} to do{upcoming}; {capture['frames']} frames",
         f"irradiance  {log['rows']} rows on {log['days']} days",
         f"merge       {merge['done']} done, {merge['owed']} to do",
         f"pair        {pair['done']} done, {pair['usable']} usable, {pair['owed']} to do",

@@ -8,16 +8,17 @@ from pathlib import Path
 
 import click
 
+from fieldlum.cli.options import FILE_PATH, PATH
 from fieldlum.cli.terminal import say
 
 BAD_FILE = 3
 
 
 @click.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, type=PATH)
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE_PATH,
     metavar="FILE.png|FILE.html",
     help="False-colour picture, or a page that works offline. [default: FILE-view.html of the "
     "first picture]",
@@ -33,7 +34,7 @@ BAD_FILE = 3
 @click.option(
     "--csv",
     "csv_path",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE_PATH,
     metavar="FILE",
     help="Write the statistics of the regions.",
 )

@@ -92,9 +92,8 @@ def health(
         day, step_s = was_set
         warnings.append(
             f"from {day:%Y-%m-%d} on the days' light is centred {step_s / 60:+.0f} min from that "
-            f"of the days before: "
-            "the logger's clock was probably set (daylight saving?); split the file there, and "
-            "import each part with its own --utc-offset"
+            "of the days before: the logger's clock was probably set (daylight saving?); split the "
+            "file there, and import each part with its own --utc-offset"
         )
     steps = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
     warnings += [
@@ -159,8 +158,7 @@ def _by_day(clean: Series, altitude: Array, top: Array) -> list[str]:
     lone = float(np.mean(np.isfinite(clean.ghi_wm2[up]) & np.isnan(clean.dni_wm2[up])))
     if lone > MOST_BY_DAY:
         said.append(
-            f"{100 * lone:.0f} % of the rows by day have global only, and no neighbour within "
-            f"half an hour: "
-            "direct irradiance cannot be derived from them"
+            f"{100 * lone:.0f} % of the rows by day have global only, and no neighbour within half "
+            "an hour: direct irradiance cannot be derived from them"
         )
     return said

@@ -121,9 +121,8 @@ def make_plan(
     hours = daylight_hours(days, site)
     if not len(hours):
         raise NotEnoughDataError(
-            f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) "
-            f"from {days[0]} to {days[-1]}; the plan would be empty; choose another --start or "
-            f"--set"
+            f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) from "
+            f"{days[0]} to {days[-1]}; the plan would be empty; choose another --start or --set"
         )
     task = choose.learning(site, setup.room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)

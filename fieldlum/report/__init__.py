@@ -151,8 +151,7 @@ def _page(session: Session, found: SessionArtefacts) -> Page:
         facts=_facts(session, found, pairs),
         sections=tuple(sections),
         footer=f"Written by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
-        f"against evalglare; "
-        "see docs/accuracy.md. This page needs no network.",
+        "against evalglare; see docs/accuracy.md. This page needs no network.",
         polar=annual.polar(year) if year else None,
         warnings=_warnings(year),
     )

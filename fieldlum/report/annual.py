@@ -74,8 +74,7 @@ def answer(annual: Annual) -> tuple[str, str]:
     )
     limit = (
         "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) "
-        "in at most 5 % of "
-        "the occupied hours."
+        "in at most 5 % of the occupied hours."
     )
     return first, f"{contrast}{_unseen_words(rows)}{limit}"
 

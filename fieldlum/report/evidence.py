@@ -155,9 +155,8 @@ def section(
         median, worst = (10 ** np.sqrt(float(judged[key])) for key in ("median", "worst"))
         maps = _counted(int(judged["n_test"]), "held-out map")
         text = (
-            f"Checked on {maps}, each predicted by a fit without its day: half of "
-            f"them are within a factor of {median:.2f} (rms over the map), the worst within "
-            f"{worst:.2f}."
+            f"Checked on {maps}, each predicted by a fit without its day: half of them are within "
+            f"a factor of {median:.2f} (rms over the map), the worst within {worst:.2f}."
         )
         text += f" {_likeness(held)}" if held else f" {_NO_MAPS}"
     else:

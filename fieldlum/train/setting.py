@@ -115,7 +115,6 @@ def _remedy(finding: SettingFinding, setup: SiteFile, pixel_deg: float) -> str:
         return f"check where the window wall faces; in SITE.toml {wall}, then pair and train again"
     heading = (setup.camera.heading_deg - a[0] * pixel_deg) % 360.0
     return (
-        f"check the camera's place and level, and the window's place in [room]; if only its "
-        f"heading is wrong, in "
-        f"SITE.toml [camera] heading_deg = {heading:.1f}, {again}"
+        "check the camera's place and level, and the window's place in [room]; if only its heading "
+        f"is wrong, in SITE.toml [camera] heading_deg = {heading:.1f}, {again}"
     )

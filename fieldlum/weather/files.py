@@ -174,8 +174,7 @@ def _values(rows: list[WeatherRow], repairs: list[str]) -> NDArray[np.float64]:
     if negative.any():
         repairs.append(
             f"{int(negative.any(axis=0).sum())} hours with negative irradiance (down to "
-            f"{np.nanmin(values):.1f} W/m2, "
-            "a night offset) set to zero"
+            f"{np.nanmin(values):.1f} W/m2, a night offset) set to zero"
         )
     return np.where(negative, 0.0, values)
 
