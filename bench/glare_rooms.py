@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from glare_agreement import compare, report, strata
 
 from fieldlum.glare import glare_directions, reference_version, view_azimuths_deg
+from fieldlum.light import light_at
 from fieldlum.records import CameraSetup, Room, Site, SiteFile, Window
 from fieldlum.simulate.truth import ground_truth
 from fieldlum.weather import synthetic_weather
@@ -106,7 +107,8 @@ def main() -> None:
         rows = np.sort(rng.choice(len(weather), args.hours, replace=False))
         part = weather[rows]
         truth = ground_truth(setup, height=args.height, quality=args.quality, workers=1)
-        made = list(truth.maps(part.t_utc, part.dni_wm2, part.dhi_wm2))
+        light = light_at(part.t_utc, setup.site, part.dni_wm2, part.dhi_wm2)
+        made = [truth.render(light[slice(k, k + 32)]) for k in range(0, len(light), 32)]
         data = {
             "luminance": np.concatenate([m.luminance_cdm2 for m in made]),
             "disc_lx": np.concatenate([m.disc_lx for m in made]),

@@ -4,31 +4,15 @@ The names of the Python API are loaded from `fieldlum.api` when they are first u
 `import fieldlum` and the command line's --help stay fast. docs/python.md lists them.
 """
 
+# ruff: noqa: F403, F405
 from typing import TYPE_CHECKING, Any
 
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
-    from fieldlum.api import (
-        FieldlumError,
-        Panorama,
-        SunSource,
-        evaluate_glare,
-        fit,
-        light_at,
-        load_camera_profile,
-        load_model,
-        load_pairs,
-        load_site,
-        merge_frames,
-        open_session,
-        plan_captures,
-        predict_year,
-        read_panorama,
-        read_weather,
-        write_panorama,
-    )
+    from fieldlum.api import *
 
+# The list of the API. `fieldlum.api` imports each name; a test compares them.
 __all__ = [
     "FieldlumError",
     "Panorama",

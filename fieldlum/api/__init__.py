@@ -6,35 +6,20 @@ line and this module call the same stages; `docs/python.md` shows both in use.
 
 from __future__ import annotations
 
-from fieldlum.api.files import (
-    load_camera_profile,
-    load_site,
-    open_session,
-    read_panorama,
-    read_weather,
-    write_panorama,
-)
-from fieldlum.api.learning import fit, light_at, load_model, load_pairs, predict_year
-from fieldlum.api.pictures import evaluate_glare, merge_frames, plan_captures
-from fieldlum.errors import FieldlumError
-from fieldlum.records import Panorama, SunSource
-
-__all__ = [
-    "FieldlumError",
-    "Panorama",
-    "SunSource",
-    "evaluate_glare",
-    "fit",
-    "light_at",
-    "load_camera_profile",
-    "load_model",
-    "load_pairs",
-    "load_site",
-    "merge_frames",
-    "open_session",
-    "plan_captures",
-    "predict_year",
-    "read_panorama",
-    "read_weather",
-    "write_panorama",
-]
+from fieldlum.api.files import load_camera_profile as load_camera_profile
+from fieldlum.api.files import load_site as load_site
+from fieldlum.api.files import open_session as open_session
+from fieldlum.api.files import read_panorama as read_panorama
+from fieldlum.api.files import read_weather as read_weather
+from fieldlum.api.files import write_panorama as write_panorama
+from fieldlum.api.learning import fit as fit
+from fieldlum.api.learning import light_at as light_at
+from fieldlum.api.learning import load_model as load_model
+from fieldlum.api.learning import load_pairs as load_pairs
+from fieldlum.api.learning import predict_year as predict_year
+from fieldlum.api.pictures import evaluate_glare as evaluate_glare
+from fieldlum.api.pictures import merge_frames as merge_frames
+from fieldlum.api.pictures import plan_captures as plan_captures
+from fieldlum.errors import FieldlumError as FieldlumError
+from fieldlum.records import Panorama as Panorama
+from fieldlum.records import SunSource as SunSource

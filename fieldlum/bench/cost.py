@@ -8,23 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from fieldlum.bench.rows import ERRORS
 from fieldlum.models.data import Dataset
 from fieldlum.projection import equirect_rays
 from fieldlum.records import Progress, quiet
 
 # The options of the paper's rpict (Liu, Colburn and Inanici 2020).
-PAPER_OPTIONS = (
-    "-ab",
-    "4",
-    "-aa",
-    ".1",
-    "-ar",
-    "512",
-    "-ad",
-    "2048",
-    "-as",
-    "1024",
-)
+PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1024")
 
 
 def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> dict[str, Any] | None:
@@ -68,20 +58,7 @@ def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> di
                 - busy.children_system
             )
             seconds.append(time.monotonic() - start)
-    blank = dict.fromkeys(
-        (
-            "log10_mse_weighted",
-            "rer_weighted",
-            "paper_log10_mse",
-            "paper_rer",
-            "dgp_mse",
-            "dgp_mse_own_disc",
-            "bias_log10",
-            "expected_log10_mse",
-            "trusted_share",
-            "rammg_mse",
-        )
-    )
+    not_scored = (*ERRORS, "bias_log10", "expected_log10_mse", "trusted_share")
     return {
         "name": "Radiance -ab 4",
         "fit_s": None,
@@ -91,5 +68,5 @@ def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> di
         "predict_cpu_s_per_map": float(np.mean(cpu_s)),
         "n_test": len(seconds),
         "seed": None,
-        **blank,
+        **dict.fromkeys(not_scored),
     }

@@ -21,14 +21,14 @@ from fieldlum.train.folds import day_folds
 from fieldlum.train.selection import Trial
 from fieldlum.train.trials import Spent, evaluate_folds, fit_timed
 
-SPREAD = (
+# The errors that every table of the benchmarks has, as named by `models.scores.summary`.
+ERRORS = (
     "log10_mse_weighted",
     "rer_weighted",
     "paper_log10_mse",
     "paper_rer",
     "dgp_mse",
     "dgp_mse_own_disc",
-    "bias_log10",
     "rammg_mse",
 )
 
@@ -166,7 +166,7 @@ def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]
         row = dict(mine[0], seeds=len(mine))
-        for key in SPREAD:
+        for key in (*ERRORS, "bias_log10"):
             values = [r[key] for r in mine if r.get(key) is not None]
             row[f"{key}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
             row[key] = float(np.mean(values)) if values else None

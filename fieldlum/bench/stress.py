@@ -27,6 +27,7 @@ from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import settle
 from fieldlum.train.trials import fit_timed
 
+SEEDS = 5  # fits of the normal case, which differ by chance alone
 FEWEST = 8  # hours of training and of test that a regime needs
 # Maps are reduced to this many rows after a regime was applied at full size: thirty fits then take
 # a minute or two.
@@ -171,10 +172,10 @@ def _months(data: Dataset) -> NDArray[np.int64]:
     return np.array([day.astype(object).month for day in data.days])
 
 
-def cases(data: Dataset, test: Dataset, pool: Dataset, *, seeds: int = 5) -> Iterator[Case]:
+def cases(data: Dataset, test: Dataset, pool: Dataset) -> Iterator[Case]:
     """Yield all regimes that the data allow; seasons are drawn from `pool`, without the test."""
     yield Case("normal", data, test)
-    for seed in range(1, seeds):
+    for seed in range(1, SEEDS):
         yield Case(f"another seed ({seed})", data, test, seed=seed)
     low = (test.light.sun_altitude_deg < 10.0) & (test.light.dni_wm2 > 20.0)
     yield from _asked("sun disc in view", data, test, test.disc_lx > 0.0)

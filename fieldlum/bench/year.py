@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.bench.rows import Spec
+from fieldlum.bench.rows import ERRORS, Spec
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import evaluate, summary, truth
 from fieldlum.records import Progress, quiet
@@ -32,7 +32,7 @@ def is_year(data: Dataset) -> bool:
 
 
 def learning_curve(
-    spec: Spec, data: Dataset, test: Dataset, *, seed: int = 0, progress: Progress = quiet
+    spec: Spec, data: Dataset, test: Dataset, *, progress: Progress = quiet
 ) -> list[dict[str, Any]]:
     """Return the error on `test` of models trained on N captures.
 
@@ -40,13 +40,13 @@ def learning_curve(
     """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = [n for n in COUNTS if n < len(data)] + [len(data)] * (len(data) <= COUNTS[-1])
-    shuffled = np.random.default_rng(seed).permutation(len(data))
+    shuffled = np.random.default_rng(0).permutation(len(data))
     rows = []
     for way, order in (("random", shuffled), ("greedy", order_of_use(data))):
         for k, count in enumerate(counts):
             progress(k, len(counts), f"{way} {count}")
             fitted, spent = fit_timed(
-                spec.name, data.take(np.sort(order[:count])), patch=patch, seed=seed, budget_s=None
+                spec.name, data.take(np.sort(order[:count])), patch=patch, seed=0, budget_s=None
             )
             scores = summary(evaluate(fitted, asked))
             rows.append(
@@ -57,20 +57,7 @@ def learning_curve(
 
 
 def _figures(scores: dict[str, Any]) -> dict[str, Any]:
-    keys = (
-        "log10_mse_weighted",
-        "rer_weighted",
-        "paper_log10_mse",
-        "paper_rer",
-        "dgp_mse",
-        "dgp_mse_own_disc",
-        "rammg_mse",
-        "worst",
-    )
-    return {key: scores[key] for key in keys} | {
-        "n_test": scores["n_test"],
-        "untrusted_share": scores["untrusted_share"],
-    }
+    return {key: scores[key] for key in (*ERRORS, "worst", "n_test", "untrusted_share")}
 
 
 # ----------------------------------------------------------------------------------------------
@@ -108,10 +95,10 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
 
 
 def compare_periods(
-    spec: Spec, data: Dataset, *, seed: int = 0, progress: Progress = quiet
+    spec: Spec, data: Dataset, *, progress: Progress = quiet
 ) -> list[dict[str, Any]]:
     """Train on each period and test on hours of the year that are left out of every training."""
-    order = np.random.default_rng(seed).permutation(len(data))
+    order = np.random.default_rng(0).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True
     asked = truth(data.take(in_test))
@@ -121,7 +108,7 @@ def compare_periods(
     for k, (name, inside) in enumerate(chosen.items()):
         progress(k, len(chosen), name)
         train = data.take(inside & ~in_test)
-        fitted, spent = fit_timed(spec.name, train, patch=patch, seed=seed, budget_s=None)
+        fitted, spent = fit_timed(spec.name, train, patch=patch, seed=0, budget_s=None)
         scores = summary(evaluate(fitted, asked))
         rows.append(
             {

@@ -23,6 +23,7 @@ WHITE_OVER_MEAN = 5.0
 TASK_ALTITUDE_DEG = -30.0
 TASK_RADIUS_DEG = 15.0
 BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
+WINDOW_CDM2 = 2000.0  # brighter pixels are window; as a glare source, not measured
 MELANOPIC_DER_D65 = 1.0  # CIE S 026:2018, by definition
 
 
@@ -44,16 +45,16 @@ def local_contrast(image: Float) -> NDArray[np.float64]:
     return out
 
 
-def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.float64]:
-    """Return the mean local contrast of each pyramid level, full size first, [levels].
+def contrast_levels(image: Float) -> NDArray[np.float64]:
+    """Return the mean local contrast of each pyramid level, full size first, [RAMMG_LEVELS].
 
     The paper's Figure 13.
     """
     import cv2
 
     level = np.asarray(image, np.float64)
-    means = np.zeros(levels)
-    for k in range(levels):
+    means = np.zeros(RAMMG_LEVELS)
+    for k in range(RAMMG_LEVELS):
         means[k] = local_contrast(level).mean()
         height, width = level.shape
         half = (max(1, width // 2), max(1, height // 2))
@@ -61,12 +62,12 @@ def contrast_levels(image: Float, levels: int = RAMMG_LEVELS) -> NDArray[np.floa
     return means
 
 
-def rammg(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
+def rammg(luminance_cdm2: Float) -> float:
     """Return RAMMG of a map [H, W] in cd/m2, as in the paper; a sun disc dominates it."""
-    return float(contrast_levels(luminance_cdm2, levels).mean())
+    return float(contrast_levels(luminance_cdm2).mean())
 
 
-def rammg_lightness(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
+def rammg_lightness(luminance_cdm2: Float) -> float:
     """Return RAMMG of CIELAB L*, with white at `WHITE_OVER_MEAN` times the map's mean luminance.
 
     The mean is weighted by solid angle.
@@ -76,7 +77,7 @@ def rammg_lightness(luminance_cdm2: Float, levels: int = RAMMG_LEVELS) -> float:
     image = np.asarray(luminance_cdm2, np.float64)
     omega = equirect_solid_angles(*image.shape)
     white = max(WHITE_OVER_MEAN * float((image * omega).sum() / omega.sum()), 1e-6)
-    return float(contrast_levels(lightness(image / white), levels).mean())
+    return float(contrast_levels(lightness(image / white)).mean())
 
 
 def lightness(relative: Float) -> NDArray[np.float64]:
@@ -85,12 +86,12 @@ def lightness(relative: Float) -> NDArray[np.float64]:
     return np.where(ratio > (6 / 29) ** 3, 116.0 * np.cbrt(ratio) - 16.0, ratio * (29 / 3) ** 3)
 
 
-def melanopic_edi_lx(ev_lx: Float, melanopic_der: float = MELANOPIC_DER_D65) -> NDArray[np.float64]:
+def melanopic_edi_lx(ev_lx: Float) -> NDArray[np.float64]:
     """Estimate the melanopic equivalent daylight illuminance, in lx, in the shape of `ev_lx`.
 
     Ev times an assumed melanopic daylight efficacy ratio (CIE S 026; D65 = 1, a blue sky above).
     """
-    return np.asarray(ev_lx, float) * melanopic_der
+    return np.asarray(ev_lx, float) * MELANOPIC_DER_D65
 
 
 class ViewRegions:
@@ -119,19 +120,17 @@ class ViewRegions:
         self.half = np.array(half, np.float32).T  # (H W, d)
         self._known = [_region_seen(part, seen) for part in (self.task, self.band, self.half)]
 
-    def ratios(
-        self, luminance_cdm2: Float, window_cdm2: float = 2000.0
-    ) -> dict[str, NDArray[np.float64]]:
+    def ratios(self, luminance_cdm2: Float) -> dict[str, NDArray[np.float64]]:
         """Return the figures of n maps [n, H, W], [n, d] each.
 
         task_cdm2 : mean of a 15-degree cone 30 degrees down. window_to_task : mean of the pixels in
-        view brighter than `window_cdm2` over that; NaN without such pixels. uniformity : the
+        view brighter than `WINDOW_CDM2` over that; NaN without such pixels. uniformity : the
         harmonic over the arithmetic mean of the 40-degree band: 1 if it is uniform, less with dark
         corners.
         """
         flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
         task = flat @ self.task / self.task.sum(axis=0)
-        bright = flat > window_cdm2
+        bright = flat > WINDOW_CDM2
         power = (flat * bright) @ self.half
         area = bright.astype(np.float32) @ self.half
         window = np.divide(power, area, out=np.full_like(power, np.nan), where=area > 0)

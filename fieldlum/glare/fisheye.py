@@ -10,6 +10,7 @@ from fieldlum.projection import direction, equirect_pixel
 from fieldlum.records import Float, SunSource
 from fieldlum.sun import SUN_SOLID_ANGLE_SR
 
+_DISC_SAMPLES = 8  # in each direction of a pixel: its share of the disc is known to 1/64
 FISHEYE_VIEW = "-vta -vh 180 -vv 180"
 SUN_RADIUS_RAD = float(np.arccos(1.0 - SUN_SOLID_ANGLE_SR / (2.0 * np.pi)))  # of that solid angle
 
@@ -43,7 +44,6 @@ def panorama_to_fisheye(
     heading_deg: float,
     azimuth_deg: float,
     *,
-    altitude_deg: float = 0.0,
     size: int = 800,
     sun: SunSource | None = None,
 ) -> NDArray[np.float32]:
@@ -56,7 +56,7 @@ def panorama_to_fisheye(
     height, width = luminance_cdm2.shape
     samples = max(2, int(np.ceil(2.0 * height / size)))
     rays, inside = fisheye_rays(size, samples)
-    world = rays[inside] @ view_frame(azimuth_deg, altitude_deg)
+    world = rays[inside] @ view_frame(azimuth_deg)
     altitude = np.degrees(np.arcsin(np.clip(world[:, 2], -1.0, 1.0)))
     row, column = equirect_pixel(
         altitude, np.degrees(np.arctan2(world[:, 0], world[:, 1])), height, width, heading_deg
@@ -68,19 +68,14 @@ def panorama_to_fisheye(
     shares = inside.reshape(size, samples, size, samples).sum(axis=(1, 3))
     picture = values.reshape(size, samples, size, samples).sum(axis=(1, 3)) / np.maximum(shares, 1)
     picture[~(fisheye_solid_angles(size) > 0)] = 0.0
-    return (
-        _with_sun(picture.astype(np.float32), sun, azimuth_deg, altitude_deg)
-        if sun
-        else picture.astype(np.float32)
-    )
+    picture = picture.astype(np.float32)
+    return _with_sun(picture, sun, azimuth_deg) if sun else picture
 
 
-def _with_sun(
-    picture: Float, sun: SunSource, azimuth_deg: float, altitude_deg: float
-) -> NDArray[np.float32]:
+def _with_sun(picture: Float, sun: SunSource, azimuth_deg: float) -> NDArray[np.float32]:
     """Return the picture with the disc's energy added; a sun behind the view changes nothing."""
     size = len(picture)
-    x, y, z = view_frame(azimuth_deg, altitude_deg) @ direction(sun.altitude_deg, sun.azimuth_deg)
+    x, y, z = view_frame(azimuth_deg) @ direction(sun.altitude_deg, sun.azimuth_deg)
     if z <= 0 or sun.normal_illuminance_lx <= 0:
         return picture
     angle = np.arctan2(np.hypot(x, y), z)
@@ -110,8 +105,9 @@ def _disc_pixels(share: Float, omega: Float) -> NDArray[np.bool_]:
     return out.reshape(share.shape) & (omega > 0)
 
 
-def _disc_shares(centre: Float, towards: Float, size: int, samples: int = 8) -> NDArray[np.float64]:
+def _disc_shares(centre: Float, towards: Float, size: int) -> NDArray[np.float64]:
     """Return the share of each pixel that the sun's disc covers, [size, size]."""
+    samples = _DISC_SAMPLES
     reach = int(np.ceil(2.0 * SUN_RADIUS_RAD / np.pi * size)) + 1
     left, top = (int(np.clip(np.floor(c) - reach, 0, size - 1)) for c in centre)
     right, bottom = (int(np.clip(np.floor(c) + reach + 1, 1, size)) for c in centre)

@@ -51,9 +51,7 @@ def reference_version() -> str:
     return (shown.stdout or shown.stderr).strip()
 
 
-def reference_glare(
-    picture_cdm2: Float, flags: tuple[str, ...] = FLAGS, *, view: str = FISHEYE_VIEW
-) -> ReferenceGlare:
+def reference_glare(picture_cdm2: Float, *, view: str = FISHEYE_VIEW) -> ReferenceGlare:
     """Return evalglare's figures for a picture [H, W], by default an equidistant 180-degree one.
 
     Raises FieldlumError if evalglare prints none.
@@ -61,7 +59,7 @@ def reference_glare(
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
         write_radiance_hdr(path, picture_cdm2, view=view)
-        return reference_glare_of_file(path, flags)
+        return reference_glare_of_file(path)
 
 
 def reference_glare_of_file(path: Path, flags: tuple[str, ...] = FLAGS) -> ReferenceGlare:

@@ -65,9 +65,7 @@ def picture_glare(
     return answer
 
 
-def panorama_glare(
-    panorama: Panorama, azimuths_deg: Sequence[float] = (), *, reference: bool = False
-) -> GlareAnswer:
+def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> GlareAnswer:
     """Return the same as `picture_glare` for a panorama in memory; its `file` is "".
 
     Raises InputError for a map that is not twice as wide as high, or not finite.
@@ -82,7 +80,7 @@ def panorama_glare(
             "use a map of all directions (equirectangular)",
         )
     picture = Picture(panorama, None)
-    answer = _panorama_answer(picture, source, azimuths_deg, reference, 1.0)
+    answer = _panorama_answer(picture, source, azimuths_deg, False, 1.0)
     answer["file"] = ""
     return answer
 

@@ -51,15 +51,15 @@ def widen(mask: NDArray[np.bool_], radius_rad: float) -> NDArray[np.bool_]:
     return out
 
 
-def group_pixels(mask: NDArray[np.bool_], reach_rad: float = REACH_RAD) -> NDArray[np.int32]:
+def group_pixels(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Return the number of each pixel's source, from 1, [H, W]; 0 outside of `mask`.
 
-    Pixels closer than `reach_rad` belong to one source.
+    Pixels closer than `REACH_RAD` belong to one source.
     """
     from scipy.ndimage import label
 
     labels = np.zeros(mask.shape, np.int32)
-    label(widen(mask, reach_rad / 2), structure=np.ones((3, 3)), output=labels)
+    label(widen(mask, REACH_RAD / 2), structure=np.ones((3, 3)), output=labels)
     if labels.max() > 1:
         labels = _join_seam(labels, int(labels.max()))
     return np.where(mask, labels, 0).astype(np.int32)

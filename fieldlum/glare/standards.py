@@ -91,16 +91,15 @@ def class_of(dgp_exceeded: float) -> str:
     return next((name for name, limit in CLASSES if dgp_exceeded <= limit), NO_CLASS)
 
 
-def exceeded_in_share(
-    dgp: Float, occupied_hours: int, share: float = EXCEEDED_SHARE
-) -> NDArray[np.float64]:
-    """Return the DGP that a share of the occupied hours exceed, [..., d].
+def exceeded_in_share(dgp: Float, occupied_hours: int) -> NDArray[np.float64]:
+    """Return the DGP that `EXCEEDED_SHARE` of the occupied hours exceed, [..., d].
 
     dgp : [..., n, d] of the lit hours; the other occupied hours are dark and count. The result is
-    the (k + 1)th largest value, k = floor(share * hours): exactly k hours may exceed the limit.
+    the (k + 1)th largest value, k = floor(EXCEEDED_SHARE * hours): exactly k hours may exceed the
+    limit.
     """
     lit = dgp.shape[-2]
-    rank = int(np.floor(share * occupied_hours + 1e-9))
+    rank = int(np.floor(EXCEEDED_SHARE * occupied_hours + 1e-9))
     if rank >= lit:
         return np.zeros((*dgp.shape[:-2], dgp.shape[-1]))
     return np.partition(np.asarray(dgp, float), lit - 1 - rank, axis=-2)[..., lit - 1 - rank, :]

@@ -19,6 +19,7 @@ from fieldlum.scene.geometry import build
 Array = NDArray[np.float64]
 _SIZE_PX, _MARGIN_PX = 460.0, 78.0
 # Turn of each wall's outward normal from the "south" wall, clockwise [deg].
+_EDGE_POINTS = 24  # of a drawn edge: smooth at the width of a page; not measured
 _WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
 
@@ -141,7 +142,7 @@ def _north(wall_azimuth_deg: float) -> str:
     )
 
 
-def outline_pixels(room: Room, grid: ClickGrid, steps: int = 24) -> dict[str, list[list[float]]]:
+def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
     """Return edges of the box and of the windows as lines of pixel positions x, y, x, y ...
 
     A line is split where it leaves the picture at one side and enters at the other.
@@ -152,7 +153,7 @@ def outline_pixels(room: Room, grid: ClickGrid, steps: int = 24) -> dict[str, li
     lines: dict[str, list[list[float]]] = {"box": [], "window": []}
 
     def add(name: str, a: Array, b: Array) -> None:
-        share = np.linspace(0.0, 1.0, steps)[:, None]
+        share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
         points = (a * (1 - share) + b * share - camera) @ build(room).turn
         xy = grid.pixels(points)
         cuts = np.flatnonzero(np.abs(np.diff(xy[:, 0])) > grid.width_px / 2) + 1

@@ -18,7 +18,7 @@ from fieldlum.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.scene.points import SunPoints
 from fieldlum.scene.sun_disc import SunPatches, disc_rays
 from fieldlum.scene.trace import blocked
-from fieldlum.scene.view import look
+from fieldlum.scene.view import WINDOW_RAYS, look
 
 Array = NDArray[np.float64]
 
@@ -120,8 +120,6 @@ def window_fraction(
     setup: SiteFile | None,
     height: int,
     heading_deg: float | None = None,
-    *,
-    sub: int = 3,
 ) -> NDArray[np.float32]:
     """Return the share of each pixel that sees the sky, times the transmittance there, [H, W].
 
@@ -132,8 +130,8 @@ def window_fraction(
     if room.kind != "box":
         from fieldlum.scene.radiance import traced_window_fraction
 
-        return traced_window_fraction(room, height, heading, sub)
-    return look(room, height, heading, sub).sky
+        return traced_window_fraction(room, height, heading)
+    return look(room, height, heading, WINDOW_RAYS).sky
 
 
 def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:

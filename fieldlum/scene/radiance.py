@@ -16,11 +16,12 @@ from fieldlum.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.records import Progress, Room, quiet
 from fieldlum.scene.geometry import BoxScene, transmissivity
 from fieldlum.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
-from fieldlum.scene.view import pixel_rays
+from fieldlum.scene.view import WINDOW_RAYS, pixel_rays
 
 Array = NDArray[np.float64]
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
 # Direct light only, with all sources tested, and at most four reflections or transmissions.
+PATCH_RAYS = 2  # in each direction of a pixel: a process for each hour is slow; not measured
 _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 
 
@@ -221,7 +222,6 @@ def iter_traced(
     height: int,
     heading_deg: float,
     chunk: int,
-    sub: int = 2,
     progress: Progress = quiet,
 ) -> Iterator[SunPatches]:
     """Yield `iter_sun_patches` of a room of kind "radiance", by one rtrace -ab 0 for each hour.
@@ -230,7 +230,7 @@ def iter_traced(
 
     suns : [n, 3]; normal_lx : [n], lx.
     """
-    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
+    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, PATCH_RAYS)
     with _room_octree(room) as base:
         for start in range(0, len(suns), chunk):
             rows = range(start, min(start + chunk, len(suns)))
@@ -268,14 +268,12 @@ def _pixel_mean(pixel: NDArray[np.int32], values: Array, height: int) -> NDArray
     return total.reshape(height, 2 * height).astype(np.float32)
 
 
-def traced_window_fraction(
-    room: Room, height: int, heading_deg: float, sub: int = 3
-) -> NDArray[np.float32]:
+def traced_window_fraction(room: Room, height: int, heading_deg: float) -> NDArray[np.float32]:
     """Return the share of each pixel that sees the sky, times the glass, [H, W].
 
     The room is traced under a sky of radiance one; everything else is dark.
     """
-    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, sub)
+    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, WINDOW_RAYS)
     with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
         # Ambient light is off and the sky is a glow without reach: only direct view counts.
         return _pixel_mean(pixel, trace(lit, eye, rays), height)

@@ -16,6 +16,7 @@ from fieldlum.scene.points import SunPoints, sun_points
 from fieldlum.scene.trace import EPSILON_M, Hits, Panes, first_hits, pane_crossings
 
 Array = NDArray[np.float64]
+WINDOW_RAYS = 3  # in each direction of a pixel, for its share of window; not measured
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from functools import cached_property
@@ -176,29 +175,6 @@ class GroundTruth:
     @cached_property
     def _bounces(self) -> Any:
         return self.from_pieces[:, FIRST_PIECE:].tocsr()
-
-    def maps(
-        self,
-        times_utc: Sequence[datetime],
-        dni_wm2: Any,
-        dhi_wm2: Any,
-        *,
-        chunk: int = 32,
-        progress: Progress = quiet,
-    ) -> Iterator[Rendering]:
-        """Yield the renderings of many moments in chunks; the sun is SPA's at the setup's site."""
-        yield from self.chunks(
-            light_at(times_utc, self.setup.site, dni_wm2, dhi_wm2), chunk=chunk, progress=progress
-        )
-
-    def chunks(
-        self, light: Light, *, chunk: int = 32, progress: Progress = quiet
-    ) -> Iterator[Rendering]:
-        """Yield the renderings of `light` in chunks."""
-        for start in range(0, len(light), chunk):
-            progress(start, len(light), "maps")
-            yield self.render(light[slice(start, start + chunk)])
-        progress(len(light), len(light), "maps")
 
     def panorama(self, t_utc: datetime, dni_wm2: float, dhi_wm2: float) -> Panorama:
         """Render one moment as a panorama with its separate visible sun."""

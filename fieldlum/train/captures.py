@@ -38,7 +38,6 @@ def how_many(
     patch: Patch,
     *,
     seed: int = 0,
-    model: str = "transport",
     budget: TimeBudget | None = None,
     fit_s: float = 0.0,
     progress: Progress = quiet,
@@ -61,7 +60,7 @@ def how_many(
             return None
         progress(k, len(SHARES), "learning curve")
         some = [type(fold)(_first(small, fold.teach, share), fold.check) for fold in folds]
-        trial = evaluate_folds(model, small, some, patch=patch, seed=seed, glare=False)
+        trial = evaluate_folds("transport", small, some, patch=patch, seed=seed, glare=False)
         days = np.concatenate([small.days[fold.check] for fold in folds])
         daily = by_day(trial.scores.mse_weighted, days)[1]
         curve.append(

@@ -360,7 +360,7 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
     return out
 
 
-def pixel_scale(arrays: TrainingArrays, gain: float = 1.0) -> Array:
+def pixel_scale(arrays: TrainingArrays) -> Array:
     """Return the mean light of each pixel per unit of total light, in hours without sun on it, [P].
 
     A pixel with fewer than three such hours gets their value within the range of the other pixels,
@@ -368,10 +368,10 @@ def pixel_scale(arrays: TrainingArrays, gain: float = 1.0) -> Array:
     """
     total = arrays.light.total_lx[:, None]
     luminance = np.maximum(arrays.luminance, LEAST_CDM2)
-    direct = arrays.sky if arrays.patch is None else arrays.sky + np.float32(gain) * arrays.patch
+    direct = arrays.sky if arrays.patch is None else arrays.sky + arrays.patch
     unlit = (arrays.sky <= 0.5 * luminance) & ~arrays.filled
     if arrays.patch is not None:
-        unlit &= gain * arrays.patch <= 0.3 * luminance
+        unlit &= arrays.patch <= 0.3 * luminance
     logs = np.log(np.maximum(luminance - direct, 0.02 * luminance) / total)
     count = unlit.sum(axis=0)
     mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)

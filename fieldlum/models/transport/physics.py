@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fieldlum.light import Light
 from fieldlum.projection import equirect_solid_angles
-from fieldlum.records import Progress, Room, SiteFile, quiet
+from fieldlum.records import Room, SiteFile
 
 if TYPE_CHECKING:
     from fieldlum.scene.points import SunPoints
@@ -82,7 +82,7 @@ class Physics:
         return out
 
 
-def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Physics | None:
+def physics_of(setup: SiteFile, light: Light) -> Physics | None:
     """Return the room's physics with its norm from the captured hours.
 
     Return None without a box room or without any sun.
@@ -101,7 +101,6 @@ def physics_of(setup: SiteFile, light: Light, progress: Progress = quiet) -> Phy
 
 @lru_cache(maxsize=4)
 def _modes_of(setup: SiteFile) -> Physics:
-    """Compute the room's light between surfaces, once: training fits a room some 20 times."""
     """Gather the room's light between surfaces once: training fits the same room some 20 times."""
     from fieldlum.simulate.gather import FIRST_PIECE
     from fieldlum.simulate.truth import ground_truth

@@ -21,6 +21,7 @@ from fieldlum.models.transport.ridge import (
 Array = NDArray[Any]
 
 RANK = 100  # features; bounds memory and time
+_GAIN_NOISE = 1e-2  # variance of log residuals while the patches' factor is searched; not measured
 SKY_GAIN_VARIANCE = 0.04  # prior variance of a window pixel's sky gain; not measured
 LOG_STEPS = 2  # unbiased solves after the first fit
 LOG_STEP_FROM = 0.03  # rms log error under which the bias (1.5 of its square) is below 0.2 %
@@ -262,7 +263,7 @@ def second_own(arrays: TrainingArrays, recipe: Recipe) -> Array:
     return second_covariance(arrays.light, arrays.light, share, share, recipe.second)
 
 
-def find_patch_gain(arrays: TrainingArrays, kernel: Kernel, noise: float = 1e-2) -> float:
+def find_patch_gain(arrays: TrainingArrays, kernel: Kernel) -> float:
     """Return one factor for all patches of unknown scale.
 
     Start at the median of (L - median(L / E) E) / s over lit values, then run three robust fits of
@@ -281,7 +282,7 @@ def find_patch_gain(arrays: TrainingArrays, kernel: Kernel, noise: float = 1e-2)
     plain = np.median(some.luminance / total, axis=0) * total
     gain = float(np.median(((some.luminance - plain) / shown)[lit[:, often]]))
     gain = gain if gain > 0 else 1.0
-    recipe = Recipe(noise, patch_variance=1.0, rounds=3, rank=30)
+    recipe = Recipe(_GAIN_NOISE, patch_variance=1.0, rounds=3, rank=30)
     basis = basis_of(kernel(arrays.features, arrays.features), recipe.rank)
     products = pair_products(basis.values)
     for _ in range(3):
