@@ -479,6 +479,7 @@ def read_hours(folder: Path) -> Hours:
         dhi_wm2=dhi[index],
         sun_altitude_deg=np.degrees(np.arcsin(suns[:, 2])),
         sun_azimuth_deg=np.degrees(np.arctan2(suns[:, 0], suns[:, 1])) % 360.0,
+        refraction=False,
     )
     return Hours(index, int(own.sum()), suns, light)
 

@@ -52,9 +52,9 @@ def main() -> None:
     if nominal is None or setup.room is None:
         raise SystemExit("the site needs a [room]")
     found = glare_directions(
-        maps, heading, views.azimuths_deg, light.sun_direction, nominal, views=views
+        maps, heading, views.azimuths_deg, light.shown_sun_direction, nominal, views=views
     )
-    per_lx = sun_per_lx(light.sun_direction, views)
+    per_lx = sun_per_lx(light.shown_sun_direction, views)
     started = time.process_time()
     discs = drawn_discs_lx(setup, light, np.random.default_rng(1))
     assert discs is not None

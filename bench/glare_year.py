@@ -63,7 +63,7 @@ def main() -> None:
         patch = sun_patches(
             site,
             data.setup,
-            light.sun_direction,
+            light.shown_sun_direction,
             light.direct_lx,
             height=height,
             heading_deg=data.heading_deg,

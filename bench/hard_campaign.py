@@ -125,7 +125,7 @@ def _over(test: Dataset, maps: np.ndarray, disc_lx: np.ndarray | None) -> int:
     azimuths = view_azimuths_deg(test.heading_deg)
     disc = test.disc_lx if disc_lx is None else disc_lx
     light = replace(test.light)
-    found = glare_directions(maps, test.heading_deg, azimuths, light.sun_direction, disc)
+    found = glare_directions(maps, test.heading_deg, azimuths, light.shown_sun_direction, disc)
     return int((found["dgp"] > 0.40).sum())
 
 

@@ -94,6 +94,7 @@ def _write_hour(k: int, arrays: dict[str, np.ndarray], folder: Path) -> dict[str
         "sun_azimuth_deg": f"{(azimuth + 180.0) % 360.0:.5f}",
         "sunpatch": f"patches/{k:04d}.exr",
         "sun_in_map": 1,
+        "refraction": 0,
         "ok": 1,
     }
 

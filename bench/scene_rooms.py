@@ -86,7 +86,7 @@ def render(name: str, out: Path, height: int, tests: int) -> None:
     ).standard_normal(2)
     level = rotation(0.0, tilt_deg, roll_deg, heading)
     rays = in_room(world @ level.T, heading)[order]
-    suns = in_room(light.sun_direction, heading)
+    suns = in_room(light.shown_sun_direction, heading)
     gap = 0.02
     low = np.array([-gap, -room.wall_thickness_m / 2.0, -gap])
     high = np.array([room.width_m + gap, room.depth_m + gap, room.height_m + gap])

@@ -74,7 +74,7 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
         [f"2027-{int(m):02d}-{int(d):02d}" for m, d in zip(months, dates, strict=True)],
         "datetime64[D]",
     )
-    light = Light(times, c[:, 3], c[:, 4], altitude, azimuth, perez)
+    light = Light(times, c[:, 3], c[:, 4], altitude, azimuth, perez, refraction=False)
     seen, steady = np.ones(maps.shape[1:], bool), np.zeros(len(rows))
     slots = tuple(slot_id(t) for t in times)
     return Dataset(light, maps, patch, disc, HEADING_DEG, days, slots, SETUP, seen, steady), whole
@@ -89,7 +89,7 @@ def told(data: Dataset, mode: str) -> Dataset:
         made = sun_patches(
             TAPE,
             SETUP,
-            light.sun_direction,
+            light.shown_sun_direction,
             light.direct_lx,
             height=data.shape[0],
             heading_deg=HEADING_DEG,

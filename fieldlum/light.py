@@ -41,7 +41,8 @@ class Light:
 
     `perez` : a sky known otherwise (the coefficients of a rendering); None: computed from the
     irradiance. `states` : the room's state in each moment, as in `fieldlum.room_states`; None: the
-    usual state in all of them.
+    usual state in all of them. `refraction` : pictures show the sun raised by the atmosphere, as a
+    camera does; False: at the true altitude, as a rendering by others does.
     """
 
     t_utc: tuple[datetime, ...]
@@ -51,6 +52,7 @@ class Light:
     sun_azimuth_deg: Array
     perez: PerezSky | None = None
     states: tuple[str, ...] | None = None
+    refraction: bool = True
 
     def __len__(self) -> int:
         return len(self.t_utc)
@@ -66,6 +68,7 @@ class Light:
             self.sun_azimuth_deg[index],
             None if self.perez is None else self.perez[index],
             None if self.states is None else tuple(self.states[i] for i in index),
+            self.refraction,
         )
 
     def scaled(self, factor: float) -> Light:
@@ -87,8 +90,20 @@ class Light:
 
     @cached_property
     def sun_direction(self) -> Array:
-        """Unit vectors towards the sun, [n, 3]: x east, y north, z up."""
+        """Unit vectors towards the true sun, [n, 3]: x east, y north, z up. For sky and kernels."""
         return sun.direction(self.sun_altitude_deg, self.sun_azimuth_deg)
+
+    @cached_property
+    def shown_altitude_deg(self) -> Array:
+        """The altitude at which pictures show the sun, [n], in deg."""
+        if not self.refraction:
+            return self.sun_altitude_deg
+        return sun.shown_altitude_deg(self.sun_altitude_deg)
+
+    @cached_property
+    def shown_sun_direction(self) -> Array:
+        """Unit vectors towards the sun of the pictures, [n, 3]. For patches, disc and glare."""
+        return sun.direction(self.shown_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
     def sky_cdm2(self) -> NDArray[np.float32]:

@@ -167,7 +167,7 @@ def add_disc(
     """
     height, width = luminance_cdm2.shape[1:]
     row, column = equirect_pixel(
-        light.sun_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg
+        light.shown_altitude_deg, light.sun_azimuth_deg, height, width, heading_deg
     )
     i = np.clip(row.astype(int), 0, height - 1)
     j = column.astype(int) % width

@@ -45,7 +45,7 @@ def room_captures(
     )
     setup = SiteFile(site, CameraSetup(heading_deg=180.0), room)
     patch = sun_patches(
-        room, setup, light.sun_direction, light.direct_lx, height=height, heading_deg=180.0
+        room, setup, light.shown_sun_direction, light.direct_lx, height=height, heading_deg=180.0
     ).luminance_cdm2
     return Dataset(
         light,

@@ -59,8 +59,8 @@ def _turned(degrees: float) -> SiteFile:
 @pytest.mark.authority
 def test_authority_the_quick_disc_agrees_with_the_exact_one() -> None:
     scene = build(_room())
-    visible, through = disc_visibility(scene, scene.to_room(LIGHT.sun_direction))
-    quick = drawn_disc_shares([_room()], LIGHT.sun_direction)[0]
+    visible, through = disc_visibility(scene, scene.to_room(LIGHT.shown_sun_direction))
+    quick = drawn_disc_shares([_room()], LIGHT.shown_sun_direction)[0]
     assert (visible > 0).sum() > 50
     assert ((quick > 0) == (visible > 0)).mean() > 0.99
     assert np.abs(quick - visible * through).mean() < 0.003
@@ -97,7 +97,7 @@ def test_a_window_at_the_end_of_its_wall_stays_within_it() -> None:
 @pytest.mark.analytic
 def test_analytic_another_disc_changes_dgp_as_glare_directions_does() -> None:
     maps = np.full((3, HEIGHT, 2 * HEIGHT), 800.0, np.float32)
-    suns = LIGHT.sun_direction[[10, 200, 400]]
+    suns = LIGHT.shown_sun_direction[[10, 200, 400]]
     azimuths = np.array([0.0, 90.0, 200.0])
     views = panorama_views(HEIGHT, 2 * HEIGHT, HEADING_DEG, azimuths)
     first, second = np.array([0.0, 3e4, 500.0]), np.array([2e4, 0.0, 800.0])
@@ -126,7 +126,7 @@ class _Perfect:
 def _data(setup: SiteFile) -> Dataset:
     """Even maps of the hours in which the room's disc may be seen; the disc is the true room's."""
     scene = build(_room())
-    visible, through = disc_visibility(scene, scene.to_room(LIGHT.sun_direction))
+    visible, through = disc_visibility(scene, scene.to_room(LIGHT.shown_sun_direction))
     rows = np.flatnonzero((visible > 0) & (LIGHT.dni_wm2 > 100))[::2]
     light = LIGHT[rows]
     maps = np.full((len(rows), HEIGHT, 2 * HEIGHT), 500.0, np.float32)
@@ -174,9 +174,9 @@ def test_the_interval_holds_the_disc_of_a_hundred_possible_rooms() -> None:
     nominal = stated_disc_lx(SETUP, LIGHT)
     assert nominal is not None
     found = glare_directions(
-        maps, HEADING_DEG, views.azimuths_deg, LIGHT.sun_direction, nominal, views=views
+        maps, HEADING_DEG, views.azimuths_deg, LIGHT.shown_sun_direction, nominal, views=views
     )
-    per_lx = sun_per_lx(LIGHT.sun_direction, views)
+    per_lx = sun_per_lx(LIGHT.shown_sun_direction, views)
     discs = drawn_discs_lx(SETUP, LIGHT, np.random.default_rng(1))
     others = drawn_discs_lx(SETUP, LIGHT, np.random.default_rng(2), 100)
     assert discs is not None and others is not None

@@ -56,7 +56,7 @@ def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
     light = light_at(times, SEATTLE, beam, np.asarray(60.0 + 40.0 * up, np.float64))
     height = 12
     patch = scene.sun_patches(
-        ROOM, None, light.sun_direction, light.direct_lx, height=height, heading_deg=180.0
+        ROOM, None, light.shown_sun_direction, light.direct_lx, height=height, heading_deg=180.0
     ).luminance_cdm2
     base = (0.01 * light.diffuse_lx)[:, None, None] * np.ones((height, 2 * height))
     n = len(times)
@@ -103,7 +103,7 @@ def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
     wrong = scene.sun_patches(
         SHIFTED,
         None,
-        CAPTURES.light.sun_direction,
+        CAPTURES.light.shown_sun_direction,
         CAPTURES.light.direct_lx,
         height=12,
         heading_deg=180.0,

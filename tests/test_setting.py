@@ -38,7 +38,7 @@ HEIGHT = 30
 def with_patches(data: Dataset) -> Dataset:
     """Patches for the sun that is believed in."""
     light = data.light
-    made = sun_patches(ROOM, SETUP, light.sun_direction, light.direct_lx, height=HEIGHT)
+    made = sun_patches(ROOM, SETUP, light.shown_sun_direction, light.direct_lx, height=HEIGHT)
     return replace(data, patch_cdm2=made.luminance_cdm2)
 
 
@@ -237,7 +237,7 @@ def test_a_room_wrong_by_a_tape_measure_makes_no_sure_alarm(measure: str) -> Non
     }[measure]
     data = captured()
     light = data.light
-    made = sun_patches(wrong, SETUP, light.sun_direction, light.direct_lx, height=HEIGHT)
+    made = sun_patches(wrong, SETUP, light.shown_sun_direction, light.direct_lx, height=HEIGHT)
     told = replace(data, patch_cdm2=made.luminance_cdm2, setup=replace(SETUP, room=wrong))
     found = found_in(told)
     assert found.wrong is None

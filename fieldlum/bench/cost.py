@@ -46,7 +46,7 @@ def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> di
             f"void glow skyglow\n0\n0\n4 {level:.6g} {level:.6g} {level:.6g} 0\nskyglow source "
             f"sky\n0\n0\n4 0 0 1 180\n"
         )
-        sun = sun_text(scene.to_room(light.sun_direction)[0], float(light.direct_lx[0]))
+        sun = sun_text(scene.to_room(light.shown_sun_direction)[0], float(light.direct_lx[0]))
         with octree(rad_text(scene), sky, sun) as tree:
             start, busy = time.monotonic(), os.times()
             trace(tree, np.array(scene.camera_m), rays, PAPER_OPTIONS)

@@ -89,7 +89,7 @@ def _patched(data: Dataset) -> Dataset:
     patches = sun_patches(
         data.setup.room,
         data.setup,
-        data.light.sun_direction,
+        data.light.shown_sun_direction,
         data.light.direct_lx,
         height=data.shape[0],
         heading_deg=data.heading_deg,

@@ -202,6 +202,8 @@ def _assemble(
 
     check_plausible(path, _stated(path, rows), setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
+    refraction = _refraction(path, rows)
+    shown_altitude = sun.shown_altitude_deg(altitude) if refraction else altitude
     pictures = _read_pictures(path, rows, setup, progress)
     if pictures.bounds:
         notes.append(
@@ -213,7 +215,7 @@ def _assemble(
     turns = find_turns(path, names, pictures.maps, pictures.has_value, heading, progress)
     dni = np.array([row.dni_wm2 for row in rows])
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
-        at = float(altitude[k]), float(azimuth[k])
+        at = float(shown_altitude[k]), float(azimuth[k])
         shown = shown_place(*at, heading, turns.angles_deg[k])
         pictures.take_disc_out(k, at, shown, float(dni[k]))
     align(pictures.maps, pictures.has_value, pictures.counts, heading, turns)
@@ -235,6 +237,7 @@ def _assemble(
             sun_altitude_deg=altitude,
             sun_azimuth_deg=azimuth,
             states=_states(path, rows),
+            refraction=refraction,
         ),
         luminance_cdm2=pictures.maps,
         patch_cdm2=pictures.patches,
@@ -280,6 +283,18 @@ def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
             ) from None
         states.append(state)
     return tuple(states) if any(states) else None
+
+
+def _refraction(path: Path, rows: list[PairRow]) -> bool:
+    """Return whether pictures show the sun raised by the atmosphere.
+
+    Raises InputError for a csv that mixes such pictures with others.
+    """
+    other = [row.line for row in rows if row.refraction != rows[0].refraction]
+    if other:
+        found = f"line {other[0]}: another refraction than the rows before"
+        raise InputError(path, found, "one value in all rows", "use a csv for each kind")
+    return rows[0].refraction
 
 
 def _sun_columns(

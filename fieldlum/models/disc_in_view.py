@@ -41,9 +41,9 @@ def stated_disc_lx(setup: SiteFile, light: Light) -> Array | None:
         from fieldlum.scene import build, disc_visibility
 
         scene = build(room)
-        visible, through = disc_visibility(scene, scene.to_room(light.sun_direction))
+        visible, through = disc_visibility(scene, scene.to_room(light.shown_sun_direction))
         return visible * through * light.direct_lx
-    return _traced_disc_lx(room, light, light.sun_direction[None])[0]
+    return _traced_disc_lx(room, light, light.shown_sun_direction[None])[0]
 
 
 def drawn_discs_lx(
@@ -66,14 +66,14 @@ def drawn_discs_lx(
         from fieldlum.scene import draw_rooms, drawn_disc_shares, stated_uncertainty
 
         rooms = draw_rooms(room, uncertainty or stated_uncertainty(room), count, rng)
-        return drawn_disc_shares(rooms, light.sun_direction) * light.direct_lx
+        return drawn_disc_shares(rooms, light.shown_sun_direction) * light.direct_lx
     turns = rng.normal(0.0, EDGE_SD_DEG, (count, 2))
     suns = np.stack([_turned(light, *turn) for turn in turns])  # [count, n, 3]
     return _traced_disc_lx(room, light, suns)
 
 
 def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Array:
-    altitude = np.minimum(light.sun_altitude_deg + altitude_deg, 90.0)
+    altitude = np.minimum(light.shown_altitude_deg + altitude_deg, 90.0)
     # A turn by the same angle on the sky is a larger one in azimuth near the zenith.
     turn = azimuth_deg / np.maximum(np.cos(np.radians(altitude)), 0.2)
     return direction(altitude, light.sun_azimuth_deg + turn)
@@ -109,7 +109,7 @@ def _guessed(
     maps: NDArray[np.float32], light: Light, heading_deg: float, sky_cdm2: Array, turn_deg: Array
 ) -> Array:
     height, width = maps.shape[1:]
-    altitude = np.minimum(light.sun_altitude_deg + turn_deg[1], 90.0)
+    altitude = np.minimum(light.shown_altitude_deg + turn_deg[1], 90.0)
     turn = turn_deg[0] / np.maximum(np.cos(np.radians(altitude)), 0.2)
     row, column = equirect_pixel(altitude, light.sun_azimuth_deg + turn, height, width, heading_deg)
     i = np.clip(row.astype(int), 0, height - 1)

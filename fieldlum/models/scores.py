@@ -142,7 +142,7 @@ def _glare(
         maps,
         data.heading_deg,
         views.azimuths_deg,
-        data.light.sun_direction,
+        data.light.shown_sun_direction,
         data.disc_lx,
         views=views,
     )
@@ -233,7 +233,7 @@ def _glare_errors(
         if test.room_disc_lx is None
         else test.room_disc_lx[rows[asked]]
     )
-    in_use = dgp_with_disc(found, sun_per_lx(some.light.sun_direction, test.views), own_lx)
+    in_use = dgp_with_disc(found, sun_per_lx(some.light.shown_sun_direction, test.views), own_lx)
     scores.dgp_mse_own_disc[asked] = ((in_use - test.dgp[rows[asked]]) ** 2).mean(axis=1)
     scores.dgp_mse[asked] = (difference**2).mean(axis=1)
     scores.dgp_mae[asked] = np.abs(difference).mean(axis=1)

@@ -43,9 +43,8 @@ def seen_and_patches(
     first = read_panorama(items[0][1])
     height, heading = first.luminance_cdm2.shape[0], first.heading_deg
     places = sun.position([t for _, _, t in items], setup.site)
-    angles = list(
-        zip(places.apparent_altitude_deg.tolist(), places.azimuth_deg.tolist(), strict=True)
-    )
+    shown_deg = sun.shown_altitude_deg(places.altitude_deg)
+    angles = list(zip(shown_deg.tolist(), places.azimuth_deg.tolist(), strict=True))
     recipes = [
         _recipe(setup.room, setup, height, heading, *at, float(lx))
         for at, lx in zip(angles, full_normal_lx, strict=True)
@@ -116,7 +115,7 @@ class _PatchJob:
 
     slots: tuple[str, ...]
     t_utc: tuple[datetime, ...]
-    angles_deg: tuple[tuple[float, float], ...]  # apparent altitude, azimuth
+    angles_deg: tuple[tuple[float, float], ...]  # shown altitude, azimuth
     full_normal_lx: tuple[float, ...]
     recipes: tuple[str, ...]
     height: int

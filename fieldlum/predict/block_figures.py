@@ -62,7 +62,7 @@ def view_figures(
         maps,
         room.heading_deg,
         views.azimuths_deg,
-        block.light.sun_direction,
+        block.light.shown_sun_direction,
         block.disc_lx,
         views=views,
     )

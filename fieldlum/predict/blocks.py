@@ -145,7 +145,7 @@ def _patches(
         found = iter_sun_patches(
             space,
             room.setup,
-            light.sun_direction,
+            light.shown_sun_direction,
             light.direct_lx,
             height=room.height,
             heading_deg=room.heading_deg,

@@ -107,7 +107,7 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     discs = job.discs_lx
     if discs is None:
         discs = guessed_disc_lx(maps, block.light, room.heading_deg, job.turns_deg)
-    drawn = dgp_with_disc(found, sun_per_lx(block.light.sun_direction, ready.views), discs)
+    drawn = dgp_with_disc(found, sun_per_lx(block.light.shown_sun_direction, ready.views), discs)
     if job.maps:
         write_maps(folder / job.maps, job.start, maps)
     rows = (job.start, job.start + len(job.light))

@@ -40,7 +40,7 @@ from fieldlum.report.page import (
     svg_figure,
 )
 from fieldlum.session.files.predict_json import DirectionYear
-from fieldlum.sun import standard_time
+from fieldlum.sun import shown_altitude_deg, standard_time
 
 CLASS_WORDS = {
     "high": "high protection",
@@ -266,7 +266,9 @@ def _sun_of(annual: Annual, row: int, disc_lx: float) -> SunSource | None:
     if disc_lx <= 0:
         return None
     return SunSource(
-        float(hours["sun_altitude_deg"][row]), float(hours["sun_azimuth_deg"][row]), disc_lx
+        float(shown_altitude_deg(hours["sun_altitude_deg"][row])),
+        float(hours["sun_azimuth_deg"][row]),
+        disc_lx,
     )
 
 

@@ -101,7 +101,7 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
     made = sun_patches(
         data.setup.room,
         data.setup,
-        data.light.sun_direction,
+        data.light.shown_sun_direction,
         data.light.direct_lx,
         height=data.shape[0],
         heading_deg=data.heading_deg,

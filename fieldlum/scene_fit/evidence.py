@@ -253,7 +253,7 @@ def _sunny(data: Dataset, guess: Guess) -> NDArray[np.intp]:
     """Return rows with direct sun before a window, in order: the strongest up to `MAX_HOURS`."""
     from fieldlum.scene.geometry import WALLS
 
-    suns = data.light.sun_direction @ guess.turn.T
+    suns = data.light.shown_sun_direction @ guess.turn.T
     through = np.zeros(len(data))
     for rect in guess.windows:
         axis, side = WALLS[rect.wall]
@@ -318,7 +318,7 @@ def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
     table = []
     for late in range(-_CLOCK_REACH_MIN, _CLOCK_REACH_MIN + 1):
         moved = sun.position([t - timedelta(minutes=late) for t in light.t_utc], site)
-        altitude = light.sun_altitude_deg + moved.altitude_deg - at.altitude_deg
+        altitude = light.shown_altitude_deg + moved.altitude_deg - at.altitude_deg
         azimuth = light.sun_azimuth_deg + signed_angle_deg(moved.azimuth_deg - at.azimuth_deg)
         table.append(np.stack([altitude, azimuth], axis=-1))
     return np.stack(table)

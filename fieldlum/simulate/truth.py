@@ -72,7 +72,7 @@ class Rendering:
         """Return the sun as the lens sees it; None if it is hidden or down."""
         if self.disc_lx[k] <= 0:
             return None
-        angles = float(self.light.sun_altitude_deg[k]), float(self.light.sun_azimuth_deg[k])
+        angles = float(self.light.shown_altitude_deg[k]), float(self.light.sun_azimuth_deg[k])
         return SunSource(
             *angles, float(self.disc_lx[k]), float(self.visible_fraction[k]), "rendering"
         )
@@ -121,7 +121,7 @@ class GroundTruth:
     def render(self, light: Light) -> Rendering:
         """Render all moments of `light` at once; use `maps` for many moments."""
         n, pixels = len(light), 2 * self.height**2
-        toward = self.view.scene.to_room(light.sun_direction)
+        toward = self.view.scene.to_room(light.shown_sun_direction)
         direct_lx = light.direct_lx
         patch = np.zeros((n, pixels), np.float32)
         sunlit = np.zeros((n, len(self.pieces)), np.float32)

@@ -351,7 +351,11 @@ def around_disc(data: Dataset) -> NDArray[np.bool_]:
     hours = np.flatnonzero(data.disc_lx > 0.0)
     light = data.light
     row, column = equirect_pixel(
-        light.sun_altitude_deg[hours], light.sun_azimuth_deg[hours], height, width, data.heading_deg
+        light.shown_altitude_deg[hours],
+        light.sun_azimuth_deg[hours],
+        height,
+        width,
+        data.heading_deg,
     )
     for t, i, j in zip(hours, row.astype(int), column.astype(int), strict=True):
         rows = np.clip(np.arange(-DISC_MARGIN, DISC_MARGIN + 1) + i, 0, height - 1)

@@ -67,7 +67,7 @@ class Evidence:
         assert points is not None
         light = self.data.light[self.rows]
         towards = sun.direction(
-            light.sun_altitude_deg - fast_min * self.rates[0],
+            light.shown_altitude_deg - fast_min * self.rates[0],
             light.sun_azimuth_deg - turn_deg - fast_min * self.rates[1],
         )
         maps = [

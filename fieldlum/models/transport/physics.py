@@ -70,7 +70,7 @@ class Physics:
     def features(self, light: Light) -> NDArray[np.float32]:
         """Return the coarse bounced sunlight of each hour per unit of total light, [n, k]."""
         points = self._points
-        toward = points.scene.to_room(light.sun_direction)
+        toward = points.scene.to_room(light.shown_sun_direction)
         beam = light.direct_lx / light.total_lx / self.norm
         out = np.zeros((len(light), len(self.modes)), np.float32)
 

@@ -73,6 +73,6 @@ def _misfit(evidence: Evidence, room: Room) -> float:
     data = evidence.data
     points = look(room, data.shape[0], data.heading_deg, SUB).sun_points(evidence.pixels)
     light = data.light[evidence.rows]
-    towards = points.scene.to_room(light.sun_direction)
+    towards = points.scene.to_room(light.shown_sun_direction)
     patch = np.stack([points.direct(d) * e for d, e in zip(towards, light.direct_lx, strict=True)])
     return float(evidence.misfit(patch, evidence.gains[1]).mean())

@@ -31,7 +31,7 @@ PAIR_COLUMNS = (
     "format",
 )
 NEEDED = PAIR_COLUMNS[:4]
-OPTIONAL = (*PAIR_COLUMNS, "state")
+OPTIONAL = (*PAIR_COLUMNS, "state", "refraction")
 MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement
 MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile
 NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 and an unreadable time
@@ -56,6 +56,7 @@ class PairRow:
     ok: bool = True
     why: str = ""
     state: str = ""
+    refraction: bool = True  # False: a rendering that shows the sun at its true altitude
     line: int = 0
 
 
@@ -175,6 +176,7 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         number("sun_in_map", 0.0) != 0.0,
         why=text["why"],
         state=text["state"],
+        refraction=number("refraction", 1.0) != 0.0,
         line=line,
     )
 

@@ -1,0 +1,99 @@
+"""Captured, simulated and predicted sun patches have one sun: the one that a picture shows."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from learning_room import dataset, write_pairs
+
+from fieldlum import simulate, sun
+from fieldlum.errors import InputError
+from fieldlum.images import read_panorama, write_panorama
+from fieldlum.light import Light, light_at
+from fieldlum.models.data import load_pairs
+from fieldlum.pair.patches import seen_and_patches
+from fieldlum.predict.blocks import ModelRoom, blocks
+from fieldlum.profiles import shipped
+from fieldlum.records import Panorama, Slot, quiet, slot_id
+from fieldlum.session import create_session
+from fieldlum.site_toml import load_site
+
+OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
+LOW = datetime(2027, 12, 21, 23, 40, tzinfo=UTC)  # 40 minutes before sunset in Seattle
+HEIGHT = 46
+
+
+class _KeepsPatch:
+    """A model that keeps the sun patches that it is given."""
+
+    patch: np.ndarray
+
+    def predict(self, light: Light, patch: np.ndarray) -> Any:
+        self.patch = patch
+        return SimpleNamespace(luminance_cdm2=np.ones_like(patch))
+
+
+def predicted_patch(light: Light) -> np.ndarray:
+    model = _KeepsPatch()
+    room = ModelRoom(OFFICE, HEIGHT, 2 * HEIGHT, OFFICE.camera.heading_deg, needs_patch=True)
+    list(blocks(cast("Any", model), room, light))
+    return model.patch[0]
+
+
+@pytest.mark.property
+def test_captured_and_predicted_patch_agree_to_the_pixel_at_a_low_sun(tmp_path: Path) -> None:
+    light = light_at([LOW], OFFICE.site, np.array([300.0]), np.array([40.0]))
+    assert 3.0 < light.sun_altitude_deg[0] < 5.0
+    session = create_session(tmp_path / "s", OFFICE, [Slot(LOW, 4.0, 230.0, ())], {})
+    picture = tmp_path / "p.exr"
+    blank = np.ones((HEIGHT, 2 * HEIGHT), np.float32)
+    write_panorama(picture, Panorama(blank, OFFICE.camera.heading_deg, t_utc=LOW))
+    items = [(slot_id(LOW), picture, LOW)]
+    seen_and_patches(session, OFFICE, items, light.direct_lx, force=False, progress=quiet)
+    captured = read_panorama(session.sunpatch(slot_id(LOW))).luminance_cdm2
+    predicted = predicted_patch(light)
+    assert (predicted > 0.0).sum() > 20
+    np.testing.assert_allclose(captured, predicted, rtol=1e-3, atol=0.1)
+    true = predicted_patch(replace(light, refraction=False))
+    assert np.abs(true - predicted).max() > 0.1 * predicted.max()  # what refraction moves
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_a_simulated_room_has_the_sun_of_its_prediction(tmp_path: Path) -> None:
+    light = light_at([LOW], OFFICE.site, np.array([300.0]), np.array([40.0]))
+    truth = simulate.ground_truth(OFFICE, height=HEIGHT, quality="draft", cache=tmp_path)
+    made = truth.render(light)
+    np.testing.assert_allclose(made.patch_cdm2[0], predicted_patch(light), rtol=1e-3, atol=0.1)
+    source = made.source(0)
+    if source is not None:
+        assert source.altitude_deg == light.shown_altitude_deg[0]
+
+
+@pytest.mark.authority
+def test_the_shown_altitude_is_that_of_spa() -> None:
+    """pvlib's SPA at sea level and 12 C; below the visible horizon nothing is raised."""
+    times = [LOW.replace(hour=h % 24, day=20 + h // 24) for h in range(14, 28)]
+    at = sun.position(times, replace(OFFICE.site, altitude_m=0.0))
+    np.testing.assert_allclose(
+        sun.shown_altitude_deg(at.altitude_deg), at.apparent_altitude_deg, atol=1e-3
+    )
+
+
+@pytest.mark.contract
+def test_a_csv_states_renderings_without_refraction(tmp_path: Path) -> None:
+    path = write_pairs(tmp_path, dataset(("2027-12-20",), height=8))
+    lines = path.read_text().splitlines()
+    assert load_pairs(path).light.refraction
+    path.write_text("\n".join([lines[0] + ",refraction", *(s + ",0" for s in lines[1:])]) + "\n")
+    light = load_pairs(path).light
+    assert not light.refraction and not light[[0, 1]].refraction
+    np.testing.assert_array_equal(light.shown_sun_direction, light.sun_direction)
+    mixed = [lines[0] + ",refraction", lines[1] + ",", *(s + ",0" for s in lines[2:])]
+    path.write_text("\n".join(mixed) + "\n")
+    with pytest.raises(InputError, match="refraction"):
+        load_pairs(path)
