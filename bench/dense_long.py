@@ -42,7 +42,7 @@ def main() -> None:
         "dense", data, seed=asked.seed, budget_s=budget_s, checkpoint=checkpoint, progress=progress
     )
     models.save(asked.out, fitted, data)
-    print(fitted.state()[0]["dense_training"])
+    print(fitted.state().config["dense_training"])
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The models that `train` can fit, one entry each; without heavy imports for the command line.
 
 A model is a module with ``fit(data, *, patch, seed, budget_s, progress) -> Fitted`` and
-``from_state(config, arrays) -> Fitted`` (`fieldlum/models/__init__.py`). To add one, write the
+``from_state(state) -> Fitted`` (`fieldlum/models/__init__.py`). To add one, write the
 module and its entry here; docs and command line, `auto`, `bench`, `predict` and `report` follow.
 """
 

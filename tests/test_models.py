@@ -139,8 +139,8 @@ def test_resuming_equals_training_in_one_go(tmp_path: Path, schedule: str) -> No
     models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=2, **options)
     assert kept.is_file()
     resumed = models.fit("dense", DATA, checkpoint=kept, **options)
-    for name, value in straight.state()[1].items():
-        np.testing.assert_array_equal(value, resumed.state()[1][name])
+    for name, value in straight.state().arrays.items():
+        np.testing.assert_array_equal(value, resumed.state().arrays[name])
 
 
 @pytest.mark.contract
@@ -161,7 +161,7 @@ def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
 @pytest.mark.property
 def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
     a, b, c = (
-        models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state()[1] for seed in (1, 1, 2)
+        models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state().arrays for seed in (1, 1, 2)
     )
     assert all((a[name] == b[name]).all() for name in a)
     assert any((a[name] != c[name]).any() for name in a)

@@ -1,7 +1,7 @@
 """Models of a room: what a fitted model must provide, and its folder on disk.
 
 A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) ->
-Fitted``, and one that loads, ``from_state(config, arrays) -> Fitted``. Model folders contain
+Fitted``, and one that loads, ``from_state(state: ModelState) -> Fitted``. Model folders contain
 `config.json` and `weights.npz`: plain arrays without pickle, so that a model from another person
 cannot run code.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -51,6 +52,18 @@ class Prediction:
     trusted: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, slots=True)
+class ModelState:
+    """The content of a model folder.
+
+    config: keys of config.json, for JSON; a state that is read has the keys of all models too.
+    arrays: plain arrays of weights.npz by name.
+    """
+
+    config: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+
+
 # An hour that the model itself expects to be wrong by more is not trusted. Measured on the office's
 # nine days: no hour of clean days is beyond it; with a lamp on, a camera displaced by 1 px on three
 # days, snow, or four days only, 5 to 77 % of the hours are (docs/models.md).
@@ -90,7 +103,7 @@ class Fitted(Protocol):
         """
         ...
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state`."""
         ...
 
@@ -103,8 +116,8 @@ def fit(name: str, data: Dataset, **options: Any) -> Fitted:
 
 def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
     """Write config.json and weights.npz atomically; `more` is added to config.json."""
-    config, arrays = fitted.state()
-    arrays = {"seen": data.seen, **arrays}
+    state = fitted.state()
+    arrays = {"seen": data.seen, **state.arrays}
     with replacing(folder / "weights.npz") as file:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
     table = {
@@ -112,7 +125,7 @@ def save(folder: Path, fitted: Fitted, data: Dataset, **more: Any) -> None:
         "software": {"fieldlum": __version__},
         **data.about(),
         **more,
-        **config,
+        **state.config,
     }
     write_config(folder, table)
 
@@ -145,8 +158,8 @@ def load(folder: Path) -> Fitted:
     config = read_config(folder)
     path = folder / "weights.npz"
     try:
-        arrays = read_arrays(path)
-        return importlib.import_module(MODELS[config.model].module).from_state(config.state, arrays)
+        state = ModelState(config.state, read_arrays(path))
+        return importlib.import_module(MODELS[config.model].module).from_state(state)
     except (OSError, *_BROKEN, zipfile.BadZipFile) as error:
         found = f"weights that cannot be used ({error})".replace("\n", " ")
         raise InputError(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.models import Fitted, Patch, Prediction
+from fieldlum.models import Fitted, ModelState, Patch, Prediction
 from fieldlum.models.training_domain import Domain, captured
 from fieldlum.records import Progress, quiet
 
@@ -35,10 +35,10 @@ class MeanFitted:
         maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
         return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def state(self) -> ModelState:
         """Return settings for config.json and arrays for weights.npz."""
         config = {"domain": self.domain.state(), "with_patch": False}
-        return config, {"log10_mean": self.log10_mean}
+        return ModelState(config, {"log10_mean": self.log10_mean})
 
 
 def fit_mean(
@@ -89,10 +89,11 @@ class NearestFitted:
             maps += patch_cdm2
         return Prediction(maps, None, np.full(len(maps), np.nan), self.domain.holds(light))
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def state(self) -> ModelState:
         """Return settings for config.json and arrays for weights.npz."""
         arrays = {"rest_cdm2": self.rest_cdm2, "features": self.features, "scale": self.scale}
-        return {"domain": self.domain.state(), "with_patch": self.with_patch}, arrays
+        config = {"domain": self.domain.state(), "with_patch": self.with_patch}
+        return ModelState(config, arrays)
 
 
 def light_features(light: Light) -> NDArray[np.float64]:
@@ -131,8 +132,9 @@ def fit_nearest(
     )
 
 
-def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Fitted:
+def from_state(state: ModelState) -> Fitted:
     """Return the baseline that its `state` described."""
+    config, arrays = state.config, state.arrays
     domain = Domain.from_state(config["domain"])
     if config["model"] == "mean":
         return MeanFitted(arrays["log10_mean"], domain)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fieldlum.models import Patch, Prediction
+from fieldlum.models import ModelState, Patch, Prediction
 from fieldlum.models.dense_network import (
     DHI_TOP_WM2,
     DNI_TOP_WM2,
@@ -110,7 +110,7 @@ class DenseFitted:
                 out[k] = decode(encoded, self.shape.curve).reshape(height, width)
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def state(self) -> ModelState:
         """Return settings for config.json and arrays for weights.npz."""
         config = {
             "shape": asdict(self.shape),
@@ -131,11 +131,12 @@ class DenseFitted:
             f"net.{name}": value.detach().cpu().numpy()
             for name, value in self.net.state_dict().items()
         }
-        return config, {"average_log10": self.average_log10, **weights}
+        return ModelState(config, {"average_log10": self.average_log10, **weights})
 
 
-def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> DenseFitted:
+def from_state(state: ModelState) -> DenseFitted:
     """Return the network that `DenseFitted.state` described."""
+    config, arrays = state.config, state.arrays
     shape = Shape(**config["shape"])
     net = Net(shape)
     weights = {

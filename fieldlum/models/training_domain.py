@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,14 @@ SUNNY_WM2 = 60.0  # under it the sun lights a room less than the sky does; not m
 # About 50 minutes of the sun's path, or three weeks of its declination near an equinox.
 SUN_GAP_DEG = 12.0
 RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance; not measured
+
+
+class DomainTable(TypedDict):
+    """The domain in config.json; the keys are the fields of `Domain`."""
+
+    sun_directions: list[list[float]]
+    dhi_wm2: list[float]
+    dni_wm2: list[float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +56,7 @@ class Domain:
     def _has_dull(self, light: Light) -> NDArray[np.bool_]:
         return np.full(len(light.dni_wm2), self.dni_wm2[0] < 2 * SUNNY_WM2)
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> DomainTable:
         """Return the domain as JSON can hold it."""
         return {
             "sun_directions": np.round(self.sun_directions, 5).tolist(),
@@ -57,10 +65,12 @@ class Domain:
         }
 
     @staticmethod
-    def from_state(state: dict[str, Any]) -> Domain:
-        """Return the domain that `state` described."""
-        low, high = (tuple(map(float, state[name])) for name in ("dhi_wm2", "dni_wm2"))
-        return Domain(np.asarray(state["sun_directions"], float).reshape(-1, 3), low, high)  # pyright: ignore
+    def from_state(state: DomainTable) -> Domain:
+        """Return the domain that `state` described. Raises TypeError or ValueError for no range."""
+        dhi_low, dhi_high = map(float, state["dhi_wm2"])
+        dni_low, dni_high = map(float, state["dni_wm2"])
+        suns = np.asarray(state["sun_directions"], float).reshape(-1, 3)
+        return Domain(suns, (dhi_low, dhi_high), (dni_low, dni_high))
 
 
 def captured(light: Light) -> Domain:

@@ -7,6 +7,7 @@ See docs/models/transport.md for symbols, code names and units.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.light import Kernel, Light
-from fieldlum.models import Patch, Prediction
+from fieldlum.models import ModelState, Patch, Prediction
 from fieldlum.models.transport.features import (
     LEAST_CDM2,
     TrainingArrays,
@@ -30,7 +31,13 @@ from fieldlum.models.transport.pixel_fit import (
 )
 from fieldlum.models.transport.response import LightBasis, RoomResponse, SurfaceMaps
 from fieldlum.models.transport.selection import SelectedRecipe, choose_model, hold_out_seasons
-from fieldlum.models.transport.stored import response_of, state_of, uncertainty_of
+from fieldlum.models.transport.stored import (
+    TransportTable,
+    arrays_of,
+    response_of,
+    table_of,
+    uncertainty_of,
+)
 from fieldlum.models.transport.uncertainty import (
     Uncertainty,
     calibrate,
@@ -59,7 +66,7 @@ class Transport:
     heading_deg: float
     uncertainty: Uncertainty
     held_out_mse: Array | None = None  # [captures]
-    table: tuple[dict[str, float], ...] = ()  # recipes that were tried
+    table: tuple[Mapping[str, float], ...] = ()  # recipes that were tried
     name: str = field(default="transport", init=False)
 
     @property
@@ -149,26 +156,30 @@ class Transport:
         weights = equirect_solid_angles(*self.shape)[self.response.seen]
         return (weights / weights.sum()).astype(np.float32)
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
-        config, arrays = state_of(self.response, self.uncertainty)
-        config["transport"]["tried"] = list(self.table)
+        arrays = arrays_of(self.response, self.uncertainty)
         if self.held_out_mse is not None:
             arrays["held_out_mse"] = self.held_out_mse
-        return {"heading_deg": self.heading_deg, **config}, arrays
+        config = {
+            "heading_deg": self.heading_deg,
+            "with_patch": self.response.basis.patches is not None,
+            "transport": table_of(self.response, self.uncertainty, self.table),
+        }
+        return ModelState(config, arrays)
 
 
-def from_state(config: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Transport:
+def from_state(state: ModelState) -> Transport:
     """Return the model that `Transport.state` described.
 
     Raises KeyError, TypeError or ValueError for what is missing or wrong.
     """
-    own = config["transport"]
+    own: TransportTable = state.config["transport"]
     return Transport(
-        response_of(own, arrays),
-        float(config["heading_deg"]),
-        uncertainty_of(own, arrays),
-        arrays.get("held_out_mse"),
+        response_of(own, state.arrays),
+        float(state.config["heading_deg"]),
+        uncertainty_of(own, state.arrays),
+        state.arrays.get("held_out_mse"),
         tuple(own["tried"]),
     )
 

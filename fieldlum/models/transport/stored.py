@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,24 +31,45 @@ TRUST_FIGURES = ("novelty", "patch", "mse", "slip_deg")
 TRUST_ARRAYS = ("inverse", "factors", "variances", "second")
 
 
-def state_of(
-    response: RoomResponse, unsure: Uncertainty
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return settings for config.json and plain arrays for weights.npz."""
+class TransportTable(TypedDict):
+    """The table "transport" of config.json.
+
+    kernel: fields of `Kernel` without facades, in 0.1.0 those of `FluxKernel`; recipe: fields of
+    `Recipe`; room: as in SITE.toml, None without `Physics`; patchwork: fields of `PatchDescriptor`;
+    states: of `StateColumns`, absent in 0.1.0; trust: figures of `Uncertainty`; tried: recipes.
+    """
+
+    kernel: dict[str, float]
+    recipe: dict[str, Any]
+    patch_scale: float
+    room: dict[str, Any] | None
+    patchwork: dict[str, float] | None
+    states: NotRequired[dict[str, Any]]
+    trust: dict[str, float]
+    tried: Sequence[Mapping[str, float]]
+
+
+def table_of(
+    response: RoomResponse, unsure: Uncertainty, tried: Sequence[Mapping[str, float]]
+) -> TransportTable:
+    """Return the settings of a model for config.json."""
     basis = response.basis
     kernel = {f.name: getattr(basis.kernel, f.name) for f in fields(Kernel) if f.name != "facades"}
-    config = {
-        "with_patch": basis.patches is not None,
-        "transport": {
-            "kernel": kernel,
-            "recipe": asdict(response.recipe),
-            "patch_scale": response.patch_scale,
-            "room": None if basis.physics is None else plain(basis.physics.room),
-            "patchwork": None if basis.patches is None else asdict(basis.patches),
-            "states": asdict(basis.states),
-            "trust": {name: getattr(unsure, name) for name in TRUST_FIGURES},
-        },
+    return {
+        "kernel": kernel,
+        "recipe": asdict(response.recipe),
+        "patch_scale": response.patch_scale,
+        "room": None if basis.physics is None else plain(basis.physics.room),
+        "patchwork": None if basis.patches is None else asdict(basis.patches),
+        "states": asdict(basis.states),
+        "trust": {name: getattr(unsure, name) for name in TRUST_FIGURES},
+        "tried": tried,
     }
+
+
+def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[Any]]:
+    """Return the plain arrays of a model for weights.npz."""
+    basis = response.basis
     light = basis.captured_light
     arrays: dict[str, NDArray[Any]] = {
         "seen": response.seen,
@@ -67,11 +89,11 @@ def state_of(
     if basis.physics is not None:
         arrays |= {f"physics_{name}": getattr(basis.physics, name) for name in PHYSICS_ARRAYS}
         arrays["physics_norm"] = np.array(basis.physics.norm)
-    return config, arrays
+    return arrays
 
 
-def response_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> RoomResponse:
-    """Return the response that `state_of` described; own: the table "transport" of config.json."""
+def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> RoomResponse:
+    """Return the response that `table_of` and `arrays_of` described."""
     return RoomResponse(
         seen=arrays["seen"],
         basis=_basis(own, arrays),
@@ -82,14 +104,14 @@ def response_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> RoomRes
     )
 
 
-def uncertainty_of(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Uncertainty:
-    """Return the uncertainty that `state_of` described."""
+def uncertainty_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Uncertainty:
+    """Return the uncertainty that `table_of` and `arrays_of` described."""
     trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
     noise = {name: arrays[name] for name in ("noise_dull", "noise_sun")}
     return Uncertainty(**{**own["trust"], **trust, **noise})
 
 
-def _basis(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LightBasis:
+def _basis(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> LightBasis:
     altitude, azimuth = arrays["train_sun"]
     nothing = np.zeros(len(altitude))
     unknown = (datetime(2000, 1, 1, tzinfo=UTC),) * len(altitude)  # only the directions are used
@@ -107,17 +129,18 @@ def _basis(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LightBasis:
         arrays["projector"],
         physics,
         None if patches is None else PatchDescriptor(patches["cells_norm"]),
-        _states(own.get("states", {})),
+        _states(own),
     )
 
 
-def _states(table: dict[str, Any]) -> StateColumns:
+def _states(own: TransportTable) -> StateColumns:
     """Return the states; models of 0.1.0 have none."""
+    table = own.get("states", {})
     lamps, changed = tuple(table.get("lamps", ())), tuple(table.get("changed", ()))
     return StateColumns(bool(table.get("always", False)), lamps, changed)
 
 
-def _kernel(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kernel:
+def _kernel(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Kernel:
     facades = Facades(arrays["facade_azimuths"], arrays["facade_weights"])
     settings = dict(own["kernel"])
     if "flux_width" not in settings:
@@ -127,7 +150,7 @@ def _kernel(own: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kernel:
     if "train_flux" not in arrays:
         return Kernel(facades, **settings)
     height, columns = arrays["seen"].shape
-    norms = own["patchwork"]
+    norms = own["patchwork"] or {}
     share = np.sqrt(cell_areas_sr(height, columns)) * norms["cells_norm"] / norms["flux_norm"]
     return FluxKernel(facades, **settings, flux_width=width, flux_of_cells=share)
 
