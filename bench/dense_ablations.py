@@ -26,7 +26,7 @@ from fieldlum.bench import machine, markdown
 from fieldlum.bench.charts import _figure
 from fieldlum.bench.rows import without_training_hours
 from fieldlum.models.data import Dataset, load_pairs
-from fieldlum.models.dense_state import TrainingPlan
+from fieldlum.models.dense_schedule import TrainingPlan
 from fieldlum.models.scores import Truth, evaluate, summary, truth
 
 PAPER = {

@@ -14,9 +14,10 @@ from learning_room import dataset
 
 from fieldlum import models
 from fieldlum.errors import InputError
-from fieldlum.models import dense_network, dense_training, distributed
+from fieldlum.models import dense_network, dense_schedule, dense_training, distributed
 from fieldlum.models.dense_network import Net, Shape, decode, encode, parameter_count
-from fieldlum.models.dense_state import Run, TrainingPlan
+from fieldlum.models.dense_pixels import pixels_of
+from fieldlum.models.dense_schedule import Run, TrainingPlan
 from fieldlum.models.scores import compare, evaluate, summary, truth
 
 DATA = dataset(("2027-03-20", "2027-03-21"), height=8)
@@ -74,7 +75,7 @@ def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
     base = dense_network.canvas(
         np.log10(np.maximum(DATA.luminance_cdm2, 1)).mean(axis=0, dtype=float), 180.0
     )
-    pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
+    pixels = pixels_of(DATA, base, shape, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:500]
     still = torch.optim.SGD(net.parameters(), lr=0.0)
     loss = dense_training._step(net, still, pixels, numbers, 64, half=False)
@@ -98,7 +99,7 @@ def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyP
     torch.manual_seed(1)
     net = Net(shape)
     base = dense_network.canvas(np.zeros((8, 16)), 180.0)
-    pixels = dense_training._pixels(DATA, base, shape, "absolute", torch.device("cpu"))
+    pixels = pixels_of(DATA, base, shape, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:333]
 
     def parts_and_gradient(members: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
@@ -248,10 +249,10 @@ def test_a_network_without_patches_and_its_other_forms() -> None:
 def test_the_papers_schedule_halves_rate_and_batch() -> None:
     run = Run()
     for _ in range(2):
-        dense_training._paper_rate(run, improved=False)
+        dense_schedule.update_paper_rate(run, improved=False)
     assert run.rate == 5e-4 and run.stage == 0
     for _ in range(28):
-        dense_training._paper_rate(run, improved=True)
+        dense_schedule.update_paper_rate(run, improved=True)
     assert run.stage == 1 and run.rate == 5e-4
 
 
@@ -259,13 +260,13 @@ def test_the_papers_schedule_halves_rate_and_batch() -> None:
 def test_a_loss_that_is_no_number_halves_the_rate_of_either_schedule() -> None:
     """In the middle of a short schedule the rate is half of what it starts from."""
     run = Run(step=500)
-    assert dense_training._short_rate(
-        TrainingPlan("short", steps=1000), run, None
-    ) == pytest.approx(5e-4)
+    assert dense_schedule.short_rate(TrainingPlan("short", steps=1000), run, None) == pytest.approx(
+        5e-4
+    )
     run.rate /= 2.0
-    assert dense_training._short_rate(
-        TrainingPlan("short", steps=1000), run, None
-    ) == pytest.approx(2.5e-4)
+    assert dense_schedule.short_rate(TrainingPlan("short", steps=1000), run, None) == pytest.approx(
+        2.5e-4
+    )
 
 
 @pytest.mark.property
@@ -273,7 +274,7 @@ def test_a_loss_that_is_no_number_changes_nothing() -> None:
     """Training never ends in NaN: the update is skipped and the best weights are taken up again."""
     net = Net(Shape(**SMALL))
     base = dense_network.canvas(np.zeros((8, 16)), 180.0)
-    pixels = dense_training._pixels(DATA, base, Shape(**SMALL), "absolute", torch.device("cpu"))
+    pixels = pixels_of(DATA, base, Shape(**SMALL), "absolute", torch.device("cpu"))
     pixels.target[0, 0] = float("nan")
     before = [p.clone() for p in net.parameters()]
     adam = torch.optim.Adam(net.parameters(), lr=1e-3)

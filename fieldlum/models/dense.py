@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -52,15 +52,10 @@ class DenseFitted:
         heading_deg: float,
         patch: Patch,
         domain: Domain,
-        training: dict[str, Any],
+        training: Mapping[str, Any],
     ) -> None:
-        self.net, self.shape, self.patch, self.domain, self.training = (
-            net.eval(),
-            shape,
-            patch,
-            domain,
-            training,
-        )
+        self.net, self.shape, self.patch = net.eval(), shape, patch
+        self.domain, self.training = domain, training
         self.average_log10, self.heading_deg = average_log10, heading_deg
         self.parameters = parameter_count(net)
         self._device = pick_device()
@@ -171,7 +166,8 @@ def fit(
     shape = Shape(
         **{name: options.pop(name) for name in list(options) if name in Shape.__dataclass_fields__}
     )
-    net, average, about = train(
+    net, average, record = train(
         data, shape, patch=patch, seed=seed, budget_s=budget_s, progress=progress, **options
     )
-    return DenseFitted(net, shape, average, data.heading_deg, patch, captured(data.light), about)
+    domain, about = captured(data.light), asdict(record)
+    return DenseFitted(net, shape, average, data.heading_deg, patch, domain, about)

@@ -3,7 +3,7 @@
 Liu, Colburn, Inanici, Deep Neural Network Approach for Annual Luminance Simulations, J. Building
 Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule as in the paper; where the
 authors' code differs from their text, as in the text. This module has the network, its inputs and
-its outputs; `dense_training` the loop, `dense` the fitted model.
+its outputs; `dense_training` the loop, `dense_schedule` batches and rates, `dense` the fit.
 """
 
 from __future__ import annotations

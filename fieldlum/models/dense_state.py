@@ -1,59 +1,19 @@
-"""State of a training: its plan and its progress, stored with the weights in a checkpoint."""
+"""Checkpoints of the dense network's training: weights, optimiser, plan and progress."""
 
 from __future__ import annotations
 
-import math
 import pickle
 import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
 
 import torch
 from torch import Tensor
 
 from fieldlum.errors import InputError
 from fieldlum.models.dense_network import Net, Shape, pick_device
+from fieldlum.models.dense_schedule import Run, TrainingPlan
 from fieldlum.session import replacing
-
-STAGES = (6, 3, 1)  # batch in images' worth of pixels (paper)
-STAGE_EPOCHS = 30  # paper
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingPlan:
-    """Schedule of a training.
-
-    paper: epochs over all pixels, at most `epochs`. short: `steps` of `batch_pixels`, with a rate
-    that falls to 0.
-    """
-
-    schedule: Literal["paper", "short"] = "paper"
-    epochs: int = STAGE_EPOCHS * len(STAGES)
-    steps: int = 0
-    batch_pixels: int = 0
-    rate: float = 1e-3
-    micro_pixels: int = 8192
-
-
-@dataclass(slots=True)
-class Run:
-    """Everything in a checkpoint besides the tensors."""
-
-    epoch: int = 0
-    step: int = 0
-    stage: int = 0
-    stage_epoch: int = 0
-    stale: int = 0
-    rate: float = 1e-3
-    best: float = math.inf
-    elapsed_s: float = 0.0
-    cpu_s: float = 0.0
-    skipped: int = 0
-
-
-# ----------------------------------------------------------------------------------------------
-# checkpoints
 
 
 def keep(

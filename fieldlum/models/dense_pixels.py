@@ -1,0 +1,65 @@
+"""Training pixels of the dense network: pairs of an hour and a pixel that the camera saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fieldlum.models.dense_network import Canvas, HourInputs, Shape, encode, hours, scene_inputs
+
+if TYPE_CHECKING:
+    from fieldlum.models import Patch
+    from fieldlum.models.data import Dataset
+
+
+@dataclass(frozen=True, slots=True)
+class PixelSampler:
+    """All (hour, seen pixel) pairs of some hours, on the device.
+
+    The number of a pair is hour * P + index in `seen`.
+    """
+
+    canvas: Canvas
+    hours: HourInputs
+    target: Tensor  # [n, P]
+    patch: Tensor | None  # [n, P]
+    weight: Tensor  # [P]
+    seen: Tensor  # [P] pixel numbers
+
+    def __len__(self) -> int:
+        return self.target.numel()
+
+    def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return scene inputs, patch, target and weight of numbered pairs."""
+        hour = numbers // len(self.seen)
+        place = numbers - hour * len(self.seen)
+        scene = scene_inputs(self.canvas, self.hours, hour, self.seen[place])
+        direct = torch.zeros_like(scene[:, 0]) if self.patch is None else self.patch[hour, place]
+        return scene, direct.unsqueeze(1), self.target[hour, place], self.weight[place]
+
+
+def pixels_of(
+    data: Dataset, base: Canvas, shape: Shape, patch: Patch, device: torch.device
+) -> PixelSampler:
+    """Return the pixels of all hours of `data`, encoded, on the device."""
+    seen = np.flatnonzero(data.seen)
+
+    def flat(maps: NDArray[np.float32]) -> Tensor:
+        rows = [torch.from_numpy(encode(m.reshape(-1)[seen], shape.curve)) for m in maps]
+        return torch.stack(rows).to(device)
+
+    use_patch = patch != "none" and data.patch_cdm2 is not None
+    weight = torch.from_numpy(data.weights.reshape(-1)[seen].astype(np.float32))
+    return PixelSampler(
+        base.to(device),
+        hours(data.light, shape).to(device),
+        flat(data.luminance_cdm2),
+        flat(data.patch_cdm2) if use_patch and data.patch_cdm2 is not None else None,
+        weight.to(device),
+        torch.from_numpy(seen).to(device),
+    )

@@ -1,0 +1,144 @@
+"""Read the pictures of a pairs.csv: maps and sun patches of one size, with the disc separated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.errors import InputError, NotEnoughDataError
+from fieldlum.images import PANORAMA_LINE, read_panorama
+from fieldlum.models.teaching import pixel_counts
+from fieldlum.projection import signed_angle_deg
+from fieldlum.records import CLIPPED_SUN, Flag, Panorama, Progress, SiteFile
+from fieldlum.session.files.pairs_csv import PairRow
+from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
+from fieldlum.sun_disc import split_disc
+
+_MERGE_ALIKE = "render or merge all brackets at one size and heading"
+_PAIR_AGAIN = "the sun patches belong to other pictures: run fieldlum pair again"
+
+
+@dataclass(frozen=True, slots=True)
+class PairPictures:
+    """Maps, patches and has_value [n, H, W], and disc_lx [n]; later steps change them in place.
+
+    bounds: number of clipped suns.
+    """
+
+    maps: NDArray[np.float32]
+    patches: NDArray[np.float32] | None
+    disc_lx: NDArray[np.float64]
+    has_value: NDArray[np.bool_]
+    counts: list[NDArray[np.float16] | None]
+    heading_deg: float
+    bounds: int
+
+    def take_disc_out(
+        self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
+    ) -> None:
+        """Split the disc from map and patch k.
+
+        at: altitude and azimuth of the sun [deg]; shown: where the picture of a turned camera shows
+        it [deg]. A patch has the disc alone, without the sky around it, so it measures the disc
+        better.
+        """
+        self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
+        if self.patches is not None:
+            patch, self.disc_lx[k] = split_disc(self.patches[k], self.heading_deg, at, dni_wm2)
+            self.patches[k] = patch
+
+
+def read_pictures(
+    path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
+) -> PairPictures:
+    """Read maps and patches as stored; the disc separately where a picture stores it so."""
+    pictures = [path.parent / row.panorama for row in rows]
+    suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
+    first = read_panorama(pictures[0])
+    shape, heading = first.luminance_cdm2.shape, _heading(first, pictures[0], setup)
+    with_patch = sum(bool(row.sunpatch) for row in rows)
+    if 0 < with_patch < len(rows):
+        bare = next(row.line for row in rows if not row.sunpatch)
+        raise InputError(
+            path,
+            f"line {bare}: no sunpatch, but other rows have one",
+            "all rows or none with a sunpatch",
+        )
+    maps = np.empty((len(rows), *shape), np.float32)
+    patches = np.empty_like(maps) if with_patch else None
+    disc, bounds = np.zeros(len(rows)), 0
+    masks, counts = np.empty(maps.shape, bool), []
+    for k, row in enumerate(rows):
+        progress(k, len(rows), pictures[k].name)
+        panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
+        panorama = _checked(panorama, pictures[k], shape, heading, setup, _MERGE_ALIKE)
+        bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
+        maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
+        counts.append(pixel_counts(panorama))
+        disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
+        if patches is not None:
+            source = path.parent / row.sunpatch
+            patch = _checked(read_panorama(source), source, shape, heading, setup, _PAIR_AGAIN)
+            patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
+            if patch.sun and not panorama.sun and not row.sun_in_map:
+                disc[k] = patch.sun.normal_illuminance_lx
+    progress(len(rows), len(rows), "")
+    return PairPictures(maps, patches, disc, masks, counts, heading, bounds)
+
+
+def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
+    """Return the heading of the picture (.exr, or a .hdr with a heading line), else the site's."""
+    return (
+        panorama.heading_deg
+        if path.suffix.lower() == ".exr" or _says_heading(path)
+        else setup.camera.heading_deg
+    )
+
+
+def _says_heading(path: Path) -> bool:
+    with path.open("rb") as file:
+        return PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
+
+
+def _checked(
+    panorama: Panorama,
+    path: Path,
+    shape: tuple[int, ...],
+    heading: float,
+    setup: SiteFile,
+    remedy: str,
+) -> Panorama:
+    found = panorama.luminance_cdm2.shape
+    if found != shape:
+        said = f"{found[1]} x {found[0]} pixels", f"{shape[1]} x {shape[0]} as in the first row"
+        raise InputError(path, *said, remedy)
+    if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
+        found = f"heading {_heading(panorama, path, setup):g}"
+        raise InputError(path, found, f"{heading:g} as in the first row", remedy)
+    return panorama
+
+
+def _has_value(panorama: Panorama) -> NDArray[np.bool_]:
+    good = np.isfinite(panorama.luminance_cdm2)
+    return good if panorama.flags is None else good & ((panorama.flags & Flag.OUTSIDE_LENS) == 0)
+
+
+def fill_gaps(
+    maps: NDArray[np.float32], has_value: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], int]:
+    """Fill single missing values in place with the pixel's median; return seen pixels and a count.
+
+    A pixel that is missing in a fifth of the maps counts as not seen.
+    """
+    seen = has_value.mean(axis=0) > 0.8
+    if not seen.any():
+        raise NotEnoughDataError("no pixel has a value in most of the panoramas")
+    gaps = ~has_value & seen
+    for i, j in np.argwhere(gaps.any(axis=0)):
+        maps[gaps[:, i, j], i, j] = np.median(maps[has_value[:, i, j], i, j])
+    maps[:, ~seen] = 0.0
+    np.maximum(maps, 0.0, out=maps)
+    return seen, int(gaps.sum())
