@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from merge_peers import environment
+from numpy.typing import NDArray
 
 from fieldlum.calibrate.response import residuals
 from fieldlum.images import read_radiance_hdr
@@ -30,7 +31,7 @@ from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.shift import shifts
-from fieldlum.photometry import dark_floor, fit_response, pick_places, snap_shutter_s
+from fieldlum.photometry import dark_floor, fit_response, snap_shutter_s
 from fieldlum.profiles import CameraProfile, Response, load_camera_profile
 from fieldlum.projection import LensGeometry
 from fieldlum.raw import read_jpeg
@@ -85,6 +86,32 @@ def sampled(
         spreads.append(np.sqrt(np.maximum(square[y, x] - means[-1] ** 2, 0)))
         times.append(snap_shutter_s(frame.exposure.shutter_s))
     return np.stack(means, 1), np.stack(spreads, 1), np.array(times)
+
+
+PLACES_A_STEP = 150
+
+
+def pick_places(
+    means: NDArray[np.floating],
+    spreads: NDArray[np.floating],
+    rng: np.random.Generator,
+) -> NDArray[np.intp]:
+    """Choose places for `fit_response`, equally many for each step of a bracket.
+
+    Without this, many dark places would outweigh the few bright ones. means, spreads : [places,
+    frames], mean and spread of the codes of a small neighbourhood, most exposed frame first; only
+    flat neighbourhoods are used.
+    """
+    chosen = []
+    for j in range(means.shape[1] - 1):
+        longer, shorter = means[:, j], means[:, j + 1]
+        flat = (spreads[:, j] < 4) & (spreads[:, j + 1] < 4)
+        good = np.flatnonzero(
+            flat & (longer > 27) & (longer < 245) & (shorter > 12) & (shorter < 235)
+        )
+        count = min(PLACES_A_STEP, good.size)
+        chosen.append(rng.choice(good, count, replace=False) if good.size else good)
+    return np.unique(np.concatenate(chosen)) if chosen else np.empty(0, np.intp)
 
 
 def pooled(files: list[Path], profile: CameraProfile) -> CameraProfile:

@@ -371,11 +371,13 @@ def dni_by_closure(
 ) -> NDArray[np.float64]:
     """Return DNI = (global - diffuse) / sin(altitude), [n], in W/m2.
 
-    Zero under 2 degrees, where it cannot be determined.
+    Negative where noise makes it so: a mean over rows is then without bias. Zero under 2 degrees,
+    where it cannot be determined.
     """
     altitude = np.asarray(altitude_deg, float)
-    beam = np.maximum(np.asarray(ghi_wm2, float) - np.asarray(dhi_wm2, float), 0.0)
-    return np.where(altitude > 2.0, beam / np.sin(np.radians(np.maximum(altitude, 2.0))), 0.0)
+    sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
+    beam = np.asarray(ghi_wm2, float) - np.asarray(dhi_wm2, float)
+    return np.where(altitude > 2.0, beam / sine, 0.0)
 
 
 class Limits(NamedTuple):

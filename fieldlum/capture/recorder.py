@@ -60,7 +60,7 @@ class Recorder:
         self._events: deque[tuple[str, datetime, dict[str, Any]]] = deque()
         self._rows: deque[IrradianceSample] = deque(maxlen=_KEPT_ROWS)
         self.journal, self.days = Journal(session, flush=flush), DayFiles(session, flush=flush)
-        self.full, self.rows, self.rows_dropped = False, 0, 0
+        self.full, self.rows = False, 0
         self.last_event = ""
         self.refill()
 
@@ -78,7 +78,6 @@ class Recorder:
     def sample(self, sample: IrradianceSample) -> bool:
         """Add a row to its day file; return True when it is on the disk."""
         with self._lock:
-            self.rows_dropped += len(self._rows) == self._rows.maxlen
             self._rows.append(sample)
             return self._flush_rows()
 

@@ -121,6 +121,14 @@ class Choosing(Protocol):
         ...
 
 
+def refuse_turning(kind: str, heading_deg: float | None) -> None:
+    """Raise DeviceError if a frame has a heading: this camera has no turning head."""
+    if heading_deg is not None:
+        raise DeviceError(
+            f"{kind}: this camera has no turning head; remove headings from the site file"
+        )
+
+
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
     """Return why a camera will not take these exposures, one sentence each, without repetition.
 

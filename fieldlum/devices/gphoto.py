@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fieldlum.devices import CameraInfo
+from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.driver_process import Child, Serve
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, whole
@@ -94,10 +94,7 @@ class GphotoCamera:
         The frame is kept whatever its EXIF states: the caller compares it. Raises DeviceError, and
         OSError if the disk is full.
         """
-        if heading_deg is not None:
-            raise DeviceError(
-                "gphoto: this camera has no turning head; remove headings from the site file"
-            )
+        refuse_turning("gphoto", heading_deg)
         if not self._child.alive or self._child.starts != self._opened_at_start:
             self._open()
         for role, asked in _roles(exposure):

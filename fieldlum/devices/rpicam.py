@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fieldlum.devices import CameraInfo
+from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.settings import LARGEST_STEP_EV
 from fieldlum.devices.uri import DeviceUri, number
 from fieldlum.errors import DeviceError
@@ -89,10 +89,8 @@ def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
 class RpicamCamera:
     """Implements `Camera` and `ReportingCamera`. Raises DeviceError without program or camera."""
 
-    def __init__(
-        self, place: str, f_number: float, *, program: str = PROGRAM, start_s: float = START_S
-    ) -> None:
-        self._program, self._f_number, self._start_s = program, f_number, start_s
+    def __init__(self, place: str, f_number: float, *, program: str = PROGRAM) -> None:
+        self._program, self._f_number, self._start_s = program, f_number, START_S
         if not (place == "" or place.isdigit()):
             raise DeviceError(f"rpicam:{place}: name the camera by its number, such as rpicam:0")
         self._number = int(place or 0)
@@ -117,15 +115,13 @@ class RpicamCamera:
         Raises DeviceError for a frame with an exposure that cannot be merged, and OSError if the
         disk is full.
         """
-        if heading_deg is not None:
-            raise DeviceError(
-                "rpicam: this camera has no turning head; remove headings from the site file"
-            )
+        refuse_turning("rpicam", heading_deg)
         self.check_offered(exposure)
         picture, about = (target.with_name(f"{target.name}{end}") for end in (".jpg", ".json"))
         written = target.with_name(f"{target.name}.dng")
         try:
-            self._run(self._arguments(exposure, picture, about), self._seconds(exposure))
+            timeout_s = self._start_s + DISCARDED_FRAMES * exposure.shutter_s
+            self._run(self._arguments(exposure, picture, about), timeout_s)
             metadata = self._metadata(about)
             self._check(metadata, exposure)
             if not written.is_file() or written.stat().st_size < _SMALLEST_FILE:
@@ -165,9 +161,6 @@ class RpicamCamera:
             *("--denoise", "off", "--metadata", str(about), "--metadata-format", "json"),
             *("--output", str(picture)),
         ]
-
-    def _seconds(self, exposure: Exposure) -> float:
-        return self._start_s + DISCARDED_FRAMES * exposure.shutter_s
 
     def _metadata(self, about: Path) -> FrameMetadata:
         try:

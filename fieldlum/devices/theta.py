@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from fieldlum.devices import CameraInfo
+from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.settings import nearest
 from fieldlum.devices.uri import DeviceUri, whole
 from fieldlum.errors import DeviceError
@@ -88,7 +88,7 @@ class ThetaCamera:
         The frame is kept whatever its EXIF states: the caller compares it. Raises DeviceError, and
         OSError if the disk is full.
         """
-        self._refuse_turning(heading_deg)
+        refuse_turning("theta", heading_deg)
         wanted = self._chosen(exposure)
         self._set({**_MANUAL, **wanted})
         shown = self._options(*wanted)
@@ -141,12 +141,6 @@ class ThetaCamera:
         paths = [self._fetch(str(url), target) for url, target in zip(urls, targets, strict=True)]
         self._clear([str(u) for u in urls])
         return paths
-
-    def _refuse_turning(self, heading_deg: float | None) -> None:
-        if heading_deg is not None:
-            raise DeviceError(
-                "theta: this camera has no turning head; remove headings from the site file"
-            )
 
     def _chosen(self, exposure: Exposure) -> dict[str, float]:
         """Return the camera's own steps. Raises DeviceError if one is over 1/6 EV away."""

@@ -6,7 +6,6 @@ from fieldlum.images.programs import radiance_program
 from fieldlum.images.radiance import (
     RadianceImage,
     encode_rgbe,
-    luminance_from_radiance,
     read_radiance_hdr,
     read_radiance_header,
     read_radiance_luminance,
@@ -29,7 +28,6 @@ __all__ = [
     "RadianceImage",
     "calibration_mark",
     "encode_rgbe",
-    "luminance_from_radiance",
     "radiance_program",
     "read_exr",
     "read_panorama",

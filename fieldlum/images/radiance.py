@@ -63,12 +63,6 @@ class RadianceImage:
         return self.rgb @ np.asarray(self.cdm2_per_unit, np.float32)
 
 
-def luminance_from_radiance(rgb: Float) -> NDArray[np.float32]:
-    """Return 179 (.265 R + .670 G + .065 B) in cd/m2, from W/sr/m2: [..., 3] to [...]."""
-    weights = (RADIANCE_LM_PER_W * np.asarray(RADIANCE_Y)).astype(np.float32)
-    return np.asarray(rgb, np.float32) @ weights
-
-
 # ----------------------------------------------------------------------------------------------
 # reading
 

@@ -19,7 +19,7 @@ from fieldlum.irradiance.verdict import health as health
 from fieldlum.records import Float, Progress, Site, quiet
 from fieldlum.session import Session, day_files, read_day
 from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
-from fieldlum.session.files.json_file import write_object
+from fieldlum.session.files.json_file import from_json, write_object
 from fieldlum.session.provenance import made_from
 
 STUCK_S = 600.0  # the same daylight figure for this long is a faulty reading; not measured
@@ -75,7 +75,7 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
     ghi, dhi, dni = (np.where(marks & UNUSABLE, np.nan, value) for value in (ghi, dhi, dni))
     two_level = np.isfinite(ghi) & np.isfinite(dhi) & np.isnan(dni)
     marks[two_level & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
-    dni = np.where(two_level, np.minimum(_beam(ghi, dhi, altitude), top), dni)
+    dni = np.where(two_level, np.minimum(sun.dni_by_closure(ghi, dhi, altitude), top), dni)
     dhi = np.where(
         np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi),
         sun.dhi_by_closure(ghi, dni, altitude),
@@ -84,15 +84,6 @@ def check(series: Series, altitude: Array, top: Array) -> Series:
     beam = dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
     ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
     return Series(series.t_unix_s, ghi, dhi, dni, marks)
-
-
-def _beam(ghi: Array, dhi: Array, altitude: Array) -> Array:
-    """Return DNI [W/m2] as `sun.dni_by_closure`, but negative where noise makes it so.
-
-    A mean over rows is then without bias.
-    """
-    sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
-    return np.where(altitude > 2.0, (ghi - dhi) / sine, 0.0)
 
 
 def _stuck(t_unix_s: Array, ghi: Array, altitude: Array) -> NDArray[np.bool_]:
@@ -247,7 +238,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     inputs = {"recipe": _RECIPE, "files": {path.name: path.stat().st_size for path in files}}
     table = None if force else made_from(note, inputs, [clean])
     if table is not None:
-        return Health.from_json({name: table[name] for name in table if name != "inputs"})
+        return from_json(Health, table)
     raw, broken = _read(files, progress)
     if len(raw) == 0:
         raise NotEnoughDataError(

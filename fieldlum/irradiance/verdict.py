@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -38,12 +37,6 @@ class Health:
     warnings: tuple[str, ...] = ()
     sensitivity_steps: tuple[tuple[str, float], ...] = ()  # first day of the step, relative change
     smallest_step: float | None = None  # that would be found; None: too few days
-
-    @classmethod
-    def from_json(cls, known: dict[str, Any]) -> Health:
-        """Return the state that health.json records."""
-        steps = tuple((str(day), float(change)) for day, change in known["sensitivity_steps"])
-        return cls(**{**known, "warnings": tuple(known["warnings"]), "sensitivity_steps": steps})
 
 
 def health(

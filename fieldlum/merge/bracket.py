@@ -17,7 +17,7 @@ from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.project import blend, finish, view_through
 from fieldlum.merge.quality import report_of, verdict
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
-from fieldlum.merge.shots import Shot, shots_of_files, sorted_shots
+from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect
 from fieldlum.records import Flag, Panorama, Progress, quiet
@@ -89,7 +89,7 @@ def merge_shots(
         view_through(image, lens, profile, target) for image in images for lens in profile.lens
     ]
     panorama = finish(
-        blend(views), profile, target, heading_deg=heading_deg, t_utc=_middle_of(shots)
+        blend(views), profile, target, heading_deg=heading_deg, t_utc=middle_of(shots)
     )
     assert panorama.flags is not None  # `finish` sets them
     report = report_of(findings, panorama.flags, target, profile)
@@ -99,11 +99,6 @@ def merge_shots(
         sun = None if disc is None else _measured_sun(images, findings, profile, panorama, disc)
     view = "" if isinstance(target, Equirect) else target.view(heading_deg)
     return MergeResult(panorama, report, verdict(report), view, sun)
-
-
-def _middle_of(shots: Sequence[Shot]) -> datetime | None:
-    times = [s.t_utc for s in shots if s.t_utc is not None]
-    return min(times) + (max(times) - min(times)) / 2 if times else None
 
 
 def _measured_sun(

@@ -38,6 +38,12 @@ class Shot:
     sha256: str = ""
 
 
+def middle_of(shots: Sequence[Shot]) -> datetime | None:
+    """Return the middle between the first and the last frame; None where no time is known."""
+    times = [s.t_utc for s in shots if s.t_utc is not None]
+    return min(times) + (max(times) - min(times)) / 2 if times else None
+
+
 def shots_of_slot(folder: Path) -> list[Shot]:
     """Return the frames of raw/<slot>/, from capture.json if there is one, else from EXIF.
 

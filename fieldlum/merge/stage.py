@@ -18,7 +18,7 @@ from fieldlum.merge.disc import (
 )
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.session_summary import summary_due, write_summary
-from fieldlum.merge.shots import Shot, shots_of_slot
+from fieldlum.merge.shots import Shot, middle_of, shots_of_slot
 from fieldlum.photometry import vertical_illuminance_lx
 from fieldlum.profiles import CameraProfile, find_camera_profile, load_camera_profile
 from fieldlum.raw import unreadable
@@ -109,8 +109,7 @@ def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> dat
     """Return capture.json's middle; without one that of the frames, else the slot's own time."""
     if capture is not None:
         return capture.t_mid_utc
-    times = [s.t_utc for s in shots if s.t_utc is not None]
-    return min(times) + (max(times) - min(times)) / 2 if times else datetime.fromisoformat(slot)
+    return middle_of(shots) or datetime.fromisoformat(slot)
 
 
 def merge_slot(root: Path, job: _MergeJob) -> Verdict:

@@ -14,6 +14,7 @@ _OFF_GRID = 0.07
 # A saturated run of counts is a spike if it is this many times the average of equal runs below it.
 # Chosen so that a bright smooth scene is no spike; not measured.
 _SPIKE_RATIO = 10
+_SPIKE_SHARE = 2e-4  # least share of all pixels in a spike; chosen, not measured
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
@@ -34,15 +35,13 @@ def snap_shutter_s(nominal_s: float) -> float:
     return snapped if abs(snapped / nominal_s - 1) <= _OFF_GRID else nominal_s
 
 
-def saturation_plateau(
-    counts: NDArray[np.integer], white_dn: float, *, share: float = 2e-4
-) -> float | None:
+def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:
     """Return the count at which a sensor saturates [DN], or None without a histogram spike.
 
     counts : raw counts of any shape; white_dn : the white level of the file.
 
     Many sensors saturate below the white level of their file. The spike is the highest short run of
-    counts that has at least `share` of all pixels and ten times the pixels of the counts below it.
+    counts with at least `_SPIKE_SHARE` of all pixels and ten times the pixels of counts below it.
     """
     top = int(counts.max(initial=0))
     if top < 0.5 * white_dn:
@@ -52,6 +51,6 @@ def saturation_plateau(
     near = flat[flat > top - 12 * width].astype(np.int64)
     histogram = np.bincount(top - near, minlength=12 * width)
     spike, below = histogram[:width].sum(), histogram[2 * width :].sum() / 10
-    if spike < max(share * flat.size, 8) or spike < _SPIKE_RATIO * below:
+    if spike < max(_SPIKE_SHARE * flat.size, 8) or spike < _SPIKE_RATIO * below:
         return None
     return float(top - np.average(np.arange(width), weights=histogram[:width]))

@@ -90,7 +90,6 @@ def fit_response(
     *,
     smooth: float = 30.0,
     low: int | None = None,
-    high: int = HIGHEST,
 ) -> tuple[NDArray[np.float64], float]:
     """Fit a monotone response to the same places in all frames; exposures are held fixed.
 
@@ -112,10 +111,10 @@ def fit_response(
     if frames < 2 or places < 20:
         raise ValueError(f"{places} places in {frames} frames are too few for a response")
     low = dark_floor(codes, log_exposure) if low is None else low
-    ok = (codes >= low) & (codes <= high)
+    ok = (codes >= low) & (codes <= HIGHEST)
     place, frame = np.nonzero(ok)
     value = codes[place, frame].astype(int)
-    weight = np.minimum(value - low + 1, high - value + 1) / ((high - low) / 2)
+    weight = np.minimum(value - low + 1, HIGHEST - value + 1) / ((HIGHEST - low) / 2)
     n = value.size
     rows = np.arange(n)
     data = sparse.csr_matrix(
@@ -140,27 +139,3 @@ def fit_response(
     residual = (g[value] - light[place] - log_exposure[frame])[middle]
     z = monotone(np.exp(g - g[255]))
     return z / z[255], float(np.sqrt(np.mean(residual**2)))
-
-
-def pick_places(
-    means: NDArray[np.floating],
-    spreads: NDArray[np.floating],
-    rng: np.random.Generator,
-    *,
-    each: int = 150,
-) -> NDArray[np.intp]:
-    """Choose places for `fit_response`, equally many for each step of a bracket.
-
-    Without this, many dark places would outweigh the few bright ones. means, spreads : [places,
-    frames], mean and spread of the codes of a small neighbourhood, most exposed frame first; only
-    flat neighbourhoods are used.
-    """
-    chosen = []
-    for j in range(means.shape[1] - 1):
-        longer, shorter = means[:, j], means[:, j + 1]
-        flat = (spreads[:, j] < 4) & (spreads[:, j + 1] < 4)
-        good = np.flatnonzero(
-            flat & (longer > 27) & (longer < 245) & (shorter > 12) & (shorter < 235)
-        )
-        chosen.append(rng.choice(good, min(each, good.size), replace=False) if good.size else good)
-    return np.unique(np.concatenate(chosen)) if chosen else np.empty(0, np.intp)

@@ -38,7 +38,7 @@ class ShutterLaw:
     """
 
     law: str
-    decided_by: str
+    decided_by: str = ""
     misfit_percent: dict[str, float] = field(default_factory=dict)
 
 

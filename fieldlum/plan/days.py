@@ -118,10 +118,10 @@ def set_days(
     return span(first, days or 365)
 
 
-def season_tag(day: date, site: Site, within_days: int = 1) -> str:
+def season_tag(day: date, site: Site) -> str:
     """Return ``march-equinox`` and so on for days next to an event, else an empty text."""
     for which, tag in enumerate(SEASON_TAGS):
-        if abs((day - season_date(day.year, which, site)).days) <= within_days:
+        if abs((day - season_date(day.year, which, site)).days) <= 1:
             return tag
     return ""
 

@@ -170,10 +170,6 @@ class Session:
         """Return the sidecars of the panoramas in order of time."""
         return sorted(self.panoramas.glob("[0-9]*Z.json"))
 
-    def sunpatch_files(self) -> list[Path]:
-        """Return the maps of sun patches in order of time."""
-        return sorted(self.sunpatches.glob("[!.]*.exr"))
-
     def model_folders(self) -> list[Path]:
         """Return the folders in models/ with a config.json, by name."""
         return sorted(path.parent for path in self.models.glob("*/config.json"))

@@ -40,6 +40,15 @@ class Journal:
         os.close(self._handle)
 
 
+def append_event(session: Session, event: str, t_utc: datetime, **fields: Any) -> None:
+    """Append one event to the journal, also during a capture by another process."""
+    journal = Journal(session)
+    try:
+        journal.append(event, t_utc, **fields)
+    finally:
+        journal.close()
+
+
 def read_journal(session: Session) -> list[dict[str, Any]]:
     """Return all valid events in the order written; empty without a journal."""
     if not session.journal.is_file():

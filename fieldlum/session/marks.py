@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from fieldlum.errors import InputError
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session.folder import Session
-from fieldlum.session.journal import Journal, read_journal
+from fieldlum.session.journal import append_event, read_journal
 
 EVENT = "marked"
 NOTE = "note"
@@ -32,11 +32,7 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
         result = merged_state(marks(session).get(slot, ""), state)
     except ValueError as error:
         raise InputError(session.root, str(error), USAGE, "write for example lamp=on") from None
-    journal = Journal(session)
-    try:
-        journal.append(EVENT, datetime.now(UTC), slot=slot, state=state)
-    finally:
-        journal.close()
+    append_event(session, EVENT, datetime.now(UTC), slot=slot, state=state)
     return result
 
 
@@ -49,11 +45,7 @@ def add_note(session: Session, text: str) -> str:
     if not 0 < len(line) <= MAX_NOTE:
         found = f"a note of {len(line)} characters"
         raise InputError(session.root, found, f"1 to {MAX_NOTE} characters")
-    journal = Journal(session)
-    try:
-        journal.append(NOTE, datetime.now(UTC), text=line)
-    finally:
-        journal.close()
+    append_event(session, NOTE, datetime.now(UTC), text=line)
     return line
 
 

@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.folder import Session
-from fieldlum.session.journal import Journal
+from fieldlum.session.journal import append_event
 from fieldlum.session.writing import replacing
 
 # A forgotten pause must cost less than a day: half a day of daylight at most.
@@ -31,7 +31,7 @@ def pause(session: Session, duration: timedelta) -> datetime:
     until = now + duration
     with replacing(session.pause, "w", encoding="utf-8") as file:
         json.dump({"until_utc": utc_text(until)}, file)
-    _journal(session, "paused", now, until_utc=utc_text(until))
+    append_event(session, "paused", now, until_utc=utc_text(until))
     return until
 
 
@@ -41,7 +41,7 @@ def resume(session: Session) -> None:
     was_paused = paused_until(session, now) is not None
     session.pause.unlink(missing_ok=True)
     if was_paused:
-        _journal(session, "resumed", now)
+        append_event(session, "resumed", now)
 
 
 def paused_until(session: Session, now_utc: datetime) -> datetime | None:
@@ -55,11 +55,3 @@ def paused_until(session: Session, now_utc: datetime) -> datetime | None:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
     return until if now_utc < until <= now_utc + MAX_PAUSE else None
-
-
-def _journal(session: Session, event: str, t_utc: datetime, **fields: str) -> None:
-    journal = Journal(session)
-    try:
-        journal.append(event, t_utc, **fields)
-    finally:
-        journal.close()

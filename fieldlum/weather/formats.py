@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -20,11 +21,7 @@ from fieldlum.weather.year import TYPICAL_YEAR
 # inside: the solar constant is 1367 W/m2, cloud edges add to it, and the night offset of a
 # thermopile is a few W/m2 below zero. Not measured.
 HIGHEST_WM2 = 1600.0
-
-
 LOWEST_WM2 = -10.0
-
-
 # Degrees of longitude over 15 minus the zone's hours; western China (3.3 h) is the extreme of the
 # time zones in use, so that a larger difference is a wrong sign or zone.
 _LARGEST_ZONE_OFFSET_H = 3.5
@@ -147,40 +144,50 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     return value
 
 
+def _header_place(
+    path: Path, line: str, columns: tuple[int, int, int, int], expected: str
+) -> tuple[Site, timedelta]:
+    """Return the place and the zone of a header line; the name is in its second cell.
+
+    columns : of latitude, longitude, altitude and zone. Raises InputError for another line.
+    """
+    cells = line.split(",")
+    try:
+        latitude, longitude, altitude, zone = (float(cells[column]) for column in columns)
+        name = cells[1].strip('" ') or "weather station"
+        place, offset = Site(name, latitude, longitude, "UTC", altitude), timedelta(hours=zone)
+    except (IndexError, ValueError):
+        remedy = "correct the header, or download the file again"
+        raise InputError(path, f"line 1 is '{line[:60]}'", expected, remedy) from None
+    _check_zone(path, place, offset)
+    return place, offset
+
+
+def _rows_with(
+    path: Path, lines: list[str], header: int, cells: int, expected: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of each row after the header that is not empty.
+
+    Raises InputError for a row with fewer cells.
+    """
+    for number, row in enumerate(csv.reader(lines[header:]), start=header + 1):
+        if not row:
+            continue
+        if len(row) < cells:
+            found, remedy = f"line {number}: {len(row)} cells", "the file is cut: download it again"
+            raise InputError(path, found, expected, remedy)
+        yield number, row
+
+
 def _read_epw(path: Path, lines: list[str]) -> WeatherTable:
     """Return the rows of an EPW file: eight header lines, then one row for each hour.
 
     Hour 1 is 00:00 to 01:00 local standard time; the sun of a row is that of the middle, 00:30.
     """
-    head = lines[0].split(",")
-    try:
-        place = Site(
-            head[1].strip() or "weather station",
-            float(head[6]),
-            float(head[7]),
-            "UTC",
-            float(head[9]),
-        )
-        offset = timedelta(hours=float(head[8]))
-    except (IndexError, ValueError):
-        raise InputError(
-            path,
-            f"line 1 is '{lines[0][:60]}'",
-            "LOCATION,city,,,,,latitude,longitude,zone,altitude",
-            "correct the header, or download the file again",
-        ) from None
-    _check_zone(path, place, offset)
+    expected = "LOCATION,city,,,,,latitude,longitude,zone,altitude"
+    place, offset = _header_place(path, lines[0], (6, 7, 9, 8), expected)
     rows = []
-    for number, cells in enumerate(csv.reader(lines[8:]), start=9):
-        if not cells:
-            continue
-        if len(cells) < 16:
-            raise InputError(
-                path,
-                f"line {number}: {len(cells)} cells",
-                "at least 16 cells",
-                "the file is cut: download it again",
-            )
+    for number, cells in _rows_with(path, lines, 8, 16, "at least 16 cells"):
         hour_start = float(_integer(path, number, cells[3]) - 1)
         start = _moment(path, number, cells[0], cells[1], cells[2], hour_start)
         ghi = _number(path, number, "GHI", cells[13])
@@ -197,24 +204,8 @@ def _read_tmy3(path: Path, lines: list[str]) -> WeatherTable:
 
     Labels are the ends of hours, 01:00 to 24:00; the sun of a row is that of 30 minutes before.
     """
-    head = lines[0].split(",")
-    try:
-        place = Site(
-            head[1].strip('" ') or "weather station",
-            float(head[4]),
-            float(head[5]),
-            "UTC",
-            float(head[6]),
-        )
-        offset = timedelta(hours=float(head[3]))
-    except (IndexError, ValueError):
-        raise InputError(
-            path,
-            f"line 1 is '{lines[0][:60]}'",
-            "USAF,name,state,zone,latitude,longitude,altitude",
-            "correct the header, or download the file again",
-        ) from None
-    _check_zone(path, place, offset)
+    expected = "USAF,name,state,zone,latitude,longitude,altitude"
+    place, offset = _header_place(path, lines[0], (4, 5, 6, 3), expected)
     names = next(csv.reader(lines[1:2]))
     wanted = ("GHI (W/m^2)", "DNI (W/m^2)", "DHI (W/m^2)")
     if missing := [name for name in wanted if name not in names]:
@@ -226,16 +217,7 @@ def _read_tmy3(path: Path, lines: list[str]) -> WeatherTable:
         )
     at = [names.index(name) for name in wanted]
     rows = []
-    for number, cells in enumerate(csv.reader(lines[2:]), start=3):
-        if not cells:
-            continue
-        if len(cells) <= max(at):
-            raise InputError(
-                path,
-                f"line {number}: {len(cells)} cells",
-                f"{len(names)} cells",
-                "the file is cut: download it again",
-            )
+    for number, cells in _rows_with(path, lines, 2, max(at) + 1, f"{len(names)} cells"):
         month, _, rest = cells[0].partition("/")
         day, _, year = rest.partition("/")
         hour = cells[1].partition(":")[0]

@@ -7,9 +7,14 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from fieldlum.errors import InputError
-from fieldlum.records import Exposure, parse_utc, utc_text
-from fieldlum.session.files.json_file import check_format, read_object, write_object
+from fieldlum.records import Exposure, utc_text
+from fieldlum.session.files.json_file import (
+    check_format,
+    content_of,
+    from_json,
+    read_object,
+    write_object,
+)
 
 FORMAT = 1
 _EXPECTED = "the frames of a bracket, as capture and import write them"
@@ -25,8 +30,8 @@ class Frame:
     exposure: Exposure  # as requested; from EXIF where that differs, and then `doubt` is set
     heading_deg: float | None
     t_utc: datetime
-    seconds: float  # from the request to the file on disk
-    sha256: str
+    seconds: float = 0.0  # from the request to the file on disk
+    sha256: str = ""
     doubt: str = ""  # what looked wrong when the frame was checked
     instead_of: str = ""  # file of the doubtful frame that this one replaces
 
@@ -49,19 +54,7 @@ def frame_fields(frame: Frame) -> dict[str, Any]:
 
 def frame_from(fields: dict[str, Any]) -> Frame:
     """Return the frame of `frame_fields`. Raises KeyError, TypeError or ValueError."""
-    heading = fields.get("heading_deg")
-    exposure = {**fields["exposure"], "nd": fields["exposure"].get("nd") or ""}
-    return Frame(
-        int(fields["index"]),
-        str(fields["file"]),
-        Exposure(**exposure),
-        None if heading is None else float(heading),
-        parse_utc(fields["t_utc"]),
-        float(fields.get("seconds", 0.0)),
-        str(fields.get("sha256") or ""),
-        str(fields.get("doubt", "")),
-        str(fields.get("instead_of", "")),
-    )
+    return from_json(Frame, fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,25 +81,12 @@ class CaptureFile:
         """Read the file. Raises InputError for a missing file or other content."""
         table = read_object(path, _EXPECTED, _REMEDY)
         check_format(table, FORMAT, path)
-        try:
-            frames = tuple(
-                frame_from({"index": number, **row})
-                for number, row in enumerate(table.get("frames", ()))
-            )
-            lux, heading = table.get("illuminance_lx"), table.get("heading_deg")
-            return cls(
-                str(table.get("slot", path.parent.name)),
-                frames,
-                *_interval(table, frames),
-                bool(table.get("complete", True)),
-                str(table.get("profile") or ""),
-                None if heading is None else float(heading),
-                dict(table.get("camera") or {}),
-                None if lux is None else float(lux),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            found = f"{type(error).__name__}: {error}"
-            raise InputError(path, found, _EXPECTED, _REMEDY) from None
+        with content_of(path, _EXPECTED, _REMEDY):
+            rows = [{"index": number, **row} for number, row in enumerate(table.get("frames", ()))]
+            if "t_open_utc" not in table:
+                opened, closed = interval_of(tuple(frame_from(row) for row in rows))
+                table |= {"t_open_utc": utc_text(opened), "t_close_utc": utc_text(closed)}
+            return from_json(cls, {"slot": path.parent.name, **table, "frames": rows})
 
     @classmethod
     def find(cls, path: Path) -> CaptureFile | None:
@@ -138,9 +118,3 @@ def interval_of(frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
         raise ValueError("no frames and no t_open_utc")
     opened = min(frame.t_utc for frame in frames)
     return opened, max(frame.t_utc + timedelta(seconds=frame.seconds) for frame in frames)
-
-
-def _interval(table: dict[str, Any], frames: tuple[Frame, ...]) -> tuple[datetime, datetime]:
-    if "t_open_utc" in table:
-        return parse_utc(table["t_open_utc"]), parse_utc(table["t_close_utc"])
-    return interval_of(frames)

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import MISSING, fields, is_dataclass
+from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from fieldlum.errors import InputError
+from fieldlum.records import parse_utc
 from fieldlum.session.writing import replacing
 from fieldlum.strict_toml import build
 
@@ -46,6 +53,66 @@ def build_known(cls: type[T], table: dict[str, Any], where: str) -> T:
     """
     names = {field.name for field in fields(cls)}  # type: ignore[arg-type]
     return build(cls, {key: value for key, value in table.items() if key in names}, where)
+
+
+@contextmanager
+def content_of(path: Path, expected: str, remedy: str) -> Iterator[None]:
+    """Raise InputError for what `from_json` and conversions raise for the content of a file."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise InputError(path, f"{type(error).__name__}: {error}", expected, remedy) from None
+
+
+def from_json(cls: type[T], table: Mapping[str, Any]) -> T:
+    """Build a frozen dataclass from a JSON object; convert each value to the type of its field.
+
+    Other keys are additions and are ignored. Null counts as absent; an absent field gets its
+    default, or None if it may be None. A nested dataclass with a `from_table` is built by it.
+    Raises KeyError for an absent field, TypeError or ValueError for a value that does not convert.
+    """
+    values: dict[str, Any] = {}
+    for name, hint, has_default in _fields_of(cls):
+        if table.get(name) is not None:
+            values[name] = _converted(hint, table[name])
+        elif not has_default:
+            if type(None) not in typing.get_args(hint):
+                raise KeyError(name)
+            values[name] = None
+    return cls(**values)
+
+
+@cache
+def _fields_of(cls: type[Any]) -> list[tuple[str, Any, bool]]:
+    """Return name, type, and whether there is a default, of each field."""
+    hints = typing.get_type_hints(cls)
+    return [
+        (f.name, hints[f.name], f.default is not MISSING or f.default_factory is not MISSING)
+        for f in fields(cls)
+    ]
+
+
+def _converted(hint: Any, value: Any) -> Any:
+    """Return a JSON value as the type `hint`. An empty text or object is None where that may be."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (types.UnionType, typing.Union):
+        inner = next(a for a in arguments if a is not type(None))
+        return None if value is None or value in ("", {}) else _converted(inner, value)
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise TypeError(f"{value!r} is not a list")
+        kinds = arguments[:1] * len(value) if arguments[-1] is ... else arguments
+        return tuple(_converted(kind, one) for kind, one in zip(kinds, value, strict=True))
+    if origin in (dict, Mapping) or is_dataclass(hint):
+        if not isinstance(value, Mapping):
+            raise TypeError(f"{value!r} is not an object")
+        if origin is None:
+            kind: type[Any] = hint
+            return kind.from_table(value) if hasattr(kind, "from_table") else from_json(kind, value)
+        return {str(key): _converted(arguments[1], one) for key, one in value.items()}
+    if hint is datetime:
+        return parse_utc(value)
+    return value if hint is Any else hint(value)
 
 
 def write_object(path: Path, table: dict[str, Any]) -> None:

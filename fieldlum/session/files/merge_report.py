@@ -11,7 +11,8 @@ from datetime import datetime
 from typing import Any
 
 from fieldlum.photometry import ShutterLaw
-from fieldlum.records import Exposure, parse_utc, utc_text
+from fieldlum.records import Exposure, utc_text
+from fieldlum.session.files.json_file import from_json
 from fieldlum.session.plan_file import exposure_text, parse_exposure
 
 # Fields whose key in the file is an older name.
@@ -20,20 +21,6 @@ _KEYS = {
     "noise_over_profile": "noise_over_said",
     "orientation_conflict": "held_otherwise",
 }
-
-_NUMBERS = (
-    "residual_percent",
-    "shift_px",
-    "shift_u_px",
-    "clipped_percent",
-    "bloom_percent",
-    "motion_percent",
-    "below_noise_percent",
-    "outside_percent",
-    "exposure_span_percent",
-    "u_ratio_percent",
-    "vertical_illuminance_lx",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +53,19 @@ class FrameQuality:
         if self.dropped_percent is not None:
             row["dropped_percent"] = self.dropped_percent
         return row
+
+    @classmethod
+    def from_table(cls, row: Mapping[str, Any]) -> FrameQuality:
+        """Build from a row of `quality.frames`. Raises KeyError, TypeError or ValueError.
+
+        Version 0.1.0 wrote the exposure as text alone, with six digits of the shutter time.
+        """
+        stated = parse_exposure(row["exposure"])
+        exposure = {**asdict(stated), **row} if "shutter_s" in row else asdict(stated)
+        quality = from_json(cls, {"file": "", "u_percent": "nan", **row, "exposure": exposure})
+        if quality.correction <= 0.0:
+            raise ValueError(f"correction {quality.correction}")
+        return quality
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,61 +150,5 @@ class MergeReport:
 
         Raises KeyError, TypeError or ValueError for other content.
         """
-        law, plateau = table.get("shutter_law"), table.get("plateau_dn") or {}
-        return cls(
-            frames=tuple(_frame(row) for row in table.get("frames", ())),
-            neighbours=tuple(_neighbour(row) for row in table.get("neighbours", ())),
-            shifts=tuple(_shift(row) for row in table.get("shifts", ())),
-            deviations=tuple(str(text) for text in table.get("exposure_told", ())),
-            noise_over_profile=float(table.get("noise_over_said", 1.0)),
-            plateau_dn={str(iso): tuple(dn) for iso, dn in plateau.items()},
-            black_off_dn=float(table.get("black_off_dn", 0.0)),
-            shutter_law=None if not law else _law(law),
-            orientation_conflict=str(table.get("held_otherwise", "")),
-            lost=tuple(table.get("lost") or ()),
-            **{name: _number(table.get(name)) for name in _NUMBERS},
-        )
-
-
-def _law(table: Mapping[str, Any]) -> ShutterLaw:
-    misfit = {str(name): float(value) for name, value in table.get("misfit_percent", {}).items()}
-    return ShutterLaw(str(table["law"]), str(table.get("decided_by", "")), misfit)
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None else float(value)
-
-
-def _shift(row: Mapping[str, Any]) -> ShiftQuality:
-    numbers = (float(row[name]) for name in ("turn_deg", "shift_px", "u_px", "sure_px"))
-    return ShiftQuality(str(row["long"]), str(row["short"]), *numbers)
-
-
-def _frame(row: Mapping[str, Any]) -> FrameQuality:
-    """Version 0.1.0 wrote the exposure as text alone, with six digits of the shutter time."""
-    exposure = parse_exposure(row["exposure"])
-    if float(row["correction"]) <= 0.0:
-        raise ValueError(f"correction {row['correction']}")
-    if "shutter_s" in row:
-        shutter_s, f_number, iso = (float(row[name]) for name in ("shutter_s", "f_number", "iso"))
-        exposure = Exposure(shutter_s, f_number, iso, str(row.get("nd", "")))
-    heading, dropped = row.get("heading_deg"), row.get("dropped_percent")
-    return FrameQuality(
-        str(row.get("file", "")),
-        exposure,
-        float(row["correction"]),
-        float(row.get("u_percent", "nan")),
-        None if heading is None else float(heading),
-        parse_utc(row["t_utc"]) if row.get("t_utc") else None,
-        None if dropped is None else float(dropped),
-    )
-
-
-def _neighbour(row: Mapping[str, Any]) -> NeighbourQuality:
-    return NeighbourQuality(
-        int(row["long"]),
-        int(row["short"]),
-        float(row["residual_percent"]),
-        float(row["u_percent"]),
-        int(row.get("pixels", 0)),
-    )
+        renamed = {field: table[key] for field, key in _KEYS.items() if key in table}
+        return from_json(cls, {**table, **renamed})

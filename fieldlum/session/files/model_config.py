@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from fieldlum.session.files.json_file import build_known, check_format, read_obj
 FORMAT = 1
 # Ten times the rows that EN 17037's glare needs; a model of more pixels is no model of this tool.
 MAX_HEIGHT = 4096
+_COMMON = ("model", "height", "width", "heading_deg", "patch", "seed")  # keys of every model
 _EXPECTED, _REMEDY = "a model folder", "train one: fieldlum train"
 
 
@@ -49,37 +50,13 @@ class ModelConfig:
         setup = table.get("setup")
         if setup is not None and not isinstance(setup, dict):
             raise InputError(path, f"setup of type {type(setup).__name__}", "a table", _REMEDY)
-        common = {
-            name: table[name]
-            for name in ("model", "height", "width", "heading_deg", "patch", "seed", "training")
-            if name in table
-        }
-        typed = build_known(_Common, common, str(path))
-        if not (0 <= typed.height <= MAX_HEIGHT and typed.width in (0, 2 * typed.height)):
-            found = f"maps of {typed.width} x {typed.height}"
+        common = {name: table[name] for name in _COMMON if name in table}
+        config = build_known(cls, common, str(path))
+        if not (0 <= config.height <= MAX_HEIGHT and config.width in (0, 2 * config.height)):
+            found = f"maps of {config.width} x {config.height}"
             raise InputError(path, found, f"W = 2H, at most {MAX_HEIGHT} rows", _REMEDY)
-        return cls(
-            typed.model,
-            typed.height,
-            typed.width,
-            typed.heading_deg,
-            typed.patch,
-            typed.seed,
-            setup or {},
-            build_known(TrainingNote, typed.training or {}, str(path)),
-            table,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _Common:
-    model: str
-    height: int = 0
-    width: int = 0
-    heading_deg: float | None = None
-    patch: str = "absolute"
-    seed: int = 0
-    training: Any = None
+        training = build_known(TrainingNote, table.get("training") or {}, str(path))
+        return replace(config, setup=setup or {}, training=training, state=table)
 
 
 def write_config(folder: Path, table: dict[str, Any]) -> None:

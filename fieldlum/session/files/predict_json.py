@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from fieldlum.errors import InputError
-from fieldlum.session.files.json_file import check_format, read_object, write_object
+from fieldlum.session.files.json_file import (
+    check_format,
+    content_of,
+    from_json,
+    read_object,
+    write_object,
+)
 
 FORMAT = 1
 NAME = "predict.json"
@@ -25,18 +31,23 @@ class DirectionYear:
 
     azimuth_deg: float
     glare_class: str
-    certain: bool
-    seen: str
-    dgp_exceeded: float | None
-    low: float | None
-    high: float | None
-    share: float
-    hours_over: Mapping[str, int | None]
-    sentence: str
+    certain: bool = False
+    seen: str = "seen"  # version 0.1.0 had no such key: every direction was fully seen
+    dgp_exceeded: float | None = None
+    low: float | None = None
+    high: float | None = None
+    share: float = 0.05
+    hours_over: Mapping[str, int | None] = field(default_factory=dict)
+    sentence: str = ""
 
     def table(self) -> dict[str, Any]:
         """Return the row of `protection`."""
         return {("class" if k == "glare_class" else k): v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_table(cls, row: Mapping[str, Any]) -> DirectionYear:
+        """Build from a row of `protection`."""
+        return from_json(cls, {**row, "glare_class": row["class"]})
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +58,7 @@ class SkyToCapture:
     hour: str
     dni_wm2: float
     dhi_wm2: float
-    worth: float
+    worth: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,42 +126,9 @@ class PredictFile:
     @classmethod
     def from_table(cls, table: Mapping[str, Any], path: Path) -> PredictFile:
         """Build from the JSON object of `path`. Raises InputError for other content."""
-        try:
-            weather, occupancy = table.get("weather") or {}, table.get("occupancy") or {}
-            return cls(
-                dict(table.get("software") or {}),
-                dict(table.get("inputs") or {}),
-                str(table.get("model", "")),
-                dict(table.get("setup") or {}),
-                int(table.get("height", 0)),
-                int(table.get("width", 0)),
-                float(table.get("heading_deg", 0.0)),
-                tuple(float(azimuth) for azimuth in table["azimuths_deg"]),
-                YearWeather(
-                    str(weather.get("name", "")),
-                    bool(weather.get("synthetic", False)),
-                    _texts(weather.get("repairs")),
-                ),
-                int(table["hours"]),
-                int(table.get("days", 0)),
-                str(table.get("first", "")),
-                str(table.get("last", "")),
-                YearOccupancy(
-                    str(occupancy.get("text", "")),
-                    int(occupancy.get("hours", 0)),
-                    int(occupancy.get("lit", 0)),
-                    float(occupancy.get("untrusted_share", 0.0)),
-                ),
-                str(table.get("disc_from", "")),
-                tuple(float(share) for share in table.get("seen_share") or ()),
-                _texts(table.get("model_warnings")),
-                _texts(table.get("notes")),
-                tuple(_direction(row) for row in table.get("protection") or ()),
-                tuple(_sky(row) for row in table.get("capture_next") or ()),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            found = f"{type(error).__name__}: {error}"
-            raise InputError(path, found, "what fieldlum predict wrote", "predict again") from None
+        with content_of(path, "what fieldlum predict wrote", "predict again"):
+            needed = {name: table[name] for name in ("azimuths_deg", "hours")}
+            return from_json(cls, {**table, **needed})
 
     @classmethod
     def read(cls, folder: Path) -> PredictFile:
@@ -166,35 +144,3 @@ class PredictFile:
     def write(self, folder: Path) -> None:
         """Write predict.json."""
         write_object(folder / NAME, {"format": FORMAT, **self.table()})
-
-
-def _texts(values: Any) -> tuple[str, ...]:
-    return tuple(str(value) for value in values or ())
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None else float(value)
-
-
-def _direction(row: Mapping[str, Any]) -> DirectionYear:
-    """Version 0.1.0 had no key `seen`: every direction was fully seen."""
-    over = row.get("hours_over") or {}
-    return DirectionYear(
-        float(row["azimuth_deg"]),
-        str(row["class"]),
-        bool(row.get("certain", False)),
-        str(row.get("seen", "seen")),
-        _number(row.get("dgp_exceeded")),
-        _number(row.get("low")),
-        _number(row.get("high")),
-        float(row.get("share", 0.05)),
-        {str(limit): None if count is None else int(count) for limit, count in over.items()},
-        str(row.get("sentence", "")),
-    )
-
-
-def _sky(row: Mapping[str, Any]) -> SkyToCapture:
-    dni_wm2, dhi_wm2 = float(row["dni_wm2"]), float(row["dhi_wm2"])
-    return SkyToCapture(
-        str(row["date"]), str(row["hour"]), dni_wm2, dhi_wm2, float(row.get("worth", 0.0))
-    )

@@ -6,8 +6,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from fieldlum.errors import InputError
-from fieldlum.session.files.json_file import check_format, read_object, write_object
+from fieldlum.session.files.json_file import (
+    check_format,
+    content_of,
+    from_json,
+    read_object,
+    write_object,
+)
 
 FORMAT = 1
 _REMEDY = "train the model again"
@@ -45,20 +50,9 @@ class ScoresFile:
     def from_table(cls, table: dict[str, Any], path: Path) -> ScoresFile:
         """Build from the JSON object of `path`. Raises InputError for other content."""
         known = {field.name for field in fields(cls)} | {"format"}
-        try:
-            return cls(
-                tuple(dict(row) for row in table["models"]),
-                str(table["chosen"]),
-                str(table.get("reason", "")),
-                int(table.get("parameters") or 0),
-                float(table.get("final_fit_s") or 0.0),
-                dict(table.get("captures") or {}),
-                tuple(table.get("notes", ())),
-                {key: value for key, value in table.items() if key not in known},
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            found = f"{type(error).__name__}: {error}"
-            raise InputError(path, found, "what fieldlum train wrote", _REMEDY) from None
+        more = {key: value for key, value in table.items() if key not in known}
+        with content_of(path, "what fieldlum train wrote", _REMEDY):
+            return from_json(cls, {**table, "more": more})
 
     @classmethod
     def find(cls, folder: Path) -> ScoresFile | None:

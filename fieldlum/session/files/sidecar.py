@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from fieldlum.errors import InputError
-from fieldlum.records import parse_utc, utc_text
-from fieldlum.session.files.json_file import check_format, read_object, write_object
+from fieldlum.records import utc_text
+from fieldlum.session.files.json_file import (
+    check_format,
+    content_of,
+    from_json,
+    read_object,
+    write_object,
+)
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.folder import Session
 
@@ -61,33 +66,6 @@ class SidecarSun:
         """Return the JSON object."""
         return {**asdict(self), "measured": self.measured.table() if self.measured else None}
 
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> SidecarSun:
-        """Build from the JSON object. Raises KeyError, TypeError or ValueError."""
-        centre = table.get("measured")
-        altitude, azimuth, illuminance = (
-            None if table.get(name) is None else float(table[name])
-            for name in ("altitude_deg", "azimuth_deg", "normal_illuminance_lx")
-        )
-        return cls(
-            altitude,
-            azimuth,
-            illuminance,
-            float(table.get("u_mosaic_percent") or 0.0),
-            str(table.get("origin", "")),
-            bool(table.get("lower_bound", False)),
-            _centre(centre) if centre else None,
-        )
-
-
-def _centre(table: Mapping[str, Any]) -> MeasuredSun:
-    return MeasuredSun(
-        float(table["altitude_deg"]),
-        float(table["azimuth_deg"]),
-        float(table["sigma_deg"]),
-        parse_utc(table["t_utc"]) if table.get("t_utc") else None,
-    )
-
 
 @dataclass(frozen=True, slots=True)
 class Sidecar:
@@ -127,24 +105,15 @@ class Sidecar:
     def from_table(cls, table: dict[str, Any], path: Path) -> Sidecar:
         """Build from the JSON object of `path`. Raises InputError for other content."""
         check_format(table, FORMAT, path)
-        try:
-            profile = table.get("profile") or {}
-            return cls(
-                str(table.get("slot") or path.stem),
-                parse_utc(table["t_utc"]) if table.get("t_utc") else None,
-                str(table.get("verdict", "")),
-                MergeReport.from_table(table.get("quality") or {}),
-                SidecarSun.from_table(table["sun"]) if table.get("sun") else None,
-                dict(table.get("factors") or {}),
-                str(profile.get("name", "")),
-                str(profile.get("sha256", "")),
-                dict(table.get("inputs") or {}),
-                int(table.get("size_bytes", -1)),
-                str((table.get("software") or {}).get("fieldlum", "")),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-            found = f"{type(error).__name__}: {error}"
-            raise InputError(path, found, _EXPECTED, _REMEDY) from None
+        with content_of(path, _EXPECTED, _REMEDY):
+            profile, software = table.get("profile") or {}, table.get("software") or {}
+            stated = {
+                "report": table.get("quality"),
+                "profile_name": profile.get("name"),
+                "profile_sha256": profile.get("sha256"),
+                "fieldlum": software.get("fieldlum"),
+            }
+            return from_json(cls, {"slot": path.stem, **table, **stated})
 
     @classmethod
     def find(cls, path: Path) -> Sidecar | None:
