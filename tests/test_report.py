@@ -187,6 +187,8 @@ def test_the_page_works_in_a_real_browser(page: Path, tmp_path: Path) -> None:
     )
     legend = re.search(r'id="legend"[^>]*>(.*?)</div>', shown.stdout, re.DOTALL)
     assert legend and "0.35" in legend[1]
+    printed = dict(re.findall(r'class="printed" id="(\w+)-printed">([^<]*)<', shown.stdout))
+    assert printed["quantity"] == "DGP" and printed["direction"], "select boxes are not printed"
     assert "Uncaught" not in shown.stderr
 
 
