@@ -38,11 +38,12 @@ def main() -> None:
     parser.add_argument("--rooms", type=int, default=12)
     parser.add_argument("--height", type=int, default=30)
     parser.add_argument("--set", default="4-day", help="days of the plan, as in fieldlum plan")
+    parser.add_argument("--model", default="transport", help="as in fieldlum train --model")
     parser.add_argument("--scheduler", default="local")
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
     names = [f"room-{k:02d}" for k in range(1, asked.rooms + 1)]
-    path = campaign_file(asked.folder, names, asked.height, asked.set)
+    path = campaign_file(asked.folder, names, asked)
     stage(path, "plan")
     started = time.monotonic()
     for k, name in enumerate(names, start=1):
@@ -71,14 +72,15 @@ def _cpu_s() -> float:
     return sum(os.times()[:4])
 
 
-def campaign_file(folder: Path, names: list[str], height: int, days: str) -> Path:
+def campaign_file(folder: Path, names: list[str], asked: argparse.Namespace) -> Path:
     """Write CAMPAIGN.toml and a SITE.toml for each room; the last room has neither."""
     rooms = [{"session": name, "site": f"{name}.toml"} for name in names]
     for k, name in enumerate(names, start=1):
         text = tomli_w.dumps(site_table(site_of(k)))
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     missing = {"session": f"room-{len(names) + 1:02d}"}
-    common = {"model": "transport", "views": 8, "size": f"{2 * height}x{height}", "set": days}
+    size = f"{2 * asked.height}x{asked.height}"
+    common = {"model": asked.model, "views": 8, "size": size, "set": asked.set}
     table = {"name": "Twelve rooms", "common": common, "room": [*rooms, missing]}
     path = folder / "CAMPAIGN.toml"
     path.write_text(tomli_w.dumps(table), encoding="utf-8")

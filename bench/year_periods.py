@@ -40,7 +40,8 @@ def main() -> None:
         data.take(np.sort(order[: year.TEST_HOURS])),
         data.take(np.sort(order[year.TEST_HOURS :])),
     )
-    rows = year.learning_curve(spec, pool, test)
+    rows = year.learning_curve(spec, pool, test, "random")
+    rows += year.learning_curve(spec, pool, test, "greedy")
     store(asked.out, "learning_curve", rows, partial(charts.learning_curves, rows=rows))
     print(markdown(rows, CURVE), flush=True)
 

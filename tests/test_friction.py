@@ -13,7 +13,14 @@ from tiny_field import make_session
 
 from fieldlum.capture import import_card
 from fieldlum.cli import main, terminal
-from fieldlum.cli.estimates import estimate_text, predict_s, train_s
+from fieldlum.cli.estimates import (
+    bench_s,
+    estimate_text,
+    frames_s,
+    predict_s,
+    simulate_s,
+    train_s,
+)
 from fieldlum.devices import CameraInfo
 from fieldlum.doctor.instruments import judge_camera
 from fieldlum.errors import InputError
@@ -56,6 +63,12 @@ def test_a_long_command_states_its_time_and_stays_alive_in_a_log(
     assert train_s("transport", 108, 460 * 230, 10.0) == pytest.approx(53.0)
     assert train_s("transport", 216, 460 * 230, 10.0) == pytest.approx(68.0)
     assert estimate_text(predict_s(460 * 230, 10), 2).startswith("this takes about 80 seconds")
+    # 28 s, 1800 pixels at 1.6 ms, 8 hours at 25 ms
+    assert simulate_s("quick", 60 * 30, 8) == pytest.approx(28.0 + 2.88 + 0.2)
+    assert frames_s(6, 20_000_000) == pytest.approx(6.0)
+    # one transport model of 108 captures, tested once; two trainings of the network of 5 minutes
+    parts = {"folds": 1, "curve_captures": 0, "render_hours": 0, "with_stress": False}
+    assert bench_s(1, 2, 108, 6670, budget_min=5.0, **parts) == pytest.approx(9.72 + 600.0)
     now = iter([0.0, 30.0, 90.0, 100.0, 200.0])
     monkeypatch.setattr(terminal.time, "monotonic", lambda: next(now))
     with terminal.progress("predict") as show:

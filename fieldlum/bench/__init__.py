@@ -6,17 +6,20 @@ import csv
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fieldlum.model_registry import MODELS
 from fieldlum.records import Progress, quiet
+from fieldlum.scheduler import LOCAL, Scheduler, run_each
 from fieldlum.session import replacing, replacing_path
 
 if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
+    from fieldlum.bench.pieces import BenchData, BenchFiles
+    from fieldlum.train.selection import Trial
 
 TABLE = {
     "name": "model",
@@ -84,6 +87,9 @@ STRESS = {
     "wild_unflagged": "gross errors unflagged",
 }
 
+_SHORTEST_LIMIT_S = 7200.0  # as long as a curve of 1000 captures may take; not measured
+_BUDGETS = 4.0  # a unit reads, trains within its budget and predicts; not measured
+
 
 def machine() -> str:
     """Return the machine's cores and architecture, as tables state them."""
@@ -139,57 +145,73 @@ def store(
 
 
 def run(
-    data: Dataset,
-    *,
-    test: Dataset | None = None,
-    pool: Dataset | None = None,
+    loaded: BenchData,
     models: Sequence[str] = tuple(MODELS),
+    *,
     seeds: int = 1,
     budget_min: float = 5.0,
     with_stress: bool = False,
     render_hours: int = 1,
     out: Path,
+    scheduler: Scheduler = LOCAL,
+    files: BenchFiles | None = None,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
     """Write score table, chart, learning curves, collection periods and stress tests into `out`.
 
-    Collection periods need a year of data. test : hours to predict, by default held-out days of
-    `data`; hours that any model was trained on are never used. pool : all available hours, from
-    which seasons are drawn.
+    Collection periods need a year of data. loaded: hours to train on, to test on (by default
+    held-out days) and from which seasons are drawn. files: where other processes read them; a
+    scheduler other than this process needs it.
     """
-    from fieldlum.bench import charts, stress
-    from fieldlum.bench.cost import radiance_row
-    from fieldlum.bench.rows import over_seeds, parse_specs, score_table, without_training_hours
+    from fieldlum.bench import charts
+    from fieldlum.bench.pieces import local_unit_of, pieces_of, unit_of
+    from fieldlum.bench.rows import over_seeds
     from fieldlum.train.selection import choose
 
-    specs = parse_specs(models)
-    if test is not None:
-        test = without_training_hours(
-            test, data, *(spec.folder for spec in specs if spec.folder is not None)
-        )
-    rows, trials = score_table(
-        specs, data, test, seeds=seeds, budget_s=60.0 * budget_min, progress=progress
+    pieces = pieces_of(
+        loaded,
+        models,
+        seeds=seeds,
+        budget_s=60.0 * budget_min,
+        with_stress=with_stress,
+        render_hours=render_hours,
     )
-    asked = data if test is None else test
-    chosen = choose(list(trials.values()), asked)
-    table = over_seeds(rows)
-    rendering = radiance_row(asked, render_hours, progress=progress)
-    if rendering:
-        table.append(rendering)
-        rows.append(rendering)
+    if scheduler.kind == "local" or files is None:
+        units, scheduler = [local_unit_of(piece, loaded, progress) for piece in pieces], LOCAL
+    else:
+        units = [unit_of(piece, files) for piece in pieces]
+        # a dense training takes far longer than the median piece, and is not hanging
+        limit_s = scheduler.unit_limit_s or _SHORTEST_LIMIT_S + _BUDGETS * 60.0 * budget_min
+        scheduler = replace(scheduler, unit_limit_s=limit_s)
+    answers: dict[str, Any] = {}
+    run_each(units, scheduler, lambda o: answers.update({o.unit.name: o.result()}), progress)
+
+    def of(*kinds: str) -> list[Any]:
+        return [answers[piece.name] for piece in pieces if piece.kind in kinds]
+
+    rows = [row for row, _ in of("score")]
+    trials: dict[str, Trial] = {}
+    for _, trial in of("score"):
+        trials.setdefault(trial.name, trial)
+    chosen = choose(list(trials.values()), loaded.data if loaded.test is None else loaded.test)
+    table = [*over_seeds(rows), *of("rendering")]
+    rows += of("rendering")
     store(out, "scores", table, lambda path: charts.speed_accuracy(path, table, machine()))
     _write_csv(out / "scores_by_seed.csv", rows)
     parts = [f"## Scores\n\n{markdown(table, TABLE)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
-    parts += _curves(data, test, specs, out, progress)
-    if with_stress:
-        spec = next((s for s in specs if s.name == "transport"), specs[0])
-        teach, check = (data, test) if test is not None else _split(data)
-        regimes = stress.run(
-            spec, teach, check, _without_test(pool, data, check), progress=progress
-        )
+    curve = list(chain(*of("random", "greedy")))
+    if curve:
+        store(out, "learning_curve", curve, partial(charts.learning_curves, rows=curve))
+        parts.append(f"## Captures\n\n{markdown(curve, CURVE)}")
+    periods = list(chain(*of("periods")))
+    if periods:
+        store(out, "periods", periods, partial(charts.collection_periods, rows=periods))
+        parts.append(f"## Collection periods\n\n{markdown(periods, PERIODS)}")
+    for regimes in of("stress"):
         cells = [asdict(regime) for regime in regimes]
-        store(out, "stress", cells, lambda path: charts.stress(path, regimes))
+        store(out, "stress", cells, partial(charts.stress, rows=regimes))
         parts.append(f"## Stress\n\n{markdown(cells, STRESS)}")
+    data, test = loaded.data, loaded.test
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
     head += (
         f"; test {len(test)} hours of {test.source}.\n\n" if test else "; test: held-out days.\n\n"
@@ -197,59 +219,3 @@ def run(
     with replacing(out / "bench.md", "w", encoding="utf-8") as file:
         file.write(head + "\n".join(parts))
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
-
-
-def _split(data: Dataset) -> tuple[Dataset, Dataset]:
-    """Return training data and held-out days, a fifth of all (hours, if there is only one day)."""
-    from fieldlum.errors import NotEnoughDataError
-    from fieldlum.train.folds import day_folds
-
-    folds = day_folds(data)
-    if not folds:
-        raise NotEnoughDataError(
-            f"{data.source}: {len(data)} usable hour; expected at least 2, to train and to test"
-        )
-    return data.take(folds[0].teach), data.take(folds[0].check)
-
-
-def _without_test(pool: Dataset | None, data: Dataset, test: Dataset) -> Dataset:
-    """Return all available hours except those of the test."""
-    import numpy as np
-
-    everything, asked = data if pool is None else pool, set(test.slots)
-    return everything.take(np.array([slot not in asked for slot in everything.slots]))
-
-
-def _curves(
-    data: Dataset, test: Dataset | None, specs: Sequence[Any], out: Path, progress: Progress
-) -> list[str]:
-    """Return learning curve and collection periods of the quick models, as Markdown."""
-    import numpy as np
-
-    from fieldlum.bench import charts, year
-
-    quick = [spec for spec in specs if spec.name == "transport" and spec.folder is None]
-    parts: list[str] = []
-    if not quick:
-        return parts
-    if test is None and year.is_year(data):
-        order = np.random.default_rng(0).permutation(len(data))
-        held = data.take(np.sort(order[: year.TEST_HOURS]))
-        pool = data.take(np.sort(order[year.TEST_HOURS :]))
-    else:
-        held, pool = test, data
-    if held is not None and len(pool) >= 2 * year.COUNTS[0]:
-        rows = [
-            row
-            for spec in quick
-            for row in year.learning_curve(spec, pool, held, progress=progress)
-        ]
-        store(out, "learning_curve", rows, partial(charts.learning_curves, rows=rows))
-        parts.append(f"## Captures\n\n{markdown(rows, CURVE)}")
-    if year.is_year(data):
-        rows = [
-            row for spec in quick for row in year.compare_periods(spec, data, progress=progress)
-        ]
-        store(out, "periods", rows, partial(charts.collection_periods, rows=rows))
-        parts.append(f"## Collection periods\n\n{markdown(rows, PERIODS)}")
-    return parts

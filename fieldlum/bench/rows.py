@@ -14,7 +14,7 @@ from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.model_registry import MODELS
 from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
-from fieldlum.models.scores import Truth, evaluate, summary, truth
+from fieldlum.models.scores import Truth, evaluate, summary
 from fieldlum.records import Progress, quiet
 from fieldlum.train import patch_mode
 from fieldlum.train.folds import day_folds
@@ -43,16 +43,19 @@ class Spec:
     folder: Path | None = None
 
 
-def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
-    """Parse models. Raises InputError for a text that is neither a model nor a model folder."""
-    return tuple(_parse_spec(text.strip()) for text in texts if text.strip())
+def parse_specs(texts: Sequence[str], folder: Path = Path()) -> tuple[Spec, ...]:
+    """Parse models. Raises InputError for a text that is neither a model nor a model folder.
+
+    folder: that folders of models are relative to.
+    """
+    return tuple(_parse_spec(text.strip(), folder) for text in texts if text.strip())
 
 
-def _parse_spec(text: str) -> Spec:
+def _parse_spec(text: str, at: Path) -> Spec:
     name, _, patch = text.partition(":")
     if name in MODELS and patch in ("", *get_args(Patch)):
         return Spec(text, name, cast(Patch, patch or "absolute"))
-    folder = Path(text)
+    folder = at / text
     if (folder / "config.json").is_file():
         config = models.read_config(folder)
         patch = config.patch
@@ -129,35 +132,6 @@ def _fitted(
     about = config.state.get("dense_training", {})
     spent = Spent(*(float(about.get(name, float("nan"))) for name in ("seconds", "cpu_seconds")))
     return models.load(spec.folder), spent, len(config.training.slots)
-
-
-def score_table(
-    specs: Sequence[Spec],
-    data: Dataset,
-    test: Dataset | None,
-    *,
-    seeds: int = 1,
-    budget_s: float = 300.0,
-    progress: Progress = quiet,
-) -> tuple[list[dict[str, Any]], dict[str, Trial]]:
-    """Return the rows of all models and seeds, and each model's first trial.
-
-    Models without randomness run once. test : hours that no model was trained on
-    (`without_training_hours`); None: held-out days of `data`.
-    """
-    asked = None if test is None else truth(test)
-    rows: list[dict[str, Any]] = []
-    trials: dict[str, Trial] = {}
-    for k, spec in enumerate(specs):
-        progress(k, len(specs), spec.label)
-        many = 1 if spec.folder is not None or MODELS[spec.name].baseline else seeds
-        for seed in range(many):
-            row, trial = score_row(
-                spec, data, asked, seed=seed, budget_s=budget_s, progress=progress
-            )
-            rows.append(row)
-            trials.setdefault(spec.label, trial)
-    return rows, trials
 
 
 def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

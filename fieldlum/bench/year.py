@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import date
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,28 +32,40 @@ def is_year(data: Dataset) -> bool:
 
 
 def learning_curve(
-    spec: Spec, data: Dataset, test: Dataset, *, progress: Progress = quiet
+    spec: Spec,
+    data: Dataset,
+    test: Dataset,
+    way: Literal["random", "greedy"],
+    *,
+    progress: Progress = quiet,
 ) -> list[dict[str, Any]]:
     """Return the error on `test` of models trained on N captures.
 
     Captures are drawn at random, or taken in the order of use (greedy).
     """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
-    counts = [n for n in COUNTS if n < len(data)] + [len(data)] * (len(data) <= COUNTS[-1])
-    shuffled = np.random.default_rng(0).permutation(len(data))
+    counts = curve_counts(len(data))
+    order = (
+        np.random.default_rng(0).permutation(len(data)) if way == "random" else order_of_use(data)
+    )
     rows = []
-    for way, order in (("random", shuffled), ("greedy", order_of_use(data))):
-        for k, count in enumerate(counts):
-            progress(k, len(counts), f"{way} {count}")
-            fitted, spent = fit_timed(
-                spec.name, data.take(np.sort(order[:count])), patch=patch, seed=0, budget_s=None
-            )
-            scores = summary(evaluate(fitted, asked))
-            rows.append(
-                {"name": spec.label, "way": way, "captures": count, "fit_cpu_s": spent.cpu_s}
-                | _figures(scores)
-            )
+    for k, count in enumerate(counts):
+        progress(k, len(counts), f"{way} {count}")
+        fitted, spent = fit_timed(
+            spec.name, data.take(np.sort(order[:count])), patch=patch, seed=0, budget_s=None
+        )
+        scores = summary(evaluate(fitted, asked))
+        rows.append(
+            {"name": spec.label, "way": way, "captures": count, "fit_cpu_s": spent.cpu_s}
+            | _figures(scores)
+        )
     return rows
+
+
+def curve_counts(captures: int) -> list[int]:
+    """Return the counts of captures of a learning curve."""
+    counts = [n for n in COUNTS if n < captures]
+    return counts + [captures] * (captures <= COUNTS[-1])
 
 
 def _figures(scores: dict[str, Any]) -> dict[str, Any]:

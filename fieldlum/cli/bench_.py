@@ -7,19 +7,22 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fieldlum.cli.estimates import bench_s, estimate_text
 from fieldlum.cli.options import (
     PATH,
     json_option,
     out_option,
     pairs_argument,
     scene_option,
+    scheduler_of,
+    scheduler_option,
     site_option,
 )
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import emit_json, progress, say, say_if
 from fieldlum.model_registry import MODELS
 
 if TYPE_CHECKING:
-    from fieldlum.models.data import Dataset
+    from fieldlum.bench.pieces import BenchData
 
 
 @click.command()
@@ -56,6 +59,7 @@ if TYPE_CHECKING:
     help="Hours to render with Radiance for the cost row; needs a [room].",
 )
 @scene_option
+@scheduler_option
 @out_option("Folder of tables and charts", required=True)
 @json_option
 def command(
@@ -69,6 +73,7 @@ def command(
     stress: bool,
     render: int,
     scene: str,
+    scheduler_text: str,
     out: Path,
     as_json: bool,
 ) -> None:
@@ -81,32 +86,28 @@ def command(
     \b
     Example:
       fieldlum bench 9d.csv --test test.csv --models transport,transport:none,dense --out bench-9d
-      fieldlum bench my-session --stress --out bench
+      fieldlum bench my-session --stress --scheduler processes:2 --out bench
     """
     from fieldlum.bench import run
-    from fieldlum.models.data import load_pairs
-    from fieldlum.scene_fit.apply import in_scene
+    from fieldlum.bench.pieces import bench_files, load
 
+    scheduler = scheduler_of(scheduler_text)
+    files = bench_files(pairs, models.split(","), test=test, pool=pool, site=site, scene=scene)
     with progress("reading pictures") as show:
-
-        def read(where: Path) -> Dataset:
-            captures = load_pairs(where, site, progress=show)
-            return in_scene(captures, pairs, scene, "absolute", progress=show)[0]
-
-        data = read(pairs)
-        asked = read(test) if test else None
-        pool_data = read(pool) if pool else None
+        loaded = load(files, show)
+    needed_s = _needed_s(loaded, files.models, seeds, budget, render, stress)
+    say_if(estimate_text(needed_s, scheduler.processes))
     with progress("benchmark") as show:
         answer = run(
-            data,
-            test=asked,
-            pool=pool_data,
-            models=models.split(","),
+            loaded,
+            files.models,
             seeds=seeds,
             budget_min=budget,
             with_stress=stress,
             render_hours=render,
             out=out,
+            scheduler=scheduler,
+            files=files,
             progress=show,
         )
     if as_json:
@@ -114,3 +115,33 @@ def command(
     else:
         click.echo((out / "bench.md").read_text(encoding="utf-8"))
     say(f"tables and charts in {out}")
+
+
+def _needed_s(
+    loaded: BenchData,
+    models: tuple[str, ...],
+    seeds: int,
+    budget_min: float,
+    render_hours: int,
+    with_stress: bool,
+) -> float:
+    """Return how long the benchmark may take on one core [s]."""
+    from fieldlum.bench import pieces, year
+    from fieldlum.train.folds import day_folds
+
+    data = loaded.data
+    specs = [spec for spec in map(loaded.spec, models) if spec.folder is None]
+    chosen = pieces.curve_data(loaded)
+    curve = 0 if chosen is None else 2 * sum(year.curve_counts(len(chosen[0])))
+    room = data.setup.room
+    return bench_s(
+        sum(spec.name == "transport" for spec in specs),
+        sum(MODELS[spec.name].slow for spec in specs) * seeds,
+        len(data),
+        data.shape[0] * data.shape[1],
+        folds=len(day_folds(data)) if loaded.test is None else 1,
+        curve_captures=curve,
+        budget_min=budget_min,
+        render_hours=render_hours if room is not None and room.kind == "box" else 0,
+        with_stress=with_stress,
+    )

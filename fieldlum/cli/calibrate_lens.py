@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.calibrate_shared import Refit, calibration_options
+from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
 from fieldlum.cli.options import EXISTING_PATH
 
 if TYPE_CHECKING:
@@ -155,6 +155,7 @@ def _boards(sources: tuple[Path, ...], chessboard: str, profile: CameraProfile) 
         columns, rows = (int(part) for part in chessboard.lower().split("x"))
     except ValueError:
         raise click.UsageError("--chessboard needs inner corners across x down, like 9x6") from None
+    say_time(sources, profile, boards=True)
     found = {path: boards.chessboard_corners(path, columns, rows) for path in sources}
     seen = {path: corners for path, corners in found.items() if corners is not None}
     for path in sources:

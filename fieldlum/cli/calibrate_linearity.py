@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import Refit, calibration_options
+from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -29,6 +29,7 @@ def command(frames: tuple[Path, ...], refit: Refit) -> None:
     from fieldlum.calibrate import linearity, pictures
 
     profile = refit.profile()
+    say_time(frames, profile)
     folders = {path: sorted(p for p in path.glob("*") if p.is_file()) for path in frames}
     files = [file for path in frames for file in (folders[path] if path.is_dir() else [path])]
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))

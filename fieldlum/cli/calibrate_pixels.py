@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from fieldlum.cli.calibrate_shared import Refit, calibration_options
+from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -35,6 +35,7 @@ def command(
     from fieldlum.calibrate import pictures, pixels
 
     profile = refit.profile()
+    say_time(sources, profile)
     found = pixels.find(sources, profile, dark=dark)
     refit.draw(lambda: pictures.of_pixels(found, profile.camera.width_px, profile.camera.height_px))
     known = tuple(sorted({*profile.sensor.bad_px, *found.bad_px}))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import Refit, calibration_options
+from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -27,6 +27,7 @@ def command(brackets: tuple[Path, ...], refit: Refit) -> None:
     from fieldlum.calibrate import pictures, response
 
     profile = refit.profile()
+    say_time(brackets, profile)
     places = response.sample(response.brackets_in(brackets), profile, np.random.default_rng(1))
     found = response.fit(places)
     refit.draw(lambda: pictures.of_response(places, found))

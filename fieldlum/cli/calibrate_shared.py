@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.estimates import estimate_text, frames_s
 from fieldlum.cli.options import PATH, json_option, out_option
 
 if TYPE_CHECKING:
@@ -80,3 +81,13 @@ def calibration_options(function: Callable[..., None]) -> Callable[..., None]:
     ):
         gathered = option(gathered)
     return gathered
+
+
+def say_time(frames: Iterable[Path], profile: CameraProfile, *, boards: bool = False) -> None:
+    """Print how long reading the frames, or finding boards, may take. frames: files or folders."""
+    files = sum(
+        sum(1 for p in path.iterdir() if p.is_file()) if path.is_dir() else 1 for path in frames
+    )
+    camera = profile.camera
+    needed_s = frames_s(files, camera.width_px * camera.height_px, boards=boards)
+    terminal.say_if(estimate_text(needed_s))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.calibrate_shared import Refit, calibration_options
+from fieldlum.cli.calibrate_shared import Refit, calibration_options, say_time
 from fieldlum.cli.options import EXISTING_PATH
 
 
@@ -44,6 +44,8 @@ def command(
             f"--lens {lens_number}: {profile.camera.name} has {len(profile.lens)}"
         )
     table = len(sources) == 1 and sources[0].suffix.lower() == ".csv"
+    if not table:
+        say_time(sources, profile)
     samples = (
         vignette.from_table(sources[0], profile)
         if table

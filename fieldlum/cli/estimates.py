@@ -18,6 +18,22 @@ _TRANSPORT_S = 15.0 / (108 * 460 * 230)
 # A line through 30 s for 8 directions at 60 x 30 and 154 s for ten at 460 x 230, from the same.
 _YEAR_FIXED_S = 30.0
 _YEAR_S = 124.0 / (460 * 230 * 10)
+# `fieldlum simulate` of the shipped office with 8 hours took 12, 33 and 80 CPU s at 60 x 30
+# (draft, quick, paper) and 41 CPU s at 116 x 58 (quick). Without start and 8 hours. A pixel's
+# rays are those of `simulate.truth.QUALITIES` over the square of its smoothing: 32, 100 and 64.
+_SIMULATE_FIXED_S = {"draft": 10.0, "quick": 28.0, "paper": 75.0}
+_SIMULATE_S = {"draft": 5e-4, "quick": 1.6e-3, "paper": 1.0e-3}  # a pixel
+_HOUR_S = 0.025  # 292 more hours at 60 x 30 took 6.9 CPU s
+# docs/results/learning.md, transport at 115 x 58: 8 s for 108 captures, 20 s for 200.
+_FIT_S_PER_CAPTURE = 0.09
+# The same page: 168 s for a picture of 115 x 58 by rtrace with the paper's options.
+_RADIANCE_S = 168.0 / (115 * 58)
+_STRESS_S = 90.0  # `bench.stress`: a minute or two
+# `calibrate pixels` took 7 CPU s for 6 raw frames of 21 megapixels, `calibrate response` 7 CPU s
+# for 16 JPEGs of 12 megapixels.
+_FRAME_S_PER_MEGAPIXEL = 0.05
+# `calibrate lens --chessboard`: 3.5 CPU s for a JPEG of 12 megapixels, 6.4 s for 21 megapixels.
+_BOARD_S_PER_MEGAPIXEL = 0.3
 _LEAST_PRINTED_S = 20.0
 
 
@@ -38,6 +54,39 @@ def train_s(model: str, captures: int, pixels: int, budget_min: float) -> float:
 def predict_s(pixels: int, directions: int) -> float:
     """Return the time to predict a year, in s."""
     return _YEAR_FIXED_S + _YEAR_S * pixels * directions
+
+
+def simulate_s(quality: str, pixels: int, hours: int) -> float:
+    """Return the time to simulate the hours of a plan, in s."""
+    return _SIMULATE_FIXED_S[quality] + _SIMULATE_S[quality] * pixels + _HOUR_S * hours
+
+
+def bench_s(
+    transport: int,
+    slow: int,
+    captures: int,
+    pixels: int,
+    *,
+    folds: int,
+    curve_captures: int,
+    budget_min: float,
+    render_hours: int,
+    with_stress: bool,
+) -> float:
+    """Return the time of a benchmark, in s.
+
+    transport, slow: number of transport models, and trainings of the dense network. folds: fits of
+    a model for the score table. curve_captures: captures of all fits of a learning curve together.
+    """
+    quick = transport * _FIT_S_PER_CAPTURE * (folds * captures + curve_captures)
+    rendering = render_hours * _RADIANCE_S * pixels
+    return quick + 60.0 * budget_min * slow + rendering + _STRESS_S * with_stress
+
+
+def frames_s(count: int, pixels: int, *, boards: bool = False) -> float:
+    """Return the time to read frames for a calibration, or to find boards in them, in s."""
+    per_megapixel = _BOARD_S_PER_MEGAPIXEL if boards else _FRAME_S_PER_MEGAPIXEL
+    return per_megapixel * count * pixels / 1e6
 
 
 def duration_text(seconds: float) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fieldlum.cli import terminal
+from fieldlum.cli.estimates import estimate_text, simulate_s
 from fieldlum.cli.options import (
     CAPTURE_SET,
     DEFAULT_SIZE,
@@ -128,13 +129,17 @@ def command(
     weather = simulate.weather_for(setup, weather_file, seed)
     for repair in weather.repairs:
         terminal.say(f"weather: {repair}")
-    with terminal.progress("simulating") as progress:
-        if session is None and out is not None:
+    chosen = quality or ("quick" if height <= 115 else "paper")
+    if session is None and out is not None:
+        with terminal.progress("planning") as progress:
             session = _planned(
                 out, setup, weather, (set_, start, year, count, year_sample, seed), progress
             )
-        assert session is not None
-        chosen = quality or ("quick" if height <= 115 else "paper")
+    assert session is not None
+    scheduler = scheduler_of(scheduler_text)
+    needed_s = simulate_s(chosen, 2 * height * height, len(session.slots()))
+    terminal.say_if(estimate_text(needed_s, scheduler.processes))
+    with terminal.progress("simulating") as progress:
         made = simulate.run(
             session,
             weather,
@@ -143,7 +148,7 @@ def command(
             drift=drift,
             troubles=troubles,
             force=force,
-            scheduler=scheduler_of(scheduler_text),
+            scheduler=scheduler,
             progress=progress,
         )
     answer = {
