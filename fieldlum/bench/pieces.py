@@ -1,0 +1,271 @@
+"""Pieces of a benchmark that can run anywhere: a model with a seed, a learning curve, a regime set.
+
+Each piece reads the pairs where it runs and returns rows of a table. A worker reads them once.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from fieldlum.bench import stress, year
+from fieldlum.bench.cost import radiance_row
+from fieldlum.bench.rows import Spec, parse_specs, score_row, without_training_hours
+from fieldlum.errors import NotEnoughDataError
+from fieldlum.model_registry import MODELS
+from fieldlum.models.data import Dataset, load_pairs
+from fieldlum.models.scores import Truth, truth
+from fieldlum.records import Progress, quiet
+from fieldlum.scene_fit.apply import in_scene
+from fieldlum.scheduler import WorkUnit
+from fieldlum.train.folds import day_folds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PieceKind = Literal["score", "random", "greedy", "periods", "stress", "rendering"]
+
+
+@dataclass(frozen=True, slots=True)
+class BenchFiles:
+    """What a benchmark reads, relative to `folder`; empty for what was not stated.
+
+    pairs, test, pool: sessions or csv files. site: SITE.toml. scene: as the option --scene. models:
+    names, or folders of trained models.
+    """
+
+    folder: Path
+    pairs: str
+    models: tuple[str, ...]
+    test: str = ""
+    pool: str = ""
+    site: str = ""
+    scene: str = ""
+
+    def hashed(self) -> tuple[str, ...]:
+        """Return the csv files, which a worker must see as this computer does."""
+        found = [name for name in (self.pairs, self.test, self.pool) if name]
+        tables = [f"{name}/pairs.csv" if (self.folder / name).is_dir() else name for name in found]
+        return tuple(dict.fromkeys(os.path.normpath(table) for table in tables))
+
+
+def bench_files(
+    pairs: Path,
+    models: Sequence[str],
+    *,
+    test: Path | None = None,
+    pool: Path | None = None,
+    site: Path | None = None,
+    scene: str = "",
+) -> BenchFiles:
+    """Return the files of a benchmark, relative to the deepest folder that contains all of them."""
+    texts = [text.strip() for text in models if text.strip()]
+    trained = [Path(text) for text in texts if (Path(text) / "config.json").is_file()]
+    scene_folder = Path(scene) if scene not in ("", "none") else None
+    paths = [p for p in (pairs, test, pool, site, scene_folder, *trained) if p is not None]
+    full = [path.resolve() for path in paths]
+    common = os.path.commonpath([p if p.is_dir() else p.parent for p in full])
+    shown = os.path.relpath(common)  # tables name the pairs as the user did
+    folder = Path(common if shown.startswith("..") else shown)
+
+    def name(path: Path | None) -> str:
+        return "" if path is None else path.resolve().relative_to(common).as_posix()
+
+    return BenchFiles(
+        folder,
+        name(pairs),
+        tuple(name(Path(text)) if Path(text) in trained else text for text in texts),
+        name(test),
+        name(pool),
+        name(site),
+        name(scene_folder) if scene_folder is not None else scene,
+    )
+
+
+@dataclass(frozen=True)
+class BenchData:
+    """The pairs of a benchmark.
+
+    test: hours that no model was trained on, or None to use held-out days. folder: that paths of
+    trained models are relative to.
+    """
+
+    data: Dataset
+    test: Dataset | None
+    pool: Dataset | None
+    folder: Path = field(default_factory=Path)
+
+    @cached_property
+    def asked(self) -> Truth | None:
+        """The test hours with their true figures."""
+        return None if self.test is None else truth(self.test)
+
+    def spec(self, text: str) -> Spec:
+        """Return one model of the benchmark."""
+        return parse_specs([text], self.folder)[0]
+
+
+def load(files: BenchFiles, progress: Progress = quiet) -> BenchData:
+    """Read the pairs with their sun patches or their scene. Test hours of a training are left out.
+
+    Raises InputError for files that cannot be used, NotEnoughDataError if no test hour is left.
+    """
+    at = files.folder
+    scene = files.scene if files.scene in ("", "none") else str(at / files.scene)
+    site = at / files.site if files.site else None
+
+    def read(name: str) -> Dataset:
+        captures = load_pairs(at / name, site, progress=progress)
+        return in_scene(captures, at / files.pairs, scene, "absolute", progress=progress)[0]
+
+    data = read(files.pairs)
+    test = read(files.test) if files.test else None
+    pool = read(files.pool) if files.pool else None
+    specs = parse_specs(files.models, at)
+    if test is not None:
+        folders = (spec.folder for spec in specs if spec.folder is not None)
+        test = without_training_hours(test, data, *folders)
+    return BenchData(data, test, pool, at)
+
+
+# ----------------------------------------------------------------------------------------------
+# pieces
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One unit of a benchmark. random, greedy: learning curves over captures chosen that way."""
+
+    kind: PieceKind
+    model: str = ""
+    seed: int = 0
+    budget_s: float = 0.0
+    hours: int = 0  # to render
+
+    @property
+    def name(self) -> str:
+        """Return a name that no other piece has."""
+        return f"{self.kind} {self.model} {self.seed}".strip()
+
+
+def pieces_of(
+    loaded: BenchData,
+    models: Sequence[str],
+    *,
+    seeds: int,
+    budget_s: float,
+    with_stress: bool,
+    render_hours: int,
+) -> list[Piece]:
+    """Return all pieces, in the order of the tables. Models without randomness run once."""
+    found: list[Piece] = []
+    quick: list[str] = []
+    for model in models:
+        spec = loaded.spec(model)
+        once = spec.folder is not None or MODELS[spec.name].baseline
+        found += [Piece("score", model, seed, budget_s) for seed in range(1 if once else seeds)]
+        if spec.name == "transport" and spec.folder is None:
+            quick.append(model)
+    room = loaded.data.setup.room
+    if room is not None and room.kind == "box" and render_hours:
+        found.append(Piece("rendering", hours=render_hours))
+    for model in quick:
+        if curve_data(loaded) is not None:
+            found += [Piece("random", model), Piece("greedy", model)]
+        if year.is_year(loaded.data):
+            found.append(Piece("periods", model))
+    if with_stress and models:
+        first = next((m for m in models if loaded.spec(m).name == "transport"), models[0])
+        found.append(Piece("stress", first))
+    return found
+
+
+def curve_data(loaded: BenchData) -> tuple[Dataset, Dataset] | None:
+    """Return training and test hours of the learning curve, or None for too few captures."""
+    data, test = loaded.data, loaded.test
+    if test is None and year.is_year(data):
+        order = np.random.default_rng(0).permutation(len(data))
+        held = data.take(np.sort(order[: year.TEST_HOURS]))
+        return data.take(np.sort(order[year.TEST_HOURS :])), held
+    if test is None or len(data) < 2 * year.COUNTS[0]:
+        return None
+    return data, test
+
+
+def work(piece: Piece, loaded: BenchData, progress: Progress = quiet) -> Any:
+    """Return the rows of a piece; for a score also its trial."""
+    if piece.kind == "rendering":
+        asked = loaded.data if loaded.test is None else loaded.test
+        return radiance_row(asked, piece.hours, progress=progress)
+    spec = loaded.spec(piece.model)
+    if piece.kind == "score":
+        return score_row(
+            spec,
+            loaded.data,
+            loaded.asked,
+            seed=piece.seed,
+            budget_s=piece.budget_s,
+            progress=progress,
+        )
+    if piece.kind == "periods":
+        return year.compare_periods(spec, loaded.data, progress=progress)
+    if piece.kind == "stress":
+        return _stress(spec, loaded, progress)
+    chosen = curve_data(loaded)
+    assert chosen is not None
+    return year.learning_curve(spec, *chosen, piece.kind, progress=progress)
+
+
+def _stress(spec: Spec, loaded: BenchData, progress: Progress) -> list[stress.StressRow]:
+    teach, check = (loaded.data, loaded.test) if loaded.test is not None else _split(loaded.data)
+    everything, asked = loaded.data if loaded.pool is None else loaded.pool, set(check.slots)
+    pool = everything.take(np.array([slot not in asked for slot in everything.slots]))
+    return stress.run(spec, teach, check, pool, progress=progress)
+
+
+def _split(data: Dataset) -> tuple[Dataset, Dataset]:
+    """Return training data and held-out days, a fifth of all (hours, if there is only one day)."""
+    folds = day_folds(data)
+    if not folds:
+        raise NotEnoughDataError(
+            f"{data.source}: {len(data)} usable hour; expected at least 2, to train and to test"
+        )
+    return data.take(folds[0].teach), data.take(folds[0].check)
+
+
+# ----------------------------------------------------------------------------------------------
+# units
+
+
+def unit_of(piece: Piece, files: BenchFiles) -> WorkUnit:
+    """Return a piece as a unit of work for any worker."""
+    argument = (piece, replace(files, folder=Path()))
+    return WorkUnit(piece.name, perform, files.folder, argument, files=files.hashed())
+
+
+def local_unit_of(piece: Piece, loaded: BenchData, progress: Progress) -> WorkUnit:
+    """Return a piece as a unit of work for this process, which has the pairs already."""
+    call: Callable[[Path, Any], Any] = partial(_perform_here, loaded=loaded, progress=progress)
+    return WorkUnit(piece.name, call, loaded.folder, piece)
+
+
+def _perform_here(folder: Path, piece: Piece, *, loaded: BenchData, progress: Progress) -> Any:
+    return work(piece, loaded, progress)
+
+
+def perform(folder: Path, argument: tuple[Piece, BenchFiles]) -> Any:
+    """Work on a piece with the pairs in a folder: a unit of work."""
+    piece, files = argument
+    return work(piece, _loaded(replace(files, folder=folder)))
+
+
+@cache
+def _loaded(files: BenchFiles) -> BenchData:
+    """Return the pairs, read once in each process."""
+    return load(files)
