@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,10 @@ from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.site_toml import load_site
+
+if TYPE_CHECKING:
+    from fieldlum.predict import Annual
+    from fieldlum.session.files.scores_json import TrainAnswer
 
 MODEL = "auto"
 WEATHER = "seattle_dni_dhi.csv"
@@ -128,7 +132,7 @@ def irradiance_against_truth(session: Session) -> tuple[float, float]:
 
 
 def _figures(
-    session: Session, scores: dict[str, Any], annual: Any
+    session: Session, scores: TrainAnswer, annual: Annual
 ) -> tuple[tuple[str, str, str], ...]:
     median, within, maps = merged_against_truth(session)
     dni, dhi = irradiance_against_truth(session)

@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from fieldlum.model_registry import MODELS
 from fieldlum.records import Progress, quiet
@@ -91,6 +91,14 @@ _SHORTEST_LIMIT_S = 7200.0  # as long as a curve of 1000 captures may take; not 
 _BUDGETS = 4.0  # a unit reads, trains within its budget and predicts; not measured
 
 
+class BenchAnswer(TypedDict):
+    """The object that `bench --json` prints; rows as `rows.BenchRow`, and one for Radiance."""
+
+    models: list[Mapping[str, object]]
+    chosen: str
+    reason: str
+
+
 def machine() -> str:
     """Return the machine's cores and architecture, as tables state them."""
     return f"{os.cpu_count()} cores, {platform.machine()}"
@@ -156,7 +164,7 @@ def run(
     scheduler: Scheduler = LOCAL,
     files: BenchFiles | None = None,
     progress: Progress = quiet,
-) -> dict[str, Any]:
+) -> BenchAnswer:
     """Write score table, chart, learning curves, collection periods and stress tests into `out`.
 
     Collection periods need a year of data. loaded: hours to train on, to test on (by default

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +55,7 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
     return front
 
 
-def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> None:
+def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
     """Draw two panels: seconds of training, and of one map, against the error.
 
     The error is in paper mode, as that of the published point.
@@ -121,7 +121,7 @@ def speed_accuracy(path: Path, rows: Sequence[dict[str, Any]], machine: str) -> 
     figure.savefig(path)
 
 
-def learning_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def learning_curves(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw the error against the count of captures, random and greedy, for each model."""
     figure, axis = _figure(6.5, 4.5)
     for name in dict.fromkeys(row["name"] for row in rows):
@@ -142,7 +142,7 @@ def learning_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     figure.savefig(path)
 
 
-def collection_periods(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def collection_periods(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw the error of each collection period (the paper's Figures 18 to 22)."""
     figure, axis = _figure(9.0, 4.2)
     names = list(dict.fromkeys(row["period"] for row in rows))

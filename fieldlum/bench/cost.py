@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,9 @@ from fieldlum.records import Progress, quiet
 PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1024")
 
 
-def radiance_row(data: Dataset, hours: int, *, progress: Progress = quiet) -> dict[str, Any] | None:
+def radiance_row(
+    data: Dataset, hours: int, *, progress: Progress = quiet
+) -> dict[str, object] | None:
     """Measure the time of one map of the data's size by rtrace with the paper's options.
 
     The mean of a few hours on one core. The room is the box of [room]; its sky is uniform with the

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import NotRequired, cast, get_args
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Truth, evaluate, summary
 from fieldlum.records import Progress, quiet
+from fieldlum.session.files.scores_json import ScoreFigures
 from fieldlum.train import patch_mode
 from fieldlum.train.folds import day_folds
 from fieldlum.train.selection import Trial
@@ -41,6 +42,17 @@ class Spec:
     name: str
     patch: Patch
     folder: Path | None = None
+
+
+class BenchRow(ScoreFigures):
+    """One model in `bench --json`. Times are None where a model was not fitted."""
+
+    name: str
+    fit_s: float | None
+    fit_cpu_s: float | None
+    n_train: int
+    seed: int | None
+    patch: NotRequired[Patch]
 
 
 def parse_specs(texts: Sequence[str], folder: Path = Path()) -> tuple[Spec, ...]:
@@ -93,7 +105,7 @@ def score_row(
     seed: int,
     budget_s: float,
     progress: Progress = quiet,
-) -> tuple[dict[str, Any], Trial]:
+) -> tuple[BenchRow, Trial]:
     """Fit one model with one seed on `data` and score it on `test`, or on held-out days."""
     patch = patch_mode(data, spec.patch)
     if test is None:
@@ -108,7 +120,7 @@ def score_row(
     else:
         fitted, spent, count = _fitted(spec, data, patch, seed, budget_s, progress)
         trial = Trial(spec.name, evaluate(fitted, test, progress=progress), *spent, count, 0)
-    row = {
+    row: BenchRow = {
         "name": spec.label,
         "fit_s": trial.fit_s,
         "fit_cpu_s": trial.fit_cpu_s,
@@ -134,16 +146,17 @@ def _fitted(
     return models.load(spec.folder), spent, len(config.training.slots)
 
 
-def over_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def over_seeds(rows: Sequence[BenchRow]) -> list[dict[str, object]]:
     """Return one row for each model: its first seed's, with mean and sd over several seeds."""
-    out = []
+    out: list[dict[str, object]] = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = [row for row in rows if row["name"] == name]
-        row = dict(mine[0], seeds=len(mine))
+        row: dict[str, object] = {**mine[0], "seeds": len(mine)}
         for key in (*ERRORS, "bias_log10"):
-            values = [r[key] for r in mine if r.get(key) is not None]
+            values = [value for r in mine if (value := r[key]) is not None]
             row[f"{key}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
             row[key] = float(np.mean(values)) if values else None
-        row |= {key: float(np.mean([r[key] for r in mine])) for key in ("fit_s", "fit_cpu_s")}
+        for key in ("fit_s", "fit_cpu_s"):
+            row[key] = float(np.mean([s for r in mine if (s := r[key]) is not None]))
         out.append(row)
     return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import date
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from fieldlum.bench.rows import ERRORS, Spec
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import evaluate, summary, truth
 from fieldlum.records import Progress, quiet
+from fieldlum.session.files.scores_json import ScoreFigures
 from fieldlum.train import patch_mode
 from fieldlum.train.captures import order_of_use
 from fieldlum.train.trials import fit_timed
@@ -38,7 +39,7 @@ def learning_curve(
     way: Literal["random", "greedy"],
     *,
     progress: Progress = quiet,
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Return the error on `test` of models trained on N captures.
 
     Captures are drawn at random, or taken in the order of use (greedy).
@@ -48,7 +49,7 @@ def learning_curve(
     order = (
         np.random.default_rng(0).permutation(len(data)) if way == "random" else order_of_use(data)
     )
-    rows = []
+    rows: list[dict[str, object]] = []
     for k, count in enumerate(counts):
         progress(k, len(counts), f"{way} {count}")
         fitted, spent = fit_timed(
@@ -68,7 +69,7 @@ def curve_counts(captures: int) -> list[int]:
     return counts + [captures] * (captures <= COUNTS[-1])
 
 
-def _figures(scores: dict[str, Any]) -> dict[str, Any]:
+def _figures(scores: ScoreFigures) -> dict[str, object]:
     return {key: scores[key] for key in (*ERRORS, "worst", "n_test", "untrusted_share")}
 
 
@@ -108,14 +109,14 @@ def periods(data: Dataset) -> dict[str, NDArray[np.bool_]]:
 
 def compare_periods(
     spec: Spec, data: Dataset, *, progress: Progress = quiet
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Train on each period and test on hours of the year that are left out of every training."""
     order = np.random.default_rng(0).permutation(len(data))
     in_test = np.zeros(len(data), bool)
     in_test[order[: min(TEST_HOURS, len(data) // 4)]] = True
     asked = truth(data.take(in_test))
     patch = patch_mode(data, spec.patch)
-    rows = []
+    rows: list[dict[str, object]] = []
     chosen = periods(data)
     for k, (name, inside) in enumerate(chosen.items()):
         progress(k, len(chosen), name)

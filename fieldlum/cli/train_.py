@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,6 +19,9 @@ from fieldlum.cli.options import (
 )
 from fieldlum.cli.terminal import emit_json, progress, say, say_if
 from fieldlum.model_registry import MODELS
+
+if TYPE_CHECKING:
+    from fieldlum.session.files.scores_json import TrainAnswer
 
 
 @click.command()
@@ -101,13 +104,13 @@ def command(
         emit_json(answer)
     else:
         _show(answer)
-    if answer["kept"]:
+    if answer.get("kept"):
         say(f"{folder}: same captures and options as before, not trained again (--force does)")
     else:
         say(f"model written to {folder}")
 
 
-def _show(answer: dict[str, Any]) -> None:
+def _show(answer: TrainAnswer) -> None:
     """Print the scores that the choice is based on."""
     click.echo(
         "                 by solid angle, held-out days       DGP MSE, disc of     paper mode"
@@ -131,8 +134,8 @@ def _show(answer: dict[str, Any]) -> None:
     click.echo(f"parameters: {answer['parameters']:,}")
     captures = answer["captures"]
     if captures:
-        idle = len(captures["added_nothing"])
-        click.echo(f"captures: {captures['enough']} would have been enough; {idle} added nothing")
+        enough, idle = captures.get("enough"), len(captures.get("added_nothing", []))
+        click.echo(f"captures: {enough} would have been enough; {idle} added nothing")
     for note in answer["notes"]:
         say(note)
 

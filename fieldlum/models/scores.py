@@ -27,6 +27,7 @@ from fieldlum.models import trusted_hours
 from fieldlum.models.disc_in_view import guessed_disc_lx, stated_disc_lx
 from fieldlum.records import Progress, quiet
 from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.scores_json import ScoreFigures
 from fieldlum.sun_disc import add_disc
 
 if TYPE_CHECKING:
@@ -280,7 +281,7 @@ def _mean(values: NDArray[np.float64]) -> float | None:
     return float(known.mean()) if len(known) else None
 
 
-def summary(scores: Scores) -> dict[str, Any]:
+def summary(scores: Scores) -> ScoreFigures:
     """Return the figures of `train --json` (docs/design.md, Command line) and their spread.
 
     A figure that was not computed is None.
@@ -311,7 +312,7 @@ def summary(scores: Scores) -> dict[str, Any]:
         "untrusted_share": float(1.0 - scores.trusted.mean()),
         "expected_mse": _mean(scores.expected_mse),
         "in_90_band": _mean(scores.in_band),
-        **_flagging(scores),
+        "worst_decile_found": _worst_tenth_found(scores),
     }
 
 
@@ -323,11 +324,11 @@ def _dgp_r2(scores: Scores) -> float | None:
     return 1.0 - error / (square - mean**2)
 
 
-def _flagging(scores: Scores) -> dict[str, float | None]:
+def _worst_tenth_found(scores: Scores) -> float | None:
     """Return the share of the true worst tenth in the tenth that the model itself ranks worst."""
     if not np.isfinite(scores.expected_mse).all() or len(scores) < 20:
-        return {"worst_decile_found": None}
+        return None
     tenth = max(1, len(scores) // 10)
     worst = set(np.argsort(-scores.mse_weighted)[:tenth])
     feared = set(np.argsort(-scores.expected_mse)[:tenth])
-    return {"worst_decile_found": len(worst & feared) / tenth}
+    return len(worst & feared) / tenth

@@ -15,7 +15,7 @@ from fieldlum.report.figures import (
 )
 from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
 from fieldlum.session.files.held_out_npz import HeldOutMaps
-from fieldlum.session.files.scores_json import ScoresFile
+from fieldlum.session.files.scores_json import ScoreRow, ScoresFile
 
 # Suns of two planned days of one season are under 1 degree apart, of two seasons over 20 degrees.
 SEASON_GAP_DEG = 8.0
@@ -124,7 +124,7 @@ def _score_table(scores: ScoresFile | None) -> Table | None:
     )
     chosen = scores.chosen
 
-    def cell(row: dict[str, Any], key: str) -> Any:
+    def cell(row: ScoreRow, key: str) -> Any:
         value = row.get(key)
         if key == "log10_mse_weighted" and row.get("not_judged_because"):
             return "too little time to judge"
@@ -152,7 +152,7 @@ def section(
     rows = (_maps_row(held, names or {}), *_agreement_rows(held)) if held else ()
     judged = None if scores is None else scores.judged_row
     if judged is not None:
-        median, worst = (10 ** np.sqrt(float(judged[key])) for key in ("median", "worst"))
+        median, worst = (10 ** np.sqrt(judged[key] or 0.0) for key in ("median", "worst"))
         maps = _counted(int(judged["n_test"]), "held-out map")
         text = (
             f"Checked on {maps}, each predicted by a fit without its day: half of them are within "

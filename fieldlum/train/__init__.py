@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from fieldlum import models
 from fieldlum.errors import NotEnoughDataError
@@ -20,7 +20,7 @@ from fieldlum.models.scores import summary
 from fieldlum.records import Progress, quiet
 from fieldlum.session import sha256
 from fieldlum.session.files.held_out_npz import HeldOutMaps
-from fieldlum.session.files.scores_json import ScoresFile
+from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.train.consistency_warnings import doubts, hard_captures
 from fieldlum.train.folds import day_folds, one_day_only
@@ -57,20 +57,19 @@ class Result:
     fit_s: float
     data: Dataset
     notes: tuple[str, ...] = ()
-    captures: dict[str, Any] = field(default_factory=dict)
 
     @property
     def held_out(self) -> HeldOutMaps | None:
         """Held-out maps of the chosen model; None if its trial was too short to be judged."""
         return next((t.scores.maps for t in self.trials if t.name == self.choice.name), None)
 
-    def table(self, seed: int) -> list[dict[str, Any]]:
+    def table(self, seed: int) -> list[ScoreRow]:
         """Return the rows of `train --json` (docs/design.md, Command line), with more columns."""
         rows = [row(trial, seed) for trial in self.trials]
         return rows + [row_without_figures(trial, seed) for trial in self.not_judged]
 
 
-def row(trial: Trial, seed: int) -> dict[str, Any]:
+def row(trial: Trial, seed: int) -> ScoreRow:
     """Return the row of a trial in `train --json`."""
     return {
         "name": trial.name,
@@ -84,10 +83,11 @@ def row(trial: Trial, seed: int) -> dict[str, Any]:
     }
 
 
-def row_without_figures(trial: Trial, seed: int) -> dict[str, Any]:
+def row_without_figures(trial: Trial, seed: int) -> ScoreRow:
     """Return the row of a trial that was too short: every score is null, with the reason."""
-    blank = dict.fromkeys(summary(trial.scores))
-    return row(trial, seed) | blank | {"n_test": 0, "not_judged_because": _too_short(trial)}
+    blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0}
+    reason = {"not_judged_because": _too_short(trial)}
+    return cast(ScoreRow, {**row(trial, seed), **blank, **reason})
 
 
 def _too_short(trial: Trial) -> str:
@@ -221,7 +221,7 @@ def run(
     force: bool = False,
     clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
-) -> dict[str, Any]:
+) -> TrainAnswer:
     """Train, write the model and its scores to `out`, and return what `train --json` prints.
 
     A model that the same version trained from the same captures and options is not trained again:
@@ -242,7 +242,7 @@ def run(
         "fieldlum": __version__,
     }
     if not force and (table := trained_before(out, inputs)) is not None:
-        return table | {"kept": True}
+        return {**table, "kept": True}
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
     budget = TimeBudget.starting(60.0 * budget_min - spent_s, clock)
     result = fit_and_score(
@@ -273,7 +273,8 @@ def run(
         "inputs": inputs,
     }
     text = json.dumps(answer, default=lambda value: value.tolist())
-    answer = json.loads(text, parse_constant=lambda _: None)  # JSON has no NaN
+    # JSON has no NaN
+    answer = cast(TrainAnswer, json.loads(text, parse_constant=lambda _: None))
     if distributed.rank() == 0:
         (out / SCORES).unlink(missing_ok=True)  # written last: with it a model is complete
         models.save(
@@ -291,10 +292,10 @@ def run(
         answer["model_sha256"] = _model_sha256(out)
         ScoresFile.from_table(answer, out / SCORES).write(out)
         checkpoint.unlink(missing_ok=True)
-    return answer | {"kept": False}
+    return {**answer, "kept": False}
 
 
-def trained_before(folder: Path, inputs: dict[str, Any]) -> dict[str, Any] | None:
+def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | None:
     """Return the scores of the model in `folder` if it came from these inputs and is unchanged."""
     table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
     if table is None or table.get("model_sha256") != _model_sha256(folder):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from fieldlum.light import Kernel, facades_of, greedy_hours, light_features
@@ -11,6 +9,7 @@ from fieldlum.models import Patch
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import by_day
 from fieldlum.records import Progress, quiet
+from fieldlum.session.files.scores_json import CaptureCurve, CurvePoint
 from fieldlum.statistics import standard_error
 from fieldlum.train.folds import day_folds
 from fieldlum.train.time_budget import TimeBudget
@@ -41,7 +40,7 @@ def how_many(
     budget: TimeBudget | None = None,
     fit_s: float = 0.0,
     progress: Progress = quiet,
-) -> dict[str, Any] | None:
+) -> CaptureCurve | None:
     """Return the error on held-out days against the number of captures, in the order of use.
 
     curve: captures that were fitted, error, standard error over days. enough: the fewest captures
@@ -53,7 +52,8 @@ def how_many(
         return {}
     small = data.thin(THIN_HEIGHT)
     folds = day_folds(small, FOLDS)
-    curve, next_s = [], FOLDS * fit_s
+    next_s = FOLDS * fit_s
+    curve: list[CurvePoint] = []
     for k, share in enumerate(SHARES):
         left_s = np.inf if budget is None else budget.left_s
         if left_s <= next_s:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict, cast
 
 from fieldlum.session.files.json_file import (
     check_format,
@@ -18,21 +19,92 @@ FORMAT = 1
 _REMEDY = "train the model again"
 
 
+class ScoreFigures(TypedDict):
+    """Errors of predicted maps (docs/models.md); None for a figure that was not computed."""
+
+    log10_mse_weighted: float | None
+    rer_weighted: float | None
+    median: float | None
+    p90: float | None
+    worst: float | None
+    paper_log10_mse: float | None
+    paper_rer: float | None
+    dgp_mse: float | None
+    dgp_mse_own_disc: float | None
+    bias_log10: float | None
+    expected_log10_mse: float | None
+    trusted_share: float | None
+    dgp_mae: float | None
+    dgp_r2: float | None
+    rammg_mse: float | None
+    rammg_mse_cut: float | None
+    n_test: int
+    predict_s_per_map: float | None
+    predict_cpu_s_per_map: float | None
+    untrusted_share: float | None
+    expected_mse: float | None
+    in_90_band: float | None
+    worst_decile_found: float | None
+
+
+class ScoreRow(ScoreFigures):
+    """One model in `train --json` (docs/cli.md); earlier versions wrote fewer keys."""
+
+    name: str
+    fit_s: float
+    fit_cpu_s: float
+    n_train: int
+    seed: int
+    folds: int
+    not_judged_because: str | None
+
+
+class CurvePoint(TypedDict):
+    """A fit of some captures: their number, held-out log10 MSE and its standard error."""
+
+    captures: int
+    mse: float
+    se: float
+
+
+class CaptureCurve(TypedDict, total=False):
+    """How many captures would have been enough; without keys for too few captures."""
+
+    curve: list[CurvePoint]
+    enough: int
+    added_nothing: list[str]
+
+
+class TrainAnswer(TypedDict):
+    """The object that `train --json` prints; scores.json has it without `kept`."""
+
+    models: list[ScoreRow]
+    chosen: str
+    reason: str
+    parameters: int
+    final_fit_s: float
+    captures: CaptureCurve
+    notes: list[str]
+    inputs: NotRequired[Mapping[str, object]]
+    model_sha256: NotRequired[str]
+    kept: NotRequired[bool]
+
+
 @dataclass(frozen=True, slots=True)
 class ScoresFile:
     """One scores.json. models: one row per model, columns as in `train --json` (docs/cli.md)."""
 
-    models: tuple[dict[str, Any], ...]
+    models: tuple[ScoreRow, ...]
     chosen: str
     reason: str = ""
     parameters: int = 0
     final_fit_s: float = 0.0
-    captures: dict[str, Any] = field(default_factory=dict)
+    captures: CaptureCurve = field(default_factory=CaptureCurve)
     notes: tuple[str, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)  # keys that other versions add
 
     @property
-    def judged_row(self) -> dict[str, Any] | None:
+    def judged_row(self) -> ScoreRow | None:
         """The chosen model's row; None if it has none, or there was no time to judge it."""
         rows = (row for row in self.models if row.get("name") == self.chosen)
         row = next(rows, None)
@@ -47,7 +119,7 @@ class ScoresFile:
         return cls.from_table(table, path)
 
     @classmethod
-    def from_table(cls, table: dict[str, Any], path: Path) -> ScoresFile:
+    def from_table(cls, table: Mapping[str, Any], path: Path) -> ScoresFile:
         """Build from the JSON object of `path`. Raises InputError for other content."""
         known = {field.name for field in fields(cls)} | {"format"}
         more = {key: value for key, value in table.items() if key not in known}
@@ -59,18 +131,18 @@ class ScoresFile:
         """Read the file, or return None if there is none."""
         return cls.read(folder) if (folder / "scores.json").is_file() else None
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TrainAnswer:
         """Return the object that `train --json` prints."""
-        return {
-            "models": [dict(row) for row in self.models],
+        answer: TrainAnswer = {
+            "models": list(self.models),
             "chosen": self.chosen,
             "reason": self.reason,
             "parameters": self.parameters,
             "final_fit_s": self.final_fit_s,
             "captures": self.captures,
             "notes": list(self.notes),
-            **self.more,
         }
+        return cast(TrainAnswer, {**answer, **self.more})
 
     def write(self, folder: Path) -> None:
         """Write scores.json."""
