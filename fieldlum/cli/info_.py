@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -12,6 +11,7 @@ from fieldlum.cli.options import PATH, json_lines_option
 from fieldlum.cli.terminal import emit_json, say
 from fieldlum.errors import InputError
 
+Facts = dict[str, object]  # facts about a file by name, as --json prints them
 _LINE = 200  # characters of a value without --json
 
 
@@ -46,7 +46,7 @@ def command(files: tuple[Path, ...], as_json: bool) -> None:
         raise SystemExit(InputError.exit_code)
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     """Return a value as one readable line; `--json` has all of it."""
     if isinstance(value, dict):
         return ", ".join(value) if value else "none"
@@ -58,14 +58,14 @@ def _short(value: Any) -> str:
     return text if len(text) <= _LINE else f"{text[:_LINE]} ..."
 
 
-def describe(path: Path) -> dict[str, Any]:
+def describe(path: Path) -> Facts:
     """Return facts about a file, by its kind. Raises InputError for a file of no known kind."""
     if path.is_dir():
         return _folder(path)
     if not path.is_file():
         raise InputError(path, "no such file or folder")
     suffix = path.suffix.lower()
-    readers: dict[str, Callable[[Path], dict[str, Any]]] = {
+    readers: dict[str, Callable[[Path], Facts]] = {
         ".exr": _panorama,
         ".hdr": _radiance,
         ".toml": _toml,
@@ -76,7 +76,7 @@ def describe(path: Path) -> dict[str, Any]:
     return readers.get(suffix, _raw)(path)
 
 
-def _panorama(path: Path) -> dict[str, Any]:
+def _panorama(path: Path) -> Facts:
     import numpy as np
 
     from fieldlum.records import utc_text
@@ -98,7 +98,7 @@ def _panorama(path: Path) -> dict[str, Any]:
     }
 
 
-def _radiance(path: Path) -> dict[str, Any]:
+def _radiance(path: Path) -> Facts:
     import numpy as np
 
     from fieldlum.images import read_radiance_hdr
@@ -115,7 +115,7 @@ def _radiance(path: Path) -> dict[str, Any]:
     }
 
 
-def _toml(path: Path) -> dict[str, Any]:
+def _toml(path: Path) -> Facts:
     from fieldlum.profiles import CameraProfile as Profile
     from fieldlum.site_toml import site_from_table
     from fieldlum.strict_toml import build, read_toml
@@ -143,7 +143,7 @@ def _toml(path: Path) -> dict[str, Any]:
             "source": profile.provenance.source,
         }
     if "entry" in table:
-        return _instrument(path, table)
+        return _instrument(path, "form" in table)
     if "setup" in table and "plan" in table:
         return {
             "kind": "session",
@@ -155,11 +155,11 @@ def _toml(path: Path) -> dict[str, Any]:
     )
 
 
-def _instrument(path: Path, table: dict[str, Any]) -> dict[str, Any]:
+def _instrument(path: Path, lines_form: bool) -> Facts:
     from fieldlum.devices.ascii_lines import load_ascii_profile
     from fieldlum.devices.registers import load_register_profile
 
-    if "form" in table:
+    if lines_form:
         lines = load_ascii_profile(str(path))
         gives = ", ".join(e.quantity for e in lines.entry)
         return {
@@ -178,7 +178,7 @@ def _instrument(path: Path, table: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _csv(path: Path) -> dict[str, Any]:
+def _csv(path: Path) -> Facts:
     from fieldlum.session import PLAN_COLUMNS, read_plan
 
     with path.open(encoding="utf-8", errors="replace") as file:
@@ -197,7 +197,7 @@ def _csv(path: Path) -> dict[str, Any]:
     }
 
 
-def _jpeg(path: Path) -> dict[str, Any]:
+def _jpeg(path: Path) -> Facts:
     from fieldlum.raw import read_jpeg
     from fieldlum.session import exposure_text
 
@@ -210,7 +210,7 @@ def _jpeg(path: Path) -> dict[str, Any]:
     }
 
 
-def _raw(path: Path) -> dict[str, Any]:
+def _raw(path: Path) -> Facts:
     from fieldlum.raw import read_mosaic
     from fieldlum.session import exposure_text
 
@@ -228,7 +228,7 @@ def _raw(path: Path) -> dict[str, Any]:
     }
 
 
-def _folder(path: Path) -> dict[str, Any]:
+def _folder(path: Path) -> Facts:
     if (path / "session.toml").is_file():
         return _toml(path / "session.toml")
     if (path / "config.json").is_file():
@@ -244,7 +244,7 @@ def _folder(path: Path) -> dict[str, Any]:
     )
 
 
-def _year(path: Path) -> dict[str, Any]:
+def _year(path: Path) -> Facts:
     from fieldlum.session.files.json_file import read_object
 
     about = read_object(path / "predict.json", "a predicted year", "predict again")

@@ -21,6 +21,7 @@ from fieldlum.records import Progress, SiteFile, quiet, slot_id
 from fieldlum.room_states import USAGE, merged_state
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.files.alignment_csv import alignment_path
+from fieldlum.session.files.model_config import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.provenance import data_digest
 from fieldlum.site_toml import load_site, site_table
@@ -54,7 +55,7 @@ class Dataset:
     source: str = ""
     notes: tuple[str, ...] = field(default=())
     counts: NDArray[np.float16] | None = None
-    scene: dict[str, Any] | None = None  # of `scene_fit.with_scene`: the stated and the used room
+    scene: UsedScene | None = None  # of `scene_fit.with_scene`
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -107,7 +108,7 @@ class Dataset:
             counts=None if self.counts is None else self.counts[:, pick, pick],
         )
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         """Return what a model's config.json records about its training data."""
         return {
             "setup": site_table(self.setup),

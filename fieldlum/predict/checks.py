@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from fieldlum.version import __version__
 
 if TYPE_CHECKING:
     from fieldlum.scene import RoomUncertainty
-    from fieldlum.session.files.model_config import ModelConfig
+    from fieldlum.session.files.model_config import ModelConfig, UsedScene
 
 
 def default_folder(model_folder: Path) -> Path:
@@ -34,11 +35,11 @@ def default_folder(model_folder: Path) -> Path:
     )
 
 
-def check_session(model_folder: Path, room: ModelRoom, scene: dict[str, Any] | None = None) -> None:
+def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None = None) -> None:
     """Raise InputError if a model's place, heading or picture size differ from its session's.
 
-    scene: table of the model's config.json, if it was trained with a fitted scene; then compare the
-    room as stated before the fit.
+    scene: of the model's config.json, if it was trained with a fitted scene; then compare the room
+    as stated before the fit.
     """
     resolved = model_folder.resolve()
     root = resolved.parents[1]
@@ -89,7 +90,7 @@ def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty 
 
     None means the uncertainty of a tape measure.
     """
-    draws = (config.state.get("scene") or {}).get("room_draws")
+    draws = config.scene.get("room_draws") if config.scene else None
     if not draws or room.setup.room is None:
         return None
     from fieldlum.scene import uncertainty_of_draws
@@ -97,7 +98,7 @@ def fitted_uncertainty(config: ModelConfig, room: ModelRoom) -> RoomUncertainty 
     return uncertainty_of_draws(room.setup.room, draws)
 
 
-def _changes(mine: dict[str, Any], theirs: dict[str, Any]) -> tuple[str, str] | None:
+def _changes(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> tuple[str, str] | None:
     """Return the first difference of camera and room between model and session, or None.
 
     Both affect every map.
@@ -118,7 +119,7 @@ def inputs_of(
     maps: bool,
     seed: int,
     label_shift_min: float = 0.0,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return everything that a predicted year depends on, as plain values."""
     from fieldlum.weather import SYNTHETIC
 
@@ -141,7 +142,7 @@ def inputs_of(
     }
 
 
-def already(folder: Path, inputs: dict[str, Any]) -> Annual | None:
+def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     """Return the year in `folder` if the same version computed it from the same inputs.
 
     Extra maps in the folder may stay.

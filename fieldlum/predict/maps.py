@@ -29,7 +29,7 @@ class MapStore:
         self._path = path
         self.work = path.with_name(f".{path.name}.tmp")
 
-    def create(self, t_utc: Sequence[datetime], room: ModelRoom, about: dict[str, Any]) -> None:
+    def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
         """Write the coordinates and the description of the maps; delete earlier remains."""
         import xarray as xr
         import zarr
@@ -47,7 +47,7 @@ class MapStore:
                 "y": ("y", altitudes, {"units": "degree", "long_name": "altitude"}),
                 "x": ("x", azimuths, {"units": "degree", "long_name": "azimuth"}),
             },
-            attrs={"heading_deg": room.heading_deg, **about},
+            attrs={"heading_deg": room.heading_deg, "site": site_name},
         )
         time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
         frame.to_zarr(self.work, mode="w", zarr_format=3, consolidated=False, encoding=time)

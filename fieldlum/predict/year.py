@@ -84,7 +84,7 @@ def run(
 
     config = read_config(model_folder)
     room = room_of(config, model_folder)
-    check_session(model_folder, room, config.state.get("scene"))
+    check_session(model_folder, room, config.scene)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
@@ -183,7 +183,7 @@ def measure(
     folder.mkdir(parents=True, exist_ok=True)
     store = MapStore(folder / "maps.zarr") if maps else None
     if store is not None:
-        store.create(light.t_utc, room, {"site": room.setup.site.name})
+        store.create(light.t_utc, room, room.setup.site.name)
     units = hour_units(
         model_folder, light, azimuths_deg, discs_lx, turns_deg, store.work if store else None
     )

@@ -16,6 +16,7 @@ from fieldlum.projection import signed_angle_deg
 from fieldlum.records import Progress, quiet
 from fieldlum.scene_fit.fit import SceneFit
 from fieldlum.scene_fit.scene_file import SCENE_TOML, Chosen, Scene, read_scene
+from fieldlum.session.files.model_config import UsedScene
 from fieldlum.site_toml import site_table
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
     the scene was fitted to.
     """
     _check_stated(data, scene)
-    about = {
+    about: UsedScene = {
         "north_deg": scene.north_deg,
         "clock_min": scene.clock_min,
         "chosen": scene.chosen,
@@ -70,7 +71,7 @@ def with_scene(data: Dataset, scene: Scene, *, progress: Progress = quiet) -> Da
     camera = replace(
         data.setup.camera, heading_deg=(data.setup.camera.heading_deg + scene.north_deg) % 360.0
     )
-    about |= {"room_draws": {name: list(v) for name, v in scene.room_draws.items()}}
+    about["room_draws"] = {name: list(v) for name, v in scene.room_draws.items()}
     turned = replace(
         data,
         light=earlier(data.light, scene.clock_min, data),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 from fieldlum.errors import InputError
 from fieldlum.session.files.json_file import build_known, check_format, read_object, write_object
@@ -25,6 +25,21 @@ class TrainingNote:
     days: tuple[str, ...] = ()
 
 
+class UsedScene(TypedDict):
+    """The fitted scene that a model was trained with; absent without one.
+
+    stated: SITE.toml as a table before the fit, stated_heading_deg that of the captures;
+    room_draws: values of the room's parameters in draws from the fit's uncertainty.
+    """
+
+    north_deg: float
+    clock_min: float
+    chosen: str
+    stated: dict[str, Any]
+    stated_heading_deg: float
+    room_draws: NotRequired[dict[str, list[float]]]
+
+
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
     """One config.json. setup: SITE.toml as a table; state: all keys, for `from_state`."""
@@ -38,6 +53,11 @@ class ModelConfig:
     setup: dict[str, Any] = field(default_factory=dict)
     training: TrainingNote = TrainingNote()
     state: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> UsedScene | None:
+        """The fitted scene that the model was trained with."""
+        return self.state.get("scene")
 
     @classmethod
     def read(cls, folder: Path) -> ModelConfig:
