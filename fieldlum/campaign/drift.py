@@ -72,7 +72,7 @@ class DriftSeries:
 def series(
     kind: str, t_utc: Sequence[datetime], values: Sequence[float] | NDArray[np.float64]
 ) -> DriftSeries:
-    """Return a quantity with the change of a robust line through its values.
+    """Return a quantity with the change of a robust line through its values, [n] of t_utc.
 
     The captures of one day share its weather, so that the interval comes from the scatter of days,
     and few days give a wide one.

@@ -117,7 +117,7 @@ def seen_pixels(panorama: Panorama) -> np.ndarray | None:
 
 
 def valid_pixels(panorama: Panorama, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Return a copy of the luminance with unseen and negative pixels set to 0, and warnings.
+    """Return the luminance with unseen and negative pixels set to 0 [H, W], and warnings.
 
     Negative pixels are noise. Raises InputError for pixels that are not finite.
     """

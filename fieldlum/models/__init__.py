@@ -97,7 +97,7 @@ class Fitted(Protocol):
     held_out_mse: NDArray[np.float64] | None
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict maps of the hours of `light`.
+        """Predict maps of the n hours of `light`; patch_cdm2: direct sun alone [n, H, W].
 
         Memory grows with the number of hours, so predict in chunks.
         """

@@ -106,7 +106,10 @@ def shown_place(
 
 
 def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
-    """Return a line for each pose that was corrected, and one for captures that are not used."""
+    """Return a line for each pose that was corrected, and one for captures that are not used.
+
+    days: local date of each capture [n]; table: name of the file with the turns.
+    """
     notes = []
     for pose in np.unique(turns.angles_deg[turns.turned], axis=0):
         rows = turns.turned & (turns.angles_deg == pose).all(axis=1)

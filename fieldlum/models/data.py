@@ -76,7 +76,7 @@ class Dataset:
         return data_digest(replace(self, source=""))
 
     def take(self, index: NDArray[Any] | Sequence[int]) -> Dataset:
-        """Return the rows of an index or boolean array."""
+        """Return the rows of an index [k] or a boolean array [n]."""
         rows = np.asarray(index)
         rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
         return replace(

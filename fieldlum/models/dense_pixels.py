@@ -35,7 +35,7 @@ class PixelSampler:
         return self.target.numel()
 
     def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return scene inputs, patch, target and weight of numbered pairs."""
+        """Return scene inputs [b, 7 or 8], patch [b, 1], target [b] and weight [b] of pairs [b]."""
         hour = numbers // len(self.seen)
         place = numbers - hour * len(self.seen)
         scene = scene_inputs(self.canvas, self.hours, hour, self.seen[place])

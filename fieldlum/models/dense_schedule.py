@@ -84,7 +84,7 @@ def affordable_plan(
 
 
 def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row numbers of n images for training and for validation.
+    """Return row numbers of n images for training [k] and for validation [n - k].
 
     A tenth of the images validates, at least one; a single image validates itself.
     """

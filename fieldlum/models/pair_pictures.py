@@ -131,7 +131,8 @@ def fill_gaps(
 ) -> tuple[NDArray[np.bool_], int]:
     """Fill single missing values in place with the pixel's median; return seen pixels and a count.
 
-    A pixel that is missing in a fifth of the maps counts as not seen.
+    maps, has_value: [n, H, W]; seen pixels: [H, W]. A pixel that is missing in a fifth of the maps
+    counts as not seen.
     """
     seen = has_value.mean(axis=0) > 0.8
     if not seen.any():

@@ -179,7 +179,7 @@ def _log10(maps: NDArray[np.float32], data: Dataset) -> NDArray[np.float32]:
 
 
 def compare(prediction: Prediction, data: Dataset, weights: NDArray[np.float64]) -> Scores:
-    """Return the errors of log10 luminance, map by map.
+    """Return the errors of log10 luminance, map by map; weights: of the pixels [H, W].
 
     Raises FloatingPointError for a value that is not finite.
     """
@@ -271,7 +271,7 @@ def _glare_errors(
 def by_day(
     values: NDArray[np.float64], days: NDArray[np.datetime64]
 ) -> tuple[NDArray[Any], NDArray[np.float64]]:
-    """Return the days and the mean of each day's values."""
+    """Return the days and the mean of each day's values, [days] each; values, days: [n]."""
     unique, which = np.unique(days, return_inverse=True)
     return unique, np.bincount(which, weights=values) / np.bincount(which)
 

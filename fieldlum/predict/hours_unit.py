@@ -74,7 +74,10 @@ def hour_units(
     turns_deg: NDArray[np.float64],
     maps: Path | None,
 ) -> list[WorkUnit]:
-    """Return the units of a year's hours, `BLOCK` hours each; the last can be shorter."""
+    """Return the units of a year's n hours, `BLOCK` hours each; the last can be shorter.
+
+    discs_lx: the disc in k drawn rooms [k, n]; turns_deg: displacements of the sun [k, 2].
+    """
     model = model_folder.resolve()
     folder = model if maps is None else Path(os.path.commonpath([model, maps.resolve()]))
     name = model.relative_to(folder).as_posix()

@@ -38,7 +38,7 @@ def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
 
 
 def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
-    """Return the rows of the sunniest day within three weeks of the March equinox.
+    """Return the rows of the sunniest day within three weeks of the March equinox, [k].
 
     If the year has no such day, choose among all days.
     """

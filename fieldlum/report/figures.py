@@ -170,7 +170,7 @@ def sun_path_svg(
     captured_azimuth_deg: Float,
     captured_altitude_deg: Float,
 ) -> str:
-    """Plot all hours of the year with the sun up, and the captured ones.
+    """Plot all hours of the year with the sun up [n], and the captured ones [k].
 
     As the paper's Figures 3 and 21.
     """
@@ -222,8 +222,8 @@ def polar_svg(
 ) -> str:
     """Plot the DGP exceeded in 5 % of the occupied hours by view direction, over the class limits.
 
-    Directions run clockwise from north; low and high bound the 95 % interval. A NaN is a direction
-    that was not seen: the line has a gap there.
+    All arrays: [d]. Directions run clockwise from north; low and high bound the 95 % interval. A
+    NaN is a direction that was not seen: the line has a gap there.
     """
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])
@@ -306,7 +306,10 @@ def exceedance_svg(
 
 
 def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
-    """Plot predicted against measured, with the 1:1 line and r2 (paper: Figures 11, 14, 22)."""
+    """Plot predicted against measured of one shape, with the 1:1 line and r2.
+
+    As the paper's Figures 11, 14 and 22.
+    """
     x, y = np.ravel(measured), np.ravel(predicted)
     r2 = (
         float(np.corrcoef(x, y)[0, 1] ** 2)
@@ -325,7 +328,7 @@ def agreement_svg(measured: Float, predicted: Float, quantity: str) -> str:
 
 
 def error_by_sun_svg(error: Float, altitude_deg: Float, azimuth_deg: Float, quantity: str) -> str:
-    """Plot the mean error against the sun's altitude and azimuth (the paper's Figure 12)."""
+    """Plot the mean error [n] against the sun's altitude and azimuth (the paper's Figure 12)."""
     with styled():
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)

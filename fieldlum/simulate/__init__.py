@@ -221,7 +221,10 @@ def _write_irradiance(
 def write_pairs(
     session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
 ) -> None:
-    """Write the pairs of the truth itself; their irradiance counts as measured."""
+    """Write the pairs of the truth itself; their irradiance counts as measured.
+
+    lit: whether a slot has any light [len(slots)]; light: of all slots.
+    """
     ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
     rows = [
         _pair(session, slot, light, k, bool(lit[k]), float(ghi[k])) for k, slot in enumerate(slots)

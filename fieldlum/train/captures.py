@@ -23,7 +23,7 @@ _NEXT_POINT = 2.0  # time of the next point over that of the last one: at most t
 
 
 def order_of_use(data: Dataset) -> np.ndarray:
-    """Return row numbers, the most informative capture first.
+    """Return row numbers [n], the most informative capture first.
 
     Each next capture is the one that lowers the variance over all captures most.
     """

@@ -131,7 +131,10 @@ def direct_flux_lx(patch: NDArray[np.floating], open_sky: NDArray[np.bool_]) -> 
 def describe_patches(
     patch: NDArray[np.floating], light: Light, open_sky: NDArray[np.bool_]
 ) -> PatchDescriptor:
-    """Choose the norm: the 75th percentile over sunny hours, at least a tenth of the largest."""
+    """Choose the norm: the 75th percentile over sunny hours, at least a tenth of the largest.
+
+    patch: [n, H, W] cd/m2; open_sky: [H, W] marks windows.
+    """
     cells = patch_cells(patch, open_sky)
     sunny = light.direct_lx > FAINT_SUN_LX
     if not sunny.any() or not cells[sunny].any():

@@ -134,7 +134,10 @@ class ChunkFit:
 def fit_chunk(
     arrays: TrainingArrays, scale: Array, basis: Basis, recipe: Recipe, products: tuple
 ) -> ChunkFit:
-    """Fit some pixels: relative errors, then robust rounds, then the unbiased solves."""
+    """Fit some pixels: relative errors, then robust rounds, then the unbiased solves.
+
+    scale: light of each pixel per unit of total light [P]; products: of `pair_products`.
+    """
     unit = arrays.light.total_lx[:, None] * scale  # [n, P]
     target = np.maximum(arrays.luminance, LEAST_CDM2) / unit
     columns = _columns(arrays, unit, recipe)
@@ -200,10 +203,10 @@ def compose(surface: Array, least: Array, gains: Array, columns: NDArray[np.floa
 
 
 def second_covariance(a: Light, b: Light, share_a: Array, share_b: Array, width: float) -> Array:
-    """Return the covariance of the second stage between hours.
+    """Return the covariance of the second stage between hours, [len(a), len(b)].
 
     It has two parts: what the sun causes from nearly the same direction, and the season. share_a,
-    share_b: the sun's share of the total light.
+    share_b: the sun's share of the total light, [len(a)] and [len(b)].
     """
     cosine = np.clip(a.sun_direction @ b.sun_direction.T, -1.0, 1.0)
     sharp = np.outer(share_a, share_b) * np.exp((cosine - 1.0) / width**2)

@@ -62,7 +62,7 @@ class RoomResponse:
     recipe: Recipe
 
     def features(self, light: Light, patch: NDArray[np.float32] | None) -> Features:
-        """Return the features of these hours that the kernel compares."""
+        """Return the features of n hours that the kernel compares; patch: [n, H, W] cd/m2."""
         basis = self.basis
         features = basis.states.add(light_features(light), light)
         if basis.physics is not None:

@@ -69,7 +69,7 @@ def _declination_deg(days: NDArray) -> Array:
 
 
 def one_season(days: NDArray) -> bool:
-    """Return whether all days are of one season, so that they do not test other seasons.
+    """Return whether all days [n] are of one season, so that they do not test other seasons.
 
     That is so if the sun's declination changed by less than ONE_SEASON_DEG.
     """
@@ -112,7 +112,7 @@ class HeldOutFit:
 
 
 def score(predicted: NDArray[np.floating], seen: NDArray[np.floating]) -> Array:
-    """Return the log10 error, with both values at least at the floor."""
+    """Return the log10 error in the shape of both luminances [cd/m2], at least at the floor."""
     return np.log10(np.maximum(predicted, FLOOR_CDM2)) - np.log10(np.maximum(seen, FLOOR_CDM2))
 
 

@@ -68,7 +68,7 @@ def table_of(
 
 
 def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[Any]]:
-    """Return the plain arrays of a model for weights.npz."""
+    """Return the plain arrays of a model for weights.npz, in the shapes of their dataclasses."""
     basis = response.basis
     light = basis.captured_light
     arrays: dict[str, NDArray[Any]] = {
@@ -93,7 +93,7 @@ def arrays_of(response: RoomResponse, unsure: Uncertainty) -> dict[str, NDArray[
 
 
 def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> RoomResponse:
-    """Return the response that `table_of` and `arrays_of` described."""
+    """Return the response that `table_of` and `arrays_of` described, shapes included."""
     return RoomResponse(
         seen=arrays["seen"],
         basis=_basis(own, arrays),
@@ -105,7 +105,7 @@ def response_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Room
 
 
 def uncertainty_of(own: TransportTable, arrays: Mapping[str, NDArray[Any]]) -> Uncertainty:
-    """Return the uncertainty that `table_of` and `arrays_of` described."""
+    """Return the uncertainty that `table_of` and `arrays_of` described, shapes included."""
     trust = {name: arrays[f"trust_{name}"] for name in TRUST_ARRAYS}
     noise = {name: arrays[name] for name in ("noise_dull", "noise_sun")}
     return Uncertainty(**{**own["trust"], **trust, **noise})
