@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MODEL = "auto"
 WEATHER = "seattle_dni_dhi.csv"
-YEAR = 2027
+YEAR = 2027  # of the simulated captures; chosen
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,8 @@ COUNTS = (25, 50, 100, 200, 500, 1000)  # captures of the learning curve
 TEST_HOURS = 300  # held-out hours of a year
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 FEWEST_HOURS = 20  # of a collection period
-YEAR_HOURS = 1000  # data with this many hours in YEAR_MONTHS months count as a year
+# Data with this many hours in this many months count as a year; not measured.
+YEAR_HOURS = 1000
 YEAR_MONTHS = 10
 
 

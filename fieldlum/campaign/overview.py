@@ -24,7 +24,7 @@ from fieldlum.version import __version__
 
 GLARE_DGP = "0.40"  # disturbing, EN 17037
 _NEXT = 3  # hours named for each room
-_SLOTS = 6
+_SLOTS = 6  # failed slots named for each reason, so that a row stays on a line or two
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from fieldlum.errors import FieldlumError
+from fieldlum.errors import FieldlumError, InputError
 from fieldlum.version import __version__
 
 # In the order of the work. Each name is a module of this folder with a click command `command`.
@@ -43,7 +43,6 @@ COMMANDS = (
 )
 
 INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C
-BAD_FILE = 3
 # Missing on a small computer that only captures; see pyproject.toml.
 COMPUTE_PACKAGES = ("torch", "pyradiance")
 
@@ -100,7 +99,7 @@ class _CommandGroup(click.Group):
             place = f"{error.filename}: " if error.filename else ""
             said = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
             _complain(ctx, said)
-            sys.exit(BAD_FILE)
+            sys.exit(InputError.exit_code)
         except ModuleNotFoundError as error:
             if error.name not in COMPUTE_PACKAGES:
                 raise
@@ -109,7 +108,7 @@ class _CommandGroup(click.Group):
                 f"install it with: pip install 'fieldlum[compute]'"
             )
             _complain(ctx, said)
-            sys.exit(BAD_FILE)
+            sys.exit(InputError.exit_code)
         except KeyboardInterrupt:
             click.echo(
                 f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to go on", err=True

@@ -17,11 +17,11 @@ from fieldlum.cli.options import (
     scheduler_option,
 )
 from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.errors import InputError
 
 if TYPE_CHECKING:
     from fieldlum.campaign.stages import Stage
 
-SKIPPED_EXIT_CODE = 3  # exit code when a room was skipped
 campaign_argument = click.argument("campaign_file", metavar="CAMPAIGN.toml", type=PATH)
 
 
@@ -58,7 +58,7 @@ def _run(campaign_file: Path, stage: Stage, scheduler: str, force: bool, as_json
     failed = sum(result.state == "failed" for result in results)
     if failed:
         say(f"{failed} of {len(results)} rooms skipped")
-        raise SystemExit(SKIPPED_EXIT_CODE)
+        raise SystemExit(InputError.exit_code)
 
 
 def _add_stage(stage: Stage, text: str, example: str = "", *options: Decorator) -> None:

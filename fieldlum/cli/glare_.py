@@ -16,7 +16,6 @@ from fieldlum.cli.terminal import emit_json, say
 if TYPE_CHECKING:
     from fieldlum.glare.answers import GlareAnswer
 
-BAD_FILE = 3
 # Columns of --csv: a contract, additions only at the end.
 CSV_COLUMNS = (
     "file",
@@ -134,7 +133,7 @@ def command(
     if bad and len(images) > 1:
         say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")
     if bad:
-        ctx.exit(BAD_FILE)
+        ctx.exit(InputError.exit_code)
 
 
 def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:

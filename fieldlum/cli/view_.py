@@ -11,8 +11,6 @@ import click
 from fieldlum.cli.options import FILE_PATH, PATH
 from fieldlum.cli.terminal import say
 
-BAD_FILE = 3
-
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=PATH)
@@ -92,7 +90,7 @@ def command(
     if pictures:
         click.echo(str(out))
     if len(pictures) < len(files):
-        ctx.exit(BAD_FILE)
+        ctx.exit(InputError.exit_code)
 
 
 def _print_rows(rows: Sequence[dict[str, float | str | None]]) -> None:

@@ -11,7 +11,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import session_argument
 from fieldlum.errors import InputError
 
-DEFAULT_PORT = 8765
+DEFAULT_PORT = 8765  # chosen: rarely used by another program; scene click has the next one
 
 
 @click.command("watch")

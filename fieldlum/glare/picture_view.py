@@ -20,6 +20,7 @@ from fieldlum.records import Float
 VIEW_TYPES = {"a": "equidistant", "h": "hemispherical", "s": "stereographic", "v": "perspective"}
 EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 HOW = f'give --view "{EXAMPLE_VIEW}" (a 180-degree fisheye that looks south)'
+# Angles that Radiance accepts for each type, and the numbers after each view option (rpict -v).
 _LARGEST_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 _ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
 # The solid angle of -vth is infinite at its rim; the part beyond this cosine is 0.1 % of the

@@ -28,8 +28,9 @@ Array = NDArray[np.float64]
 SKY_MF = 4  # 4 x 4 Reinhart patches for each Tregenza patch: 2305 in total
 SKY = len(reinhart_patches(SKY_MF))
 PLAIN = SKY  # column of the open plain
-FIRST_PIECE = SKY + 1
-_POINTS_A_RUN = 1200  # and _RAYS_A_RUN: size of one rcontrib run; decide memory and speed only
+FIRST_PIECE = SKY + 1  # column of the first piece of surface
+# Size of one rcontrib run: decides memory and speed only.
+_POINTS_A_RUN = 1200
 _RAYS_A_RUN = 600_000
 _OFFSET_M = 1e-3  # points are this far above their surface, so that rays do not hit it
 _SUB = 4  # squared: sample points of direct sun in a piece; chosen, not measured
