@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from annual_truth_render import Array, Hours, chosen_hours, read_hours
+from annual_truth_hours import Hours, chosen_hours, read_hours
+from annual_truth_office import Array
 from numpy.typing import NDArray
 
 from fieldlum.glare.geometry import panorama_views
