@@ -14,9 +14,19 @@ import numpy as np
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
 from fieldlum.campaign.drift import FEWEST, FEWEST_DAYS, LIMITS, UNITS, DriftSeries, drifts_of
 from fieldlum.errors import FieldlumError
-from fieldlum.projection import NOT_SEEN, compass_name
+from fieldlum.projection import NOT_SEEN
 from fieldlum.records import Progress, quiet
-from fieldlum.report.page import Figure, Page, Row, Section, Table, render, svg_figure
+from fieldlum.report.page import (
+    Figure,
+    Page,
+    Row,
+    Section,
+    Table,
+    counted,
+    named,
+    render,
+    svg_figure,
+)
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile, SkyToCapture
@@ -169,16 +179,16 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
     moving = [room for room in rooms if room.drifting]
     slots = sum(len(room.failed) for room in rooms)
     answer = (
-        f"{_count(len(bad), 'room')} of {len(judged)} with a predicted year "
+        f"{counted(len(bad), 'room')} of {len(judged)} with a predicted year "
         f"{'has' if len(bad) == 1 else 'have'} a view direction without protection from glare."
         if judged
         else "No room has a predicted year yet."
     )
     names = ", ".join(room.session for room in moving)
     why = (
-        f"{_count(len(moving), 'camera')} drift{'s' if len(moving) == 1 else ''}"
-        f"{f' ({names})' if names else ''}; {_count(slots, 'slot')} failed; "
-        f"{_count(len(broken), 'session')} could not be read."
+        f"{counted(len(moving), 'camera')} drift{'s' if len(moving) == 1 else ''}"
+        f"{f' ({names})' if names else ''}; {counted(slots, 'slot')} failed; "
+        f"{counted(len(broken), 'session')} could not be read."
     )
     return Page(
         title=campaign.name,
@@ -196,14 +206,6 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
     )
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def _direction(row: DirectionYear) -> str:
-    return f"{compass_name(row.azimuth_deg)} ({row.azimuth_deg:.0f}°)"
-
-
 def _chip(row: DirectionYear) -> dict[str, str]:
     return {"kind": row.glare_class if row.certain else "open", "text": row.glare_class}
 
@@ -217,11 +219,11 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
         body.append(
             (
                 room.session,
-                _direction(worst),
+                named(worst.azimuth_deg),
                 _chip(worst),
                 f"{exceeded(worst):.2f}",
                 f"{worst.hours_over[GLARE_DGP]} of {room.occupied_hours}",
-                _direction(best),
+                named(best.azimuth_deg),
                 _chip(best),
             )
         )

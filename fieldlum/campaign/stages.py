@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.records import Progress, quiet
+from fieldlum.report.page import counted
 from fieldlum.scheduler import LOCAL, Scheduler, WorkUnit, run_units
 from fieldlum.session import Session, open_session
 
@@ -25,6 +27,19 @@ class RoomResult:
     session: str
     state: Literal["done", "failed"]
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """The campaign, and how a stage of it runs."""
+
+    campaign: CampaignFile
+    scheduler: Scheduler
+    force: bool
+    progress: Progress
+
+    def session(self, room: CampaignRoom) -> Session:
+        return open_session(self.campaign.session_folder(room))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +64,10 @@ def run_stage(
     if stage == "train":
         yield from _train(campaign, scheduler, progress)
         return
-    work: Callable[[CampaignRoom], str] = {
-        "plan": lambda room: _plan(campaign, room),
-        "status": lambda room: _status(campaign, room),
-        "merge": lambda room: _merge(campaign, room, scheduler, force, progress),
-        "predict": lambda room: _predict(campaign, room, scheduler, force, progress),
-    }[stage]
+    work = {"plan": _plan, "status": _status, "merge": _merge, "predict": _predict}[stage]
+    how = _Stage(campaign, scheduler, force, progress)
     for room in campaign.rooms:
-        yield _guarded(room.session, lambda room=room: work(room))
+        yield _guarded(room.session, partial(work, how, room))
 
 
 def _guarded(name: str, work: Callable[[], str]) -> RoomResult:
@@ -73,54 +84,44 @@ def _line(text: str) -> str:
     return " ".join(text.split())[:_LINE]
 
 
-def _session(campaign: CampaignFile, room: CampaignRoom) -> Session:
-    return open_session(campaign.session_folder(room))
-
-
 # ----------------------------------------------------------------------------------------------
 # stages
 
 
-def _plan(campaign: CampaignFile, room: CampaignRoom) -> str:
+def _plan(stage: _Stage, room: CampaignRoom) -> str:
     from fieldlum import plan
     from fieldlum.site_toml import load_site
 
-    folder = campaign.session_folder(room)
+    folder = stage.campaign.session_folder(room)
     if (folder / "session.toml").is_file():
         return f"{len(open_session(folder).slots())} slots, planned before"
     if not room.site:
         raise InputError(folder, "no session and no site", "site = SITE.toml", "add it to the room")
-    setup = load_site(campaign.file(room.site))
+    setup = load_site(stage.campaign.file(room.site))
     today = plan.today_at(setup.site, datetime.now(UTC))
     session, _ = plan.run(setup, plan.Request(room.set, today), folder)
     return f"{len(session.slots())} slots planned ({room.set})"
 
 
-def _status(campaign: CampaignFile, room: CampaignRoom) -> str:
+def _status(stage: _Stage, room: CampaignRoom) -> str:
     from fieldlum.capture.status import status
 
-    found = status(_session(campaign, room))
+    found = status(stage.session(room))
     capture, merge, pair = found["capture"], found["merge"], found["pair"]
     models = ", ".join(entry["name"] for entry in found["train"]["models"]) or "no model"
-    years = len(found["predict"]["years"])
     return (
         f"{capture['done']} captured, {capture['missed']} missed, {capture['aborted']} aborted, "
         f"{capture['owed']} to do; {merge['done']} merged; {pair['usable']} usable pairs; "
-        f"{models}; {years} year{'' if years == 1 else 's'}"
+        f"{models}; {counted(len(found['predict']['years']), 'year')}"
     )
 
 
-def _merge(
-    campaign: CampaignFile,
-    room: CampaignRoom,
-    scheduler: Scheduler,
-    force: bool,
-    progress: Progress,
-) -> str:
+def _merge(stage: _Stage, room: CampaignRoom) -> str:
     """Merge, then clean the irradiance and pair."""
     from fieldlum import irradiance, merge, pair
 
-    session = _session(campaign, room)
+    session = stage.session(room)
+    scheduler, force, progress = stage.scheduler, stage.force, stage.progress
     options = merge.MergeOptions(height=int(room.size.lower().partition("x")[2]))
     verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=progress)
     irradiance.run(session, force=force, progress=progress)
@@ -160,27 +161,20 @@ def train_room(folder: Path, job: _TrainJob) -> str:
     error = chosen["log10_mse_weighted"]
     figure = "" if error is None else f", log10 MSE {error:.2g} on held-out days"
     warned = sum(note.startswith("WARNING") for note in answer["notes"])
-    warnings = f", {warned} warning{'' if warned == 1 else 's'}" if warned else ""
+    warnings = f", {counted(warned, 'warning')}" if warned else ""
     return f"{answer['chosen']} from {len(data)} captures{figure}{warnings}"
 
 
-def _predict(
-    campaign: CampaignFile,
-    room: CampaignRoom,
-    scheduler: Scheduler,
-    force: bool,
-    progress: Progress,
-) -> str:
+def _predict(stage: _Stage, room: CampaignRoom) -> str:
     from fieldlum import predict
 
-    session = _session(campaign, room)
-    weather = Path(room.weather) if room.weather == "synthetic" else campaign.file(room.weather)
+    weather = Path(room.weather)
     annual, new = predict.run(
-        session.models / room.model,
-        weather,
+        stage.session(room).models / room.model,
+        weather if room.weather == "synthetic" else stage.campaign.file(room.weather),
         views=room.views,
-        scheduler=scheduler,
-        force=force,
-        progress=progress,
+        scheduler=stage.scheduler,
+        force=stage.force,
+        progress=stage.progress,
     )
     return f"{len(annual)} hours" + ("" if new else ", predicted before")

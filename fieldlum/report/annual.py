@@ -12,7 +12,7 @@ from fieldlum.glare import panorama_to_fisheye
 from fieldlum.predict import Annual
 from fieldlum.predict.annual import Pictures
 from fieldlum.predict.glare_summary import best_and_worst
-from fieldlum.projection import NOT_SEEN, PARTLY_SEEN, compass_name
+from fieldlum.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.records import SunSource
 from fieldlum.report.figures import (
     exceedance_svg,
@@ -36,6 +36,7 @@ from fieldlum.report.page import (
     Table,
     day_hour_grid,
     heat_map,
+    named,
     png_figure,
     svg_figure,
 )
@@ -48,11 +49,6 @@ CLASS_WORDS = {
     "minimum": "minimum protection",
     "none": "worse than minimum protection",
 }
-
-
-def named(azimuth_deg: float) -> str:
-    """Return a direction by name and degrees."""
-    return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
 def answer(annual: Annual) -> tuple[str, str]:

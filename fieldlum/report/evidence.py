@@ -13,7 +13,7 @@ from fieldlum.report.figures import (
     contrast_levels_svg,
     error_by_sun_svg,
 )
-from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
+from fieldlum.report.page import Row, Section, Table, counted, png_figure, svg_figure
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile
 
@@ -153,7 +153,7 @@ def section(
     judged = None if scores is None else scores.judged_row
     if judged is not None:
         median, worst = (10 ** np.sqrt(judged[key] or 0.0) for key in ("median", "worst"))
-        maps = _counted(int(judged["n_test"]), "held-out map")
+        maps = counted(int(judged["n_test"]), "held-out map")
         text = (
             f"Checked on {maps}, each predicted by a fit without its day: half of them are within "
             f"a factor of {median:.2f} (rms over the map), the worst within {worst:.2f}."
@@ -164,7 +164,3 @@ def section(
     return Section(
         "evidence", "How good the numbers are", text.strip(), rows, (table,) if table else ()
     )
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.projection import compass_name
 from fieldlum.records import Float
 
 NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
@@ -25,6 +26,16 @@ class Figure:
     caption: str
     svg: str = ""
     png: str = ""  # base64
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun, such as "1 room" or "3 rooms"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def named(azimuth_deg: float) -> str:
+    """Return a direction by name and degrees."""
+    return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
 def svg_figure(svg: str, alt: str, caption: str) -> Figure:
