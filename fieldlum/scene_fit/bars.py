@@ -42,7 +42,7 @@ class WindowPicture:
     z_m: Array
 
     def profile(self, axis: int) -> Array:
-        """Return the weighted mean over z (axis 0) or over u (axis 1); NaN without any sun."""
+        """Return the weighted mean over z (axis 0) [u], or u (axis 1) [z]; NaN without any sun."""
         weight = self.weight.sum(axis=axis)
         with np.errstate(invalid="ignore", divide="ignore"):
             return (self.value * self.weight).sum(axis=axis) / np.where(weight > 0, weight, np.nan)
@@ -51,7 +51,10 @@ class WindowPicture:
 def window_picture(
     evidence: SceneEvidence, guess: Guess, number: int, albedo: Array
 ) -> WindowPicture:
-    """Return what window `number` lets through, found by following sunlit pixels back to it."""
+    """Return what window `number` lets through, found by following sunlit pixels back to it.
+
+    albedo: of each surface [s].
+    """
     rect = guess.windows[number]
     axis, side = WALLS[rect.wall]
     along = 1 - axis

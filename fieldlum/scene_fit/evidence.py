@@ -61,7 +61,7 @@ class SceneEvidence:
         return len(self.rows)
 
     def hours(self, index: NDArray) -> SceneEvidence:
-        """Return the evidence of some of the hours."""
+        """Return the evidence of some of the hours, by their numbers [k]."""
         return replace(
             self,
             log_seen=self.log_seen[index],
@@ -77,7 +77,7 @@ class SceneEvidence:
         return self.at_pixels(np.arange(0, len(self.pixels), every))
 
     def at_pixels(self, keep: NDArray[np.intp]) -> SceneEvidence:
-        """Return the evidence of some of the pixels."""
+        """Return the evidence of some of the pixels, by their numbers [k]."""
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
@@ -116,7 +116,7 @@ class SceneEvidence:
         return self.direct_lx[:, None] * shine / np.pi
 
     def mean_misfit(self, guess: Guess, albedo: Array) -> float:
-        """Return the mean over the hours of `misfit`, computed at the sunlit entries alone."""
+        """Return the mean of `misfit` over hours, from sunlit entries; albedo: by surface [s]."""
         ends = surfaces(guess, self.rays)
         lit = lit_entries(guess, ends, self.suns_room(guess))
         shine = lit.strength * albedo.astype(np.float32)[ends.surface[lit.ray]]

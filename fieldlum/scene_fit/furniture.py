@@ -50,7 +50,7 @@ class PixelDepths:
 
 
 def pixel_depths(evidence: SceneEvidence, guess: Guess, albedo: Array) -> PixelDepths:
-    """Try depths, faces and albedos for every pixel alone.
+    """Try depths, faces and albedos for every pixel alone; albedo: of each surface [s].
 
     Each pixel has its own pattern of sunlit and dark hours. Where a surface at another depth would
     explain the pattern better than the guess does, the guess lacks an object.

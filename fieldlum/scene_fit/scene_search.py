@@ -290,7 +290,7 @@ class SceneSearch:
         return best
 
     def polish(self, guess: Guess, hours: NDArray[np.intp], every: int = 1) -> Guess:
-        """Search all numbers together in small steps, at every n-th pixel."""
+        """Search all numbers together in small steps, at every n-th pixel of hours [k]."""
         objective = self.objective(self.evidence.hours(hours).thinned(every))
         parameters: list[Parameter] = [*self.parameters, *bar_parameters(guess)]
         for number, solid in enumerate(guess.solids):

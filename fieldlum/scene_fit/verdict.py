@@ -49,7 +49,7 @@ class Predictor(Protocol):
     """What a fitted model must do here."""
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
-        """Predict maps of hours."""
+        """Predict maps of n hours; patch_cdm2: [n, H, W]."""
         ...
 
 
