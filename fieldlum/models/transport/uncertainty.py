@@ -263,10 +263,10 @@ def calibrate(
     """Fit the factors so that 90 % of the held-out errors are within 1.645 standard deviations.
 
     That is so in each class. arrays, noise: of the pixels that calibrate; noise_of_all: of all
-    pixels, dull and sunny [P] each; doubt: of each hour [n]; second: inverse of the second stage
-    [n, n]. Errors of days in one season are too small, so there the worst class sets all three
-    factors. With several seasons, `seasons_out` holds out each as a block: its factors, where they
-    are larger, are for hours as far from the captures.
+    pixels, in overcast and in sunny hours [P] each; doubt: of each hour [n]; second: inverse of the
+    second stage [n, n]. Errors of days in one season are too small, so there the worst class sets
+    all three factors. With several seasons, `seasons_out` holds out each as a block: its factors,
+    where they are larger, are for hours as far from the captures.
     """
     groups = [(chosen.held, arrays.days)]
     groups += [] if seasons_out is None else [(seasons_out, seasons(arrays.days))]
