@@ -86,6 +86,42 @@ def test_a_blind_of_one_day_is_named_and_left_out() -> None:
     assert error(data) > 3.0 * error(better)
 
 
+def block(turn: int = 0) -> np.ndarray:
+    """A region 4 pixels wide and 4 high below the horizon, [H, W]."""
+    region = np.zeros(CLEAN.shape, bool)
+    region[6:10, 3:7] = True
+    return np.roll(region, turn, axis=1)
+
+
+@pytest.mark.property
+def test_people_in_some_captures_are_named_and_only_their_pixels_left_out() -> None:
+    rows = np.arange(3, len(CLEAN), 11)
+    maps = CLEAN.luminance_cdm2.copy()
+    masks = np.zeros(maps.shape, bool)
+    for k in rows:
+        masks[k] = block(5 * int(k))  # across the seam in some
+        maps[k][masks[k]] *= 0.3
+    data = replace(CLEAN, luminance_cdm2=maps)
+    better, notes = without_changes(data, with_patch=True)
+    assert len(better) == len(data) and better.counts is not None and len(notes) == 1
+    hidden = better.counts == 0.0
+    found = np.flatnonzero(hidden.any(axis=(1, 2)))
+    assert set(found) <= set(rows) and len(found) >= 0.7 * len(rows)
+    assert all(data.slots[k] in notes[0] for k in found)
+    assert (hidden & masks)[found].sum() > 0.7 * masks[found].sum()
+    assert error(better) < 0.9 * error(data)
+
+
+@pytest.mark.property
+def test_a_chair_moved_on_a_day_is_named_with_its_place() -> None:
+    maps = CLEAN.luminance_cdm2.copy()
+    late = np.flatnonzero(np.datetime64("2027-06-20") <= CLEAN.days)
+    maps[late] *= np.where(block(), np.float32(0.5), np.float32(1.0))
+    better, notes = without_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True)
+    assert len(better) == len(CLEAN)
+    assert len(notes) == 1 and "from 2027-06-20 on" in notes[0] and "furniture" in notes[0]
+
+
 @pytest.mark.contract
 def test_three_days_do_not_show_which_is_the_exception() -> None:
     some = np.isin(shaded("2027-12-20").days, np.unique(CLEAN.days)[-3:])

@@ -27,7 +27,7 @@ Rows = NDArray[np.intp]
 _THIN_HEIGHT = 20  # rows of the maps that are compared, at least
 _PIXELS = 200  # drawn by solid angle
 _LEAST_LEVEL_CDM2 = 1.0  # median of a picture that can be judged: the floor of the scores
-_OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun patches
+OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun patches
 _PATCH_SHARE = 0.05  # of a pixel's luminance: a sun patch above it, or next to it, hides the rest
 _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances; smaller ones are not resolved
 _LAMP_VARIANCE = 100.0  # prior variance of a lamp's light, as in fieldlum.light.Kernel
@@ -63,7 +63,9 @@ class Process:
 
     y, valid [n, P]: light of a pixel over its usual answer to the light outside, and where it is a
     surface without direct sun; covariance [n, n]; spread [n]: relative variance of an hour, in
-    units of the noise; days [n]; judged [n]: pictures with enough light; total_lx [n].
+    units of the noise; days [n]; judged [n]: pictures with enough light; total_lx [n]; beam [n]:
+    the sun's share of it; measured, direct [n, P]: the picture with hidden values, and the computed
+    sun patch, in units of y.
     """
 
     y: Array
@@ -73,6 +75,19 @@ class Process:
     days: NDArray[Any]
     judged: NDArray[np.bool_]
     total_lx: Array
+    beam: Array
+    measured: Array
+    direct: Array
+
+    def without(self, hidden: NDArray[np.bool_]) -> Process:
+        """Return the process with more hidden values [n, P], which follow those that are seen."""
+        valid, rows = self.valid & ~hidden, np.flatnonzero(self.judged)
+        process = self
+        for _ in range(2):
+            filled = process.y.copy()
+            filled[rows] -= process.left_out(rows, _NOISES[1]).error
+            process = replace(process, y=np.where(valid, self.y, filled), valid=valid)
+        return process
 
     def with_lamp(self, rows: Rows) -> Process:
         """Return the process in which a lamp is on in the captures `rows`."""
@@ -137,31 +152,42 @@ def _trimmed(values: Array) -> float:
     return float(np.partition(values, count - 1)[:count].mean())
 
 
-def process_of(data: Dataset, *, with_patch: bool) -> Process:
-    """Return the captures as a process. Values that are hidden (a sun patch, flags) are filled."""
-    small = data.thin(_THIN_HEIGHT)
+def thinned(data: Dataset) -> Dataset:
+    """Return the captures at the pixels that are compared."""
+    return data.thin(_THIN_HEIGHT)
+
+
+def process_of(
+    data: Dataset, *, with_patch: bool, complete: bool = False, windows: bool = False
+) -> Process:
+    """Return the captures as a process. Values that are hidden (a sun patch, flags) are filled.
+
+    It has `_PIXELS` pixels; `complete`: all seen pixels of `thinned(data)`. Windows are hidden
+    unless `windows` is set.
+    """
+    small = thinned(data)
     arrays = training_arrays_of(small, with_patch=with_patch)
     luminance = np.maximum(arrays.luminance, LEAST_CDM2).astype(float)
     judged = np.median(luminance, axis=1) > _LEAST_LEVEL_CDM2
     if arrays.patch is None:  # unknown sun patches look like a change
-        judged &= arrays.features.beam < _OVERCAST
-    y = luminance / (arrays.light.total_lx[:, None] * pixel_scale(arrays))
-    valid = _valid(arrays, small)
-    pixels = _draw(arrays, valid)
-    y, valid = y[:, pixels], valid[:, pixels]  # [n, P]
+        judged &= arrays.features.beam < OVERCAST
+    usual = arrays.light.total_lx[:, None] * pixel_scale(arrays)
+    y = luminance / usual
+    valid = _valid(arrays, small, usual if complete else luminance)
+    direct = np.zeros_like(y) if arrays.patch is None else arrays.patch / usual
+    if not windows:
+        valid[:, arrays.open_sky.index] = False
+    pixels = np.arange(y.shape[1]) if complete else _draw(arrays, valid)
+    y, valid, direct = y[:, pixels], valid[:, pixels], direct[:, pixels]  # [n, P]
     level = [np.median(v[ok]) if ok.any() else 1.0 for v, ok in zip(y, valid, strict=True)]
     level = np.array(level)
     covariance = Kernel(arrays.facades)(arrays.features, arrays.features)
     spread = level**2 * (1.0 + arrays.unsure / UNSURE)
-    y = np.where(valid, y, level[:, None])
-    total = arrays.light.total_lx
-    process = Process(y, valid, covariance, spread, small.days, judged, total)
-    rows = np.flatnonzero(judged)
-    for _ in range(2):  # hidden values follow those that are seen
-        filled = process.y.copy()
-        filled[rows] -= process.left_out(rows, _NOISES[1]).error
-        process = replace(process, y=np.where(valid, y, filled))
-    return process
+    known = np.where(valid, y, level[:, None])
+    total, beam = arrays.light.total_lx, arrays.features.beam
+    y = np.where(arrays.filled[:, pixels], np.inf, y)
+    process = Process(known, valid, covariance, spread, small.days, judged, total, beam, y, direct)
+    return process.without(~valid)
 
 
 def _draw(arrays: TrainingArrays, valid: NDArray[np.bool_]) -> Rows:
@@ -172,16 +198,15 @@ def _draw(arrays: TrainingArrays, valid: NDArray[np.bool_]) -> Rows:
     return np.sort(np.random.default_rng(0).choice(pixels, count, replace=False, p=share))
 
 
-def _valid(arrays: TrainingArrays, data: Dataset) -> NDArray[np.bool_]:
-    """Return where pixels are surfaces without direct sun, [n, P]."""
+def _valid(arrays: TrainingArrays, data: Dataset, luminance: Array) -> NDArray[np.bool_]:
+    """Return where pixels have no direct sun, next to a luminance [n, P], [n, P]."""
     from scipy.ndimage import maximum_filter
 
     valid = ~arrays.filled
     if arrays.patch is not None and data.patch_cdm2 is not None:
         wide = np.pad(data.patch_cdm2, ((0, 0), (0, 0), (1, 1)), mode="wrap")
         near = maximum_filter(wide, (1, 3, 3), mode="nearest")[:, :, 1:-1][:, data.seen]
-        valid &= near <= _PATCH_SHARE * np.maximum(arrays.luminance, LEAST_CDM2)
-    valid[:, arrays.open_sky.index] = False
+        valid &= near <= _PATCH_SHARE * luminance
     return valid
 
 

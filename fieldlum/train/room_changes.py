@@ -1,13 +1,14 @@
 """Captures of a changed room that nobody marked: find them by the captures of all other days.
 
 Two kinds are searched for, each priced by the captures that it takes: a lamp was on in the mornings
-or evenings of some days, and captures, complete days or a season contradict the rest.
+or evenings of some days, and captures, complete days or a season contradict the rest. In the
+captures that remain, regions with an object are searched for (`changed_regions`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -27,6 +28,7 @@ from fieldlum.train.agreement import (
     process_of,
     typical,
 )
+from fieldlum.train.changed_regions import MovedObject, moved_object, object_pixels
 
 FEWEST_DAYS = 4  # fewer days do not show which of them is the exception
 # Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10, lamps
@@ -61,13 +63,40 @@ _NO_ROWS = np.empty(0, np.intp)
 
 
 def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[str]]:
-    """Return the captures of the usual room, and a warning for each change."""
+    """Return the captures of the usual room, and a warning for each change.
+
+    Pixels that an object darkens in a capture have the weight 0 there.
+    """
+    notes: list[str] = []
     changes = find_changes(data, with_patch=with_patch)
-    if changes is None:
-        return data, []
-    changed = np.union1d(changes.lamp, changes.unexplained)
-    usual = np.setdiff1d(np.arange(len(data)), changed)
-    return data.take(usual), _warnings(data, changes)
+    if changes is not None:
+        changed = np.union1d(changes.lamp, changes.unexplained)
+        notes = _warnings(data, changes)
+        data = data.take(np.setdiff1d(np.arange(len(data)), changed))
+    if len(np.unique(data.days)) < FEWEST_DAYS:
+        return data, notes
+    objects = object_pixels(data, with_patch=with_patch)
+    rows = np.flatnonzero(objects.any(axis=(1, 2)))
+    if len(rows):
+        notes.append(
+            f"WARNING: something darkens a part of the picture in {len(rows)} captures, such as a "
+            f"person or an object. These pixels are left out there; look at the captures: "
+            f"{_slots(data, rows)}"
+        )
+        counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts
+        data = replace(data, counts=np.where(objects, np.float16(0.0), counts))
+    moved = moved_object(data, with_patch=with_patch)
+    return data, [*notes, *([] if moved is None else [_moved_warning(moved)])]
+
+
+def _moved_warning(moved: MovedObject) -> str:
+    return (
+        f"WARNING: from {moved.day} on, the light is {moved.factor:.2f} times that of the days "
+        f"before in a region {moved.size_sr:.2f} sr large at azimuth {moved.azimuth_deg:.0f}, "
+        f"altitude {moved.altitude_deg:.0f} degrees: a piece of furniture was moved, or something "
+        f"was put there. The model shows a mean of both; to have one of them, train without the "
+        f"days before or after (ok = 0 in pairs.csv)"
+    )
 
 
 def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
