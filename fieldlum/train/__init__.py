@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -169,7 +170,8 @@ def fit_and_score(
     )
     fitted, warned = settle(fitted, data, patch, progress)
     doubted = (*doubts(fitted, data), *hard_captures(fitted, data), *warned)
-    notes = (*_notes(data, patch, model, trials), *left_out, *changed, *doubted)
+    skies = _seen_skies(fitted)
+    notes = (*_notes(data, patch, model, trials), *left_out, *skies, *changed, *doubted)
     return Result(fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes)
 
 
@@ -178,6 +180,21 @@ _NO_CURVE = "no time for the learning curve; raise --budget"
 
 def _is_too_short(trial: Trial) -> bool:
     return trial.passes is not None and trial.passes < MIN_PASSES_TO_JUDGE
+
+
+def _seen_skies(fitted: Fitted) -> list[str]:
+    """Return a note if the captures' skies were read off the windows."""
+    from fieldlum.models.transport import Transport
+
+    sky_field = fitted.sky_field if isinstance(fitted, Transport) else None
+    if sky_field is None:
+        return []
+    size = math.expm1(sky_field.sd)
+    return [
+        f"the windows showed skies that differ from the Perez model by {size:.0%} (k = 1). Each "
+        f"capture was learnt under its own sky. Predicted hours use the Perez model, and their "
+        f"uncertainty includes the difference"
+    ]
 
 
 def _notes(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:

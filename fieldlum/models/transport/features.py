@@ -234,7 +234,9 @@ class TrainingArrays:
     weights: mean 1 [P]; patch: in cd/m2 of this room, with the gain that was found [n, P]; sky: the
     known window sky [n, P]; filled: values that were not seen, where the sun's disc was removed,
     and that have no weight [n, P]; unsure: relative variance of the irradiance (`light_variance`)
-    [n]; counts: weight of each value by merge's flags and uncertainties [n, P]; None: all equal.
+    [n]; counts: weight of each value by merge's flags and uncertainties [n, P]; None: all equal;
+    perez_sky: `Features.sky` of Perez's skies [n, 2305], where `features` has the skies that the
+    windows showed.
     """
 
     light: Light
@@ -251,6 +253,7 @@ class TrainingArrays:
     facades: Facades
     states: StateColumns = USUAL
     counts: NDArray[np.float16] | None = None
+    perez_sky: NDArray[np.float32] | None = None
 
     @property
     def trust(self) -> Array:

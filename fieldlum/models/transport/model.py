@@ -45,6 +45,7 @@ from fieldlum.models.transport.uncertainty import (
     residual_noise,
     sun_doubt,
 )
+from fieldlum.models.transport.window_sky import SkyField, seen_sky
 from fieldlum.records import Progress, quiet
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class Transport:
     uncertainty: Uncertainty
     held_out_mse: Array | None = None  # [captures]
     table: tuple[Mapping[str, float], ...] = ()  # recipes that were tried
+    sky_field: SkyField | None = None  # how the captured skies differed from Perez's, if used
     name: str = field(default="transport", init=False)
 
     @property
@@ -164,9 +166,15 @@ class Transport:
         config = {
             "heading_deg": self.heading_deg,
             "with_patch": self.response.basis.patches is not None,
-            "transport": table_of(self.response, self.uncertainty, self.table),
+            "transport": self._table(),
         }
         return ModelState(config, arrays)
+
+    def _table(self) -> TransportTable:
+        table = table_of(self.response, self.uncertainty, self.table)
+        if self.sky_field is not None:
+            table["sky_field"] = asdict(self.sky_field)
+        return table
 
 
 def from_state(state: ModelState) -> Transport:
@@ -181,6 +189,7 @@ def from_state(state: ModelState) -> Transport:
         uncertainty_of(own, state.arrays),
         state.arrays.get("held_out_mse"),
         tuple(own["tried"]),
+        SkyField(**own["sky_field"]) if "sky_field" in own else None,
     )
 
 
@@ -218,7 +227,7 @@ def fit(
     progress(10, 100, "choosing by held-out days")
     drawn = _draw(arrays, seed)
     bounced = None if physics is None else physics.features(data.light)
-    chosen = choose_model(arrays[drawn], kernel, bounced)
+    chosen = choose_model(arrays[drawn], kernel, bounced, seen_sky(arrays))
     arrays = replace(arrays, features=chosen.features, states=chosen.states)
     pixels = fit_pixels(
         arrays,
@@ -244,6 +253,7 @@ def fit(
         _uncertainty(response, data, arrays, chosen, drawn),
         chosen.held.per_hour,
         tuple({**asdict(r), "held_out_mse": e, "standard_error": se} for r, e, se in chosen.table),
+        chosen.sky_field,
     )
 
 

@@ -55,11 +55,13 @@ class Recipe:
 class Basis:
     """Eigenfeatures of the kernel on the training hours.
 
-    values: [n, r]; the features of a new hour are k(hour, train) @ projector.
+    values: [n, r]; the features of a new hour are k(hour, train) @ projector; assumed: those of the
+    training hours if they are predicted as unseen ones, under Perez's skies [n, r].
     """
 
     values: Array
     projector: Array  # [n, r]
+    assumed: Array
 
 
 def basis_of(covariance: Array, rank: int) -> Basis:
@@ -71,12 +73,13 @@ def basis_of(covariance: Array, rank: int) -> Basis:
     keep = np.argsort(value)[::-1][:rank]
     keep = keep[value[keep] > 1e-6 * value[keep[0]]]
     root = np.sqrt(value[keep])
-    return Basis(vector[:, keep] * root, vector[:, keep] / root)
+    values, projector = vector[:, keep] * root, vector[:, keep] / root
+    return Basis(values, projector, values)
 
 
 def leading(basis: Basis, rank: int) -> Basis:
     """Return a basis of the first `rank` features."""
-    return Basis(basis.values[:, :rank], basis.projector[:, :rank])
+    return Basis(basis.values[:, :rank], basis.projector[:, :rank], basis.assumed[:, :rank])
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,20 +113,30 @@ def solve(
 
 
 def held_out_days(
-    features: Array, columns: Columns, target: Array, weights: Array, noise: float, days: NDArray
+    features: Array,
+    columns: Columns,
+    target: Array,
+    weights: Array,
+    noise: float,
+    days: NDArray,
+    assumed: Array | None = None,
 ) -> Array:
     """Return each hour as predicted by a fit without its day, [n, P].
 
+    assumed [n, r]: the features that the predicted hour is assumed to have; None: `features`.
+
     With hat matrix H = X A^-1 X' W of the full fit, residuals e and a day's rows D, the residuals
-    without the day are (1 - H_DD)^-1 e_D (block form of the leave-one-out identity), so no refit is
-    needed. Features and weights are those of the full fit.
+    without the day are d = (1 - H_DD)^-1 e_D (block form of the leave-one-out identity), and the
+    fit without the day is that of all less A^-1 X_D' W_D d, so no refit is needed. Features and
+    weights are those of the full fit.
     """
     out = np.empty(target.shape)
     products = pair_products(features)
+    asked = features if assumed is None else assumed
 
     def one(part: slice) -> None:
         out[:, part] = _held_out(
-            features, columns[part], target[:, part], weights[:, part], noise, days, products
+            features, columns[part], target[:, part], weights[:, part], noise, days, products, asked
         )
 
     for _ in each_chunk(one, target.shape[1], HELD_OUT_CHUNK):
@@ -142,23 +152,28 @@ def _held_out(
     noise: float,
     days: NDArray,
     products: tuple,
+    assumed: Array,
 ) -> Array:
-    count = target.shape[1]
+    count, r = target.shape[1], features.shape[1]
     matrix, right = normal_matrices(features, columns, target, weights, noise, products)
     shared = np.broadcast_to(features, (count, *features.shape))
-    design = np.concatenate((shared, columns.values.transpose(2, 1, 0)), axis=2)
+    design = np.concatenate((shared, columns.values.transpose(2, 1, 0)), axis=2)  # [P, n, r + k]
     solved = np.linalg.solve(
         matrix, np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2)
     )
     offset = np.einsum("knp,k->pn", columns.values, columns.mean)
     residual = target.T - offset - np.einsum("pna,pa->pn", design, solved[:, :, 0])
     w = weights.T / noise
+    other = assumed - features  # [n, r]
     out = np.empty((count, len(days)))
     for day in np.unique(days):
         rows = np.flatnonzero(days == day)
         hat = design[:, rows] @ solved[:, :, 1 + rows] * w[:, None, rows]
-        left = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])[:, :, 0]
-        out[:, rows] = target.T[:, rows] - left
+        left = np.linalg.solve(np.eye(len(rows)) - hat, residual[:, rows, None])  # [P, d, 1]
+        out[:, rows] = target.T[:, rows] - left[:, :, 0]
+        if other[rows].any():
+            change = (solved[:, :r, 1 + rows] @ (w[:, rows, None] * left))[:, :, 0]  # [P, r]
+            out[:, rows] += (solved[:, :r, 0] - change) @ other[rows].T
     return out.T
 
 

@@ -27,6 +27,8 @@ from fieldlum.models.transport.pixel_fit import (
     with_patches,
 )
 from fieldlum.models.transport.ridge import held_out_days, held_out_days_shared, pair_products
+from fieldlum.models.transport.window_sky import SeenSky, SkyField
+from fieldlum.sky import reinhart_patches
 from fieldlum.statistics import is_no_worse, standard_error
 
 Array = NDArray[Any]
@@ -50,6 +52,8 @@ BESIDE_ROOM = 0.3
 # Chord of the sun's direction within which a sun patch is still the same.
 SECOND_WIDTHS = (0.1, 0.15, 0.2)
 LAMP_NOISES = (1e-3, 1e-2)  # tried with a lamp that is always on
+SKY_NOISES = (1e-3, 1e-2, 1e-1)  # tried with the skies that the windows showed
+SKY_GAIN = 0.1  # share of the held-out error that these skies must explain; not measured
 LAMP_GAIN = 0.3  # share of the held-out error that a lamp always on must explain; not measured
 PATCH_GAIN_VARIANCE = 0.0025  # prior variance of a pixel's patch gain
 FEWER = (40, 60)  # features tried before RANK of them; for under forty captures all are used
@@ -138,7 +142,13 @@ def _hold_out_first(arrays: TrainingArrays, basis: Basis, recipe: Recipe) -> _Fi
     fit = fit_chunk(taught, scale, basis, recipe, pair_products(basis.values))
     least = least_surface(taught, fit, basis, scale)
     whole = held_out_days(
-        basis.values, fit.columns, fit.response, fit.weights, recipe.noise, arrays.days
+        basis.values,
+        fit.columns,
+        fit.response,
+        fit.weights,
+        recipe.noise,
+        arrays.days,
+        basis.assumed,
     )
     direct = np.einsum("knp,pk->np", fit.columns.values, fit.gains)
     found = compose(whole - direct, least, fit.gains, fit.columns.values)
@@ -227,23 +237,67 @@ class SelectedRecipe:
     held: HeldOutFit
     table: list[tuple[Recipe, float, float]]
     states: StateColumns = USUAL
+    sky_field: SkyField | None = None
 
 
 def choose_model(
-    drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
+    drawn: TrainingArrays,
+    kernel: Kernel,
+    bounced: NDArray[np.float32] | None,
+    sky: SeenSky | None = None,
 ) -> SelectedRecipe:
     """Return the best choice on held-out days, at the pixels `drawn`.
 
-    bounced: the sun's light in a coarse model of the room [n, k]. A lamp that is on in all captures
-    is one of the choices.
+    bounced: the sun's light in a coarse model of the room [n, k]; sky: what the windows showed. The
+    use of that sky, and a lamp that is on in all captures, are among the choices.
     """
-    chosen = _choose_recipe(drawn, kernel, bounced)
+    drawn, field = _with_seen_sky(drawn, kernel, sky)
+    chosen = replace(_choose_recipe(drawn, kernel, bounced), sky_field=field)
     always = replace(drawn.states, always=True)
     lit = replace(drawn, features=always.add(drawn.features, drawn.light), states=always)
     trial = _choose_kernel(lit, kernel, [Recipe(s, PATCH_GAIN_VARIANCE) for s in LAMP_NOISES], None)
     if not _lamp_is_on(chosen, trial, drawn.days):
+        return _under_perez(drawn, chosen)
+    chosen = replace(_choose_recipe(lit, kernel, bounced), states=always, sky_field=field)
+    return _under_perez(lit, chosen)
+
+
+def _with_seen_sky(
+    drawn: TrainingArrays, kernel: Kernel, sky: SeenSky | None
+) -> tuple[TrainingArrays, SkyField | None]:
+    """Return the arrays with the skies that the windows showed, if these teach more than Perez's.
+
+    Held-out hours under the skies that were seen must be better by a tenth and by one standard
+    error. Under Perez's skies, as a year is predicted, they must be no worse. Then the field is the
+    second value. All later choices predict held-out hours under the seen skies, which shows the
+    room's response better.
+    """
+    if sky is None:
+        return drawn, None
+    root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
+    seen = sky.luminance_cdm2 * root / drawn.light.total_lx.astype(np.float32)[:, None]
+    trial = replace(drawn, features=replace(drawn.features, sky=seen), perez_sky=drawn.features.sky)
+    recipes = [Recipe(s, PATCH_GAIN_VARIANCE) for s in SKY_NOISES]
+    without = _choose_kernel(drawn, kernel, recipes, None)
+    found = _choose_kernel(trial, kernel, recipes, None)
+    before, after = without.held.judged, found.held.judged
+    better = after.mean() < (1.0 - SKY_GAIN) * before.mean()
+    if not better or is_no_worse(before, after, drawn.days):
+        return drawn, None
+    as_predicted = _under_perez(trial, found).held.judged
+    no_worse = is_no_worse(as_predicted, before, drawn.days)
+    return (trial, sky.field) if no_worse else (drawn, None)
+
+
+def _under_perez(drawn: TrainingArrays, chosen: SelectedRecipe) -> SelectedRecipe:
+    """Return the choice with held-out hours that are predicted under Perez's skies."""
+    if drawn.perez_sky is None:
         return chosen
-    return replace(_choose_recipe(lit, kernel, bounced), states=always)
+    assumed = replace(chosen.features, sky=drawn.perez_sky)
+    covariance = chosen.kernel(assumed, chosen.features)  # [n, n]
+    basis = replace(chosen.basis, assumed=covariance @ chosen.basis.projector)
+    drawn = replace(drawn, features=chosen.features, states=chosen.states)
+    return replace(chosen, basis=basis, held=hold_out(drawn, basis, chosen.recipe))
 
 
 def _lamp_is_on(without: SelectedRecipe, lit: SelectedRecipe, days: NDArray) -> bool:

@@ -36,7 +36,8 @@ class TransportTable(TypedDict):
 
     kernel: fields of `Kernel` without facades, in 0.1.0 those of `FluxKernel`; recipe: fields of
     `Recipe`; room: as in SITE.toml, None without `Physics`; patchwork: fields of `PatchDescriptor`;
-    states: of `StateColumns`, absent in 0.1.0; trust: figures of `Uncertainty`; tried: recipes.
+    states: of `StateColumns`, absent in 0.1.0; trust: figures of `Uncertainty`; tried: recipes;
+    sky_field: fields of `SkyField`, if the captures taught under the skies that windows showed.
     """
 
     kernel: dict[str, float]
@@ -47,6 +48,7 @@ class TransportTable(TypedDict):
     states: NotRequired[dict[str, Any]]
     trust: dict[str, float]
     tried: Sequence[Mapping[str, float]]
+    sky_field: NotRequired[dict[str, float]]
 
 
 def table_of(

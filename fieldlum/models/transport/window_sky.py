@@ -1,0 +1,156 @@
+"""The sky of each capture as its windows showed it.
+
+Perez's model gives one smooth sky for each irradiance. A real sky has clouds, which every capture
+shows through its windows. The field between the two skies is treated as log-normal and smooth in
+direction: window pixels give it where they look, and it returns to Perez's sky away from them. The
+diffuse illuminance stays as it was measured. A predicted year has no windows to look at and keeps
+Perez's sky.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.models.transport.features import LEAST_CDM2, TrainingArrays
+from fieldlum.sky import reinhart_patches
+
+Array = NDArray[Any]
+
+# What is tried: sd of ln luminance, chord over which the field changes, sd of a patch's mean. From
+# a nearly clear sky to broken clouds; the likelihood chooses.
+SDS = (0.1, 0.2, 0.3, 0.45, 0.7)
+WIDTHS = (0.1, 0.2, 0.35, 0.6, 1.0)
+NOISES = (0.01, 0.03, 0.06, 0.12, 0.25)
+LIT_SHARE = 0.02  # of a window pixel's luminance: with more direct sun it does not show the sky
+LEAST_SKY_CDM2 = 5.0  # a darker sky is not told from the room's reflection in the glass; chosen
+FEWEST_HOURS = 5  # captures in which a patch must be seen, for its median to be its usual share
+MOST_HOURS = 48  # captures from which the likelihood chooses; bounds the time
+MOST_PATCHES = 80  # sky patches that are used; bounds the time
+
+
+@dataclass(frozen=True, slots=True)
+class SkyField:
+    """A log-normal field over the sky: sd of ln luminance, width as a chord, noise of a patch."""
+
+    sd: float
+    width: float
+    noise: float
+
+    def covariance(self, a: Array, b: Array) -> Array:
+        """Return the covariance of ln luminance between directions [m, 3] and [k, 3], [m, k]."""
+        return self.sd**2 * np.exp((a @ b.T - 1.0) / self.width**2)
+
+    def noisy(self, directions: Array) -> Array:
+        """Return the covariance of measured values at directions [k, 3], [k, k]."""
+        own = self.covariance(directions, directions)
+        return own + self.noise**2 * np.eye(len(directions))
+
+
+@dataclass(frozen=True, slots=True)
+class SeenSky:
+    """The skies of n captures: luminance of the Reinhart patches [n, 2305] cd/m2, and the field."""
+
+    luminance_cdm2: NDArray[np.float32]
+    field: SkyField
+
+
+def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
+    """Return the skies that the windows showed; None where they showed no other sky than Perez's.
+
+    Each window pixel's usual share of the sky behind it (its median over the captures) is taken as
+    the glass, so that only differences between captures count.
+    """
+    ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
+    if not np.isfinite(ratios).any():
+        return None
+    field = _likeliest(ratios, directions)
+    if field is None:
+        return None
+    patches = reinhart_patches()
+    factor = np.exp(_interpolated(field, ratios, directions, patches.directions))  # [n, 2305]
+    perez = arrays.light.sky_cdm2
+    horizontal = patches.solid_angles_sr * patches.directions[:, 2]  # [2305] sr
+    sky = perez * factor
+    kept = (perez @ horizontal) / np.maximum(sky @ horizontal, LEAST_CDM2)  # [n]
+    return SeenSky((sky * kept[:, None]).astype(np.float32), field)
+
+
+def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
+    """Return ln of seen over usual luminance by sky patch, and the directions of the patches.
+
+    Both are of the k patches that windows show, [n, k] and [k, 3]; NaN where a capture shows none.
+    """
+    window = arrays.open_sky.index
+    perez = arrays.sky[:, window]  # [n, w]
+    seen = np.maximum(arrays.luminance[:, window], LEAST_CDM2)
+    valid = ~arrays.filled[:, window] & (perez > LEAST_SKY_CDM2)
+    if arrays.patch is not None:
+        valid &= arrays.patch[:, window] < LIT_SHARE * seen
+    if arrays.light.states is not None:  # a blind, or a lamp that the glass reflects
+        valid &= np.array([not state for state in arrays.light.states])[:, None]
+    often = np.flatnonzero(valid.sum(axis=0) >= FEWEST_HOURS)
+    valid, seen, perez = valid[:, often], seen[:, often], perez[:, often]
+    ratios = np.where(valid, np.log(seen / np.maximum(perez, LEAST_CDM2)), np.nan)
+    ratios = ratios - np.nanmedian(ratios, axis=0)  # [n, w]
+    everywhere = reinhart_patches().directions
+    nearest = np.argmax(arrays.open_sky.directions[often] @ everywhere.T, axis=1)  # [w]
+    names, member = np.unique(nearest, return_inverse=True)
+    counts, sums = np.zeros((2, len(ratios), len(names)))
+    for k in range(len(names)):
+        counts[:, k] = valid[:, member == k].sum(axis=1)
+        sums[:, k] = np.nansum(ratios[:, member == k], axis=1)
+    means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    some = _spread(len(names), MOST_PATCHES)
+    return means[:, some], everywhere[names[some]]
+
+
+def _spread(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most `most` of `count` indices, evenly spread."""
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).astype(np.intp))
+
+
+def _likeliest(ratios: Array, directions: Array) -> SkyField | None:
+    """Return the field under which the ratios are likeliest; None if it is noise alone."""
+    seen = np.flatnonzero(np.isfinite(ratios).any(axis=1))
+    hours = ratios[seen[_spread(len(seen), MOST_HOURS)]]
+    values = hours[np.isfinite(hours)]
+    flat = max(-0.5 * float(((values / n) ** 2 + 2.0 * np.log(n)).sum()) for n in NOISES)
+    fields = [SkyField(*settings) for settings in product(SDS, WIDTHS, NOISES)]
+    likelihoods = [_log_likelihood(field, hours, directions) for field in fields]
+    best = int(np.argmax(likelihoods))
+    return fields[best] if likelihoods[best] > flat else None
+
+
+def _log_likelihood(field: SkyField, ratios: Array, directions: Array) -> float:
+    """Return the log likelihood of ratios [n, k] without its constant."""
+    covariance, total = field.noisy(directions), 0.0
+    for seen, rows in _by_patches_seen(ratios):
+        lower = np.linalg.cholesky(covariance[np.ix_(seen, seen)])
+        white = np.linalg.solve(lower, ratios[np.ix_(rows, seen)].T)
+        total -= 0.5 * float((white**2).sum())
+        total -= len(rows) * float(np.log(np.diagonal(lower)).sum())
+    return total
+
+
+def _interpolated(field: SkyField, ratios: Array, directions: Array, asked: Array) -> Array:
+    """Return the expected ln of the field in directions `asked` [m, 3], [n, m]."""
+    out = np.zeros((len(ratios), len(asked)))
+    covariance, cross = field.noisy(directions), field.covariance(directions, asked)
+    for seen, rows in _by_patches_seen(ratios):
+        weights = np.linalg.solve(covariance[np.ix_(seen, seen)], cross[seen])  # [k, m]
+        out[rows] = ratios[np.ix_(rows, seen)] @ weights
+    return out
+
+
+def _by_patches_seen(ratios: Array) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return captures that show the same patches: indices of the patches, rows of the captures."""
+    masks, group = np.unique(np.isfinite(ratios), axis=0, return_inverse=True)
+    groups = [
+        (np.flatnonzero(mask), np.flatnonzero(group.ravel() == k)) for k, mask in enumerate(masks)
+    ]
+    return [(seen, rows) for seen, rows in groups if len(seen)]
