@@ -123,6 +123,14 @@ def test_a_chair_moved_on_a_day_is_named_with_its_place() -> None:
 
 
 @pytest.mark.contract
+def test_without_patches_and_overcast_hours_nothing_is_searched() -> None:
+    sunny = CLEAN.take(CLEAN.light.direct_lx > 20_000.0)
+    assert len(np.unique(sunny.days)) >= 4
+    same, notes = without_changes(replace(sunny, patch_cdm2=None), with_patch=False)
+    assert same.counts is None and notes == []
+
+
+@pytest.mark.contract
 def test_three_days_do_not_show_which_is_the_exception() -> None:
     some = np.isin(shaded("2027-12-20").days, np.unique(CLEAN.days)[-3:])
     assert find_changes(shaded("2027-12-20").take(some), with_patch=True) is None

@@ -24,6 +24,7 @@ from fieldlum.models.transport.features import (
 Array = NDArray[Any]
 Rows = NDArray[np.intp]
 
+FEWEST_DAYS = 4  # fewer days do not show which of them is the exception
 _THIN_HEIGHT = 20  # rows of the maps that are compared, at least
 _PIXELS = 200  # drawn by solid angle
 _LEAST_LEVEL_CDM2 = 1.0  # median of a picture that can be judged: the floor of the scores
@@ -78,6 +79,11 @@ class Process:
     beam: Array
     measured: Array
     direct: Array
+
+    @property
+    def shows_exceptions(self) -> bool:
+        """Whether enough days have pictures that can be judged."""
+        return len(np.unique(self.days[self.judged])) >= FEWEST_DAYS
 
     def without(self, hidden: NDArray[np.bool_]) -> Process:
         """Return the process with more hidden values [n, P], which follow those that are seen."""

@@ -49,6 +49,8 @@ def object_pixels(data: Dataset, *, with_patch: bool) -> Mask:
     process = process_of(data, with_patch=with_patch, complete=True, windows=True)
     rows = np.flatnonzero(process.judged)
     found = np.zeros((len(data), *small.shape), bool)
+    if not process.shows_exceptions:
+        return np.zeros(data.luminance_cdm2.shape, bool)
     for _ in range(_ROUNDS):
         log, least, sd = _deviation(process.without(found[:, small.seen]), rows, small.seen)
         for k, row in enumerate(rows):
@@ -98,6 +100,8 @@ def moved_object(data: Dataset, *, with_patch: bool) -> MovedObject | None:
     """
     small = thinned(data)
     process = process_of(data, with_patch=with_patch, complete=True)
+    if not process.shows_exceptions:
+        return None
     rows = np.flatnonzero(process.judged)
     out = process.left_out(rows, _NOISE)
     y, level = process.y[rows], np.median(process.y[rows], axis=1)

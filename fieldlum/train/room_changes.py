@@ -19,6 +19,7 @@ from fieldlum import sun
 from fieldlum.models.data import Dataset
 from fieldlum.models.transport.selection import seasons
 from fieldlum.train.agreement import (
+    FEWEST_DAYS,
     PRICE,
     Process,
     Rows,
@@ -30,7 +31,6 @@ from fieldlum.train.agreement import (
 )
 from fieldlum.train.changed_regions import MovedObject, moved_object, object_pixels
 
-FEWEST_DAYS = 4  # fewer days do not show which of them is the exception
 # Least gain of a hypothesis (difference of log costs). Nine rooms without a change reach 10, lamps
 # of 10 cd/m2 93 to 285, a blind half down on one day 87 to 106 (docs/results/troubles.md).
 _LEAST_GAIN = 25.0
@@ -104,7 +104,7 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     if len(np.unique(data.days)) < FEWEST_DAYS:
         return None
     process = process_of(data, with_patch=with_patch)
-    if len(np.unique(process.days[process.judged])) < FEWEST_DAYS:
+    if not process.shows_exceptions:
         return None
     lamp, process = find_lamp(process, _hours(data))
     unexplained, complete_days = find_unexplained(process)
