@@ -3,7 +3,5 @@
 Rooms are independent: a failure in one is reported, and the other rooms continue.
 """
 
-from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom, read_campaign
-from fieldlum.campaign.stages import RoomResult, run_stage
-
-__all__ = ["CampaignFile", "CampaignRoom", "RoomResult", "read_campaign", "run_stage"]
+from fieldlum.campaign.campaign_file import read_campaign
+from fieldlum.campaign.stages import run_stage

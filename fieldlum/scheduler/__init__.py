@@ -5,20 +5,6 @@ the option `--scheduler`. Dask moves the units; this package checks that a worke
 fieldlum, profiles and input files, and bounds what a lost, hanging or full worker can cost.
 """
 
-from fieldlum.scheduler.address import LOCAL, Scheduler, TlsFiles, in_processes, parse_scheduler
+from fieldlum.scheduler.address import LOCAL, Scheduler, in_processes, parse_scheduler
 from fieldlum.scheduler.drive import run_each, run_units
 from fieldlum.scheduler.units import SHARED_VARIABLE, UnitOutcome, WorkUnit, is_worker_trouble
-
-__all__ = [
-    "LOCAL",
-    "SHARED_VARIABLE",
-    "Scheduler",
-    "TlsFiles",
-    "UnitOutcome",
-    "WorkUnit",
-    "in_processes",
-    "is_worker_trouble",
-    "parse_scheduler",
-    "run_each",
-    "run_units",
-]

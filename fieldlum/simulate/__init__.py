@@ -28,13 +28,8 @@ from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.provenance import made_from
 from fieldlum.session.simulated_pairs import write_simulated_pairs
 from fieldlum.simulate.slot_units import truth_units
-from fieldlum.simulate.troubles import Troubles as Troubles
-from fieldlum.simulate.troubles import load_troubles as load_troubles
-from fieldlum.simulate.troubles import measured_irradiance, true_light
-from fieldlum.simulate.truth import QUALITIES as QUALITIES
-from fieldlum.simulate.truth import GroundTruth as GroundTruth
-from fieldlum.simulate.truth import Rendering as Rendering
-from fieldlum.simulate.truth import ground_truth as ground_truth
+from fieldlum.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
+from fieldlum.simulate.truth import GroundTruth, ground_truth
 from fieldlum.weather import (
     SHIPPED_SITE,
     Weather,

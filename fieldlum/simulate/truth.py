@@ -119,7 +119,7 @@ class GroundTruth:
         return np.flatnonzero(self.view.sky.ravel() > 0)
 
     def render(self, light: Light) -> Rendering:
-        """Render all moments of `light` at once; use `maps` for many moments."""
+        """Render all moments of `light` at once; memory grows with their number."""
         n, pixels = len(light), 2 * self.height**2
         toward = self.view.scene.to_room(light.shown_sun_direction)
         direct_lx = light.direct_lx

@@ -4,5 +4,3 @@ See docs/models/transport.md.
 """
 
 from fieldlum.models.transport.model import Transport, fit, from_state
-
-__all__ = ["Transport", "fit", "from_state"]
