@@ -22,6 +22,7 @@ from fieldlum.light import Light
 from fieldlum.models.data import Dataset
 from fieldlum.models.scores import Scores, evaluate, truth
 from fieldlum.records import Progress, quiet
+from fieldlum.scene_fit.apply import with_patches
 from fieldlum.train import patch_mode
 from fieldlum.train.consistency_warnings import doubts
 from fieldlum.train.setting import settle
@@ -82,19 +83,8 @@ def late(data: Dataset, minutes: float) -> Dataset:
 
 def _patched(data: Dataset) -> Dataset:
     """Compute sun patches again from [room], for the assumed sun."""
-    from fieldlum.scene import sun_patches
-
-    if data.setup.room is None or data.patch_cdm2 is None:
-        return data
-    patches = sun_patches(
-        data.setup.room,
-        data.setup,
-        data.light.shown_sun_direction,
-        data.light.direct_lx,
-        height=data.shape[0],
-        heading_deg=data.heading_deg,
-    )
-    return replace(data, patch_cdm2=patches.luminance_cdm2)
+    stated = data.setup.room is not None and data.patch_cdm2 is not None
+    return with_patches(data) if stated else data
 
 
 def shifted(data: Dataset, pixels: int) -> Dataset:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -174,41 +175,43 @@ def sun_path_svg(
 
     As the paper's Figures 3 and 21.
     """
-    with styled():
-        figure = Figure(figsize=(5.2, 3.4))
-        axes = figure.add_subplot()
-        axes.scatter(
-            year_azimuth_deg,
-            year_altitude_deg,
-            s=3,
-            c=PALE,
-            lw=0,
-            label="hours of the year",
-            rasterized=True,
-        )
-        axes.scatter(
-            captured_azimuth_deg, captured_altitude_deg, s=12, c=CAPTURED, lw=0, label="captured"
-        )
-        axes.set(xlabel="sun azimuth, ° from north", ylabel="sun altitude, °", ylim=(0, None))
-        axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
-        return _svg(figure)
+    return _captured_svg(
+        (year_azimuth_deg, year_altitude_deg),
+        (captured_azimuth_deg, captured_altitude_deg),
+        "hours of the year",
+        xlabel="sun azimuth, ° from north",
+        ylabel="sun altitude, °",
+        ylim=(0, None),
+    )
 
 
 def sky_domain_svg(
     year_dni: Float, year_dhi: Float, captured_dni: Float, captured_dhi: Float
 ) -> str:
-    """Plot diffuse against direct irradiance [W/m2]: the weather file's hours and the captures."""
+    """Plot diffuse against direct irradiance [W/m2]: the weather file's hours and the captures.
+
+    The year's: [n], empty without a weather file; the captured: [k].
+    """
+    return _captured_svg(
+        (year_dni, year_dhi),
+        (captured_dni, captured_dhi),
+        "weather file",
+        xlabel="direct normal irradiance, W/m²",
+        ylabel="diffuse horizontal irradiance, W/m²",
+    )
+
+
+def _captured_svg(
+    year: tuple[Float, Float], captured: tuple[Float, Float], label: str, **axes_settings: Any
+) -> str:
+    """Plot the captures over the hours of a year, x and y [n] of each."""
     with styled():
         figure = Figure(figsize=(5.2, 3.4))
         axes = figure.add_subplot()
-        if len(year_dni):
-            axes.scatter(
-                year_dni, year_dhi, s=3, c=PALE, lw=0, label="weather file", rasterized=True
-            )
-        axes.scatter(captured_dni, captured_dhi, s=12, c=CAPTURED, lw=0, label="captured")
-        axes.set(
-            xlabel="direct normal irradiance, W/m²", ylabel="diffuse horizontal irradiance, W/m²"
-        )
+        if len(year[0]):
+            axes.scatter(*year, s=3, c=PALE, lw=0, label=label, rasterized=True)
+        axes.scatter(*captured, s=12, c=CAPTURED, lw=0, label="captured")
+        axes.set(**axes_settings)
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
         return _svg(figure)
 
