@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-import numpy as np
-
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.records import Progress, quiet
-from fieldlum.scene_fit.apply import scene_of, with_patches, with_scene
+from fieldlum.scene_fit.apply import scene_of, with_scene
 from fieldlum.scene_fit.checks import check_captures
 from fieldlum.scene_fit.evidence import gather
 from fieldlum.scene_fit.fit import SceneFit, fit_scene
@@ -20,6 +18,7 @@ from fieldlum.scene_fit.scene_file import Chosen, Scene, write_scene
 from fieldlum.scene_fit.scene_search import KEPT_OUT_EVERY, Misfits
 from fieldlum.scene_fit.verdict import GeometryCandidate, SceneVerdict, judge
 from fieldlum.session import Session
+from fieldlum.statistics import is_no_worse
 
 if TYPE_CHECKING:
     from fieldlum.models import Patch
@@ -127,10 +126,11 @@ def judge_fit(
 
     mean = fit.misfits.mean()
     stated = replace(data, setup=replace(data.setup, room=fit.stated))
+    boxed, fitted = scene_of(fit, "stated", ""), scene_of(fit, "fitted", "")
     candidates = [
         GeometryCandidate("none", replace(stated, patch_cdm2=None), mean["none"]),
-        GeometryCandidate("stated", with_patches(stated), mean["stated"]),
-        GeometryCandidate("fitted", with_scene(data, scene_of(fit, "fitted", "")), mean["fitted"]),
+        GeometryCandidate("stated", with_scene(stated, boxed), mean["stated"]),
+        GeometryCandidate("fitted", with_scene(data, fitted), mean["fitted"]),
     ]
     return judge(candidates, fit_model, seed=seed, progress=progress)
 
@@ -138,15 +138,13 @@ def judge_fit(
 def choose_by_misfit(misfits: Misfits) -> tuple[Chosen, str]:
     """Return the geometry that hours kept out of the search support, and why in words.
 
-    From the simplest on, a geometry replaces the one chosen so far if it is better by more than one
-    standard error of the paired difference, hours taken as independent.
+    From the simplest on, a geometry replaces the one chosen so far unless that one is no worse by
+    the one-standard-error rule, hours taken as independent.
     """
     order: tuple[Chosen, ...] = ("none", "stated", "fitted")
     chosen: Chosen = "none"
     for name in order[1:]:
-        gain = getattr(misfits, chosen) - getattr(misfits, name)
-        error = float(np.std(gain, ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
-        if float(gain.mean()) > error:
+        if not is_no_worse(getattr(misfits, chosen), getattr(misfits, name)):
             chosen = name
     mean = misfits.mean()
     shares = ", ".join(f"{name} {100 * mean[name]:.1f} %" for name in order)

@@ -236,7 +236,9 @@ class TrainingArrays:
     and that have no weight [n, P]; unsure: relative variance of the irradiance (`light_variance`)
     [n]; counts: weight of each value by merge's flags and uncertainties [n, P]; None: all equal;
     perez_sky: `Features.sky` of Perez's skies [n, 2305], where `features` has the skies that the
-    windows showed.
+    windows showed;
+    fitted_patches: the patches are of a room that was measured or fitted, so that their edges are
+    some centimetres off.
     """
 
     light: Light
@@ -254,6 +256,7 @@ class TrainingArrays:
     states: StateColumns = USUAL
     counts: NDArray[np.float16] | None = None
     perez_sky: NDArray[np.float32] | None = None
+    fitted_patches: bool = False
 
     @property
     def trust(self) -> Array:
@@ -321,6 +324,7 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         facades_seen(data) if with_patch else facades_of(data.setup.room),
         states,
         None if data.counts is None else data.counts[:, data.seen],
+        fitted_patches=data.scene is not None,
     )
 
 

@@ -215,14 +215,20 @@ def _below(one_season: bool, *, patches: bool = False) -> list[Recipe]:
     ]
 
 
-def recipes_for(with_patch: bool, one_season: bool) -> list[Recipe]:
-    """Return the recipes that held-out days choose among, simplest first."""
+def recipes_for(
+    with_patch: bool, one_season: bool, *, fitted_patches: bool = False
+) -> list[Recipe]:
+    """Return the recipes that held-out days choose among, simplest first.
+
+    fitted_patches: only robust recipes. Patch edges that are 2 cm off teach a plain fit wrong light
+    in all sunny hours, and held-out days next to captured ones do not show it (decision 0011).
+    """
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
     if not with_patch:
         return _below(one_season)
     plain = [Recipe(s, PATCH_GAIN_VARIANCE) for s in noises]
     robust = [Recipe(s, 0.0625, rounds=3, second=0.15) for s in (1e-2, 3e-2)]
-    return plain + robust
+    return robust if fitted_patches else plain + robust
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +317,8 @@ def _choose_recipe(
     drawn: TrainingArrays, kernel: Kernel, bounced: NDArray[np.float32] | None
 ) -> SelectedRecipe:
     alike, with_patch = one_season(drawn.days), drawn.patch is not None
-    chosen = _choose_kernel(drawn, kernel, recipes_for(with_patch, alike), bounced)
+    recipes = recipes_for(with_patch, alike, fitted_patches=drawn.fitted_patches)
+    chosen = _choose_kernel(drawn, kernel, recipes, bounced)
     if with_patch and chosen.recipe.second:
         chosen = _doubted(drawn, kernel, alike, bounced, chosen)
     chosen = replace(chosen, states=drawn.states)
