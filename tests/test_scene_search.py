@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -21,9 +22,15 @@ from fieldlum.scene_fit.bars import propose_bars, window_picture
 from fieldlum.scene_fit.evidence import SUB, SceneEvidence, gather
 from fieldlum.scene_fit.fit import fit_scene
 from fieldlum.scene_fit.furniture import solid_parameters
-from fieldlum.scene_fit.guess import Solid, guess_of, room_of
+from fieldlum.scene_fit.guess import Guess, Solid, guess_of, room_of
 from fieldlum.scene_fit.light_below import levelled
-from fieldlum.scene_fit.parameters import room_parameters, stated_albedo
+from fieldlum.scene_fit.parameters import (
+    SUN_DEG_PER_MIN,
+    Parameter,
+    room_parameters,
+    stated_albedo,
+)
+from fieldlum.scene_fit.profile import CLOCK, reach_of
 from fieldlum.scene_fit.renderer import surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
 from fieldlum.scene_fit.scene_search import Misfits
@@ -265,3 +272,42 @@ def test_the_albedo_of_a_solid_is_the_searched_one(evidence: SceneEvidence) -> N
     assert cost != pytest.approx(objective(replace(guess, solids=(dark,))), rel=1e-3)
     bare = replace(guess, solids=())
     assert cost == pytest.approx(SolidCost(evidence, bare, albedo[:6], 0.0)(guess), rel=1e-6)
+
+
+class _Hours:
+    """Twelve hours of four days."""
+
+    days = np.repeat(np.arange(4), 3)
+
+    def __len__(self) -> int:
+        return len(self.days)
+
+
+@dataclass(frozen=True)
+class _Valley:
+    """A cost with errors in north plus a quarter of the clock, and in the clock times `known`."""
+
+    parameters: list[Parameter]
+    known: float
+    evidence: _Hours = _Hours()  # noqa: RUF009
+    pose: None = None
+
+    def residuals(self, guess: Guess) -> np.ndarray:
+        valley = guess.north_deg + SUN_DEG_PER_MIN * guess.clock_min
+        noise = 0.1 * np.sin(np.arange(12.0))
+        return np.stack([noise + valley, noise + self.known * guess.clock_min], axis=1).ravel()
+
+    def __call__(self, guess: Guess) -> float:
+        return float((self.residuals(guess) ** 2).mean())
+
+
+@pytest.mark.analytic
+def test_numbers_that_trade_reach_as_far_as_their_valley() -> None:
+    """North and clock, of which the captures know one sum, are as uncertain as their priors."""
+    guess = guess_of(ROOM)
+    parameters = [p for p in room_parameters(guess) if p.name in ("north_deg", "clock_min")]
+    flat = reach_of(cast("Objective", _Valley(parameters, 0.0)), guess, (CLOCK,))
+    assert flat["clock_min"] == pytest.approx(5.0, abs=0.1)
+    assert flat["north_deg"] == pytest.approx(5.0 * SUN_DEG_PER_MIN, abs=0.1)
+    steep = reach_of(cast("Objective", _Valley(parameters, 1.0)), guess, (CLOCK,))
+    assert steep["clock_min"] < 0.2 and steep["north_deg"] < 0.1

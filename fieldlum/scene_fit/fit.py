@@ -17,6 +17,7 @@ from fieldlum.scene_fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.scene_fit.guess import Guess, room_of
 from fieldlum.scene_fit.parameters import CLOCK_SD_MIN
 from fieldlum.scene_fit.posterior import posterior
+from fieldlum.scene_fit.profile import CLOCK, WALL, reach_of
 from fieldlum.scene_fit.scene_search import (
     COARSE_PIXELS_EVERY,
     KEPT_OUT_EVERY,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from fieldlum.scene_fit.pose_prior import PosePrior
 
 Array = NDArray[np.floating]
+
+OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 
 
 @dataclass(frozen=True)
@@ -99,8 +102,13 @@ def fit_scene(
     misfits = search.misfits(guess)
     guess = search.polish(guess, np.arange(len(evidence)))
     progress(88, 100, "uncertainties")
-    spread = posterior(search.objective(evidence), guess, room, seed)
-    u = {name: float(np.hypot(u, search.valley[name])) for name, u in spread.u.items()}
+    spread = posterior(search.objective(search.evidence), guess, room, seed)
+    coarse = search.objective(search.evidence.thinned(COARSE_PIXELS_EVERY))
+    reach = reach_of(coarse, guess, (WALL, CLOCK) if prior.is_clock_open else (WALL,))
+    u = {
+        name: float(np.linalg.norm((u, search.valley[name], reach[name])))
+        for name, u in spread.u.items()
+    }
     before = {p.name: p.read(search.start) for p in search.parameters}
     after = {p.name: p.read(guess) for p in search.parameters}
     room_found = _with_albedo(room_of(guess, room), search.albedo)
@@ -138,6 +146,11 @@ def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
         notes.append(
             f"north (+-{u['north_deg']:.1f} degrees) and clock (+-{u['clock_min']:.1f} min) cannot "
             f"be separated well: captures of another season or of the sun's disc would do it"
+        )
+    if u["wall_azimuth_deg"] > OPEN_WALL_DEG:
+        notes.append(
+            f"the walls' azimuth (+-{u['wall_azimuth_deg']:.1f} degrees) and the window's edges "
+            f"cannot be separated well: measure the edges again, to 1 cm"
         )
     if len(np.unique(evidence.days)) < 3:
         notes.append("sunny hours on fewer than three days: the uncertainties are of hours alone")

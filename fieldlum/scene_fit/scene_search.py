@@ -86,10 +86,13 @@ class StatedRoom:
     @property
     def start_clocks_min(self) -> tuple[float, ...]:
         """Return clocks to start from: several if the clock is not known to a minute."""
-        clock, sd = 0.0, self.clock_sd_min
-        if self.pose is not None:
-            clock, sd = float(self.pose.values[3]), self.pose.u_clock_min
-        return START_CLOCKS_MIN if sd > 1.0 else (clock,)
+        clock = 0.0 if self.pose is None else float(self.pose.values[3])
+        return START_CLOCKS_MIN if self.is_clock_open else (clock,)
+
+    @property
+    def is_clock_open(self) -> bool:
+        """Whether the clock is not known to a minute."""
+        return (self.clock_sd_min if self.pose is None else self.pose.u_clock_min) > 1.0
 
     def at_clock(self, guess: Guess, clock_min: float) -> Guess:
         """Return the guess at another clock, with the pose that belongs to it."""
@@ -277,7 +280,7 @@ class SceneSearch:
         rng = np.random.default_rng(seed)
         coarse = self.objective(self.fit_evidence.thinned(COARSE_PIXELS_EVERY))
         tries = [pattern_search(coarse, guess, self.parameters, coarse=0.25, fine=2.0)]
-        for later in RESTART_CLOCKS_MIN if len(self.stated.start_clocks_min) > 1 else (0.0,):
+        for later in RESTART_CLOCKS_MIN if self.stated.is_clock_open else (0.0,):
             start = along_valley(guess, later)
             for p in self.parameters:
                 start = p.change(start, float(rng.normal(0.0, p.first_step)))

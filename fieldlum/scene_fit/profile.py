@@ -1,0 +1,62 @@
+"""How far a number can be moved before the captures contradict it, all others following."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldlum.scene_fit.guess import Guess
+from fieldlum.scene_fit.parameters import Parameter
+from fieldlum.scene_fit.search import Objective, along_valley, pattern_search
+from fieldlum.statistics import is_no_worse
+
+# Numbers that others compensate for: the clock with north, the walls' azimuth with the window's
+# edges and the camera. Distances chosen: the prior's standard deviations, halves and quarters.
+CLOCK, WALL = "clock_min", "wall_azimuth_deg"
+DISTANCES = {CLOCK: (1.25, 2.5, 5.0), WALL: (0.5, 1.0, 2.0)}
+
+
+def reach_of(objective: Objective, guess: Guess, names: Sequence[str]) -> dict[str, float]:
+    """Return how far each parameter moves in scenes that explain the captures as well, by name.
+
+    Each of `names` is moved in turn and the others are searched. A scene explains the captures as
+    well if its misfit by hours is no worse than that of the guess by the one-standard-error rule,
+    days taken as independent. No parameter counts as farther than its prior's standard deviation.
+
+    Searches drawn again from the guess stay near it, and so understate the uncertainty of numbers
+    that trade against each other.
+    """
+    parameters = objective.parameters
+    reach = dict.fromkeys((p.name for p in parameters), 0.0)
+    base, _ = pattern_search(objective, guess, parameters, coarse=0.25, fine=2.0)
+    least = _misfits(objective, base)
+    for name in names:
+        others = [p for p in parameters if p.name != name]
+        for sign in (1.0, -1.0):
+            trial = base
+            moved = 0.0
+            for distance in DISTANCES[name]:
+                start = _moved(parameters, trial, name, sign * (distance - moved))
+                trial, _ = pattern_search(objective, start, others, coarse=0.5, fine=2.0)
+                moved = distance
+                if not is_no_worse(_misfits(objective, trial), least, objective.evidence.days):
+                    break
+                for p in parameters:
+                    off = min(abs(p.read(trial) - p.read(guess)), p.sd)
+                    reach[p.name] = max(reach[p.name], off)
+    return reach
+
+
+def _moved(parameters: Sequence[Parameter], guess: Guess, name: str, by: float) -> Guess:
+    """Return the guess with one number moved; north follows the clock."""
+    if name == CLOCK:
+        return along_valley(guess, by)
+    return next(p for p in parameters if p.name == name).change(guess, by)
+
+
+def _misfits(objective: Objective, guess: Guess) -> NDArray[np.floating]:
+    """Return the misfit of each hour, [n]."""
+    residuals = objective.residuals(guess).reshape(len(objective.evidence), -1)
+    return (residuals**2).sum(axis=1) * len(objective.evidence)
