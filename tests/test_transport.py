@@ -435,7 +435,7 @@ def test_a_strangers_file_runs_no_code(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.property
 def test_patches_of_a_fitted_scene_are_never_learnt_by_a_plain_fit() -> None:
-    """Edges that are centimetres off teach a plain fit wrong light (decision 0011)."""
+    """Edges that are centimetres off teach a plain fit wrong light (decision 0013)."""
     fitted = training_arrays_of(replace(TRAIN, scene={"chosen": "fitted"}), with_patch=True)
     assert fitted.fitted_patches
     assert not training_arrays_of(TRAIN, with_patch=True).fitted_patches

@@ -221,7 +221,7 @@ def recipes_for(
     """Return the recipes that held-out days choose among, simplest first.
 
     fitted_patches: only robust recipes. Patch edges that are 2 cm off teach a plain fit wrong light
-    in all sunny hours, and held-out days next to captured ones do not show it (decision 0011).
+    in all sunny hours, and held-out days next to captured ones do not show it (decision 0013).
     """
     noises = [s for s in NOISES if not one_season or s >= ONE_SEASON_NOISE]
     if not with_patch:
