@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from fieldlum import capture
-from fieldlum.capture.runner import Live
+from fieldlum.capture.live import Live
 from fieldlum.cli.live import panel
 from fieldlum.devices.clock import ClockFault, FastClock
 from fieldlum.profiles import bracket_exposures, load_camera_profile

@@ -78,7 +78,7 @@ def prepare(folder: Path) -> Session:
 def capture(session: Session, seed: int, progress: Progress) -> None:
     """Capture brackets and irradiance of all due slots, on a clock that jumps between slots."""
     from fieldlum import capture as stage
-    from fieldlum.capture.runner import Live
+    from fieldlum.capture.live import Live
     from fieldlum.capture.verify import doubts
 
     def watch(live: Live) -> None:

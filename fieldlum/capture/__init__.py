@@ -5,6 +5,7 @@ clock is set; `reconnect` reopens devices that fail; `logger` writes irradiance;
 bracket; `runner` is the loop; `import_card` imports; `status` counts what is done.
 """
 
-from fieldlum.capture.runner import Options, prepare, run
+from fieldlum.capture.options import Options, prepare
+from fieldlum.capture.runner import run
 
 __all__ = ["Options", "prepare", "run"]

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from pathlib import Path
-from typing import Any
 from zoneinfo import ZoneInfo
 
 from fieldlum.notify import Message
 from fieldlum.records import parse_utc
+from fieldlum.session.tables import EventFields
 
 # Not measured: chosen so that one message means that a person should act, and none is sent for what
 # the capture repairs by itself. A device that reconnects needs at most two retries (30 s each).
@@ -58,19 +58,20 @@ class Alerts:
     _day: date | None = None
     _count: DayCount = field(default_factory=DayCount)
 
-    def event(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> list[Message]:
+    def event(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
         """Return the messages to send for one journal event."""
         messages = self._new_day(t_utc)
         if event == "device-lost":
-            self._away_since.setdefault(str(fields["device"]), t_utc)
+            self._away_since.setdefault(str(fields.get("device")), t_utc)
         elif event == "device-back":
-            messages += self._back(str(fields["device"]), t_utc)
+            messages += self._back(str(fields.get("device")), t_utc)
         elif event in ("done", "missed", "aborted"):
             messages += self._outcome(event, t_utc, fields)
         elif event == "clock-step":
             messages += self._clock_step(t_utc, fields)
         elif event == "disk-full":
-            messages += self._once("disk-full", t_utc, "the disk is full", self._disk_text(fields))
+            free = f"{fields.get('bytes_free', 0) / 1e6:.0f} MB are free."
+            messages += self._once("disk-full", t_utc, "the disk is full", free)
         return messages
 
     def look(
@@ -104,8 +105,8 @@ class Alerts:
         minutes = (t_utc - since).total_seconds() / 60.0
         return [self._message(f"{device} is back", f"It was away for {minutes:.0f} minutes.")]
 
-    def _outcome(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> list[Message]:
-        slot, why = str(fields.get("slot", "")), str(fields.get("why", ""))
+    def _outcome(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
+        slot, why = fields.get("slot", ""), fields.get("why", "")
         setattr(self._count, event, getattr(self._count, event) + 1)
         if event == "done":
             self._misses = 0
@@ -120,9 +121,9 @@ class Alerts:
         body = f"The last one is {self._slot(slot)} ({event}): {why or 'no reason recorded'}."
         return [self._message(f"{self._misses} slots in a row gave no bracket", body)]
 
-    def _clock_step(self, t_utc: datetime, fields: dict[str, Any]) -> list[Message]:
+    def _clock_step(self, t_utc: datetime, fields: EventFields) -> list[Message]:
         followed = "The capture follows it." if fields.get("followed") else "It is not followed."
-        body = f"The computer's clock jumped by {float(fields.get('seconds', 0.0)):+.0f} s. "
+        body = f"The computer's clock jumped by {fields.get('seconds', 0.0):+.0f} s. "
         return self._once("clock-step", t_utc, "the clock jumped", body + followed)
 
     def _disk(self, disk_days: float | None) -> list[Message]:
@@ -136,9 +137,6 @@ class Alerts:
         self._disk_is_low = True
         body = f"The disk has room for {disk_days:.1f} more days of captures."
         return [self._message("the disk is nearly full", body)]
-
-    def _disk_text(self, fields: dict[str, Any]) -> str:
-        return f"{float(fields.get('bytes_free', 0.0)) / 1e6:.0f} MB are free."
 
     def _new_day(self, t_utc: datetime) -> list[Message]:
         """Return the summary of the day that just ended, once."""

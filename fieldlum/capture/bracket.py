@@ -8,8 +8,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
+from fieldlum.capture.frame_requests import FrameRequest, shots, write_capture
 from fieldlum.capture.reconnect import FIRST_PAUSE_S, LONGEST_PAUSE_S, Keeper, plain_info
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.state import Frame, SlotState, frame_fields
@@ -19,7 +19,7 @@ from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter, Reporti
 from fieldlum.errors import DeviceError
 from fieldlum.records import CameraSetup, Exposure, Slot
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
-from fieldlum.session.files.capture_json import CaptureFile, interval_of
+from fieldlum.session.tables import DeviceTable
 
 STALE_S = 60.0  # after a longer pause between frames the light may differ; not measured
 _FOLDER_BYTES = 1 << 14  # a new folder with its entries; not measured
@@ -27,28 +27,14 @@ Check = Callable[[Path, Exposure], str]
 """Checks a new frame. Returns what is wrong with it, or an empty text."""
 
 
-@dataclass(frozen=True, slots=True)
-class FrameRequest:
-    """One frame to take: its place in the bracket, exposure, and heading of a turned head [deg]."""
-
-    index: int
-    exposure: Exposure
-    heading_deg: float | None
-
-    @property
-    def stem(self) -> str:
-        """File name without suffix: index, shutter time, heading, filter."""
-        turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
-        return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}" + (
-            f"_{self.exposure.nd}" if self.exposure.nd else ""
-        )
+def no_check(path: Path, exposure: Exposure) -> str:
+    """Accept every frame: the check that is used where none is given."""
+    return ""
 
 
-def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
-    """Return every exposure for every heading of a turned head, in the order of capture."""
-    headings: tuple[float | None, ...] = setup.headings or (None,)
-    pairs = [(exposure, heading) for heading in headings for exposure in exposures]
-    return tuple(FrameRequest(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
+def no_look(path: Path) -> str:
+    """Return no doubt."""
+    return ""
 
 
 @dataclass(slots=True)
@@ -361,7 +347,7 @@ class BracketCapture:
         self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
         return replace(state, outcome="aborted", why=why)
 
-    def _camera_info(self) -> dict[str, Any]:
+    def _camera_info(self) -> DeviceTable:
         camera = self.camera.get()
         return plain_info(camera.info) if camera is not None else {}
 
@@ -385,27 +371,3 @@ def _settle(written: Path, final: Path, *, flush: bool) -> None:
 
 class _Away(DeviceError):
     """The camera is away, and that has been reported already."""
-
-
-def write_capture(
-    folder: Path,
-    slot: Slot,
-    state: SlotState,
-    setup: CameraSetup,
-    camera: dict[str, Any],
-    *,
-    complete: bool,
-) -> None:
-    """Write raw/<slot>/capture.json, which merge reads, atomically (docs/file-formats.md)."""
-    frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
-    readings = state.illuminance_lx
-    CaptureFile(
-        slot.id,
-        frames,
-        *interval_of(frames),
-        complete,
-        setup.profile,
-        setup.heading_deg,
-        camera,
-        sum(readings) / len(readings) if readings else None,
-    ).write(folder / "capture.json")

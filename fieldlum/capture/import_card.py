@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fieldlum.capture.bracket import shots, write_capture
 from fieldlum.capture.card import card_files, of_the_session, read_card, without_copies
 from fieldlum.capture.card_clock import (
     as_shown,
@@ -19,6 +18,7 @@ from fieldlum.capture.card_clock import (
     doubt,
     tells_utc,
 )
+from fieldlum.capture.frame_requests import shots, write_capture
 from fieldlum.capture.logger_rows import adopt_rows, check_rows
 from fieldlum.capture.match_card import (
     Group,

@@ -10,9 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
-from fieldlum.devices.logger_files import read_logger_file
+from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample, utc_text
 from fieldlum.session import (
@@ -26,6 +25,7 @@ from fieldlum.session import (
     replacing_path,
     update_session,
 )
+from fieldlum.session.tables import LoggerFileTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ def adopt_rows(
     """
     told = _told(path, utc_offset_s, columns)
     found = _read(path, told)
-    before: list[dict[str, Any]] = session.table().get("logger_files", [])
+    before = session.table().get("logger_files", [])
     withdrawn = 0
     for other in before:
         if other != told and other["file"] == told["file"]:
@@ -73,23 +73,24 @@ def check_rows(
 
 def _told(
     path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None
-) -> dict[str, Any]:
+) -> LoggerFileTable:
     """Return how a file is read (clock, columns), as the session stores it."""
-    return {
-        "file": path.name,  # not the path: the file may have grown and come from another card
-        **({} if utc_offset_s is None else {"utc_offset_s": utc_offset_s}),
-        **({"columns": dict(columns)} if columns else {}),
-    }
+    told: LoggerFileTable = {"file": path.name}
+    if utc_offset_s is not None:
+        told["utc_offset_s"] = utc_offset_s
+    if columns:
+        told["columns"] = dict(columns)
+    return told
 
 
-def _read(path: Path, told: Mapping[str, Any]) -> Any:
+def _read(path: Path, told: LoggerFileTable) -> LoggerFile:
     offset_s = told.get("utc_offset_s")
     return read_logger_file(
         path, None if offset_s is None else timedelta(seconds=offset_s), told.get("columns")
     )
 
 
-def _readable(path: Path, told: Mapping[str, Any]) -> Sequence[IrradianceSample]:
+def _readable(path: Path, told: LoggerFileTable) -> Sequence[IrradianceSample]:
     """Return the file's rows as an earlier import would have read them; empty if it cannot be."""
     try:
         return _read(path, told).samples

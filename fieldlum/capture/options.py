@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 
 from fieldlum.capture.recorder import RESERVE_BYTES
-from fieldlum.session import DEFAULT_GRACE_S
+from fieldlum.capture.state import fold, owed
+from fieldlum.capture.utc_clock import boot_id
+from fieldlum.devices.clock import Clock, FastClock, RealClock
+from fieldlum.session import DEFAULT_GRACE_S, Session, read_journal
+
+FAST_LEAD_S = 20.0  # simulated time before a slot; four rows of irradiance at 5 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,3 +34,20 @@ class Options:
 
 
 DEFAULTS = Options()
+
+
+def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
+    """Return the clock and the options of a capture.
+
+    fast: a simulated clock that jumps from slot to slot. It starts a minute before the first slot,
+    or where the journal ends.
+    """
+    grace_s = session.grace.total_seconds()
+    if not fast:
+        return RealClock(), Options(grace_s=grace_s, boot=boot_id())
+    ledger = fold(read_journal(session))
+    slots = owed(session.slots(), ledger)
+    lead = timedelta(seconds=60)
+    start = ledger.last_utc or (slots[0].t_utc - lead if slots else datetime.now(UTC))
+    options = Options(grace_s=grace_s, log_around_s=FAST_LEAD_S, threaded=False, flush=False)
+    return FastClock(start), options

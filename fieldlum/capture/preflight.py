@@ -17,6 +17,15 @@ _CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another com
 _CLOCK_CHECK_S = 5.0
 
 
+def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
+    """Raise DeviceError if the clock is before the last journal entry."""
+    if now_utc < last_utc - timedelta(seconds=2):
+        raise DeviceError(
+            f"the clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC, before the last journal entry "
+            f"({last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
+        )
+
+
 def refuse_a_past_plan(
     slots: Sequence[Slot], before: Ledger, now_utc: datetime, grace: timedelta
 ) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from fieldlum.devices.clock import Clock
 from fieldlum.errors import DeviceError
+from fieldlum.session.tables import DeviceTable
 
 # Not measured: the first try follows a loose plug, the longest pause still fits a slot's window.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
@@ -38,13 +39,8 @@ class Keeper(Generic[D]):
         tell: Callable[..., Any],
         watchdog_s: float,
     ) -> None:
-        self.name, self._open, self._clock, self._tell, self._watchdog_s = (
-            name,
-            open_device,
-            clock,
-            tell,
-            watchdog_s,
-        )
+        self.name, self._open, self._clock = name, open_device, clock
+        self._tell, self._watchdog_s = tell, watchdog_s
         self._device: D | None = None
         self._pause_s = FIRST_PAUSE_S
         self._next_try = float("-inf")
@@ -82,14 +78,10 @@ class Keeper(Generic[D]):
         if device is None:
             raise DeviceError(f"{self.name} is away")
         result = guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
-        if (
-            self._lost_at is not None
-        ):  # only after a successful call: a camera with a full card opens, then fails again
-            self._tell(
-                "device-back",
-                device=self.name,
-                after_s=round(self._clock.boottime() - self._lost_at, 1),
-            )
+        # Only after a successful call: a camera with a full card opens, then fails again.
+        if self._lost_at is not None:
+            after_s = round(self._clock.boottime() - self._lost_at, 1)
+            self._tell("device-back", device=self.name, after_s=after_s)
             self._lost_at, self._pause_s = None, FIRST_PAUSE_S
         return result
 
@@ -116,7 +108,7 @@ class Keeper(Generic[D]):
             self._device = None
 
 
-def plain_info(info: Any) -> dict[str, Any]:
+def plain_info(info: Any) -> DeviceTable:
     """Return a device's information as JSON and TOML can hold it, without empty fields."""
     table = asdict(info) if is_dataclass(info) and not isinstance(info, type) else dict(vars(info))
     return {

@@ -14,18 +14,19 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from shutil import disk_usage
-from typing import Any
+from typing import Unpack
 
 from fieldlum.errors import InputError
 from fieldlum.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
+from fieldlum.session.tables import EventFields
 
 RESERVE_BYTES = 16 << 20  # twelve days of rows (75 bytes each, every 5 s); not measured
 
-Listen = Callable[[str, datetime, dict[str, Any]], None]
+Listen = Callable[[str, datetime, EventFields], None]
 
 
-def unheard(event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
+def unheard(event: str, t_utc: datetime, fields: EventFields) -> None:
     """Ignore an event."""
 
 
@@ -48,23 +49,18 @@ class Recorder:
         flush: bool = True,
         listen: Listen = unheard,
     ) -> None:
-        self._session, self._now, self._reserve_bytes, self.flush = (
-            session,
-            now,
-            reserve_bytes,
-            flush,
-        )
-        self._listen = listen
+        self._session, self._now, self._listen = session, now, listen
+        self._reserve_bytes, self.flush = reserve_bytes, flush
         self._reserve = session.root / ".reserve"
         self._lock = threading.RLock()
-        self._events: deque[tuple[str, datetime, dict[str, Any]]] = deque()
+        self._events: deque[tuple[str, datetime, EventFields]] = deque()
         self._rows: deque[IrradianceSample] = deque(maxlen=_KEPT_ROWS)
         self.journal, self.days = Journal(session, flush=flush), DayFiles(session, flush=flush)
         self.full, self.rows = False, 0
         self.last_event = ""
         self.refill()
 
-    def tell(self, event: str, **fields: Any) -> bool:
+    def tell(self, event: str, **fields: Unpack[EventFields]) -> bool:
         """Journal an event with the current time; return True when it is on the disk."""
         with self._lock:
             self.last_event = event

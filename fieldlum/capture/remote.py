@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 from fieldlum.capture.alerts import Alerts
-from fieldlum.capture.runner import Live
+from fieldlum.capture.live import Live
 from fieldlum.notify import Heartbeat, Message, Outbox, Post
 from fieldlum.session import Session
+from fieldlum.session.tables import EventFields
 
 OUTBOX = "outbox.jsonl"
 _SETTLED = ("done", "missed", "aborted")
@@ -32,7 +32,7 @@ class Remote:
     heartbeat: Heartbeat | None
     _lock: Lock = field(default_factory=Lock)
 
-    def listen(self, event: str, t_utc: datetime, fields: dict[str, Any]) -> None:
+    def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
         """Send the messages that a journal event causes."""
         if self.heartbeat is not None and event in _SETTLED:
             self.heartbeat.beat()

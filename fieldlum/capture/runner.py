@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from shutil import disk_usage
 from typing import Any
 
-from fieldlum.capture.bracket import BracketCapture, Check, shots
+from fieldlum.capture.bracket import BracketCapture, Check, no_check, no_look
+from fieldlum.capture.frame_requests import shots
+from fieldlum.capture.live import Live, Watch, unwatched
 from fieldlum.capture.logger import Logger
+from fieldlum.capture.missed_hook import MissedHook
 from fieldlum.capture.options import DEFAULTS, Options
-from fieldlum.capture.preflight import refuse_a_past_plan, refuse_what_is_not_offered
+from fieldlum.capture.preflight import (
+    refuse_a_clock_behind,
+    refuse_a_past_plan,
+    refuse_what_is_not_offered,
+)
 from fieldlum.capture.reconnect import Keeper, plain_info
 from fieldlum.capture.recorder import Listen, Recorder, unheard
 from fieldlum.capture.state import Frame, Ledger, SlotState, fold, owed
-from fieldlum.capture.utc_clock import SteadyClock, boot_id, synchronised
+from fieldlum.capture.utc_clock import SteadyClock, synchronised
 from fieldlum.devices import (
     Camera,
     IlluminanceMeter,
@@ -29,9 +33,9 @@ from fieldlum.devices import (
     open_meter,
     open_pyranometer,
 )
-from fieldlum.devices.clock import Clock, FastClock, RealClock
-from fieldlum.errors import DeviceError, InputError
-from fieldlum.records import Exposure, Slot, parse_utc
+from fieldlum.devices.clock import Clock
+from fieldlum.errors import InputError
+from fieldlum.records import Slot, parse_utc
 from fieldlum.session import (
     Session,
     disk_is_full,
@@ -41,69 +45,8 @@ from fieldlum.session import (
     store_grace,
     update_session,
 )
+from fieldlum.session.tables import DeviceTable
 from fieldlum.version import __version__
-
-FAST_LEAD_S = 20.0  # simulated time before a slot; four rows of irradiance at 5 s
-_HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
-
-
-def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
-    """Return the clock and the options of a capture.
-
-    fast: a simulated clock that jumps from slot to slot. It starts a minute before the first slot,
-    or where the journal ends.
-    """
-    grace_s = session.grace.total_seconds()
-    if not fast:
-        return RealClock(), Options(grace_s=grace_s, boot=boot_id())
-    ledger = fold(read_journal(session))
-    slots = owed(session.slots(), ledger)
-    lead = timedelta(seconds=60)
-    start = ledger.last_utc or (slots[0].t_utc - lead if slots else datetime.now(UTC))
-    options = Options(grace_s=grace_s, log_around_s=FAST_LEAD_S, threaded=False, flush=False)
-    return FastClock(start), options
-
-
-@dataclass(frozen=True, slots=True)
-class Live:
-    """State of a running capture, for the display and for monitors."""
-
-    state: str  # waiting, paused, capturing, finished
-    t_utc: datetime
-    planned: int
-    done: int
-    missed: int
-    aborted: int
-    left: int
-    next_slot: str
-    next_in_s: float | None
-    last_frame: str
-    ghi_wm2: float | None
-    ghi_age_s: float | None
-    camera: str
-    pyranometer: str
-    bytes_free: int
-    # what the next bracket lacks, without the space reserved for the journal and the rows
-    bytes_missing: int
-    disk_days: float | None
-    last_event: str
-
-
-Watch = Callable[[Live], None]
-
-
-def unwatched(live: Live) -> None:
-    """Do nothing: the capture has no display."""
-
-
-def no_check(path: Path, exposure: Exposure) -> str:
-    """Accept every frame: the check that is used where none is given."""
-    return ""
-
-
-def no_look(path: Path) -> str:
-    """Return no doubt."""
-    return ""
 
 
 def run(
@@ -178,30 +121,23 @@ class _Runner:
         self.recorder = Recorder(
             session, clock.now, options.reserve_bytes, flush=options.flush, listen=listen
         )
+        self.hook = MissedHook(options.on_misses, session.root, self.recorder)
         self.camera: Keeper[Camera] | None = None
         self.logger: Logger | None = None
         self.meter: Keeper[IlluminanceMeter] | None = None
         self.frame_bytes, self.bytes_per_slot = 0, 0.0
         self.last_frame = ""
-        for slot in [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames][
-            -1:
-        ]:
-            self._learn_sizes(slot, self.states[slot.id])
-        self._misses_in_a_row = 0
+        begun = [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames]
+        if begun:
+            self._learn_sizes(begun[-1], self.states[begun[-1].id])
         self._watched = True
         self._state, self._next, self._paused_slot = "waiting", "", ""
 
     def _resume_time(self, before: Ledger) -> None:
-        if before.opened and before.last_utc is not None:
-            self.clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
-        if before.last_utc is not None and self.clock.now() < before.last_utc - timedelta(
-            seconds=2
-        ):
-            raise DeviceError(
-                f"the clock shows {self.clock.now():%Y-%m-%d %H:%M:%S} UTC, before the last "
-                f"journal entry "
-                f"({before.last_utc:%Y-%m-%d %H:%M:%S}): set the clock, then start again"
-            )
+        if before.last_utc is not None:
+            if before.opened is not None:
+                self.clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
+            refuse_a_clock_behind(self.clock.now(), before.last_utc)
 
     def open(
         self,
@@ -217,7 +153,7 @@ class _Runner:
         """
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
-        about = {"uris": uris}
+        about: dict[str, DeviceTable] = {"uris": {**uris}}
         camera = self.camera.insist()
         refuse_what_is_not_offered(camera, self.slots, self.states)
         about["camera"] = plain_info(camera.info)
@@ -252,7 +188,7 @@ class _Runner:
         if self.logger is not None and options.threaded:
             self.logger.start()
 
-    def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> dict[str, dict[str, Any]]:
+    def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> dict[str, DeviceTable]:
         """Return the instrument's information; empty if a known instrument is away."""
         known = self.session.table().get("devices", {})
         try:
@@ -302,7 +238,7 @@ class _Runner:
                 state = self._take(bracket, slot, state, slot.t_utc + grace)
                 self._after_bracket(slot, state)
             self.states[slot.id] = state
-            self._count_misses(slot, state)
+            self.hook.count(slot.id, state)
             following = self._next_owed()
             self._state, self._next = "waiting", following.id if following else ""
             self._show()
@@ -350,11 +286,8 @@ class _Runner:
         self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
     ) -> SlotState:
         if state.outcome == "started":
-            return bracket.abort(
-                slot,
-                state,
-                f"interrupted, and the slot's window closed {late_s:.0f} s after its start",
-            )
+            why = f"interrupted, and the slot's window closed {late_s:.0f} s after its start"
+            return bracket.abort(slot, state, why)
         paused = ", the capture was paused" if self._paused_slot == slot.id else ""
         self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s{paused}")
         return SlotState("missed", why=f"late{paused}")
@@ -374,9 +307,8 @@ class _Runner:
             sizes = [path.stat().st_size for path in paths if path.is_file()]
         if sizes:
             self.frame_bytes = max(sizes)
-            self.bytes_per_slot = (
-                sum(sizes) / len(sizes) * len(shots(slot.exposures, self.setup.camera))
-            )
+            count = len(shots(slot.exposures, self.setup.camera))
+            self.bytes_per_slot = sum(sizes) / len(sizes) * count
 
     def _wait_until(self, t_utc: datetime) -> bool:
         """Wait; return False if the plan changed before that time."""
@@ -412,22 +344,6 @@ class _Runner:
         if self.options.threaded:
             self._show()
 
-    def _count_misses(self, slot: Slot, state: SlotState) -> None:
-        self._misses_in_a_row = 0 if state.outcome == "done" else self._misses_in_a_row + 1
-        if self._misses_in_a_row == 2 and self.options.on_misses:
-            self.recorder.tell("hook", command=self.options.on_misses)
-            about = {
-                "FIELDLUM_SLOT": slot.id,
-                "FIELDLUM_OUTCOME": state.outcome,
-                "FIELDLUM_REASON": state.why,
-                "FIELDLUM_SESSION": str(self.session.root.resolve()),
-            }
-            threading.Thread(
-                target=_run_hook,
-                args=(self.options.on_misses, self.session.root, about, self.recorder.tell),
-                daemon=True,
-            ).start()
-
     def _show(self) -> None:
         """Update the display; continue without one if it fails.
 
@@ -448,11 +364,8 @@ class _Runner:
         upcoming = next((s for s in self.slots if s.id == self._next), None)
         sample = self.logger.last if self.logger else None
         free = disk_usage(self.session.root).free
-        per_day = (
-            self.bytes_per_slot
-            * len(self.slots)
-            / max(1, len({slot.t_utc.date() for slot in self.slots}))
-        )
+        days = max(1, len({slot.t_utc.date() for slot in self.slots}))
+        per_day = self.bytes_per_slot * len(self.slots) / days
         return Live(
             self._state,
             now,
@@ -483,25 +396,3 @@ class _Runner:
             self.camera.close()
             self.recorder.tell("close", state=self._state)
         self.recorder.close()
-
-
-def _run_hook(command: str, folder: Path, about: dict[str, str], tell: Callable[..., Any]) -> None:
-    """Run the user's command for missed slots; journal a failure.
-
-    The environment has the slot, its outcome, the reason and the session's folder.
-    """
-    try:
-        code = subprocess.run(
-            command,
-            shell=True,
-            cwd=folder,
-            env={**os.environ, **about},
-            timeout=_HOOK_TIMEOUT_S,
-            stdin=subprocess.DEVNULL,
-            check=False,
-        ).returncode
-        why = f"exit code {code}" if code else ""
-    except (OSError, subprocess.SubprocessError) as error:
-        why = type(error).__name__
-    if why:
-        tell("hook-failed", why=why)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Literal
+from typing import Literal
 
 from fieldlum.records import Slot, parse_utc
 from fieldlum.session import BY_PEOPLE
 from fieldlum.session.files.capture_json import Frame as Frame
 from fieldlum.session.files.capture_json import frame_fields as frame_fields
 from fieldlum.session.files.capture_json import frame_from as frame_from
+from fieldlum.session.tables import JournalEvent
 
 Outcome = Literal["", "started", "done", "missed", "aborted"]
 
@@ -33,11 +34,11 @@ class Ledger:
 
     slots: dict[str, SlotState] = field(default_factory=dict)
     last_utc: datetime | None = None
-    opened: dict[str, Any] = field(default_factory=dict)  # the last `open` event
+    opened: JournalEvent | None = None  # the last `open` event
     counts: dict[str, int] = field(default_factory=dict)
 
 
-def fold(events: Iterable[dict[str, Any]], ledger: Ledger | None = None) -> Ledger:
+def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger:
     """Return the state after the events; add them to `ledger` if there is one.
 
     A capture resumes from this state alone.
@@ -52,13 +53,12 @@ def fold(events: Iterable[dict[str, Any]], ledger: Ledger | None = None) -> Ledg
         if kind == "open":
             ledger.opened = event
         if "slot" in event:
-            ledger.slots[event["slot"]] = _step(
-                ledger.slots.get(event["slot"], SlotState()), kind, event
-            )
+            slot = event["slot"]
+            ledger.slots[slot] = _step(ledger.slots.get(slot, SlotState()), kind, event)
     return ledger
 
 
-def _step(state: SlotState, kind: str, event: dict[str, Any]) -> SlotState:
+def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
     if kind == "started":
         # A second start of the same attempt continues it and keeps its frames; a new attempt
         # starts without frames.

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from fieldlum.capture.state import Ledger, SlotState, fold
+from fieldlum.capture.status_table import (
+    CaptureStatus,
+    LogStatus,
+    ModelStatus,
+    PlanStatus,
+    SessionStatus,
+)
 from fieldlum.errors import InputError
 from fieldlum.records import Slot, utc_text
 from fieldlum.session import Session, day_files, read_journal
@@ -13,14 +19,14 @@ from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 
 
-def status(session: Session) -> dict[str, Any]:
+def status(session: Session) -> SessionStatus:
     """Return for each stage what is done and what is still to do."""
     slots, ledger = session.slots(), fold(read_journal(session))
     captured = {slot.id for slot in slots if _of(ledger, slot).frames}
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
     paired = {Path(row.panorama).stem for row in pairs.rows}
-    answer = {
+    answer: SessionStatus = {
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan(session, slots),
@@ -31,14 +37,15 @@ def status(session: Session) -> dict[str, Any]:
         "train": {"models": _models(session)},
         "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
         "report": {"done": (session.report / "index.html").is_file()},
+        "next_step": "",
     }
-    return answer | {"next_step": next_step(answer)}
+    return {**answer, "next_step": next_step(answer)}
 
 
-def next_step(answer: dict[str, Any]) -> str:
+def next_step(answer: SessionStatus) -> str:
     """Return the next step, as a command line where there is one."""
     root = answer["session"]
-    capture, merge, pair = (answer[name] for name in ("capture", "merge", "pair"))
+    capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
     models = [row["name"] for row in answer["train"]["models"]]
     if merge["owed"]:
         return f"fieldlum merge {root}"
@@ -62,17 +69,17 @@ def _of(ledger: Ledger, slot: Slot) -> SlotState:
     return ledger.slots.get(slot.id, SlotState())
 
 
-def _plan(session: Session, slots: list[Slot]) -> dict[str, Any]:
-    about = session.table().get("plan", {})
-    ends = (
-        {"first_utc": utc_text(slots[0].t_utc), "last_utc": utc_text(slots[-1].t_utc)}
-        if slots
-        else {}
-    )
-    return {"set": about.get("set", ""), "slots": len(slots), **ends}
+def _plan(session: Session, slots: list[Slot]) -> PlanStatus:
+    plan: PlanStatus = {
+        "set": session.table().get("plan", {}).get("set", ""),
+        "slots": len(slots),
+    }
+    if slots:
+        plan |= {"first_utc": utc_text(slots[0].t_utc), "last_utc": utc_text(slots[-1].t_utc)}
+    return plan
 
 
-def _capture(slots: list[Slot], ledger: Ledger) -> dict[str, Any]:
+def _capture(slots: list[Slot], ledger: Ledger) -> CaptureStatus:
     outcomes = [_of(ledger, slot).outcome for slot in slots]
     owed = [
         slot for slot, outcome in zip(slots, outcomes, strict=True) if outcome in ("", "started")
@@ -90,7 +97,7 @@ def _capture(slots: list[Slot], ledger: Ledger) -> dict[str, Any]:
     }
 
 
-def _irradiance(session: Session) -> dict[str, Any]:
+def _irradiance(session: Session) -> LogStatus:
     files = day_files(session)
     rows = 0
     for path in files:
@@ -106,9 +113,9 @@ def _irradiance(session: Session) -> dict[str, Any]:
     }
 
 
-def _models(session: Session) -> list[dict[str, Any]]:
+def _models(session: Session) -> list[ModelStatus]:
     """Return name and class of each trained model; the class is empty if config.json is damaged."""
-    rows: list[dict[str, Any]] = []
+    rows: list[ModelStatus] = []
     for folder in session.model_folders():
         try:
             model = ModelConfig.read(folder).model

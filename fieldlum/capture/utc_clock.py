@@ -6,9 +6,9 @@ import subprocess
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 from fieldlum.devices.clock import Clock
+from fieldlum.session.tables import EventFields
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
 # drift and is followed. Not measured: the drift between two checks is far smaller.
@@ -69,21 +69,21 @@ class SteadyClock:
         """Sleep for a time [s]."""
         self._clock.sleep(seconds)
 
-    def mark(self) -> dict[str, Any]:
+    def mark(self) -> EventFields:
         """Return what a later process needs to continue this time."""
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
-    def carry_on(self, then: datetime, mark: dict[str, Any]) -> None:
+    def carry_on(self, then: datetime, mark: EventFields) -> None:
         """Continue the time of an earlier process of the same boot.
 
         `check` then detects a step between the two processes.
         """
         if self._boot_id and mark.get("boot_id") == self._boot_id:
-            self._anchor, self._boot = then, float(mark["boottime_s"])
+            self._anchor, self._boot = then, float(mark.get("boottime_s", 0.0))
 
-    def check(self) -> list[tuple[str, dict[str, Any]]]:
+    def check(self) -> list[tuple[str, EventFields]]:
         """Return journal events since the last call, (name, fields): `suspend`, `clock-step`."""
-        events: list[tuple[str, dict[str, Any]]] = []
+        events: list[tuple[str, EventFields]] = []
         slept = self._clock.boottime() - self._clock.monotonic()
         if slept - self._slept > STEP_S:
             events.append(("suspend", {"seconds": round(slept - self._slept, 1)}))

@@ -111,9 +111,9 @@ def command(
       fieldlum capture office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum import capture
+    from fieldlum.capture.live import Live
     from fieldlum.capture.preflight import wait_for_clock
     from fieldlum.capture.remote import informed
-    from fieldlum.capture.runner import Live
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
     from fieldlum.raw import unreadable

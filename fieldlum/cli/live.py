@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo
 
-from fieldlum.capture.runner import Live, Watch
+from fieldlum.capture.live import Live, Watch
 from fieldlum.cli import terminal
 from fieldlum.records import Site, parse_utc, utc_text
 from fieldlum.session import replacing

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -140,7 +141,7 @@ def _planned(
         plan.write_calendar(session, datetime.now(UTC))
     if html:
         plan.write_sheets(session, weather, [*said[1:], *made.warnings])
-    return answer, said
+    return asdict(answer), said
 
 
 def _coming(target: Path, weather_file: Path | None) -> tuple[dict, list[str]]:
@@ -174,7 +175,7 @@ def _replanned(
         plan.write_calendar(session, datetime.now(UTC))
     if html or (session.root / "plan.html").exists():
         plan.write_sheets(session, _weather(weather_file, session.site_file().site))
-    return makeup.as_table(answer), makeup.sentences(answer)
+    return asdict(answer), makeup.sentences(answer)
 
 
 def _weather(path: Path | None, site: Site) -> Weather | None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import json_option, session_argument
+
+if TYPE_CHECKING:
+    from fieldlum.capture.status_table import SessionStatus
 
 
 @click.command("status")
@@ -43,10 +46,9 @@ def command(session_folder: Path, mark: tuple[str, str] | None, as_json: bool) -
         click.echo(line)
 
 
-def _lines(s: dict[str, Any]) -> list[str]:
-    plan, capture, log, merge, pair = (
-        s[k] for k in ("plan", "capture", "irradiance", "merge", "pair")
-    )
+def _lines(s: SessionStatus) -> list[str]:
+    plan, capture, log = s["plan"], s["capture"], s["irradiance"]
+    merge, pair = s["merge"], s["pair"]
     models = ", ".join(m["name"] for m in s["train"]["models"]) or "none"
     upcoming = f", next {capture['next']}" if capture["next"] else ""
     return [

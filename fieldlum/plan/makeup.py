@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from fieldlum.plan.coverage import coverage
 from fieldlum.plan.days import hours_of, span
 from fieldlum.records import Site, SiteFile, Slot, slot_id
 from fieldlum.session import Session, outcomes, replacing, sha256, update_session, write_plan
+from fieldlum.session.tables import PlanTable
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
 SAME_DECLINATION_DEG = 0.2
@@ -187,22 +187,22 @@ def add_slots(session: Session, slots: Sequence[Slot]) -> None:
 
 
 def _store_and_write(
-    session: Session, slots: list[Slot], about: dict[str, Any], setup: SiteFile
-) -> dict[str, Any]:
+    session: Session, slots: list[Slot], about: PlanTable, setup: SiteFile
+) -> PlanTable:
     with replacing(_older_plan(session, about)) as file:
         file.write(session.plan.read_bytes())
     write_plan(session.plan, sorted(slots, key=lambda slot: slot.t_utc), setup.site.timezone)
     return _record(session, about)
 
 
-def _older_plan(session: Session, about: dict[str, Any]) -> Path:
+def _older_plan(session: Session, about: PlanTable) -> Path:
     return session.root / f"plan.{about.get('revision', 0)}.csv"
 
 
-def _record(session: Session, about: dict[str, Any]) -> dict[str, Any]:
+def _record(session: Session, about: PlanTable) -> PlanTable:
     """Write the new plan's hash and length into session.toml; hashes of older plans stay."""
     older = [*about.get("older_sha256", []), about.get("sha256", "")]
-    new = {
+    new: PlanTable = {
         **about,
         "revision": about.get("revision", 0) + 1,
         "slots": len(session.slots()),
@@ -213,17 +213,12 @@ def _record(session: Session, about: dict[str, Any]) -> dict[str, Any]:
     return new
 
 
-def _resumed(session: Session) -> dict[str, Any]:
+def _resumed(session: Session) -> PlanTable:
     """Return the table [plan] of session.toml; finish a re-plan that was killed before its end."""
     about = session.table().get("plan", {})
     if _older_plan(session, about).exists() and sha256(session.plan) != about.get("sha256"):
         return _record(session, about)
     return about
-
-
-def as_table(answer: MakeUpPlan) -> dict[str, Any]:
-    """Return the answer for --json."""
-    return asdict(answer)
 
 
 def sentences(answer: MakeUpPlan) -> list[str]:

@@ -11,11 +11,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from fieldlum.errors import InputError
 from fieldlum.records import SiteFile, Slot
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
+from fieldlum.session.tables import PlanTable, SessionTable
 from fieldlum.session.writing import replacing, sha256
 from fieldlum.site_toml import site_from_table, site_table
 from fieldlum.version import __version__
@@ -181,9 +182,9 @@ class Session:
     # ------------------------------------------------------------------------------------------
     # session.toml and plan.csv
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> SessionTable:
         """Return the content of session.toml."""
-        return tomllib.loads(self.toml.read_text(encoding="utf-8"))
+        return cast(SessionTable, tomllib.loads(self.toml.read_text(encoding="utf-8")))
 
     def site_file(self) -> SiteFile:
         """Return site, camera, room and pyranometer, as recorded when the session was planned."""
@@ -218,7 +219,7 @@ def open_session(root: Path) -> Session:
 
 
 def create_session(
-    root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: dict[str, Any]
+    root: Path, setup: SiteFile, slots: Iterable[Slot], plan_about: PlanTable
 ) -> Session:
     """Write plan.csv and session.toml. Raises InputError if there is a plan already.
 
@@ -247,7 +248,7 @@ def create_session(
     return session
 
 
-def update_session(session: Session, tables: dict[str, Any]) -> None:
+def update_session(session: Session, tables: SessionTable) -> None:
     """Merge top-level tables into session.toml; a table replaces the one of the same name."""
     import tomli_w
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import os
 import threading
 from datetime import datetime
-from typing import Any
+from typing import Unpack
 
 from fieldlum.records import utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.lines import append_whole, cut_torn_tail, decode_line, encode_line, exclusive
+from fieldlum.session.tables import EventFields, JournalEvent
 
 
 class Journal:
@@ -26,7 +27,7 @@ class Journal:
         with exclusive(self._handle):  # another process may be writing a line
             self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 
-    def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
+    def append(self, event: str, t_utc: datetime, **fields: Unpack[EventFields]) -> None:
         """Append an event; it is on disk on return.
 
         Raises OSError on a full disk, after removing a partly written line.
@@ -40,7 +41,9 @@ class Journal:
         os.close(self._handle)
 
 
-def append_event(session: Session, event: str, t_utc: datetime, **fields: Any) -> None:
+def append_event(
+    session: Session, event: str, t_utc: datetime, **fields: Unpack[EventFields]
+) -> None:
     """Append one event to the journal, also during a capture by another process."""
     journal = Journal(session)
     try:
@@ -49,7 +52,7 @@ def append_event(session: Session, event: str, t_utc: datetime, **fields: Any) -
         journal.close()
 
 
-def read_journal(session: Session) -> list[dict[str, Any]]:
+def read_journal(session: Session) -> list[JournalEvent]:
     """Return all valid events in the order written; empty without a journal."""
     if not session.journal.is_file():
         return []

@@ -8,12 +8,12 @@ import os
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from fieldlum.errors import InputError
+from fieldlum.session.tables import JournalEvent
 
 # A line and its flush take milliseconds. After this time the line is appended without the lock: one
 # append mixes with another only on a file system that splits writes, and the CRC would show it.
@@ -22,13 +22,13 @@ _LOCK_EVERY_S = 0.002  # not measured
 _TAIL_BYTES = 1 << 20  # searched for the last valid line; a torn tail is far shorter
 
 
-def encode_line(row: dict[str, Any]) -> bytes:
+def encode_line(row: Mapping[str, object]) -> bytes:
     """Return one journal line: CRC-32 in hex, a space, compact JSON, newline."""
     text = json.dumps(row, separators=(",", ":"), ensure_ascii=False)
     return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
 
 
-def decode_line(line: bytes) -> dict[str, Any] | None:
+def decode_line(line: bytes) -> JournalEvent | None:
     """Return the row of a complete and undamaged line, else None."""
     crc, _, text = line.rstrip(b"\n").partition(b" ")
     try:

@@ -25,6 +25,7 @@ from fieldlum.records import utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
+from fieldlum.web.tables import AnswerRow, AnswerStep, AnswerTable
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
 QUIET_BEFORE_S = 90.0
@@ -144,7 +145,7 @@ class Worker:
         hours: list[dict[str, Any]] = []
         with suppress(OSError, ValueError, KeyError):
             hours = json.loads((self.folder / "useful hours.out").read_text("utf-8"))["hours"]
-        row = {
+        row: AnswerRow = {
             "t_utc": utc_text(datetime.now(UTC)),
             "captures": captured,
             "weather": year.weather.name,
@@ -229,7 +230,7 @@ def _signal(process: subprocess.Popen[bytes], name: str) -> None:
         os.killpg(process.pid, getattr(signal, name))
 
 
-def read_answers(session: Session) -> list[dict[str, Any]]:
+def read_answers(session: Session) -> list[AnswerRow]:
     """Return the answers so far, oldest first; none for a missing or damaged file."""
     try:
         rows = json.loads((session.root / "watch" / "answers.json").read_text(encoding="utf-8"))
@@ -238,11 +239,11 @@ def read_answers(session: Session) -> list[dict[str, Any]]:
     return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
 
 
-def answer_table(session: Session, worker: Worker | None) -> dict[str, Any]:
+def answer_table(session: Session, worker: Worker | None) -> AnswerTable:
     """Return the last answer, how each direction moved, and what is being computed."""
     rows = read_answers(session)
     last = rows[-1] if rows else None
-    history: list[dict[str, Any]] = [
+    history: list[AnswerStep] = [
         {
             "t_utc": row["t_utc"],
             "captures": row["captures"],

@@ -60,7 +60,7 @@ class ClickedPicture:
         return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
 
 
-def clicked_table(found: ClickedRoom) -> dict[str, Any]:
+def clicked_table(found: ClickedRoom) -> dict[str, object]:
     """Return the lengths of a room with their uncertainties, as rows for people."""
     room = found.room
     rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
@@ -124,14 +124,14 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
     async def save(request: Request) -> Response:
         return await _answered(request, _saved)
 
-    def _solved(clicks: list[Click], height_m: float, asked: dict[str, Any]) -> dict[str, Any]:
+    def _solved(clicks: list[Click], height_m: float, replace_room: bool) -> dict[str, object]:
         found = room_from_clicks(clicks, picture.grid, height_m)
         lines = outline_pixels(found.room, picture.grid)
         return clicked_table(found) | {"lines": lines, "patches": _patches(found.room, picture)}
 
-    def _saved(clicks: list[Click], height_m: float, asked: dict[str, Any]) -> dict[str, Any]:
+    def _saved(clicks: list[Click], height_m: float, replace_room: bool) -> dict[str, object]:
         found = room_from_clicks(clicks, picture.grid, height_m)
-        path, taken = save_room(session, found, replace_room=asked.get("replace") is True)
+        path, taken = save_room(session, found, replace_room=replace_room)
         return {"file": str(path), "taken": taken}
 
     return [
@@ -152,7 +152,8 @@ async def _answered(request: Request, make: Any) -> Response:
     try:
         asked = json.loads(await request.body())
         clicks, height_m = clicks_from_rows(asked["clicks"]), float(asked["camera_height_m"])
-        return JSONResponse(await asyncio.to_thread(make, clicks, height_m, asked))
+        replace_room = asked.get("replace") is True
+        return JSONResponse(await asyncio.to_thread(make, clicks, height_m, replace_room))
     except InputError as error:
         return JSONResponse({"error": str(error)})
     except (ValueError, TypeError, KeyError):

@@ -10,10 +10,9 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -23,6 +22,7 @@ from starlette.routing import Route
 from fieldlum.errors import InputError
 from fieldlum.plan.extra import add_extra
 from fieldlum.session import Session, add_note, mark_slot, pause, resume
+from fieldlum.web.tables import WatchState
 
 _MAX_BODY = 8192  # bytes; a note is far shorter; not measured
 
@@ -32,35 +32,26 @@ class Control:
     """Changes of one session, one after the other. state: returns the page's current table."""
 
     session: Session
-    state: Callable[[], dict[str, Any]]
+    state: Callable[[], WatchState]
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def do(self, action: str, asked: dict[str, Any]) -> str:
+    def do(self, action: str, asked: Mapping[str, object]) -> str:
         """Carry out one change and return what was done, as a sentence.
 
         Raises InputError for what cannot be done now; KeyError, TypeError, ValueError for a
         malformed request.
         """
         with self._lock:
-            return self._actions()[action](asked)
+            if action == "note":
+                return f"Noted: {add_note(self.session, _text(asked, 'text'))}"
+            return {"mark": self._mark, "extra": self._extra, "pause": self._pause}[action](asked)
 
-    def _actions(self) -> dict[str, Callable[[dict[str, Any]], str]]:
-        return {
-            "note": self._note,
-            "mark": self._mark,
-            "extra": self._extra,
-            "pause": self._pause,
-        }
-
-    def _note(self, asked: dict[str, Any]) -> str:
-        return f"Noted: {add_note(self.session, _text(asked, 'text'))}"
-
-    def _mark(self, asked: dict[str, Any]) -> str:
+    def _mark(self, asked: Mapping[str, object]) -> str:
         slot = _text(asked, "slot")
         state = mark_slot(self.session, slot, _text(asked, "state"))
         return f"{slot}: {state or 'as usual'}."
 
-    def _extra(self, asked: dict[str, Any]) -> str:
+    def _extra(self, asked: Mapping[str, object]) -> str:
         state = self._running()
         if state["next"] is not None and state["next"]["state"] == "running":
             raise InputError(
@@ -69,7 +60,7 @@ class Control:
         slot = add_extra(self.session, datetime.now(UTC))
         return f"An extra bracket is planned at {slot.t_utc:%H:%M} UTC."
 
-    def _pause(self, asked: dict[str, Any]) -> str:
+    def _pause(self, asked: Mapping[str, object]) -> str:
         minutes = asked["minutes"]
         if isinstance(minutes, bool) or not isinstance(minutes, int | float):
             raise TypeError
@@ -80,7 +71,7 @@ class Control:
         until = pause(self.session, timedelta(minutes=float(minutes)))
         return f"No bracket begins before {until:%H:%M} UTC. Slots until then are missed."
 
-    def _running(self) -> dict[str, Any]:
+    def _running(self) -> WatchState:
         """Return the present state; raise InputError unless a capture runs in real time."""
         state = self.state()
         if state["rehearsal"]:
@@ -91,10 +82,11 @@ class Control:
         return state
 
 
-def _text(asked: dict[str, Any], key: str) -> str:
-    if not isinstance(asked[key], str):
+def _text(asked: Mapping[str, object], key: str) -> str:
+    text = asked[key]
+    if not isinstance(text, str):
         raise TypeError(key)
-    return asked[key]
+    return text
 
 
 def control_routes(control: Control) -> list[Route]:
@@ -113,7 +105,7 @@ def control_routes(control: Control) -> list[Route]:
     return [Route("/control/{action}", change, methods=["POST"])]
 
 
-async def _body(request: Request) -> dict[str, Any]:
+async def _body(request: Request) -> Mapping[str, object]:
     """Return the JSON object of a request; a long one is refused before it is read."""
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415)

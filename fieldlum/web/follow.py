@@ -11,7 +11,6 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from fieldlum.capture.state import Ledger, fold
 from fieldlum.records import parse_utc
 from fieldlum.session import Session, decode_line, decode_sample
+from fieldlum.session.tables import JournalEvent
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page
 _BINS = 86400 // BIN_S
@@ -58,11 +58,11 @@ class JournalState:
     """
 
     ledger: Ledger = field(default_factory=Ledger)
-    events: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=_EVENTS_KEPT))
+    events: deque[JournalEvent] = field(default_factory=lambda: deque(maxlen=_EVENTS_KEPT))
     away: dict[str, datetime] = field(default_factory=dict)
-    opened: dict[str, Any] | None = None
+    opened: JournalEvent | None = None
 
-    def add(self, event: dict[str, Any]) -> None:
+    def add(self, event: JournalEvent) -> None:
         """Fold one more event."""
         kind = event["event"]
         fold((event,), self.ledger)

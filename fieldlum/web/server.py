@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -121,11 +120,11 @@ def watch_routes(
     page that only reads.
     """
 
-    def state() -> dict[str, Any]:
+    def state() -> Mapping[str, object]:
         answers = session.root / "watch" / "answers.json"
         written = answers.stat().st_mtime_ns if answers.is_file() else 0
         doing = [worker.step, worker.problem] if worker else []
-        return snapshots.state() | {"answer": " ".join([str(written), *doing])}
+        return {**snapshots.state(), "answer": " ".join([str(written), *doing])}
 
     def day(request: Request) -> Response:
         try:
@@ -148,7 +147,7 @@ def watch_routes(
     ]
 
 
-def table(make: Callable[[], dict[str, Any]]) -> Response:
+def table(make: Callable[[], Mapping[str, object]]) -> Response:
     """Return a table as JSON; a session that cannot be read now (a share that is away) is 503."""
     try:
         return JSONResponse(make())

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import sys
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Any
 from zoneinfo import ZoneInfo
 
-import numpy as np
-
-from fieldlum import doctor, sun
-from fieldlum.capture.utc_clock import boot_id
+from fieldlum import doctor
 from fieldlum.doctor.awake import has_lid, inhibitors
 from fieldlum.errors import FieldlumError, InputError
 from fieldlum.plan.coverage import sun_band_percent
@@ -26,8 +20,20 @@ from fieldlum.records import Slot, parse_utc, slot_id, utc_text
 from fieldlum.session import Session, paused_until
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.answer import Moment
-from fieldlum.web.follow import BIN_S, IrradianceFollower, JournalFollower, JournalState
+from fieldlum.web.day_curve import day_curve
+from fieldlum.web.follow import IrradianceFollower, JournalFollower, JournalState
 from fieldlum.web.pictures import scale_of
+from fieldlum.web.tables import (
+    CalendarTable,
+    DayTable,
+    DevicesShown,
+    DiskShown,
+    EventShown,
+    LatestPicture,
+    SlotRow,
+    WatchState,
+)
+from fieldlum.web.this_computer import battery, is_running
 from fieldlum.web.words import event_words
 
 _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
@@ -51,10 +57,10 @@ class Snapshots:
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
         self._plan: tuple[int, list[Slot]] = (-1, [])
-        self._findings: tuple[datetime, list[dict[str, Any]]] | None = None
-        self._band: tuple[Any, dict[str, float]] = (None, {})
+        self._findings: tuple[datetime, list[dict[str, str | int]]] | None = None
+        self._band: tuple[object, dict[str, float]] = (None, {})
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> WatchState:
         """Return what changes from minute to minute."""
         with self._lock:
             journal, slots = self._journal.update(), self._slots()
@@ -71,7 +77,7 @@ class Snapshots:
                 "now_utc": utc_text(now),
                 "now_local": f"{now.astimezone(self._zone):%a %d %b %Y, %H:%M}",
                 "rehearsal": rehearsal,
-                "running": _is_running(journal),
+                "running": is_running(journal),
                 "paused_until": self._paused(now),
                 "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
                 "slots": len(slots),
@@ -82,7 +88,7 @@ class Snapshots:
                 if irradiance is None
                 else {"t_utc": utc_text(irradiance[0]), "ghi_wm2": irradiance[1]},
                 "disk": self._disk(slots),
-                "computer": _computer_battery(),
+                "computer": battery(),
                 "events": self._events(journal),
                 "findings": self._doctor(now),
                 "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(counts)) & 0xFFFFFFFF:x}",
@@ -96,7 +102,7 @@ class Snapshots:
             now, rehearsal = self._now(journal)
             states = self._states(slots, journal, now)
             ahead = [slot.t_utc for slot in slots if states[slot.id] == "owed"]
-            running = _is_running(journal) is not False
+            running = is_running(journal) is not False
             captured = sum(state.outcome == "done" for state in journal.ledger.slots.values())
             return Moment(
                 (ahead[0] - now).total_seconds() if ahead and running else None,
@@ -104,43 +110,42 @@ class Snapshots:
                 captured,
             )
 
-    def calendar(self) -> dict[str, Any]:
+    def calendar(self) -> CalendarTable:
         """Return the days of the plan with the state of each slot, and what the captures cover."""
         with self._lock:
             journal, slots = self._journal.update(), self._slots()
             now, _ = self._now(journal)
             states, merged = self._states(slots, journal, now), self._merged()
-            days: dict[str, list[dict[str, Any]]] = {}
+            days: dict[str, list[SlotRow]] = {}
             for slot in slots:
-                row = self._slot_row(slot, states) | {"picture": slot.id in merged}
+                row = self._slot_row(slot, states)
+                row["picture"] = slot.id in merged
                 days.setdefault(self._local_day(slot.t_utc).isoformat(), []).append(row)
             return {
                 "days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())],
                 "coverage": self._coverage(slots, states),
             }
 
-    def day(self, day: date) -> dict[str, Any]:
+    def day(self, day: date) -> DayTable:
         """Return the slots of one local day with their verdicts, and its irradiance."""
         with self._lock:
             journal, slots = self._journal.update(), self._slots()
             now, _ = self._now(journal)
             states, merged = self._states(slots, journal, now), self._merged()
             today = [slot for slot in slots if self._local_day(slot.t_utc) == day]
-            rows = [
-                self._slot_row(slot, states)
-                | {
-                    "picture": slot.id in merged,
-                    "verdict": self._verdict(slot.id, journal),
-                }
-                for slot in today
-            ]
+            rows: list[SlotRow] = []
+            for slot in today:
+                row = self._slot_row(slot, states)
+                row["picture"] = slot.id in merged
+                row["verdict"] = self._verdict(slot.id, journal)
+                rows.append(row)
             paths = [self._session.panorama(slot.id) for slot in today if slot.id in merged]
             low, high = _readable_scale(paths)
             return {
                 "date": day.isoformat(),
                 "slots": rows,
                 "scale": {"low": low, "high": high, "stamp": _stamp(paths)},
-                "irradiance": self._curve(day),
+                "irradiance": day_curve(day, self._setup.site, self._irradiance),
             }
 
     # ------------------------------------------------------------------------------------------
@@ -178,7 +183,7 @@ class Snapshots:
                 states[missed] = "made up"
         return states
 
-    def _slot_row(self, slot: Slot, states: dict[str, str]) -> dict[str, Any]:
+    def _slot_row(self, slot: Slot, states: dict[str, str]) -> SlotRow:
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
@@ -193,13 +198,19 @@ class Snapshots:
     def _merged(self) -> set[str]:
         return {path.stem for path in self._session.panorama_files()}
 
-    def _latest(self) -> dict[str, Any] | None:
+    def _latest(self) -> LatestPicture | None:
         """Return the newest panorama with its verdict."""
         files = self._session.panorama_files()
         if not files:
             return None
         slot, (low, high) = files[-1].stem, _readable_scale(files[-1:])
-        row = {"slot": slot, "low": low, "high": high, "stamp": _stamp(files[-1:]), "verdict": ""}
+        row: LatestPicture = {
+            "slot": slot,
+            "low": low,
+            "high": high,
+            "stamp": _stamp(files[-1:]),
+            "verdict": "",
+        }
         try:
             sidecar = Sidecar.find(self._session.sidecar(slot))
             row["verdict"] = sidecar.verdict if sidecar else "no sidecar"
@@ -209,7 +220,8 @@ class Snapshots:
             local = parse_utc(slot).astimezone(self._zone)
         except ValueError:
             return row
-        return row | {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
+        row["local"], row["date"] = f"{local:%a %d %b %Y, %H:%M}", local.date().isoformat()
+        return row
 
     def _verdict(self, slot: str, journal: JournalState) -> str:
         try:
@@ -225,27 +237,28 @@ class Snapshots:
         until = paused_until(self._session, now)
         return None if until is None else f"{until.astimezone(self._zone):%H:%M}"
 
-    def _devices(self, journal: JournalState) -> dict[str, Any]:
+    def _devices(self, journal: JournalState) -> DevicesShown:
         table = self._session.table().get("devices", {})
         camera = table.get("camera", {})
+        offset_s = camera.get("clock_offset_s")
         return {
             "camera": " ".join(str(camera.get(k, "")) for k in ("make", "model")).strip(),
             "camera_battery": str(camera.get("battery", "")),
-            "camera_clock_offset_s": camera.get("clock_offset_s"),
+            "camera_clock_offset_s": None if offset_s is None else float(offset_s),
             "pyranometer": str(table.get("pyranometer", {}).get("model", "")),
             "away": {name: utc_text(t) for name, t in journal.away.items()},
         }
 
-    def _disk(self, slots: list[Slot]) -> dict[str, Any]:
+    def _disk(self, slots: list[Slot]) -> DiskShown:
         free = shutil.disk_usage(self._session.root).free
         planned = float(self._session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
         days = len({self._local_day(slot.t_utc) for slot in slots})
         per_day = 1e6 * planned * len(slots) / max(days, 1)
         return {"free_bytes": free, "days": free / per_day if per_day else None}
 
-    def _events(self, journal: JournalState) -> list[dict[str, str]]:
+    def _events(self, journal: JournalState) -> list[EventShown]:
         """Return the latest news, newest first; a run of equal sentences is one row."""
-        rows: list[dict[str, Any]] = []
+        rows: list[EventShown] = []
         for event in reversed(journal.events):
             words = event_words(event)
             if words is None:
@@ -258,7 +271,7 @@ class Snapshots:
             rows.append({"level": words[0], "text": words[1], "local": at, "times": 1})
         return rows[:_EVENTS_SHOWN]
 
-    def _doctor(self, now: datetime) -> list[dict[str, Any]]:
+    def _doctor(self, now: datetime) -> list[dict[str, str | int]]:
         """Return doctor's findings that need no device: a capture may be using them."""
         if self._findings is not None and abs(now - self._findings[0]) < _FINDINGS_EVERY:
             return self._findings[1]
@@ -293,48 +306,6 @@ class Snapshots:
             self._band = key, band
         return self._band[1]
 
-    def _curve(self, day: date) -> dict[str, Any]:
-        """Return the irradiance of a local day in bins, with the flags of its rows.
-
-        Flags are for impossible values and for errors of the instrument.
-        """
-        start = datetime(day.year, day.month, day.day, tzinfo=self._zone).astimezone(UTC)
-        # 25 hours on the day when clocks go back: bins belong to a day by their local date
-        times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(25 * 3600 // BIN_S)]
-        times = [t for t in times if self._local_day(t) == day]
-        index = {d: self._irradiance.day(d) for d in sorted({t.date() for t in times})}
-        means = {d: bins.means for d, bins in index.items()}
-        of = [(t.date(), (t.hour * 3600 + t.minute * 60 + t.second) // BIN_S) for t in times]
-        values = np.array([means[d][k] for d, k in of])  # [bins, 3]
-        flagged = np.array([index[d].flagged[k] for d, k in of])
-        present = np.isfinite(values).any(axis=1)
-        impossible = np.zeros(len(times), bool)
-        clear = np.full(len(times), np.nan)
-        if present.any():
-            site = self._setup.site
-            altitude = sun.position(times, site).altitude_deg
-            limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2(times))
-            for i, (low, high) in enumerate((limits.ghi_wm2, limits.dni_wm2, limits.dhi_wm2)):
-                with np.errstate(invalid="ignore"):
-                    impossible |= (values[:, i] < low) | (values[:, i] > high)
-            clear = sun.clearsky(times, site).ghi_wm2
-        keep = present | (np.nan_to_num(clear) > 1.0)
-        words: dict[str, int] = {}
-        for bins in index.values():
-            for text, count in bins.status.items():
-                words[text] = words.get(text, 0) + count
-        names = ("ghi", "dni", "dhi")
-        rows = {name: _numbers(values[keep, i]) for i, name in enumerate(names)}
-        return rows | {
-            "minutes": [round((t - start).total_seconds() / 60, 1) for t in np.array(times)[keep]],
-            "clear_ghi": _numbers(clear[keep]),
-            "flagged": (flagged | impossible)[keep].tolist(),
-            "flagged_bins": int(flagged.sum()),
-            "impossible_bins": int(impossible.sum()),
-            "status": words,
-            "first_local": f"{start.astimezone(self._zone):%H:%M}",
-        }
-
     def _local_day(self, t_utc: datetime) -> date:
         return t_utc.astimezone(self._zone).date()
 
@@ -354,46 +325,6 @@ def _readable_scale(paths: list[Path]) -> tuple[float, float]:
 def _stamp(paths: list[Path]) -> str:
     """Return a text that changes when one of the files is written again."""
     return f"{max((path.stat().st_mtime_ns for path in paths), default=0):x}"
-
-
-def _numbers(values: np.ndarray) -> list[float | None]:
-    return [None if not np.isfinite(value) else round(float(value), 1) for value in values]
-
-
-def _is_running(journal: JournalState) -> bool | None:
-    """Return whether the capture of the last `open` event runs on this computer.
-
-    Return None if that cannot be determined.
-    """
-    if journal.opened is None:
-        return False
-    if journal.opened.get("boot_id") not in ("", None, boot_id()):
-        return False
-    if sys.platform == "win32":  # os.kill(pid, 0) would end the process there
-        return None
-    try:
-        os.kill(int(journal.opened.get("pid", 0)) or -1, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, ValueError, OverflowError):
-        return None
-    return True
-
-
-def _computer_battery(folder: Path = Path("/sys/class/power_supply")) -> dict[str, Any] | None:
-    """Return charge and source of this computer's power (Linux); None where there is no battery."""
-    answer: dict[str, Any] = {}
-    for supply in sorted(folder.glob("*")):
-        try:
-            kind = (supply / "type").read_text().strip()
-            if kind == "Battery" and (supply / "capacity").is_file():
-                answer["percent"] = int((supply / "capacity").read_text())
-            elif kind in ("Mains", "USB") and (supply / "online").is_file():
-                online = (supply / "online").read_text().strip() == "1"
-                answer["mains"] = online or answer.get("mains", False)
-        except (OSError, ValueError):
-            continue
-    return answer if "percent" in answer else None
 
 
 def known_slot(text: str) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
+
+from fieldlum.session.tables import JournalEvent
 
 Level = Literal["info", "warn", "fail"]
 
@@ -10,13 +12,12 @@ Level = Literal["info", "warn", "fail"]
 _SILENT = frozenset({"imported", "withdrawn"})
 
 
-def event_words(event: dict[str, Any]) -> tuple[Level, str] | None:
+def event_words(event: JournalEvent) -> tuple[Level, str] | None:
     """Return how serious an event is, and what happened; None for an event that is no news."""
-    kind, why = str(event["event"]), str(event.get("why", ""))
-    slot = str(event.get("slot", ""))
+    kind, why, slot = event["event"], event.get("why", ""), event.get("slot", "")
     if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
         return None
-    device = str(event.get("device", "a device"))
+    device = event.get("device", "a device")
     if kind == "done":
         return "warn", f"Bracket {slot} is complete, with a doubt: {why}."
     if kind in ("missed", "aborted"):
@@ -30,15 +31,15 @@ def event_words(event: dict[str, Any]) -> tuple[Level, str] | None:
         return "warn", f"The {device} gave a reading that cannot be used: {why}."
     if kind == "clock-step":
         followed = "is followed" if event.get("followed") else "is not followed"
-        seconds = float(event.get("seconds", 0.0))
+        seconds = event.get("seconds", 0.0)
         return "warn", f"The computer's clock jumped by {seconds:+.0f} s; the jump {followed}."
     if kind == "suspend":
         return "warn", f"The computer slept for {_duration(event.get('seconds'))}."
     if kind == "disk-full":
-        free = float(event.get("bytes_free", 0.0)) / 1e6
+        free = event.get("bytes_free", 0) / 1e6
         return "fail", f"The disk is full: {free:.0f} MB are free."
     if kind == "late":
-        return "info", f"Bracket {slot} began {float(event.get('by_s', 0.0)):.0f} s late."
+        return "info", f"Bracket {slot} began {event.get('by_s', 0.0):.0f} s late."
     if kind == "hook-failed":
         return "warn", f"The command of --on-misses failed: {why}."
     if kind == "display-lost":
@@ -59,8 +60,8 @@ def event_words(event: dict[str, Any]) -> tuple[Level, str] | None:
     return "info", kind
 
 
-def _duration(seconds: Any) -> str:
-    value = float(seconds or 0.0)
+def _duration(seconds: float | None) -> str:
+    value = seconds or 0.0
     if value < 120:
         return f"{value:.0f} s"
     return f"{value / 60:.0f} min" if value < 7200 else f"{value / 3600:.1f} h"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -15,6 +16,7 @@ from fieldlum.session.files.json_file import (
     read_object,
     write_object,
 )
+from fieldlum.session.tables import FrameTable
 
 FORMAT = 1
 _EXPECTED = "the frames of a bracket, as capture and import write them"
@@ -36,10 +38,10 @@ class Frame:
     instead_of: str = ""  # file of the doubtful frame that this one replaces
 
 
-def frame_fields(frame: Frame) -> dict[str, Any]:
+def frame_fields(frame: Frame) -> FrameTable:
     """Return a frame as the journal and capture.json store it."""
     e = frame.exposure
-    return {
+    table: FrameTable = {
         "index": frame.index,
         "file": frame.file,
         "exposure": {"shutter_s": e.shutter_s, "f_number": e.f_number, "iso": e.iso, "nd": e.nd},
@@ -47,12 +49,15 @@ def frame_fields(frame: Frame) -> dict[str, Any]:
         "t_utc": utc_text(frame.t_utc),
         "seconds": round(frame.seconds, 3),
         "sha256": frame.sha256,
-        **({"doubt": frame.doubt} if frame.doubt else {}),
-        **({"instead_of": frame.instead_of} if frame.instead_of else {}),
     }
+    if frame.doubt:
+        table["doubt"] = frame.doubt
+    if frame.instead_of:
+        table["instead_of"] = frame.instead_of
+    return table
 
 
-def frame_from(fields: dict[str, Any]) -> Frame:
+def frame_from(fields: Mapping[str, Any]) -> Frame:
     """Return the frame of `frame_fields`. Raises KeyError, TypeError or ValueError."""
     return from_json(Frame, fields)
 

@@ -36,7 +36,7 @@ def read_object(path: Path, expected: str, remedy: str) -> dict[str, Any]:
     return table
 
 
-def check_format(table: dict[str, Any], newest: int, path: Path) -> int:
+def check_format(table: Mapping[str, Any], newest: int, path: Path) -> int:
     """Return a file's format version, 1 if absent. Raises InputError for a newer one."""
     version = table.get("format", 1)
     if not isinstance(version, int) or not 1 <= version <= newest:
@@ -46,7 +46,7 @@ def check_format(table: dict[str, Any], newest: int, path: Path) -> int:
     return version
 
 
-def build_known(cls: type[T], table: dict[str, Any], where: str) -> T:
+def build_known(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     """Build a frozen dataclass strictly from its keys; ignore other keys, which are additions.
 
     Raises InputError for a missing key or a value of the wrong type.
@@ -115,7 +115,7 @@ def _converted(hint: Any, value: Any) -> Any:
     return value if hint is Any else hint(value)
 
 
-def write_object(path: Path, table: dict[str, Any]) -> None:
+def write_object(path: Path, table: Mapping[str, object]) -> None:
     """Write a JSON object; arrays become lists, values of unknown types become text."""
     with replacing(path, "w", encoding="utf-8") as file:
         json.dump(table, file, indent=1, ensure_ascii=False, default=_plain)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
@@ -79,6 +80,6 @@ class ModelConfig:
         return replace(config, setup=setup or {}, training=training, state=table)
 
 
-def write_config(folder: Path, table: dict[str, Any]) -> None:
+def write_config(folder: Path, table: Mapping[str, object]) -> None:
     """Write config.json from a model's state and the keys common to all models."""
     write_object(folder / "config.json", {"format": FORMAT, **table})

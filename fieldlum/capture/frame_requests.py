@@ -1,0 +1,60 @@
+"""The frames of a bracket: those to take, and the note of those that were taken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fieldlum.capture.state import SlotState
+from fieldlum.records import CameraSetup, Exposure, Slot
+from fieldlum.session.files.capture_json import CaptureFile, interval_of
+from fieldlum.session.tables import DeviceTable
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRequest:
+    """One frame to take: its place in the bracket, exposure, and heading of a turned head [deg]."""
+
+    index: int
+    exposure: Exposure
+    heading_deg: float | None
+
+    @property
+    def stem(self) -> str:
+        """File name without suffix: index, shutter time, heading, filter."""
+        turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
+        return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}" + (
+            f"_{self.exposure.nd}" if self.exposure.nd else ""
+        )
+
+
+def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
+    """Return every exposure for every heading of a turned head, in the order of capture."""
+    headings: tuple[float | None, ...] = setup.headings or (None,)
+    pairs = [(exposure, heading) for heading in headings for exposure in exposures]
+    return tuple(FrameRequest(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
+
+
+def write_capture(
+    folder: Path,
+    slot: Slot,
+    state: SlotState,
+    setup: CameraSetup,
+    camera: DeviceTable,
+    *,
+    complete: bool,
+) -> None:
+    """Write raw/<slot>/capture.json, which merge reads, atomically (docs/file-formats.md)."""
+    frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
+    readings = state.illuminance_lx
+    CaptureFile(
+        slot.id,
+        frames,
+        *interval_of(frames),
+        complete,
+        setup.profile,
+        setup.heading_deg,
+        camera,
+        sum(readings) / len(readings) if readings else None,
+    ).write(folder / "capture.json")

@@ -1,0 +1,39 @@
+"""The state of a running capture, for its display and for monitors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """State of a running capture, for the display and for monitors."""
+
+    state: str  # waiting, paused, capturing, finished
+    t_utc: datetime
+    planned: int
+    done: int
+    missed: int
+    aborted: int
+    left: int
+    next_slot: str
+    next_in_s: float | None
+    last_frame: str
+    ghi_wm2: float | None
+    ghi_age_s: float | None
+    camera: str
+    pyranometer: str
+    bytes_free: int
+    # what the next bracket lacks, without the space reserved for the journal and the rows
+    bytes_missing: int
+    disk_days: float | None
+    last_event: str
+
+
+Watch = Callable[[Live], None]
+
+
+def unwatched(live: Live) -> None:
+    """Do nothing: the capture has no display."""

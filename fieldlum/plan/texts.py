@@ -1,0 +1,168 @@
+"""A plan in words: its warnings, and its summary for people and for --json."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, datetime
+from zoneinfo import ZoneInfo
+
+from fieldlum import sun
+from fieldlum.plan.coverage import Coverage
+from fieldlum.plan.days import DaylightHours, dark_days
+from fieldlum.plan.values import Months, Plan, Request
+from fieldlum.records import Site
+from fieldlum.session import Session
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSummary:
+    """What `plan --json` prints: the keys are a contract.
+
+    solar_noon: local time on the first day. tags: count of slots with each tag.
+    """
+
+    session: str
+    slots: int
+    days: int
+    first: str
+    last: str
+    solar_noon: str
+    frames: int
+    seconds_per_slot: float
+    megabytes: float
+    tags: dict[str, int]
+    coverage: Coverage
+    variance_left_percent: float | None
+    month: Months | None
+    warnings: tuple[str, ...]
+
+
+def plan_warnings(
+    days: Sequence[date], hours: DaylightHours, site: Site, request: Request
+) -> list[str]:
+    """Return what a person should know about the days and hours of a plan, one sentence each."""
+    texts: list[str] = []
+    all_year = request.set in ("even", "best")
+    dark = [] if all_year else dark_days(days, hours, site)
+    if dark:
+        texts.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
+    if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
+        texts.append(
+            f"midnight sun: a slot every hour of {len(midnight)} of {len(days)} days "
+            f"({_from_to(midnight)})"
+        )
+    if request.count and len(hours) < request.count:
+        texts.append(f"--count {request.count}: the set has only {len(hours)} daylight hours")
+    texts += clock_texts(days, site)
+    if site.timezone == "UTC" and abs(site.longitude_deg) > 30:
+        texts.append(
+            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours are those of "
+            f"UTC, not of the site"
+        )
+    if days[0] < request.today:
+        texts.append(
+            f"the plan starts on {days[0]}, which is past: its slots before now count as missed"
+        )
+    return texts
+
+
+def _from_to(days: Sequence[date]) -> str:
+    """Return runs of consecutive days by their first and last day."""
+    runs: list[list[date]] = []
+    for day in sorted(days):
+        if runs and (day - runs[-1][-1]).days == 1:
+            runs[-1].append(day)
+        else:
+            runs.append([day])
+    return ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
+
+
+def _per_day(hours: DaylightHours, site: Site) -> dict[date, int]:
+    count: dict[date, int] = {}
+    for t in hours.t_utc:
+        day = sun.standard_date(t, site.timezone)
+        count[day] = count.get(day, 0) + 1
+    return count
+
+
+def clock_texts(days: Sequence[date], site: Site) -> list[str]:
+    """Return one sentence for every daylight-saving change on a planned day."""
+    texts, zone = [], ZoneInfo(site.timezone)
+    for moment, change in sun.clock_changes(days[0], days[-1], site.timezone):
+        if sun.standard_date(moment, site.timezone) in set(days):
+            hours = change.total_seconds() / 3600
+            texts.append(
+                f"clocks go {'forward' if hours > 0 else 'back'} by {abs(hours):g} h on "
+                f"{moment.astimezone(zone):%Y-%m-%d}; slots stay at hh:30 of standard time"
+            )
+    return texts
+
+
+def summary(session: Session, plan: Plan) -> PlanSummary:
+    """Return what a plan comes to."""
+    slots, site = plan.slots, session.site_file().site
+    tags = sorted({tag for slot in slots for tag in slot.tags})
+    return PlanSummary(
+        session=str(session.root),
+        slots=len(slots),
+        days=len(_per_day(plan.hours, site)),
+        first=slots[0].id,
+        last=slots[-1].id,
+        solar_noon=_solar_noon(slots[0].t_utc, site),
+        frames=sum(len(slot.exposures) for slot in slots),
+        seconds_per_slot=plan.seconds_per_slot,
+        megabytes=round(plan.megabytes_per_slot * len(slots), 1),
+        tags={tag: sum(tag in slot.tags for slot in slots) for tag in tags},
+        coverage=plan.coverage,
+        variance_left_percent=None if plan.variance_left is None else 100 * plan.variance_left,
+        month=plan.months,
+        warnings=plan.warnings,
+    )
+
+
+def _solar_noon(t_utc: datetime, site: Site) -> str:
+    """Return the local time of solar noon on a slot's day: it shows a longitude of wrong sign."""
+    day = sun.standard_date(t_utc, site.timezone)
+    transit = sun.rise_transit_set([day], site)[0].transit
+    return "" if transit is None else f"{transit.astimezone(ZoneInfo(site.timezone)):%H:%M %Z}"
+
+
+def sentences(summary: PlanSummary) -> list[str]:
+    """Return the summary as sentences."""
+    slots, tags = summary.slots, summary.tags
+    texts = [
+        f"{slots} slots on {summary.days} days, {summary.first} to {summary.last}, in "
+        f"{summary.session}",
+        f"{summary.frames} frames, {summary.seconds_per_slot:g} s and "
+        f"{summary.megabytes / slots:.0f} MB per slot, {summary.megabytes / 1000:.1f} GB in total",
+        _covered_text(summary.coverage),
+    ]
+    if summary.solar_noon:
+        texts.append(f"solar noon on the first day is at {summary.solar_noon}")
+    if "sun-enters" in tags:
+        texts.append(
+            f"the sun can enter a window in {tags['sun-enters']} slots and is in view in "
+            f"{tags.get('sun-in-view', 0)}"
+        )
+    if summary.variance_left_percent is not None:
+        texts.append(
+            f"leaves {summary.variance_left_percent:.2g} % of the model's uncertainty about the "
+            f"year, if the skies are as in the weather file"
+        )
+    if summary.month is not None:
+        texts.append(
+            f"expected squared error {summary.month.times_best:.2f} times that of the best month, "
+            f"{summary.month.best}"
+        )
+    return texts
+
+
+def _covered_text(coverage: Coverage) -> str:
+    text = f"covers {coverage.sun_band_percent:.0f} % of the year's sun band"
+    if coverage.irradiance_percent is None:
+        return text
+    return (
+        f"{text}, {coverage.irradiance_percent:.0f} % of the weather year's skies, "
+        f"{coverage.both_percent:.0f} % in both"
+    )

@@ -1,0 +1,77 @@
+"""What a plan is asked for, and what it consists of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date
+
+from fieldlum.plan.coverage import Coverage
+from fieldlum.plan.days import DaylightHours, hours_of
+from fieldlum.records import Slot
+from fieldlum.session.tables import PlanTable
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """The options of a plan; `today` is the local date from which "next" is counted."""
+
+    set: str
+    today: date
+    start: date | None = None
+    year: int | None = None
+    days: int | None = None
+    count: int | None = None
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Months:
+    """Expected squared error of a capture month, relative to the best calendar month.
+
+    The error is the kernel's variance that the month's captures leave.
+    """
+
+    best: str  # its name
+    times_best: float  # of the month planned
+    by_month: tuple[float, ...]  # January first, each against the best
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The slots of a set, their cost and coverage, and the warnings."""
+
+    slots: tuple[Slot, ...]
+    days: tuple[date, ...]  # all days of the set, including days without daylight
+    seconds_per_slot: float
+    megabytes_per_slot: float
+    coverage: Coverage
+    # Share of the model's prior variance over the year that the captures leave; None without
+    # weather.
+    variance_left: float | None
+    months: Months | None  # for a month with weather
+    warnings: tuple[str, ...]
+
+    @property
+    def hours(self) -> DaylightHours:
+        """The moments and suns of the slots."""
+        return hours_of(self.slots)
+
+    def about(self, request: Request) -> PlanTable:
+        """Return the table [plan] of session.toml."""
+        asked: PlanTable = {"set": request.set}
+        if request.start is not None:
+            asked["start"] = request.start
+        if request.year is not None:
+            asked["year"] = request.year
+        if request.count is not None:
+            asked["count"] = request.count
+        return {
+            **asked,
+            "revision": 0,
+            "slots": len(self.slots),
+            "first": self.days[0],
+            "last": self.days[-1],
+            "seconds_per_slot": self.seconds_per_slot,
+            "megabytes_per_slot": self.megabytes_per_slot,
+            "sun_band_percent": round(self.coverage.sun_band_percent, 1),
+        }

@@ -1,0 +1,105 @@
+"""Camera profiles: calibration/NAME.toml, everything between sensor counts and cd/m2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from fieldlum.errors import InputError
+from fieldlum.profiles.checks import check_camera
+from fieldlum.profiles.tables import Bracket as Bracket
+from fieldlum.profiles.tables import CameraBody as CameraBody
+from fieldlum.profiles.tables import CameraProfile as CameraProfile
+from fieldlum.profiles.tables import Colour as Colour
+from fieldlum.profiles.tables import Lens as Lens
+from fieldlum.profiles.tables import NeutralDensity as NeutralDensity
+from fieldlum.profiles.tables import Provenance as Provenance
+from fieldlum.profiles.tables import Response as Response
+from fieldlum.profiles.tables import Scale as Scale
+from fieldlum.profiles.tables import Sensor as Sensor
+from fieldlum.profiles.tables import ShutterTime as ShutterTime
+from fieldlum.profiles.tables import StrayLight as StrayLight
+from fieldlum.profiles.tables import Vignetting as Vignetting
+from fieldlum.projection import judged_text, seen_by_lenses
+from fieldlum.records import CameraSetup, Exposure
+from fieldlum.strict_toml import build, plain, read_toml
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
+    """Return the folder of the shipped files, in a wheel or in a checkout."""
+    in_wheel = _PACKAGE / "_shipped" / kind
+    return in_wheel if in_wheel.is_dir() else _PACKAGE.parent / kind
+
+
+def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
+    """Return which view directions these lenses and headings can judge; empty if all.
+
+    For one lens without turned head the text names headings that would see all.
+    """
+    lenses = [lens.geometry for lens in profile.lens]
+    headings = setup.headings or (setup.heading_deg,)
+    turns = [heading - setup.heading_deg for heading in headings]
+    text = judged_text(seen_by_lenses(lenses, turns), setup.heading_deg)
+    if not text:
+        return ""
+    opposite = [setup.heading_deg % 360.0, (setup.heading_deg + 180.0) % 360.0]
+    seen = seen_by_lenses(lenses, [heading - setup.heading_deg for heading in opposite])
+    if judged_text(seen, setup.heading_deg):
+        return f"{text}; use a lens that sees more, or turn the camera to several headings"
+    named = ", ".join(f"{heading:g}" for heading in opposite)
+    return f"{text}; for all directions write headings = [{named}] under [camera] in SITE.toml"
+
+
+DEFAULT_CAMERA = "sim-dual-fisheye"
+
+
+def find_camera_profile(name: str) -> Path:
+    """Return the path of a profile: the path itself, or a name in the shipped calibration/.
+
+    Raises InputError with the list of profiles.
+    """
+    path = Path(name or DEFAULT_CAMERA)
+    for candidate in (
+        path,
+        shipped("calibration") / path.name,
+        shipped("calibration") / f"{path.name}.toml",
+    ):
+        if candidate.is_file():
+            return candidate
+    known = ", ".join(sorted(p.stem for p in shipped("calibration").glob("*.toml")))
+    raise InputError(
+        name, "no such camera profile", f"a TOML file or one of: {known}", "correct it"
+    )
+
+
+def load_camera_profile(name: str | Path) -> CameraProfile:
+    """Read a profile. Raises InputError for a file that is no profile, or has impossible values."""
+    path = find_camera_profile(str(name))
+    profile = build(CameraProfile, read_toml(path), str(path))
+    check_camera(profile, str(path))
+    return profile
+
+
+def save_profile(path: Path, profile: CameraProfile) -> None:
+    """Write a profile as TOML, completely or not at all."""
+    import tomli_w
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_text(tomli_w.dumps(plain(profile)), encoding="utf-8")
+    temporary.replace(path)
+
+
+def bracket_exposures(bracket: Bracket) -> tuple[Exposure, ...]:
+    """Return the exposures of a bracket: longest first, then those through each filter."""
+    open_frames = [
+        Exposure(t, bracket.f_number, bracket.iso) for t in sorted(bracket.shutter_s, reverse=True)
+    ]
+    filtered = [
+        Exposure(t, bracket.f_number, bracket.iso, name)
+        for name in bracket.nd
+        for t in sorted(bracket.nd_shutter_s, reverse=True)
+    ]
+    return (*open_frames, *filtered)

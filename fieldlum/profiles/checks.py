@@ -1,0 +1,138 @@
+"""Checks of a camera profile: values that no camera can have."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from fieldlum.errors import InputError
+from fieldlum.photometry import rises
+from fieldlum.profiles.tables import CameraProfile, Lens, StrayLight
+from fieldlum.projection import angle_of_radius
+
+
+def check_camera(profile: CameraProfile, where: str) -> None:
+    """Raise InputError, with the key, for values that no camera can have."""
+    p = profile
+    if not p.lens:
+        raise InputError(where, "no [[lens]]", "at least one lens", "add it")
+    positive: dict[str, tuple[float, ...]] = {
+        "camera.width_px": (p.camera.width_px,),
+        "camera.height_px": (p.camera.height_px,),
+        "lens.radius_px": tuple(x.radius_px for x in p.lens),
+        "lens.full_angle_deg": tuple(x.full_angle_deg for x in p.lens),
+        "lens.vignetting.f_number": tuple(v.f_number for x in p.lens for v in x.vignetting),
+        "bracket.shutter_s": (*p.bracket.shutter_s, *p.bracket.nd_shutter_s),
+        "bracket.f_number": (p.bracket.f_number,),
+        "bracket.iso": (p.bracket.iso,),
+        "sensor.gain_e_per_dn": (p.sensor.gain_e_per_dn,),
+        "sensor.iso": (p.sensor.iso,),
+        "shutter.nominal_s and true_s": tuple(
+            t for x in p.shutter for t in (x.nominal_s, x.true_s)
+        ),
+        "scale.k": (p.scale.k,),
+        "scale.f_numbers": p.scale.f_numbers,
+        "nd.factor_rgb": tuple(f for x in p.nd for f in x.factor_rgb),
+    }
+    for key, values in positive.items():
+        for value in values:
+            if not 0 < value < 1e12:
+                raise InputError(where, f"{key} = {value:g}", "a number above 0", "correct it")
+    relative = (
+        p.colour.u_rel,
+        p.scale.u_rel,
+        p.response.u_rel,
+        p.sensor.linearity_u_rel,
+        p.glare_floor_rel,
+        p.stray.u_rel,
+        *(x.u_rel for x in p.shutter),
+    )
+    relative += (*(x.u_rel for x in p.nd), *(v.u_rel for x in p.lens for v in x.vignetting))
+    if not all(0 <= value < 1 for value in relative):
+        raise InputError(
+            where,
+            f"a relative value of {next(v for v in relative if not 0 <= v < 1):g}",
+            "u_rel and glare_floor_rel from 0 to below 1",
+            "correct it",
+        )
+    _check_stray(p.stray, where)
+    if min(p.sensor.read_noise_e, p.bracket.seconds_per_frame, p.bracket.megabytes_per_frame) < 0:
+        raise InputError(
+            where,
+            "read_noise_e, seconds_per_frame or megabytes_per_frame below 0",
+            "0 or more",
+            "correct it",
+        )
+    if (
+        max(x.full_angle_deg for x in p.lens) > 300
+        or max(p.camera.width_px, p.camera.height_px) > 100_000
+    ):
+        raise InputError(
+            where,
+            "a lens beyond 300 degrees or a sensor beyond 100 000 pixels",
+            "a possible camera",
+            "correct it",
+        )
+    for lens in p.lens:
+        _check_mapping(lens, where)
+    if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
+        found = "another count of values in [sensor] black_dn or saturation_dn"
+        raise InputError(where, found, "four values: R, G1, G2, B", "correct it")
+    if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
+        raise InputError(
+            where,
+            "[sensor] black at or above saturation",
+            "black below saturation and white",
+            "correct it",
+        )
+    if not rises(p.sensor.linearity):
+        found = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
+        raise InputError(
+            where, found, "a correction that rises with the counts", "fieldlum calibrate linearity"
+        )
+    if abs(p.sensor.exposure_offset_s) >= 0.01:
+        found = f"sensor.exposure_offset_s = {p.sensor.exposure_offset_s:g}"
+        raise InputError(where, found, "microseconds: less than 0.01 s")
+    if len(p.colour.rgb_to_radiance) not in (0, 9):
+        found = f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values"
+        raise InputError(where, found, "9 values, or none", "correct it")
+    if not 0 <= p.response.low_code < p.response.high_code <= 255:
+        found = f"response.low_code {p.response.low_code}, high_code {p.response.high_code}"
+        raise InputError(where, found, "0 <= low < high <= 255", "correct it")
+
+
+def _check_stray(kernel: StrayLight, where: str) -> None:
+    angles, values = kernel.angle_deg, kernel.per_sr
+    rising = all(a < b for a, b in pairwise(angles))
+    if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
+        found = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
+        raise InputError(
+            where, found, "rising angles from 0 to 180, a value for each", "correct it"
+        )
+    falling = all(a >= b for a, b in pairwise(values))
+    if not falling or min(values, default=0.0) < 0:
+        found = f"[stray] per_sr = {list(values)}"
+        raise InputError(where, found, "values of 0 or more that do not rise", "correct it")
+
+
+def _check_mapping(lens: Lens, where: str) -> None:
+    """Raise InputError unless the radius rises with the angle up to the edge, and is 1 there."""
+    if lens.mapping != "polynomial":
+        return
+    found = (
+        f"lens '{lens.name}': polynomial of "
+        f"{', '.join(f'{c:g}' for c in lens.coefficients) or 'no coefficients'}"
+    )
+    remedy = "fit it again: fieldlum calibrate lens"
+    try:
+        angle_of_radius(lens.geometry, 1.0)
+    except ValueError as error:
+        raise InputError(
+            where, f"{found} ({error})", "a polynomial that rises up to the edge", remedy
+        ) from None
+    if abs(sum(lens.coefficients) - 1.0) > 0.02:
+        raise InputError(
+            where,
+            f"{found}, with the sum {sum(lens.coefficients):g}",
+            "coefficients that sum to 1",
+            remedy,
+        )

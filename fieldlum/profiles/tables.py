@@ -1,0 +1,200 @@
+"""The tables of a camera profile, calibration/NAME.toml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from fieldlum.projection import LensGeometry
+
+
+@dataclass(frozen=True, slots=True)
+class CameraBody:
+    """The camera's name, kind and size."""
+
+    name: str
+    kind: Literal["raw", "jpeg"]
+    width_px: int
+    height_px: int
+    make: str = ""
+    model: str = ""
+    date: str = ""  # of the calibration, ISO
+    note: str = ""
+    fixed_f_number: float = 0.0  # of a lens that no frame states; 0: the EXIF has it
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The sensor of a raw camera; four values are those of R, G1, G2, B, in DN."""
+
+    cfa: str = "RGGB"
+    black_dn: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    # The plateau, not the file's tag.
+    saturation_dn: tuple[float, ...] = (65535.0, 65535.0, 65535.0, 65535.0)
+    # Counts (black included) at which linear z is 1 by definition; determines only the unit of
+    # scale.k.
+    white_dn: float = 65535.0
+    gain_e_per_dn: float = 1.0  # at iso
+    read_noise_e: float = 3.0
+    iso: float = 100.0
+    # Light over counts, 1 + a1 x + a2 x2 + ..., x the share of white_dn above black; empty: not
+    # calibrated.
+    linearity: tuple[float, ...] = ()
+    # Relative; a 12-bit CCD of EMVA1288/datasets departs by +0.3 to -1.2 %, uniform over 1.5 % is
+    # 0.43 % (bench/real_sensor.py).
+    linearity_u_rel: float = 0.0043
+    exposure_offset_s: float = 0.0  # an electronic shutter opens so much longer than it states
+    bad_px: tuple[tuple[int, int], ...] = ()  # column, row of pixels that are never used
+
+
+@dataclass(frozen=True, slots=True)
+class Bracket:
+    """The exposures of a plan by default; shutter times are nominal."""
+
+    f_number: float
+    iso: float
+    shutter_s: tuple[float, ...]
+    nd: tuple[str, ...] = ()  # one more bracket tail per filter, at the shortest times
+    nd_shutter_s: tuple[float, ...] = ()
+    seconds_per_frame: float = 2.0
+    megabytes_per_frame: float = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShutterTime:
+    """A measured shutter time."""
+
+    nominal_s: float
+    true_s: float
+    u_rel: float = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class Vignetting:
+    """Relative transmission V in powers of r = angle / (full angle / 2): V = sum c_k r^k.
+
+    c_0 is first, V(0) = 1.
+    """
+
+    f_number: float
+    coefficients: tuple[float, ...]
+    u_rel: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """One lens on the sensor.
+
+    Pixel coordinates: (0, 0) is the top left corner of the sensor's top left pixel.
+    """
+
+    centre_px: tuple[float, float]  # x to the right, y down
+    radius_px: float  # of the image circle at full_angle_deg / 2
+    full_angle_deg: float
+    mapping: Literal["equidistant", "equisolid", "polynomial"] = "equisolid"
+    # Of a polynomial: r / radius_px = sum c_k (angle / half angle)^(k + 1).
+    coefficients: tuple[float, ...] = ()
+    name: str = "lens"
+    azimuth_deg: float = 0.0  # optical axis relative to the camera's heading, clockwise
+    tilt_deg: float = 0.0  # up
+    roll_deg: float = 0.0  # clockwise as seen from behind the camera
+    vignetting: tuple[Vignetting, ...] = ()
+
+    @property
+    def geometry(self) -> LensGeometry:
+        """The lens on its complete sensor, relative to the camera's heading."""
+        return LensGeometry(
+            self.centre_px,
+            self.radius_px,
+            self.full_angle_deg,
+            self.mapping,
+            self.coefficients,
+            self.azimuth_deg,
+            self.tilt_deg,
+            self.roll_deg,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """The response of a JPEG camera: code value to linear z in [0, 1]."""
+
+    kind: Literal["linear", "srgb", "polynomial", "table"] = "linear"
+    red: tuple[float, ...] = ()  # polynomial: c_0 first, in code / 255; table: 256 values
+    green: tuple[float, ...] = ()
+    blue: tuple[float, ...] = ()
+    low_code: int = 27  # codes outside [low, high] carry no weight
+    high_code: int = 228
+    u_rel: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB."""
+
+    y_from_rgb: tuple[float, float, float] = (0.265, 0.670, 0.065)
+    # 9 values, row by row; empty: no colour is written, only Y.
+    rgb_to_radiance: tuple[float, ...] = ()
+    u_rel: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """L = k * 87 * N^2 / (t S) * z with z in [0, 1], t in s (87: hdrgen's stonits)."""
+
+    k: float = 1.0
+    u_rel: float = 0.05
+    f_numbers: tuple[float, ...] = ()  # apertures for which k is valid; empty: all
+
+
+@dataclass(frozen=True, slots=True)
+class StrayLight:
+    """Stray light of the lenses: K at ascending angles; empty: not calibrated.
+
+    See photometry/stray_light.py; u_rel is of the stray light, not of the luminance.
+    """
+
+    angle_deg: tuple[float, ...] = ()
+    per_sr: tuple[float, ...] = ()
+    u_rel: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class NeutralDensity:
+    """A neutral-density filter of the lens."""
+
+    name: str
+    factor_rgb: tuple[float, float, float]  # luminance without over luminance with the filter
+    u_rel: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """The origin of a profile's values."""
+
+    source: str = ""
+    fitted_by: str = ""
+    frames_sha256: tuple[str, ...] = ()
+    log: tuple[str, ...] = ()  # one line for each fit: the choice and its reason
+
+
+@dataclass(frozen=True, slots=True)
+class CameraProfile:
+    """calibration/NAME.toml: everything between sensor counts and cd/m2, with its uncertainty."""
+
+    camera: CameraBody
+    lens: tuple[Lens, ...]
+    bracket: Bracket
+    sensor: Sensor = field(default_factory=Sensor)
+    shutter: tuple[ShutterTime, ...] = ()
+    response: Response = field(default_factory=Response)
+    colour: Colour = field(default_factory=Colour)
+    scale: Scale = field(default_factory=Scale)
+    nd: tuple[NeutralDensity, ...] = ()
+    # Veiling glare of the lens, as a share of the mean luminance; 0 once [stray] is calibrated.
+    glare_floor_rel: float = 0.0005
+    stray: StrayLight = field(default_factory=StrayLight)
+    expires: str = ""  # ISO date; doctor warns after it
+    provenance: Provenance = field(default_factory=Provenance)
+    # How nominal times without a measured one are read: see photometry/shutter_law.py.
+    shutter_law: Literal["auto", "third-stops", "half-stops", "exact"] = "auto"
