@@ -108,3 +108,16 @@ def test_a_word_is_found_and_a_quoted_name_is_not() -> None:
         "compared with, with",
     ]
     assert not list(_found("`whole` is an option, and Q stands for heat; None if it is None"))
+
+
+PAGE_PARTS = sorted(
+    path
+    for path in (ROOT / "fieldlum").rglob("*")
+    if path.suffix in (".html", ".js", ".css", ".j2") and path.is_file()
+)
+
+
+@pytest.mark.parametrize("path", PAGE_PARTS, ids=lambda p: p.name)
+def test_no_line_of_a_page_is_wider_than_100_columns(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert [number for number, line in enumerate(lines, 1) if len(line) > 100] == []
