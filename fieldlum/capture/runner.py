@@ -45,7 +45,7 @@ from fieldlum.session import (
     store_grace,
     update_session,
 )
-from fieldlum.session.tables import DeviceTable
+from fieldlum.session.tables import DevicesTable, DeviceTable
 from fieldlum.version import __version__
 
 
@@ -153,7 +153,7 @@ class _Runner:
         """
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
-        about: dict[str, DeviceTable] = {"uris": {**uris}}
+        about: DevicesTable = {"uris": uris}
         camera = self.camera.insist()
         refuse_what_is_not_offered(camera, self.slots, self.states)
         about["camera"] = plain_info(camera.info)
@@ -161,13 +161,15 @@ class _Runner:
             keeper = Keeper(
                 "pyranometer", open_pyr, self.clock, self.recorder.tell, options.watchdog_s
             )
-            about |= self._insist(keeper, uris)
+            if info := self._insist(keeper, uris):
+                about["pyranometer"] = info
             self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
         if open_met is not None:
             self.meter = Keeper(
                 "meter", open_met, self.clock, self.recorder.tell, options.watchdog_s
             )
-            about |= self._insist(self.meter, uris)
+            if info := self._insist(self.meter, uris):
+                about["meter"] = info
         self.recorder.tell(
             "open",
             **self.clock.mark(),
@@ -178,9 +180,8 @@ class _Runner:
         for name, fields in self.clock.check():
             self.recorder.tell(name, **fields)
         try:
-            update_session(
-                self.session, {"devices": {**self.session.table().get("devices", {}), **about}}
-            )
+            known = self.session.table().get("devices", {})
+            update_session(self.session, {"devices": {**known, **about}})
             store_grace(self.session, options.grace_s)
         except OSError as error:
             if not disk_is_full(error):
@@ -188,11 +189,11 @@ class _Runner:
         if self.logger is not None and options.threaded:
             self.logger.start()
 
-    def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> dict[str, DeviceTable]:
+    def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> DeviceTable:
         """Return the instrument's information; empty if a known instrument is away."""
         known = self.session.table().get("devices", {})
         try:
-            return {keeper.name: plain_info(keeper.insist().info)}
+            return plain_info(keeper.insist().info)
         except Exception as error:
             if (
                 keeper.name not in known

@@ -69,14 +69,12 @@ def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
             attempt=attempt,
             frames=state.frames if attempt == state.attempt else (),
         )
-    if kind in ("frame", "retake"):
+    if kind in ("frame", "retake") and "frame" in event:
         frame = frame_from(event["frame"])
         others = tuple(f for f in state.frames if f.index != frame.index)
         return replace(state, frames=(*others, frame))
-    if kind == "illuminance":
-        return replace(
-            state, illuminance_lx=(*state.illuminance_lx, float(event["illuminance_lx"]))
-        )
+    if kind == "illuminance" and "illuminance_lx" in event:
+        return replace(state, illuminance_lx=(*state.illuminance_lx, event["illuminance_lx"]))
     if kind in ("done", "missed", "aborted"):
         return replace(state, outcome=kind, why=event.get("why", ""))
     return SlotState() if kind == "withdrawn" else state

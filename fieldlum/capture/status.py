@@ -75,7 +75,7 @@ def _plan(session: Session, slots: list[Slot]) -> PlanStatus:
         "slots": len(slots),
     }
     if slots:
-        plan |= {"first_utc": utc_text(slots[0].t_utc), "last_utc": utc_text(slots[-1].t_utc)}
+        plan["first_utc"], plan["last_utc"] = utc_text(slots[0].t_utc), utc_text(slots[-1].t_utc)
     return plan
 
 

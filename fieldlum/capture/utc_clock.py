@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from fieldlum.devices.clock import Clock
-from fieldlum.session.tables import EventFields
+from fieldlum.session.tables import ClockMark, EventFields, JournalEvent
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
 # drift and is followed. Not measured: the drift between two checks is far smaller.
@@ -69,11 +69,11 @@ class SteadyClock:
         """Sleep for a time [s]."""
         self._clock.sleep(seconds)
 
-    def mark(self) -> EventFields:
+    def mark(self) -> ClockMark:
         """Return what a later process needs to continue this time."""
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
-    def carry_on(self, then: datetime, mark: EventFields) -> None:
+    def carry_on(self, then: datetime, mark: ClockMark | JournalEvent) -> None:
         """Continue the time of an earlier process of the same boot.
 
         `check` then detects a step between the two processes.

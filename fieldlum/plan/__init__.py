@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum import sun
-from fieldlum.errors import NotEnoughDataError
+from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.plan import choose
 from fieldlum.plan.coverage import coverage
 from fieldlum.plan.days import DaylightHours, daylight_hours, season_tag, set_days
@@ -186,14 +186,8 @@ def write_calendar(session: Session, made_utc: datetime) -> Path:
     """Write plan.ics next to plan.csv, from the slots in plan.csv, and return its path."""
     from fieldlum.plan.calendar import ics
 
-    about = session.table()["plan"]
-    data = ics(
-        session.slots(),
-        session.site_file().site,
-        about["seconds_per_slot"],
-        made_utc,
-        about["revision"],
-    )
+    seconds, _, revision = _planned_cost(session)
+    data = ics(session.slots(), session.site_file().site, seconds, made_utc, revision)
     with replacing(session.root / "plan.ics") as file:
         file.write(data)
     return session.root / "plan.ics"
@@ -205,8 +199,15 @@ def write_sheets(
     """Write plan.html next to plan.csv: coverage plots, then a sheet for each day."""
     from fieldlum.plan.sheet import Cost, html
 
-    about = session.table()["plan"]
-    cost = Cost(about["seconds_per_slot"], about["megabytes_per_slot"])
+    cost = Cost(*_planned_cost(session)[:2])
     with replacing(session.root / "plan.html") as file:
         file.write(html(session.slots(), session.site_file(), cost, weather, notes).encode())
     return session.root / "plan.html"
+
+
+def _planned_cost(session: Session) -> tuple[float, float, int]:
+    """Return seconds and megabytes of one slot, and the plan's revision."""
+    plan = session.table().get("plan", {})
+    if "seconds_per_slot" in plan and "megabytes_per_slot" in plan and "revision" in plan:
+        return plan["seconds_per_slot"], plan["megabytes_per_slot"], plan["revision"]
+    raise InputError(session.toml, "no complete [plan]", "a planned session", "plan it again")

@@ -70,5 +70,5 @@ def outcomes(session: Session) -> dict[str, str]:
         if event["event"] in ("done", "missed", "aborted") and "slot" in event:
             found[event["slot"]] = event["event"]
         elif event["event"] == "withdrawn":
-            found.pop(event["slot"], None)
+            found.pop(event.get("slot", ""), None)
     return found

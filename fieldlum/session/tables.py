@@ -27,6 +27,15 @@ class PlanTable(TypedDict, total=False):
     older_sha256: list[str]
 
 
+class DevicesTable(TypedDict, total=False):
+    """[devices] of session.toml: the URIs by device, and what each device states about itself."""
+
+    uris: dict[str, str]
+    camera: DeviceTable
+    pyranometer: DeviceTable
+    meter: DeviceTable
+
+
 class GraceTable(TypedDict, total=False):
     """[capture] of session.toml."""
 
@@ -46,7 +55,7 @@ class SessionTable(TypedDict, total=False):
 
     setup: dict[str, Any]  # SITE.toml
     plan: PlanTable
-    devices: dict[str, DeviceTable]
+    devices: DevicesTable
     capture: GraceTable
     imported: dict[str, list[dict[str, str | float]]]
     logger_files: list[LoggerFileTable]
@@ -75,6 +84,13 @@ class FrameTable(TypedDict, total=False):
     sha256: str
     doubt: str
     instead_of: str
+
+
+class ClockMark(TypedDict):
+    """The boot of the computer, and the time since then [s]."""
+
+    boot_id: str
+    boottime_s: float
 
 
 class EventFields(TypedDict, total=False):

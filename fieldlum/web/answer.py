@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from fieldlum.errors import InputError
 from fieldlum.records import utc_text
@@ -236,7 +236,9 @@ def read_answers(session: Session) -> list[AnswerRow]:
         rows = json.loads((session.root / "watch" / "answers.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return []
-    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    if not isinstance(rows, list):
+        return []
+    return [cast(AnswerRow, row) for row in rows if isinstance(row, dict)]
 
 
 def answer_table(session: Session, worker: Worker | None) -> AnswerTable:

@@ -107,7 +107,7 @@ def _converted(hint: Any, value: Any) -> Any:
         if not isinstance(value, Mapping):
             raise TypeError(f"{value!r} is not an object")
         if origin is None:
-            kind: type[Any] = hint
+            kind = typing.cast(type[Any], hint)
             return kind.from_table(value) if hasattr(kind, "from_table") else from_json(kind, value)
         return {str(key): _converted(arguments[1], one) for key, one in value.items()}
     if hint is datetime:
