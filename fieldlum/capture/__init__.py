@@ -7,5 +7,3 @@ bracket; `runner` is the loop; `import_card` imports; `status` counts what is do
 
 from fieldlum.capture.options import Options, prepare
 from fieldlum.capture.runner import run
-
-__all__ = ["Options", "prepare", "run"]

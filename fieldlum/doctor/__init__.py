@@ -23,21 +23,6 @@ from fieldlum.errors import FieldlumError, InputError
 from fieldlum.records import Progress, quiet
 from fieldlum.session import Session
 
-__all__ = [
-    "Finding",
-    "as_table",
-    "check_calendar",
-    "check_clock",
-    "check_disk",
-    "check_plan",
-    "check_profile",
-    "check_sleep",
-    "exit_code",
-    "kernel_clock",
-    "owed_slots",
-    "run",
-]
-
 
 def run(
     session: Session,

@@ -4,7 +4,6 @@ from fieldlum.images.exr import calibration_mark, read_exr, write_panorama
 from fieldlum.images.panorama import read_panorama
 from fieldlum.images.programs import radiance_program
 from fieldlum.images.radiance import (
-    RadianceImage,
     encode_rgbe,
     read_radiance_hdr,
     read_radiance_header,
@@ -12,28 +11,8 @@ from fieldlum.images.radiance import (
     write_radiance_hdr,
 )
 from fieldlum.images.radiance_header import (
-    MAX_PIXELS,
     PANORAMA_LINE,
     RADIANCE_LM_PER_W,
     RADIANCE_Y,
     RadianceHeader,
 )
-
-__all__ = [
-    "MAX_PIXELS",
-    "PANORAMA_LINE",
-    "RADIANCE_LM_PER_W",
-    "RADIANCE_Y",
-    "RadianceHeader",
-    "RadianceImage",
-    "calibration_mark",
-    "encode_rgbe",
-    "radiance_program",
-    "read_exr",
-    "read_panorama",
-    "read_radiance_hdr",
-    "read_radiance_header",
-    "read_radiance_luminance",
-    "write_panorama",
-    "write_radiance_hdr",
-]

@@ -14,8 +14,7 @@ from fieldlum import sun
 from fieldlum.errors import NotEnoughDataError
 from fieldlum.irradiance.consistency import closure_fails, doubts
 from fieldlum.irradiance.series import UNUSABLE, Array, Mark, Series, local_period_s, series_of
-from fieldlum.irradiance.verdict import Health as Health
-from fieldlum.irradiance.verdict import health as health
+from fieldlum.irradiance.verdict import Health, health
 from fieldlum.records import Float, Progress, Site, quiet
 from fieldlum.session import Session, day_files, read_day
 from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance

@@ -4,19 +4,5 @@ from fieldlum.merge.bracket import MergeResult, merge_frames, merge_shots
 from fieldlum.merge.merge_files import files_to_picture
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.sensor import merge_sensor
-from fieldlum.merge.shots import Shot, shots_of_files, shots_of_slot
-from fieldlum.merge.stage import Verdict, run
-
-__all__ = [
-    "MergeOptions",
-    "MergeResult",
-    "Shot",
-    "Verdict",
-    "files_to_picture",
-    "merge_frames",
-    "merge_sensor",
-    "merge_shots",
-    "run",
-    "shots_of_files",
-    "shots_of_slot",
-]
+from fieldlum.merge.shots import Shot, shots_of_files
+from fieldlum.merge.stage import run

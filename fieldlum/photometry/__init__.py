@@ -1,18 +1,12 @@
 """Arithmetic of exposure and luminance: shutter times, responses, exposure ratios, vignetting."""
 
-from fieldlum.photometry.exposure import (
-    STONITS,
-    saturation_plateau,
-    snap_shutter_s,
-    z_per_cdm2,
-)
+from fieldlum.photometry.exposure import saturation_plateau, snap_shutter_s, z_per_cdm2
 from fieldlum.photometry.illuminance import (
     illuminance_lx,
     illuminance_verdict,
     vertical_illuminance_lx,
 )
-from fieldlum.photometry.linearity import linearity_factor as linearity_factor
-from fieldlum.photometry.linearity import rises as rises
+from fieldlum.photometry.linearity import linearity_factor, rises
 from fieldlum.photometry.ratios import PairRatio, RatioFit, fit_ratios, pair_ratio, prior_u_log
 from fieldlum.photometry.response import (
     dark_floor,
@@ -33,34 +27,3 @@ from fieldlum.photometry.shutter_law import (
     times_under,
 )
 from fieldlum.photometry.vignetting import check_vignetting, vignetting_at
-
-__all__ = [
-    "AUTO",
-    "EXACT",
-    "LAWS",
-    "STONITS",
-    "PairRatio",
-    "RatioFit",
-    "ShutterLaw",
-    "check_vignetting",
-    "dark_floor",
-    "fit_ratios",
-    "fit_response",
-    "illuminance_lx",
-    "illuminance_verdict",
-    "law_of_frames",
-    "law_of_labels",
-    "monotone",
-    "pair_ratio",
-    "polynomial_table",
-    "prior_u_log",
-    "response_table",
-    "saturation_plateau",
-    "snap_shutter_s",
-    "srgb_table",
-    "time_under",
-    "times_under",
-    "vertical_illuminance_lx",
-    "vignetting_at",
-    "z_per_cdm2",
-]

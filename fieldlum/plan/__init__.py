@@ -14,11 +14,8 @@ from fieldlum import sun
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.plan import choose
 from fieldlum.plan.coverage import coverage
-from fieldlum.plan.days import DaylightHours, daylight_hours, season_tag, set_days
-from fieldlum.plan.days import today_at as today_at
-from fieldlum.plan.texts import plan_warnings
-from fieldlum.plan.texts import sentences as sentences
-from fieldlum.plan.texts import summary as summary
+from fieldlum.plan.days import DaylightHours, daylight_hours, season_tag, set_days, today_at
+from fieldlum.plan.texts import plan_warnings, sentences, summary
 from fieldlum.plan.values import Months, Plan, Request
 from fieldlum.plan.window import sun_enters, sun_in_view
 from fieldlum.profiles import Bracket, bracket_exposures, coverage_text, load_camera_profile

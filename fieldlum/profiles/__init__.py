@@ -7,19 +7,21 @@ from typing import Literal
 
 from fieldlum.errors import InputError
 from fieldlum.profiles.checks import check_camera
-from fieldlum.profiles.tables import Bracket as Bracket
-from fieldlum.profiles.tables import CameraBody as CameraBody
-from fieldlum.profiles.tables import CameraProfile as CameraProfile
-from fieldlum.profiles.tables import Colour as Colour
-from fieldlum.profiles.tables import Lens as Lens
-from fieldlum.profiles.tables import NeutralDensity as NeutralDensity
-from fieldlum.profiles.tables import Provenance as Provenance
-from fieldlum.profiles.tables import Response as Response
-from fieldlum.profiles.tables import Scale as Scale
-from fieldlum.profiles.tables import Sensor as Sensor
-from fieldlum.profiles.tables import ShutterTime as ShutterTime
-from fieldlum.profiles.tables import StrayLight as StrayLight
-from fieldlum.profiles.tables import Vignetting as Vignetting
+from fieldlum.profiles.tables import (
+    Bracket,
+    CameraBody,
+    CameraProfile,
+    Colour,
+    Lens,
+    NeutralDensity,
+    Provenance,
+    Response,
+    Scale,
+    Sensor,
+    ShutterTime,
+    StrayLight,
+    Vignetting,
+)
 from fieldlum.projection import judged_text, seen_by_lenses
 from fieldlum.records import CameraSetup, Exposure
 from fieldlum.strict_toml import build, plain, read_toml

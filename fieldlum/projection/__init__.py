@@ -36,34 +36,3 @@ from fieldlum.projection.panorama import (
 )
 from fieldlum.projection.pose import rotation, turned
 from fieldlum.projection.resample import Resampler, resampler
-
-__all__ = [
-    "FULLY_SEEN_SHARE",
-    "NOT_SEEN",
-    "PARTLY_SEEN",
-    "SEEN",
-    "Equirect",
-    "Fisheye",
-    "LensGeometry",
-    "Resampler",
-    "angle_of_radius",
-    "column_azimuths_deg",
-    "compass_name",
-    "direction",
-    "equirect_pixel",
-    "equirect_rays",
-    "equirect_solid_angles",
-    "judged_text",
-    "lens_pixels",
-    "lens_rays",
-    "radius_of_angle",
-    "resampler",
-    "rotation",
-    "row_altitudes_deg",
-    "row_solid_angles",
-    "seen_by_lenses",
-    "seen_shares",
-    "seen_words",
-    "signed_angle_deg",
-    "turned",
-]

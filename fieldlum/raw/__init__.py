@@ -7,21 +7,5 @@ frame by its own maximum.
 from fieldlum.raw.dng import channel_positions, write_dng
 from fieldlum.raw.exif import FrameInfo, roll_deg_of, same_model
 from fieldlum.raw.integrity import JPEG_SUFFIXES, unreadable
-from fieldlum.raw.jpeg import JpegFrame, read_jpeg, write_jpeg
+from fieldlum.raw.jpeg import read_jpeg, write_jpeg
 from fieldlum.raw.mosaic import Mosaic, read_exif, read_mosaic
-
-__all__ = [
-    "JPEG_SUFFIXES",
-    "FrameInfo",
-    "JpegFrame",
-    "Mosaic",
-    "channel_positions",
-    "read_exif",
-    "read_jpeg",
-    "read_mosaic",
-    "roll_deg_of",
-    "same_model",
-    "unreadable",
-    "write_dng",
-    "write_jpeg",
-]

@@ -23,14 +23,8 @@ from fieldlum.session.folder import (
     update_session,
 )
 from fieldlum.session.journal import Journal, outcomes, read_journal
-from fieldlum.session.lines import (
-    append_durably,
-    append_whole,
-    cut_torn_tail,
-    decode_line,
-    encode_line,
-)
-from fieldlum.session.marks import BY_PEOPLE, MAX_NOTE, add_note, mark_slot, marks
+from fieldlum.session.lines import cut_torn_tail, decode_line, encode_line
+from fieldlum.session.marks import BY_PEOPLE, add_note, mark_slot, marks
 from fieldlum.session.pause import MAX_PAUSE, pause, paused_until, resume
 from fieldlum.session.plan_file import (
     PLAN_COLUMNS,
@@ -47,47 +41,3 @@ from fieldlum.session.writing import (
     sha256,
     sync_folder,
 )
-
-__all__ = [
-    "BY_PEOPLE",
-    "DAY_COLUMNS",
-    "DEFAULT_GRACE_S",
-    "MAX_NOTE",
-    "MAX_PAUSE",
-    "PLAN_COLUMNS",
-    "DayFiles",
-    "Journal",
-    "Session",
-    "add_note",
-    "append_durably",
-    "append_whole",
-    "create_session",
-    "cut_torn_tail",
-    "day_files",
-    "decode_line",
-    "decode_sample",
-    "disk_is_full",
-    "encode_line",
-    "encode_sample",
-    "exposure_text",
-    "mark_slot",
-    "marks",
-    "open_session",
-    "outcomes",
-    "parse_exposure",
-    "pause",
-    "paused_until",
-    "read_day",
-    "read_journal",
-    "read_plan",
-    "remove_scraps",
-    "replacing",
-    "replacing_path",
-    "resume",
-    "sha256",
-    "sole_user",
-    "store_grace",
-    "sync_folder",
-    "update_session",
-    "write_plan",
-]

@@ -12,54 +12,14 @@ from fieldlum.raw import channel_positions
 from fieldlum.records import Exposure
 
 # Nominal shutter times of cameras, in thirds of a stop.
-DIAL_S = tuple(
-    float(t) for t in (30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3.2, 2.5, 2, 1.6, 1.3, 1)
-) + tuple(
-    1.0 / t
-    for t in (
-        1.3,
-        1.6,
-        2,
-        2.5,
-        3,
-        4,
-        5,
-        6,
-        8,
-        10,
-        13,
-        15,
-        20,
-        25,
-        30,
-        40,
-        50,
-        60,
-        80,
-        100,
-        125,
-        160,
-        200,
-        250,
-        320,
-        400,
-        500,
-        640,
-        800,
-        1000,
-        1250,
-        1600,
-        2000,
-        2500,
-        3200,
-        4000,
-        5000,
-        6400,
-        8000,
-        10000,
-        12800,
-        16000,
-    )
+_SECONDS = "30 25 20 15 13 10 8 6 5 4 3.2 2.5 2 1.6 1.3 1"
+_FRACTIONS = (
+    "1.3 1.6 2 2.5 3 4 5 6 8 10 13 15 20 25 30 40 50 60 80 100 125 160 200 250 320 400 500 640 800 "
+    "1000 1250 1600 2000 2500 3200 4000 5000 6400 8000 10000 12800 16000"
+)
+DIAL_S = (
+    *(float(text) for text in _SECONDS.split()),
+    *(1.0 / float(text) for text in _FRACTIONS.split()),
 )
 # A Poisson distribution of more electrons is approximated by a normal one, for speed.
 _GAUSSIAN_ABOVE_E = 60.0
