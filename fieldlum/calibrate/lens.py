@@ -88,7 +88,8 @@ def geometry_of_figures(
 ) -> LensGeometry:
     """Return the lens with fitted parameters.
 
-    figures : centre x, y, radius, [azimuth, tilt, roll], then the polynomial's higher terms.
+    figures : [n], centre x, y and radius [px], (azimuth, tilt, roll [deg]), then the polynomial's
+    higher terms.
     """
     x, y, radius, *rest = figures.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)

@@ -25,7 +25,7 @@ from fieldlum.raw import channel_positions, read_mosaic
 Array = NDArray[np.float64]
 BLOCKS = 8  # a side, for each colour: light that differs over the frame fills the scale
 ORDERS = range(5)
-FEWEST_TIMES = 6
+FEWEST_TIMES = 6  # a fourth order and an offset, and one time over; chosen, not measured
 LOWEST, HIGHEST = 0.05, 0.8  # of the full scale: the frames must reach below and above
 _FULL = 0.97  # of saturation: a block with brighter pixels is left out
 _LEAST_DN = 5.0  # above black: darker blocks hold little but the black level

@@ -34,7 +34,7 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
     (1.5, 6.0, 24.0, 96.0),
     (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
 )
-FEWEST_READINGS = 8
+FEWEST_READINGS = 8  # twice the nodes of the smallest kernel; chosen, not measured
 TRAP_RADIUS_DEG = 0.5  # of the place that is averaged, unless the csv states another
 LEAST_U_REL = 0.1  # of the stray light: the interpolation on a grid of 3 degrees is no better
 MOST_SHARE = 0.3  # of a source's light; a lens with more is fogged, or the place was not black
@@ -220,7 +220,10 @@ def _falling(design: Array, stray: Array) -> Array:
 
 
 def total_share(nodes_deg: Sequence[float], values_per_sr: Array) -> float:
-    """Return the share of a source's light that K spreads over the sphere."""
+    """Return the share of a source's light that K spreads over the sphere.
+
+    nodes_deg, values_per_sr : [n], angles [deg] and K there [1/sr].
+    """
     angle = (np.arange(3600) + 0.5) / 3600 * np.pi
     kernel = kernel_per_sr(angle, np.asarray(nodes_deg), np.asarray(values_per_sr))
     return float((kernel * 2 * np.pi * np.sin(angle)).sum() * np.pi / 3600)

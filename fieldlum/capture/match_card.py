@@ -175,7 +175,7 @@ def fits(group: Group, slot: Slot) -> int:
 
 
 def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
-    """Return start of each group minus its nearest slot's time [s], with the clock corrected."""
+    """Return each group's start minus its nearest slot's time, [n] s, with the clock corrected."""
     starts = np.array([slot.t_utc.timestamp() for slot in slots])
     times = np.array([g.t_camera.timestamp() for g in groups]) - offset_s
     return times - starts[np.abs(times[:, None] - starts[None, :]).argmin(axis=1)]

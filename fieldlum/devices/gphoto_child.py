@@ -28,7 +28,7 @@ _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
     -105: "no camera found; switch it on, set it to PTP, check the cable",
     -115: "its card is full",
 }
-_BUSY = -110
+_BUSY = -110  # GP_ERROR_CAMERA_BUSY of gphoto2-result.h
 _TRIES = 4  # half a second apart while the camera is busy; chosen, not measured
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 PROGRAM = "rpicam-still"
-LIST_S = 20.0
+LIST_S = 20.0  # timeout of the list of cameras; chosen, not measured
 # Start of the camera stack, and frames that it discards before the one that is kept: long exposures
 # take several times their length (rpicam-apps and its predecessor report up to 7).
 START_S = 20.0

@@ -176,7 +176,7 @@ def minute_means(t_unix_s: Array, value: Array) -> tuple[Float, Float, NDArray[n
 def derive(series: Series, altitude: Array, site: Site) -> Series:
     """Return DNI and DHI from global irradiance alone, by DIRINT on minute means.
 
-    Each row gets its share of its minute.
+    Each row gets its share of its minute. altitude : of the sun, [n] deg.
     """
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():

@@ -21,7 +21,7 @@ from fieldlum.irradiance.series import Array, Mark, Series
 from fieldlum.records import Site
 
 Rows = NDArray[np.bool_]
-DAY_S = 86400.0
+DAY_S = 86400.0  # by definition
 _CLEAR_GRID_S = 300.0  # a clear sky changes by 2 % in five minutes near sunrise, else less
 # Under broken clouds instruments a few metres or a time constant apart differ by over 8 % in 4 % of
 # the sunny minutes of a good station (bench/station_qc.py); a fault lasts.
@@ -54,7 +54,7 @@ _DAY_STEADY_S = 1800.0  # minimum steady sun of a day whose median is used; not 
 _FULL_DAY_S = 28800.0
 # Times the day-to-day scatter; a split reaches it in 2 % of 20-day records without a step.
 _STEP_SIGMA = 4.0
-_STEP_DAYS = 3  # minimum on each side
+_STEP_DAYS = 3  # minimum on each side; chosen, not measured
 _LEAST_SCATTER = 0.001  # of daily medians: no instrument repeats better from day to day
 
 
@@ -188,6 +188,7 @@ def sensitivity_steps(
 ) -> SensitivitySteps:
     """Find days at which one of three instruments changed its sensitivity, or was exchanged.
 
+    t_unix_s [n] s; ghi, dhi, dni [n] W/m2; altitude of the sun [n] deg.
     Each day's value is the median closure ratio while the direct sun was steady. Closure cannot
     show which of the three changed. Fewer than six such days give no result.
     """

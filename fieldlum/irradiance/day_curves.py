@@ -17,7 +17,7 @@ from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.clean_csv import CleanIrradiance
 
 Array = NDArray[np.floating[Any]]
-COLUMNS = 4
+COLUMNS = 4  # chosen for a page in portrait
 MOST_DAYS = 64  # a sheet of 16 rows; of a longer log, the days with captures come first
 BIN_S = 120.0  # 720 points a day are more than a small chart shows
 _CURVES = (("ghi", AMBER), ("dni", BLUE), ("dhi", GREEN))
@@ -58,7 +58,7 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
 
 
 def chosen_days(days: NDArray[np.int64], captured: set[int]) -> list[int]:
-    """Return at most `MOST_DAYS` days in order of time; days with captures are preferred."""
+    """Return at most `MOST_DAYS` of days [n] in order of time; days with captures are preferred."""
     wanted = sorted(map(int, days), key=lambda day: (day not in captured, day))
     return sorted(wanted[:MOST_DAYS])
 

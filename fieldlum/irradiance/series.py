@@ -54,7 +54,7 @@ class Series:
 
 
 def poll_period_s(t_unix_s: Array) -> float:
-    """Return the usual time between two rows [s]."""
+    """Return the usual time between two rows of [n] [s]."""
     return float(np.median(np.diff(t_unix_s))) if len(t_unix_s) > 1 else 60.0
 
 

@@ -12,7 +12,7 @@ from fieldlum.irradiance.series import Array, Mark, Series, local_period_s, poll
 from fieldlum.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 from fieldlum.records import Site
 
-NIGHT_SUN_DEG = -6.0  # end of civil twilight
+NIGHT_SUN_DEG = -6.0  # end of civil twilight, by definition
 NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
 NIGHT_LIGHT_WM2 = 20.0  # larger than any instrument's offset; not measured
 MOST_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; not measured

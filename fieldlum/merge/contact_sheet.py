@@ -13,6 +13,7 @@ from fieldlum.images import read_panorama
 from fieldlum.session import Session, replacing
 from fieldlum.session.files.sidecar import Sidecar
 
+# Layout, chosen for a sheet of 1 500 px that shows a day in a few rows.
 _THUMB_PX = (184, 92)
 _PER_ROW, _PER_PAGE = 8, 96
 _BLACK, _GREY = (0, 0, 0), 150

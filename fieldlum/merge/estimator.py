@@ -24,7 +24,10 @@ Strip = NDArray[np.float32]
 
 
 class Signal(Protocol):
-    """One frame, linear and black-subtracted, read in strips along the first axis of its array."""
+    """One frame [rows, ...], linear and black-subtracted, read in strips along its first axis.
+
+    Luminances are in cd/m2; what is called broadcastable fits the frame's array.
+    """
 
     @property
     def per_cdm2(self) -> NDArray[np.float32]:

@@ -133,7 +133,7 @@ def trust_in(
 
     Disagreement that neither the shutter nor the response explains widens the uncertainty: the
     light changed, or the profile is wrong. Exposures that were not fitted are compared with a fit
-    for this purpose only.
+    for this purpose only. prior : covariance of the log exposures, [frames, frames].
     """
     residuals = neighbours(sampled.pairs, fit.correction)
     u_typical = float(np.median(fit.u_log))

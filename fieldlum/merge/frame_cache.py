@@ -40,7 +40,7 @@ class FrameStore:
         return len(self._kept) == len(self)
 
     def correct(self, factors: NDArray[np.floating]) -> None:
-        """Multiply the frames' assumed exposures, now and for all later reads."""
+        """Multiply the frames' assumed exposures by factors [frames], now and for later reads."""
         self._scale = self._scale * factors
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
 

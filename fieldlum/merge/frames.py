@@ -26,8 +26,8 @@ from fieldlum.photometry import linearity_factor
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions, read_mosaic
 
-_GATE = 0.97  # of the saturation, for predictions; noise is added to it
-_FULL = 0.99  # of the saturation: a count above it is treated as saturated
+_GATE = 0.97  # of the saturation, for predictions; noise is added to it; chosen
+_FULL = 0.99  # of the saturation: a count above it is treated as saturated; chosen
 _SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges; not measured
 
 
@@ -184,7 +184,7 @@ class RawSignal:
 
 
 def evenly_spread(length: int, wanted: int) -> NDArray[np.intp]:
-    """Return at most `wanted` places, evenly spread over `length`."""
+    """Return at most `wanted` places, evenly spread over `length`, [n]."""
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
 
 

@@ -24,7 +24,7 @@ from fieldlum.projection.grids import Target
 from fieldlum.records import Flag
 from fieldlum.statistics import MAD_TO_SIGMA
 
-_BANDS = 64  # rows of cells that are evaluated: enough for a smooth field
+_BANDS = 64  # rows of cells that are evaluated: enough for a smooth field; chosen
 # Cells for one step of the curve over the level, and most steps. Not measured.
 _IN_A_STEP, _MOST_STEPS = 40, 24
 _FAR = 4.0  # robust sigmas beyond which a cell is excluded: something moved

@@ -31,7 +31,7 @@ _SIGMA_CODE = 1.0
 _Z_STEPS, _Z_TOP = 1 << 14, 1.02  # of the table over z
 
 
-_TOP_CODE = 250  # of a JPEG: a pixel above it is treated as saturated
+_TOP_CODE = 250  # of a JPEG: a pixel above it is treated as saturated; chosen
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from fieldlum.records import Flag
 Mask = NDArray[np.bool_]
 Over = Callable[[Mask, Callable[[Mask], Mask]], Mask]
 
-_BAND = 1 << 21  # elements processed at a time, for all frames together
-_VOTE_SIGMA = 4.0  # a frame further from a value does not share it
+_BAND = 1 << 21  # elements processed at a time, for all frames together; bounds the memory
+_VOTE_SIGMA = 4.0  # a frame further from a value does not share it; chosen
 _LEAVE_SIGMA = 3.0  # a frame further from the consensus is excluded, if its neighbours are too
 _SUPPORT, _WINDOW_PX = 4, 5  # least marked pixels in a window: single ones are marked by chance
 _CLOUDED = 10  # undecided pixels in such a window that make its middle undecided too

@@ -19,7 +19,7 @@ from fieldlum.merge.ratios import Sample
 from fieldlum.photometry import PairRatio
 from fieldlum.statistics import robust_sigma
 
-_STEPS = 12  # levels of a pair that are evaluated
+_STEPS = 12  # levels of a pair that are evaluated; chosen
 _IN_A_STEP, _MOST = 200, 12_000  # least pixels of a step, most of a pair
 _ROUNDED_DN2 = 1 / 12  # variance of rounding to integers
 # A smaller factor on a variance (1.2 of noise) does not differ reliably from the profile's.
@@ -46,7 +46,7 @@ def seen_noise(
 ) -> SeenNoise:
     """Return the factors from neighbouring frames.
 
-    samples, pairs: of raw frames before `correction`, which the pairs gave.
+    samples, pairs: of raw frames before `correction` [frames], which the pairs gave.
     """
     rows = []
     for pair in pairs:

@@ -8,7 +8,7 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect, Fisheye
 from fieldlum.projection.grids import Target
 
-DEFAULT_HEIGHT = 230
+DEFAULT_HEIGHT = 230  # 460 x 230: the maps of Liu, Colburn and Inanici 2020
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
 # bilinear shares, which reach two pixels where each colour has its own, one where every pixel sees
 # all colours.
 _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
-_TAPER_RAD = 0.06  # over which a lens fades in from its edge, if another lens sees the same
+_TAPER_RAD = 0.06  # over which a lens fades in from its edge, if another lens sees the same; chosen
 
 
 @dataclass(frozen=True, slots=True)

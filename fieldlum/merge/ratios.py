@@ -43,7 +43,7 @@ class RatioCurve:
     u_rel: NDArray[np.float64]
 
     def at(self, value_cdm2: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the relative uncertainty of values, by interpolation."""
+        """Return the relative uncertainty of values [n] cd/m2, by interpolation."""
         return np.interp(value_cdm2, self.levels_cdm2, self.u_rel)
 
 
@@ -106,7 +106,7 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
 def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
     """Return how far frames next to each other in exposure disagree, after `correction`.
 
-    correction: factors on the exposures of the frames.
+    correction: factors on the exposures, [frames].
     """
     delta = np.log(correction)
     return [
@@ -162,10 +162,10 @@ def ratio_curve(
 ) -> RatioCurve:
     """Return the relative u of a value from uncertain exposures.
 
-    It is s C s, with s the frames' shares of the information at that level. The frames' errors are
-    correlated (pictures contain ratios only), and a level depends on the few frames that see it
-    well: a single value for the bracket would be too small where only an uncertain frame is
-    readable.
+    It is s C s, with C the covariance [frames, frames] and s the frames' shares of the information
+    at that level. The frames' errors are correlated (pictures contain ratios only), and a level
+    depends on the few frames that see it well: a single value for the bracket would be too small
+    where only an uncertain frame is readable.
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
     largest = [float(np.max(s.largest_cdm2())) for s in small]

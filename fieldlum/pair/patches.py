@@ -36,7 +36,7 @@ def seen_and_patches(
 ) -> list[tuple[Seen, str]]:
     """Return, for each slot, the visible sun and the patch's path relative to the session.
 
-    The path is "" without a room.
+    The path is "" without a room. full_normal_lx : of the unobstructed sun, [n] lx.
     """
     if setup.room is None or not items:
         return [(Seen(), "")] * len(items)

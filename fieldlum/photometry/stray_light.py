@@ -19,7 +19,7 @@ CELL_DEG = 3.0
 # A cell with this share of all light or more acts on each pixel, not on the coarse grid: near a
 # window or lamp the stray light changes faster than the grid. 1 % each are at most 100 cells.
 _BRIGHT_SHARE = 0.01
-_TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0
+_TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0; chosen
 _BLOCK = 512  # grid directions at a time; limits memory only
 
 

@@ -22,8 +22,8 @@ from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.weather import Weather
 
-AHEAD_DAYS = 14  # days that are ranked
-SHOWN = 12  # best hours that are printed
+AHEAD_DAYS = 14  # days that are ranked: as far as a person plans; chosen
+SHOWN = 12  # best hours that are printed; chosen
 # Skies of an hour: the weather of the same hour on this many days around, three days apart.
 SKIES = 7
 BATCH = 25  # captures by which "pays" is decided

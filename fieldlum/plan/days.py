@@ -17,7 +17,7 @@ from fieldlum.records import Site, Slot
 
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
 """Set: (seasons, days on either side of the event)."""
-MONTH_DAYS = 31
+MONTH_DAYS = 31  # the longest month
 SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-solstice")
 
 

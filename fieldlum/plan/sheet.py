@@ -21,7 +21,7 @@ from fieldlum.scene.drawing import room_svg
 from fieldlum.session import exposure_text
 from fieldlum.weather import Weather
 
-SIZE_PX = 300.0  # of the sky chart
+SIZE_PX = 300.0  # of the sky chart; chosen for a third of a page
 RADIUS_PX = 122.0  # of its horizon
 LATE_MINUTES = 5  # after the planned time: a bracket may start within the session's grace
 

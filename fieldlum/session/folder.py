@@ -21,7 +21,7 @@ from fieldlum.session.writing import replacing, sha256
 from fieldlum.site_toml import site_from_table, site_table
 from fieldlum.version import __version__
 
-DEFAULT_GRACE_S = 300.0  # the sun moves by 1.3 degrees; `capture --grace` sets another
+DEFAULT_GRACE_S = 300.0  # the sun moves by 1.3 degrees; chosen, `capture --grace` sets another
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from fieldlum.session.journal import append_event, read_journal
 
 EVENT = "marked"
 NOTE = "note"
-MAX_NOTE = 500  # characters: a few sentences
+MAX_NOTE = 500  # characters: a few sentences; chosen
 
 # Events that other programs than the capture write, at the time of their own clock. They say
 # nothing about the clock of the capture.

@@ -53,7 +53,7 @@ MOST_OF_FEW = 12  # files of a few days decide nothing below this count; not mea
 # or hemisphere. Chosen so that a high horizon passes; not measured.
 MOST_AGAINST_ALL = 0.25
 SHIFTS_MIN = tuple(m for m in range(-150, 151, 15) if m)
-_HALF = timedelta(minutes=30)
+_HALF = timedelta(minutes=30)  # of an hour, by definition
 _CORRECT_COLUMNS = "correct the columns, in W/m2"
 
 

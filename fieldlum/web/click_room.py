@@ -29,8 +29,8 @@ from fieldlum.site_toml import site_table
 from fieldlum.web.pictures import scale_of
 from fieldlum.web.server import picture_routes, static_route
 
-_PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel
-_LEAST_PATCH = 0.05  # of the brightest patch: its dim rim is no outline
+_PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel; chosen
+_LEAST_PATCH = 0.05  # of the brightest patch: its dim rim is no outline; chosen
 _MAX_BODY = 200_000  # bytes; far more than the clicks of a room; not measured
 _NUMBERS_KEPT = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m", "wall_azimuth_deg")
 

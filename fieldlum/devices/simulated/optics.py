@@ -15,7 +15,7 @@ from fieldlum.records import Panorama, SunSource
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-SUN_RADIUS_DEG = 0.2665  # mean angular radius of the sun at 1 au
+SUN_RADIUS_DEG = 0.2665  # mean angular radius of the sun at 1 au (Auwers 1891: 959.63 arc seconds)
 _SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
 _SUN_SUBSAMPLES = 8  # per pixel and axis of the disc; chosen, not measured
 _SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the blur

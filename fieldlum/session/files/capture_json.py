@@ -18,7 +18,7 @@ from fieldlum.session.files.json_file import (
 )
 from fieldlum.session.tables import FrameTable
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 _EXPECTED = "the frames of a bracket, as capture and import write them"
 _REMEDY = "restore the file from a copy, or import the card again"
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError
 from fieldlum.session.writing import replacing
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 MOST_MAPS = 150  # in the file, spread evenly: 4 MB at 116 x 58
 
 

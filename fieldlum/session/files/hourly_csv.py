@@ -16,7 +16,7 @@ from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import replacing
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "hourly.csv"
 HOUR_COLUMNS = (
     "dni_wm2",

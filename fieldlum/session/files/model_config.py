@@ -10,7 +10,7 @@ from typing import Any, NotRequired, TypedDict
 from fieldlum.errors import InputError
 from fieldlum.session.files.json_file import build_known, check_format, read_object, write_object
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 # Ten times the rows that EN 17037's glare needs; a model of more pixels is no model of this tool.
 MAX_HEIGHT = 4096
 _COMMON = ("model", "height", "width", "heading_deg", "patch", "seed")  # keys of every model

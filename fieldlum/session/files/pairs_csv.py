@@ -13,7 +13,7 @@ from fieldlum.errors import InputError
 from fieldlum.records import parse_utc, utc_text
 from fieldlum.session.writing import replacing
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 PAIR_COLUMNS = (
     "t_utc",
     "panorama",

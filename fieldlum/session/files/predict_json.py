@@ -16,7 +16,7 @@ from fieldlum.session.files.json_file import (
     write_object,
 )
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "predict.json"
 
 

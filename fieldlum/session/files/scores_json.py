@@ -15,7 +15,7 @@ from fieldlum.session.files.json_file import (
     write_object,
 )
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 _REMEDY = "train the model again"
 
 

@@ -19,7 +19,7 @@ from fieldlum.session.files.json_file import (
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.folder import Session
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 _EXPECTED, _REMEDY = "the sidecar of a merged panorama", "merge the bracket again"
 
 

@@ -10,7 +10,7 @@ from fieldlum.errors import InputError
 from fieldlum.records import SunSource
 from fieldlum.session.writing import replacing
 
-FORMAT = 1
+FORMAT = 1  # of the file; docs/file-formats.md
 _EXPECTED, _REMEDY = "a suns.csv written by pair", "run fieldlum pair again"
 
 
