@@ -8,7 +8,7 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.projection import Equirect, Fisheye
 from fieldlum.projection.grids import Target
 
-DEFAULT_HEIGHT = 230  # 460 x 230: the maps of Liu, Colburn and Inanici 2020
+DEFAULT_HEIGHT = 230  # rows: 0.8 degrees a pixel (docs/design.md); chosen
 
 
 @dataclass(frozen=True, slots=True)
