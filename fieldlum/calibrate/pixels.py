@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 from fieldlum.errors import InputError, NotEnoughDataError
 from fieldlum.linear_light import black_dn, check_frame, full_dn, gain_e_per_dn
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import JPEG_SUFFIXES, Mosaic, channel_positions, read_mosaic
+from fieldlum.raw import (
+    JPEG_SUFFIXES,
+    Mosaic,
+    channel_positions,
+    possible_frames,
+    read_mosaic,
+)
 
 # Limits are chosen so that simulated defects are found and lights are not (tests); not measured on
 # real sensors.
@@ -150,12 +156,7 @@ def _decide(
 def _frames_of(source: Path) -> list[Path]:
     if not source.is_dir():
         return [source]
-    skipped = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
-    frames = sorted(
-        p
-        for p in source.iterdir()
-        if p.is_file() and p.suffix.lower() not in skipped and not p.name.startswith(".")
-    )
+    frames = possible_frames(source)
     if not frames:
         raise InputError(source, "no frames", "a folder of raw frames of one view", "check it")
     return frames

@@ -103,18 +103,15 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
         value.append(float(patch.rgb @ weights) / (row.get("reference") or 1.0))
         u.append(float(np.hypot(patch.u_rel, 0.002)))
         f_numbers.add(frame.exposure.f_number)
+    f_number = _one_aperture(path, f_numbers, "write one table for each")
+    files = tuple(row["file"] for row in rows)
+    return Samples(np.array(r), np.array(value), np.array(u), f_number, lens, files)
+
+
+def _one_aperture(path: Path, f_numbers: set[float], remedy: str) -> float:
     if len(f_numbers) > 1:
-        raise InputError(
-            path, f"apertures {sorted(f_numbers)}", "one aperture", "write one table for each"
-        )
-    return Samples(
-        np.array(r),
-        np.array(value),
-        np.array(u),
-        f_numbers.pop(),
-        lens,
-        tuple(row["file"] for row in rows),
-    )
+        raise InputError(path, f"apertures {sorted(f_numbers)}", "one aperture", remedy)
+    return next(iter(f_numbers))
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
@@ -129,10 +126,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         r = angle_of_radius(geometry, radius) / geometry.half_angle_rad
         rings += _rings(r, frame.rgb @ weights, ~frame.bad & (radius < 0.99))
         f_numbers.add(frame.exposure.f_number)
-    if len(f_numbers) > 1:
-        raise InputError(
-            paths[0], f"apertures {sorted(f_numbers)}", "one aperture", "fit each separately"
-        )
+    f_number = _one_aperture(paths[0], f_numbers, "fit each separately")
     if not rings:
         raise InputError(
             paths[0],
@@ -141,7 +135,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
             "take another frame",
         )
     table = np.array(rings)
-    return Samples(table[:, 0], table[:, 1], table[:, 2], f_numbers.pop(), lens, tuple(paths))
+    return Samples(table[:, 0], table[:, 1], table[:, 2], f_number, lens, tuple(paths))
 
 
 def _rings(r: Array, value: Array, good: NDArray[np.bool_]) -> list[tuple[float, float, float]]:

@@ -14,7 +14,7 @@ from fieldlum.errors import InputError
 from fieldlum.linear_light import true_shutter_s
 from fieldlum.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
 from fieldlum.profiles import CameraProfile
-from fieldlum.raw import JPEG_SUFFIXES, read_exif
+from fieldlum.raw import JPEG_SUFFIXES, possible_frames, read_exif
 from fieldlum.records import Exposure
 from fieldlum.session.files.capture_json import CaptureFile
 
@@ -60,12 +60,7 @@ def shots_of_slot(folder: Path) -> list[Shot]:
 
 def frame_files(folder: Path) -> list[Path]:
     """Return the files in a slot's folder that can be frames. Raises InputError without any."""
-    skipped = {".json", ".tmp", ".txt", ".xmp", ".csv", ".part"}
-    files = sorted(
-        p
-        for p in folder.iterdir()
-        if p.is_file() and p.suffix.lower() not in skipped and p.name[0] != "."
-    )
+    files = possible_frames(folder)
     if not files:
         raise InputError(
             folder, "no frames in it", "raw or JPEG frames", "capture or import the slot again"

@@ -10,6 +10,10 @@ from fieldlum.profiles.tables import CameraProfile, Lens, StrayLight
 from fieldlum.projection import angle_of_radius
 
 
+def _impossible(where: str, found: str, expected: str) -> InputError:
+    return InputError(where, found, expected, "correct it")
+
+
 def check_camera(profile: CameraProfile, where: str) -> None:
     """Raise InputError, with the key, for values that no camera can have."""
     p = profile
@@ -36,7 +40,7 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     for key, values in positive.items():
         for value in values:
             if not 0 < value < 1e12:
-                raise InputError(where, f"{key} = {value:g}", "a number above 0", "correct it")
+                raise _impossible(where, f"{key} = {value:g}", "a number above 0")
     relative = (
         p.colour.u_rel,
         p.scale.u_rel,
@@ -48,41 +52,33 @@ def check_camera(profile: CameraProfile, where: str) -> None:
     )
     relative += (*(x.u_rel for x in p.nd), *(v.u_rel for x in p.lens for v in x.vignetting))
     if not all(0 <= value < 1 for value in relative):
-        raise InputError(
+        raise _impossible(
             where,
             f"a relative value of {next(v for v in relative if not 0 <= v < 1):g}",
             "u_rel and glare_floor_rel from 0 to below 1",
-            "correct it",
         )
     _check_stray(p.stray, where)
     if min(p.sensor.read_noise_e, p.bracket.seconds_per_frame, p.bracket.megabytes_per_frame) < 0:
-        raise InputError(
-            where,
-            "read_noise_e, seconds_per_frame or megabytes_per_frame below 0",
-            "0 or more",
-            "correct it",
+        raise _impossible(
+            where, "read_noise_e, seconds_per_frame or megabytes_per_frame below 0", "0 or more"
         )
     if (
         max(x.full_angle_deg for x in p.lens) > 300
         or max(p.camera.width_px, p.camera.height_px) > 100_000
     ):
-        raise InputError(
+        raise _impossible(
             where,
             "a lens beyond 300 degrees or a sensor beyond 100 000 pixels",
             "a possible camera",
-            "correct it",
         )
     for lens in p.lens:
         _check_mapping(lens, where)
     if len(p.sensor.black_dn) != 4 or len(p.sensor.saturation_dn) != 4:
         found = "another count of values in [sensor] black_dn or saturation_dn"
-        raise InputError(where, found, "four values: R, G1, G2, B", "correct it")
+        raise _impossible(where, found, "four values: R, G1, G2, B")
     if not max(p.sensor.black_dn) < min(*p.sensor.saturation_dn, p.sensor.white_dn):
-        raise InputError(
-            where,
-            "[sensor] black at or above saturation",
-            "black below saturation and white",
-            "correct it",
+        raise _impossible(
+            where, "[sensor] black at or above saturation", "black below saturation and white"
         )
     if not rises(p.sensor.linearity):
         found = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
@@ -94,10 +90,10 @@ def check_camera(profile: CameraProfile, where: str) -> None:
         raise InputError(where, found, "microseconds: less than 0.01 s")
     if len(p.colour.rgb_to_radiance) not in (0, 9):
         found = f"colour.rgb_to_radiance of {len(p.colour.rgb_to_radiance)} values"
-        raise InputError(where, found, "9 values, or none", "correct it")
+        raise _impossible(where, found, "9 values, or none")
     if not 0 <= p.response.low_code < p.response.high_code <= 255:
         found = f"response.low_code {p.response.low_code}, high_code {p.response.high_code}"
-        raise InputError(where, found, "0 <= low < high <= 255", "correct it")
+        raise _impossible(where, found, "0 <= low < high <= 255")
 
 
 def _check_stray(kernel: StrayLight, where: str) -> None:
@@ -105,13 +101,11 @@ def _check_stray(kernel: StrayLight, where: str) -> None:
     rising = all(a < b for a, b in pairwise(angles))
     if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
         found = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
-        raise InputError(
-            where, found, "rising angles from 0 to 180, a value for each", "correct it"
-        )
+        raise _impossible(where, found, "rising angles from 0 to 180, a value for each")
     falling = all(a >= b for a, b in pairwise(values))
     if not falling or min(values, default=0.0) < 0:
         found = f"[stray] per_sr = {list(values)}"
-        raise InputError(where, found, "values of 0 or more that do not rise", "correct it")
+        raise _impossible(where, found, "values of 0 or more that do not rise")
 
 
 def _check_mapping(lens: Lens, where: str) -> None:

@@ -9,6 +9,13 @@ from fieldlum.raw.jpeg import read_jpeg
 from fieldlum.raw.mosaic import read_mosaic
 
 JPEG_SUFFIXES = (".jpg", ".jpeg")
+_NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
+
+
+def possible_frames(folder: Path) -> list[Path]:
+    """Return the files in a folder that can be frames, by name."""
+    files = (path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
+    return sorted(path for path in files if path.suffix.lower() not in _NO_FRAMES)
 
 
 def unreadable(path: Path) -> str:
@@ -17,9 +24,10 @@ def unreadable(path: Path) -> str:
     Decodes the frame, which takes some seconds for a large raw file.
     """
     try:
-        read_jpeg(path) if path.suffix.lower() in JPEG_SUFFIXES else read_mosaic(
-            path, lens_f_number=1.0
-        )  # a lens without electronics is no fault of the file
+        if path.suffix.lower() in JPEG_SUFFIXES:
+            read_jpeg(path)
+        else:  # a lens without electronics is no fault of the file
+            read_mosaic(path, lens_f_number=1.0)
     except InputError as error:
         return error.found
     except OSError as error:

@@ -53,6 +53,10 @@ class Mosaic:
     colour_matrix: NDArray[np.float64] | None = None
 
 
+def _damaged(path: Path, found: str, expected: str) -> InputError:
+    return InputError(path, found, expected, "copy the file from the card again")
+
+
 def _check_strips(path: Path) -> None:
     """Raise InputError for a TIFF-like raw whose data reach past the end of the file.
 
@@ -84,26 +88,20 @@ def _check_strips(path: Path) -> None:
                 ):
                     raise _cut_short(path, size)
                 if page.compression == 7 and counts and _bytes_at(path, offsets[0]) != b"\xff\xd8":
-                    raise InputError(
+                    raise _damaged(
                         path,
                         "its pixels are no lossless JPEG",
                         "the compression that its tags state",
-                        "copy the file from the card again",
                     )
     except InputError:
         raise
     except Exception as error:
         found = f"broken TIFF structure ({type(error).__name__})"
-        raise InputError(path, found, "a raw file", "copy the file from the card again") from None
+        raise _damaged(path, found, "a raw file") from None
 
 
 def _cut_short(path: Path, size: int) -> InputError:
-    return InputError(
-        path,
-        f"{size} bytes, but its pixels end later",
-        "a complete file",
-        "copy the file from the card again",
-    )
+    return _damaged(path, f"{size} bytes, but its pixels end later", "a complete file")
 
 
 def _check_variant(path: Path, magic: bytes) -> None:
@@ -167,9 +165,7 @@ def opened(path: Path) -> Any:
         ) from None
     if damage:
         raw.close()
-        raise InputError(
-            path, f"LibRaw: {damage[0]}", "a complete file", "copy the file from the card again"
-        )
+        raise _damaged(path, f"LibRaw: {damage[0]}", "a complete file")
     return raw
 
 
@@ -265,22 +261,18 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
         cfa, index = _pattern(path, raw)
         counts = raw.raw_image_visible
         if not 0 < counts.size <= _LARGEST_PIXELS or min(counts.shape) < 2:
-            raise InputError(
-                path,
-                f"a mosaic of {counts.shape} pixels",
-                f"2 x 2 to {_LARGEST_PIXELS:,} pixels",
-                "copy the file from the card again",
+            raise _damaged(
+                path, f"a mosaic of {counts.shape} pixels", f"2 x 2 to {_LARGEST_PIXELS:,} pixels"
             )
         black = raw.black_level_per_channel
         black_dn = tuple(float(black[index[at]]) for at in channel_positions(cfa))
         info = info_of(path, tags, libraw_exposure(raw), lens_f_number=lens_f_number)
         white_dn = float(raw.white_level or 0)
         if not 0 <= max(black_dn) < white_dn:
-            raise InputError(
+            raise _damaged(
                 path,
                 f"black level {max(black_dn):g}, white level {white_dn:g}",
                 "a black level below the white level",
-                "copy the file from the card again",
             )
         return Mosaic(
             counts.astype(np.uint16),

@@ -120,6 +120,10 @@ def read_lines(path: Path) -> list[str]:
     return lines
 
 
+def _bad_row(path: Path, found: str, expected: str) -> InputError:
+    return InputError(path, found, expected, "correct that row")
+
+
 def _number(path: Path, line: int, name: str, text: str) -> float:
     """Return an irradiance; NaN for an empty cell, nan, and the codes 9999 (EPW), -9900 (TMY3).
 
@@ -131,9 +135,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise InputError(
-            path, f"line {line}: {name} is '{text}'", "a number in W/m2", "correct that row"
-        ) from None
+        raise _bad_row(path, f"line {line}: {name} is '{text}'", "a number in W/m2") from None
     if value in (9999.0, 99999.0, 999999.0, -9900.0, -9999.0):
         return math.nan
     if not LOWEST_WM2 <= value <= HIGHEST_WM2:
@@ -253,12 +255,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     for number, line in table[1:]:
         cells = dict(zip(names, next(csv.reader([line])), strict=False))
         if len(cells) < len(names):
-            raise InputError(
-                path,
-                f"line {number}: {len(cells)} cells",
-                f"{len(names)} cells",
-                "correct that row",
-            )
+            raise _bad_row(path, f"line {number}: {len(cells)} cells", f"{len(names)} cells")
         when = _csv_moment(path, number, cells, dated, offset)
         dni, dhi, ghi = (
             _number(path, number, n, cells.get(n, "")) for n in ("dni_wm2", "dhi_wm2", "ghi_wm2")
@@ -274,21 +271,15 @@ def _csv_moment(
         try:
             hour = float(cells["hour"])
         except ValueError:
-            raise InputError(
-                path,
-                f"line {line}: hour is '{cells['hour']}'",
-                "a number such as 12.5",
-                "correct that row",
+            raise _bad_row(
+                path, f"line {line}: hour is '{cells['hour']}'", "a number such as 12.5"
             ) from None
         return _moment(path, line, "2024", cells["month"], cells["day"], hour) - offset
     try:
         return parse_utc(cells["t_utc"].strip())
     except ValueError as error:
-        raise InputError(
-            path,
-            f"line {line}: {error}",
-            "a UTC time such as 2027-03-20T15:30:00Z",
-            "correct that row",
+        raise _bad_row(
+            path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
         ) from None
 
 
@@ -319,9 +310,7 @@ def _integer(path: Path, line: int, text: str) -> int:
     try:
         return int(float(text))
     except ValueError:
-        raise InputError(
-            path, f"line {line}: '{text}' in the time", "an integer", "correct that row"
-        ) from None
+        raise _bad_row(path, f"line {line}: '{text}' in the time", "an integer") from None
 
 
 def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float) -> datetime:
@@ -332,9 +321,7 @@ def _moment(path: Path, line: int, year: str, month: str, day: str, hour: float)
             raise ValueError(f"hour {hour:g} is outside 0 to 24")
     except ValueError as error:
         found = f"line {line}: no such time {year}-{month}-{day} hour {hour:g} ({error})"
-        raise InputError(
-            path, found, "a date of the calendar and an hour of 0 to 24", "correct that row"
-        ) from None
+        raise _bad_row(path, found, "a date of the calendar and an hour of 0 to 24") from None
     return start + timedelta(seconds=round(hour * 3600))
 
 

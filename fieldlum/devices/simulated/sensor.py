@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.images import RADIANCE_Y
 from fieldlum.linear_light import gain_e_per_dn, nd_factors, response_tables
 from fieldlum.photometry import z_per_cdm2
 from fieldlum.profiles import CameraProfile
@@ -23,7 +24,6 @@ DIAL_S = (
 )
 # A Poisson distribution of more electrons is approximated by a normal one, for speed.
 _GAUSSIAN_ABOVE_E = 60.0
-RADIANCE_Y = (0.265, 0.670, 0.065)  # of Radiance's primaries (Ward Larson and Shakespeare 1998)
 
 
 def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
