@@ -16,7 +16,7 @@ from datetime import datetime
 from functools import reduce
 from operator import xor
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from fieldlum.devices.registers import HIGHEST_WM2, LOWEST_WM2
 from fieldlum.errors import DeviceError, InputError
@@ -187,16 +187,16 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def _by_regex(profile: AsciiProfile, text: str) -> dict[str, Any]:
+def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     match = re.fullmatch(profile.pattern, text, re.ASCII)
     if match is None:
         raise DeviceError(f"line {text[:60]!r} does not fit the pattern")
     return match.groupdict()
 
 
-def _by_keys(profile: AsciiProfile, text: str) -> dict[str, Any]:
+def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     """Return the values by key; every word must be key=value, and no key may be there twice."""
-    found: dict[str, Any] = {}
+    found: dict[str, str] = {}
     for word in re.split(r"[,;\s]+", text.strip(" \t,;")):
         key, equals, value = word.partition("=")
         if not equals or not key or key in found:
@@ -207,8 +207,8 @@ def _by_keys(profile: AsciiProfile, text: str) -> dict[str, Any]:
     return _having(profile, found, text)
 
 
-def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
+    def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
         if len({key for key, _ in pairs}) != len(pairs):
             raise ValueError("a key occurs twice")
         return dict(pairs)
@@ -225,7 +225,7 @@ def _by_json(profile: AsciiProfile, text: str) -> dict[str, Any]:
     return _having(profile, found, text)
 
 
-def _having(profile: AsciiProfile, found: dict[str, Any], text: str) -> dict[str, Any]:
+def _having(profile: AsciiProfile, found: Mapping[str, object], text: str) -> Mapping[str, object]:
     keys = [e.key for e in profile.entry]
     if missing := [key for key in keys if key not in found]:
         raise DeviceError(f"line {text[:60]!r} has no {', '.join(missing)}")
@@ -237,12 +237,13 @@ def _having(profile: AsciiProfile, found: dict[str, Any], text: str) -> dict[str
     return found
 
 
-def _number(value: Any, entry: AsciiField, text: str) -> float:
-    shown = value.removesuffix(entry.unit) if isinstance(value, str) else ""
+def _number(value: object, entry: AsciiField, text: str) -> float:
+    word = value if isinstance(value, str) else ""
+    shown = word.removesuffix(entry.unit)
     match = _NUMBER.fullmatch(shown.strip())
     if (
         match is None
-        or (entry.unit and not value.endswith(entry.unit))
+        or (entry.unit and not word.endswith(entry.unit))
         or (entry.decimals is not None and len(match[1] or "") != entry.decimals)
         or (entry.width is not None and len(shown) != entry.width)
         or not math.isfinite(float(match[0]))

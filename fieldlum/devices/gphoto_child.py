@@ -7,7 +7,7 @@ import time
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from fieldlum.devices.driver_process import failure
 
@@ -30,6 +30,19 @@ _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
 }
 _BUSY = -110  # GP_ERROR_CAMERA_BUSY of gphoto2-result.h
 _TRIES = 4  # half a second apart while the camera is busy; chosen, not measured
+
+
+class GphotoDescription(TypedDict):
+    """What a camera states, and for each setting its widget and its choices."""
+
+    make: str
+    model: str
+    serial: str
+    firmware: str
+    lens: str
+    battery: str
+    clock_offset_s: float | None
+    settings: dict[str, tuple[str, list[str]]]
 
 
 def serve(pipe: Connection) -> None:
@@ -88,9 +101,8 @@ def _value(gp: Any, camera: Any, name: str) -> Any:
         return None
 
 
-def _describe(gp: Any, camera: Any) -> dict[str, Any]:
-    """Return model, serial, battery, clock, and for each setting its widget and its choices."""
-    settings = {}
+def _describe(gp: Any, camera: Any) -> GphotoDescription:
+    settings: dict[str, tuple[str, list[str]]] = {}
     for role, names in WIDGETS.items():
         for name in names:
             with suppress(gp.GPhoto2Error):
