@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl, unquote
 
 from fieldlum.errors import DeviceError
 
-T = TypeVar("T")
+Number = TypeVar("Number", int, float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,23 +76,21 @@ def one_of(*choices: str) -> Callable[[str], str]:
 
 def number(low: float, high: float) -> Callable[[str], float]:
     """Return a reader of a number within limits."""
-
-    def reader(value: str) -> float:
-        parsed = float(value)
-        if not low <= parsed <= high:
-            raise ValueError(f"expected a number from {low:g} to {high:g}")
-        return parsed
-
-    return reader
+    return _within(float, f"a number from {low:g} to {high:g}", low, high)
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
     """Return a reader of an integer within limits."""
+    return _within(int, f"an integer from {low} to {high}", low, high)
 
-    def reader(value: str) -> int:
-        parsed = int(value)
+
+def _within(
+    convert: Callable[[str], Number], expected: str, low: float, high: float
+) -> Callable[[str], Number]:
+    def reader(value: str) -> Number:
+        parsed = convert(value)
         if not low <= parsed <= high:
-            raise ValueError(f"expected an integer from {low} to {high}")
+            raise ValueError(f"expected {expected}")
         return parsed
 
     return reader

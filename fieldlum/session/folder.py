@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import sys
 import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -15,6 +13,7 @@ from typing import cast
 
 from fieldlum.errors import InputError
 from fieldlum.records import SiteFile, Slot
+from fieldlum.session.lines import NO_LOCKS, lock_now
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.tables import PlanTable, SessionTable
 from fieldlum.session.writing import replacing, sha256
@@ -273,13 +272,9 @@ def sole_user(session: Session, purpose: str) -> Iterator[None]:
     path = session.root / f".{purpose}.lock"
     with path.open("a") as file:
         try:
-            _lock(file.fileno())
+            lock_now(file.fileno())
         except OSError as error:
-            if error.errno in (
-                errno.ENOLCK,
-                errno.ENOTSUP,
-                errno.ENOSYS,
-            ):  # a share without locks
+            if error.errno in NO_LOCKS:  # a share without them
                 found = f"a folder that cannot be locked ({error.strerror})"
                 raise InputError(
                     session.root,
@@ -307,15 +302,3 @@ def _process_of(path: Path) -> str:
     except (OSError, UnicodeDecodeError):  # Windows lets nobody read a locked file
         return ""
     return f" (process {number})" if number.isdigit() else ""
-
-
-def _lock(number: int) -> None:
-    """Lock an open file for this process. Raises OSError if another process has the lock."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -19,6 +19,7 @@ from fieldlum.session.tables import JournalEvent
 # append mixes with another only on a file system that splits writes, and the CRC would show it.
 _MAX_LOCK_S = 0.25
 _LOCK_EVERY_S = 0.002  # not measured
+NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system without locks
 _TAIL_BYTES = 1 << 20  # searched for the last valid line; a torn tail is far shorter
 
 
@@ -38,6 +39,18 @@ def decode_line(line: bytes) -> JournalEvent | None:
         return None
 
 
+def lock_now(handle: int) -> None:
+    """Lock an open file for this process. Raises OSError if another process has the lock."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 @contextmanager
 def exclusive(handle: int) -> Iterator[None]:
     """Lock an open file against other processes; wait for another one to finish its line.
@@ -50,7 +63,7 @@ def exclusive(handle: int) -> Iterator[None]:
 
         place = os.lseek(handle, 0, os.SEEK_CUR)
         os.lseek(handle, 0, os.SEEK_SET)
-        held = _held(lambda: msvcrt.locking(handle, msvcrt.LK_NBLCK, 1))
+        held = _held(handle)
         os.lseek(handle, place, os.SEEK_SET)
         try:
             yield
@@ -62,7 +75,7 @@ def exclusive(handle: int) -> Iterator[None]:
         return
     import fcntl
 
-    _held(lambda: fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB))
+    _held(handle)
     try:
         yield
     finally:
@@ -70,15 +83,15 @@ def exclusive(handle: int) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_UN)
 
 
-def _held(lock: Callable[[], None]) -> bool:
-    """Try a lock that does not wait, repeatedly for `_MAX_LOCK_S`; return whether it is locked."""
+def _held(handle: int) -> bool:
+    """Try to lock a file, repeatedly for `_MAX_LOCK_S`; return whether it is locked."""
     end = time.monotonic() + _MAX_LOCK_S
     while True:
         try:
-            lock()
+            lock_now(handle)
             return True
         except OSError as error:
-            if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+            if error.errno in NO_LOCKS:
                 return False
             if error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK):
                 raise

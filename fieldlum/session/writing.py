@@ -21,17 +21,8 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
 
     It is written under a temporary name in the same folder, flushed to disk, then renamed.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{_host()}.{os.getpid()}.{path.name}.tmp")
-    try:
-        with temporary.open(mode, **kwargs) as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    sync_folder(path.parent)
+    with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
+        yield file
 
 
 @contextmanager

@@ -82,6 +82,19 @@ def from_json(cls: type[T], table: Mapping[str, Any]) -> T:
     return cls(**values)
 
 
+def to_json(record: Any) -> dict[str, Any]:
+    """Return a dataclass as a JSON object, the inverse of `from_json`; a nested `table` is used."""
+    return {field.name: _as_json(getattr(record, field.name)) for field in fields(record)}
+
+
+def _as_json(value: Any) -> Any:
+    if is_dataclass(value):
+        return value.table() if hasattr(value, "table") else to_json(value)
+    if isinstance(value, Mapping):
+        return {key: _as_json(one) for key, one in value.items()}
+    return [_as_json(one) for one in value] if isinstance(value, list | tuple) else value
+
+
 @cache
 def _fields_of(cls: type[Any]) -> list[tuple[str, Any, bool]]:
     """Return name, type, and whether there is a default, of each field."""

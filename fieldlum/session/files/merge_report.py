@@ -12,7 +12,7 @@ from typing import Any
 
 from fieldlum.photometry import ShutterLaw
 from fieldlum.records import Exposure, utc_text
-from fieldlum.session.files.json_file import from_json
+from fieldlum.session.files.json_file import from_json, to_json
 from fieldlum.session.plan_file import exposure_text, parse_exposure
 
 # Fields whose key in the file is an older name.
@@ -129,18 +129,10 @@ class MergeReport:
 
     def table(self) -> dict[str, Any]:
         """Return the object of the sidecar; keys that only some brackets have are left out."""
-        values = {f: getattr(self, f) for f in self.__dataclass_fields__}
-        values["frames"] = [frame.table() for frame in self.frames]
-        values["neighbours"] = [asdict(pair) for pair in self.neighbours]
-        values["shifts"] = [asdict(shift) for shift in self.shifts]
-        values["deviations"] = list(self.deviations)
-        values["plateau_dn"] = {iso: list(dn) for iso, dn in self.plateau_dn.items()}
-        values["shutter_law"] = asdict(self.shutter_law) if self.shutter_law else None
-        values["lost"] = list(self.lost)
         optional = ("shutter_law", "vertical_illuminance_lx", "lost")
         return {
             _KEYS.get(name, name): value
-            for name, value in values.items()
+            for name, value in to_json(self).items()
             if value or name not in optional
         }
 

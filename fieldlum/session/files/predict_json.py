@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from fieldlum.session.files.json_file import (
     content_of,
     from_json,
     read_object,
+    to_json,
     write_object,
 )
 
@@ -42,7 +43,7 @@ class DirectionYear:
 
     def table(self) -> dict[str, Any]:
         """Return the row of `protection`."""
-        return {("class" if k == "glare_class" else k): v for k, v in asdict(self).items()}
+        return {("class" if k == "glare_class" else k): v for k, v in to_json(self).items()}
 
     @classmethod
     def from_table(cls, row: Mapping[str, Any]) -> DirectionYear:
@@ -107,21 +108,7 @@ class PredictFile:
 
     def table(self) -> dict[str, Any]:
         """Return the JSON object, without its format."""
-        table = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        for name, value in table.items():
-            if isinstance(value, tuple):
-                table[name] = list(value)
-        weather = asdict(self.weather)
-        return {
-            **table,
-            "software": dict(self.software),
-            "inputs": dict(self.inputs),
-            "setup": dict(self.setup),
-            "weather": {**weather, "repairs": list(self.weather.repairs)},
-            "occupancy": asdict(self.occupancy),
-            "protection": [row.table() for row in self.protection],
-            "capture_next": [asdict(hour) for hour in self.capture_next],
-        }
+        return to_json(self)
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], path: Path) -> PredictFile:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from fieldlum.session.files.json_file import (
     content_of,
     from_json,
     read_object,
+    to_json,
     write_object,
 )
 from fieldlum.session.files.merge_report import MergeReport
@@ -61,10 +62,6 @@ class SidecarSun:
     origin: str = ""
     lower_bound: bool = False
     measured: MeasuredSun | None = None
-
-    def table(self) -> dict[str, object]:
-        """Return the JSON object."""
-        return {**asdict(self), "measured": self.measured.table() if self.measured else None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +127,7 @@ class Sidecar:
                 "t_utc": utc_text(self.t_utc) if self.t_utc else "",
                 "verdict": self.verdict,
                 "quality": self.report.table(),
-                "sun": self.sun.table() if self.sun else None,
+                "sun": to_json(self.sun) if self.sun else None,
                 "factors": self.factors,
                 "profile": {"name": self.profile_name, "sha256": self.profile_sha256},
                 "inputs": self.inputs,
