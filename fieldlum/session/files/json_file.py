@@ -89,7 +89,8 @@ def to_json(record: Any) -> dict[str, Any]:
 
 def _as_json(value: Any) -> Any:
     if is_dataclass(value):
-        return value.table() if hasattr(value, "table") else to_json(value)
+        table = getattr(value, "table", None)
+        return to_json(value) if table is None else table()
     if isinstance(value, Mapping):
         return {key: _as_json(one) for key, one in value.items()}
     return [_as_json(one) for one in value] if isinstance(value, list | tuple) else value
