@@ -1,4 +1,4 @@
-"""What a plan is asked for, and what it consists of."""
+"""The options of a plan, and what it consists of."""
 
 from __future__ import annotations
 
