@@ -14,9 +14,24 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 Decorator = Callable[[Command], Command]
 
-PATH = click.Path(path_type=Path)
-EXISTING_PATH = click.Path(path_type=Path, exists=True)
-FILE_PATH = click.Path(path_type=Path, dir_okay=False)
+
+class _LocalPath(click.Path):
+    """A path of a file system: a URL would become a folder named "s3:" here."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if "://" in str(value):
+            self.fail(
+                f"{value} is a URL; expected a path, since a bucket has no locks; only "
+                "predict --maps-to writes to a URL",
+                param,
+                ctx,
+            )
+        return super().convert(value, param, ctx)
+
+
+PATH = _LocalPath(path_type=Path)
+EXISTING_PATH = _LocalPath(path_type=Path, exists=True)
+FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
 CAPTURE_SET = click.Choice(("month", "9-day", "12-day", "4-day", "even", "best"))
 
 session_argument = click.argument("session_folder", metavar="SESSION", type=PATH)

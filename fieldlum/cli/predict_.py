@@ -43,6 +43,12 @@ from fieldlum.cli.terminal import emit_json, progress, say, say_if
     help="Also write every map, as Zarr (about 0.7 GB for a year at 460 x 230).",
 )
 @click.option(
+    "--maps-to",
+    default="",
+    metavar="URL",
+    help="Write every map to a bucket, such as s3://BUCKET/FOLDER (fieldlum[cloud]).",
+)
+@click.option(
     "--views",
     default=10,
     show_default=True,
@@ -72,6 +78,7 @@ def command(
     label_shift_min: float,
     out: Path | None,
     maps: bool,
+    maps_to: str,
     views: int,
     occupancy_path: Path | None,
     lamps: str,
@@ -102,6 +109,7 @@ def command(
             weather_path,
             out=out,
             maps=maps,
+            maps_to=maps_to,
             views=views,
             occupancy_path=occupancy_path,
             lamps=lamps,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from fieldlum.errors import InputError
 from fieldlum.predict.annual import Annual, read_annual
 from fieldlum.predict.blocks import ModelRoom
+from fieldlum.predict.maps_bucket import is_complete
 from fieldlum.predict.occupancy import Occupancy
 from fieldlum.projection import signed_angle_deg
 from fieldlum.session import open_session, sha256
@@ -154,6 +155,8 @@ def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     if table is None or table.get("software", {}).get("fieldlum") != __version__:
         return None
     if inputs["maps"] and not maps.is_dir():
+        return None
+    if "maps_to" in inputs and not is_complete(inputs["maps_to"], inputs):
         return None
     try:
         return read_annual(folder)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _HoursJob:
-    """Input of a worker. Folders are relative to the unit's; `maps` is "" for none."""
+    """Input of a worker. Folders are relative to the unit's; `maps` is "" for none, or a URL."""
 
     model: str
     digest: str  # of the model's files
@@ -72,14 +72,16 @@ def hour_units(
     azimuths_deg: Sequence[float] | NDArray[np.float64],
     discs_lx: NDArray[np.float64] | None,
     turns_deg: NDArray[np.float64],
-    maps: Path | None,
+    maps: str,
 ) -> list[WorkUnit]:
     """Return the units of a year's n hours, `BLOCK` hours each; the last can be shorter.
 
-    discs_lx: the disc in k drawn rooms [k, n]; turns_deg: displacements of the sun [k, 2].
+    discs_lx: the disc in k drawn rooms [k, n]; turns_deg: displacements of the sun [k, 2]. maps:
+    folder or URL of the maps, "" for none.
     """
     model = model_folder.resolve()
-    folder = model if maps is None else Path(os.path.commonpath([model, maps.resolve()]))
+    local = Path(maps).resolve() if maps and "://" not in maps else None
+    folder = model if local is None else Path(os.path.commonpath([model, local]))
     name = model.relative_to(folder).as_posix()
     inputs = tuple(
         (f"{name}/{file}", sha256(model / file))
@@ -87,7 +89,7 @@ def hour_units(
         if (model / file).is_file()
     )
     digest = " ".join(text for _, text in inputs)
-    where = "" if maps is None else maps.resolve().relative_to(folder).as_posix()
+    where = maps if local is None else local.relative_to(folder).as_posix()
     azimuths = tuple(float(a) for a in azimuths_deg)
     units = []
     for start in range(0, len(light), BLOCK):
@@ -112,7 +114,7 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
         discs = guessed_disc_lx(maps, block.light, room.heading_deg, job.turns_deg)
     drawn = dgp_with_disc(found, sun_per_lx(block.light.shown_sun_direction, ready.views), discs)
     if job.maps:
-        write_maps(folder / job.maps, job.start, maps)
+        write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, maps)
     rows = (job.start, job.start + len(job.light))
     return HourFigures(rows, hour_figures(block), found, least, most, drawn.astype(np.float32))
 

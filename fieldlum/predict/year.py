@@ -32,7 +32,8 @@ from fieldlum.predict.checks import (
 )
 from fieldlum.predict.glare_summary import judge, poor, summary_of_year
 from fieldlum.predict.hours_unit import HourFigures, hour_units
-from fieldlum.predict.maps import MapStore
+from fieldlum.predict.maps import FolderMapStore, MapStore
+from fieldlum.predict.maps_bucket import BucketMapStore, check_url
 from fieldlum.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.predict.pictures import telling_pictures
 from fieldlum.records import Progress, quiet
@@ -62,6 +63,7 @@ def run(
     *,
     out: Path | None = None,
     maps: bool = False,
+    maps_to: str = "",
     views: int = 10,
     occupancy_path: Path | None = None,
     lamps: str = "",
@@ -73,6 +75,7 @@ def run(
 ) -> PredictedYear:
     """Predict all daylight hours of a weather file with a trained model.
 
+    maps_to: URL of a bucket for the maps, for example s3://BUCKET/FOLDER; "" for none.
     lamps: "" as in the captures, "off", or a csv as for occupancy with the hours in which lamps
     that are marked in the captures are on.
 
@@ -88,6 +91,9 @@ def run(
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
+    if maps_to:
+        check_url(maps_to)
+        inputs["maps_to"] = maps_to
     inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
     if not force and (done := already(folder, inputs)) is not None:
         return PredictedYear(done, new=False)
@@ -106,6 +112,7 @@ def run(
         folder,
         uncertainty=fitted_uncertainty(config, room),
         maps=maps,
+        bucket=BucketMapStore(maps_to, inputs, folder / ".maps.zarr.tmp") if maps_to else None,
         seed=seed,
         scheduler=scheduler,
         progress=progress,
@@ -160,6 +167,7 @@ def measure(
     *,
     uncertainty: RoomUncertainty | None = None,
     maps: bool = False,
+    bucket: BucketMapStore | None = None,
     seed: int = 0,
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
@@ -181,11 +189,13 @@ def measure(
     drawn = np.empty((DRAWN_ROOMS, count, d), np.float32)
     least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)
     folder.mkdir(parents=True, exist_ok=True)
-    store = MapStore(folder / "maps.zarr") if maps else None
+    store: MapStore | None = bucket
+    if store is None and maps:
+        store = FolderMapStore(folder / "maps.zarr")
     if store is not None:
         store.create(light.t_utc, room, room.setup.site.name)
     units = hour_units(
-        model_folder, light, azimuths_deg, discs_lx, turns_deg, store.work if store else None
+        model_folder, light, azimuths_deg, discs_lx, turns_deg, store.target if store else ""
     )
 
     def take(outcome: UnitOutcome) -> None:
