@@ -156,7 +156,8 @@ def already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
         return None
     if inputs["maps"] and not maps.is_dir():
         return None
-    if "maps_to" in inputs and not is_complete(inputs["maps_to"], inputs):
+    bucket = inputs.get("maps_to")
+    if isinstance(bucket, str) and not is_complete(bucket, inputs):
         return None
     try:
         return read_annual(folder)

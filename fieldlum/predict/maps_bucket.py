@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -34,7 +34,7 @@ class BucketMapStore:
     the description of the store is written.
     """
 
-    def __init__(self, url: str, inputs: dict[str, Any], draft: Path) -> None:
+    def __init__(self, url: str, inputs: Mapping[str, object], draft: Path) -> None:
         self._digest = digest(inputs)
         self.target = f"{url.rstrip('/')}/{_NAME}"
         self._fs, self._root = _file_system(self.target)
@@ -70,7 +70,7 @@ class BucketMapStore:
                 self._fs.pipe_file(f"{self._root}/{name}", path.read_bytes())
 
 
-def is_complete(url: str, inputs: dict[str, Any]) -> bool:
+def is_complete(url: str, inputs: Mapping[str, object]) -> bool:
     """Return whether a finished maps.zarr of these inputs is below the URL."""
     target = f"{url.rstrip('/')}/{_NAME}"
     fs, root = _file_system(target)
