@@ -120,7 +120,7 @@ def moved_object(data: Dataset, *, with_patch: bool) -> MovedObject | None:
         for sign in (-1.0, 1.0):
             signed, limit = (_on_grid(v, small.seen) for v in (sign * log, least))
             for region in _regions(signed, limit, valid, _LEAST_STEP_LOG):
-                clear = float((signed / np.where(region, limit, np.inf)).sum())
+                clear = float(((amount / sd) ** 2)[region[small.seen]].sum())
                 if clear > clearest and _lasts(process, rows, step, region[small.seen]):
                     factor = float(np.exp(sign * np.median(signed[region])))
                     best, clearest = _placed(day, factor, region, data.heading_deg), clear
