@@ -67,24 +67,16 @@ class DenseFitted:
     ) -> Iterator[NDArray[np.float32]]:
         """Yield the encoded map [H W] of one hour after the other."""
         at = hours(light, self.shape).to(self._device)
-        pixels = self._canvas.fixed.shape[0]
-        for k in range(len(light.dni_wm2)):
+        pixels = torch.arange(self._canvas.fixed.shape[0], device=self._device)  # [H W]
+        direct = torch.zeros(len(pixels), 1, device=self._device)
+        for k in range(len(light)):
+            if patch_cdm2 is not None and self.patch != "none":
+                encoded = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1), self.shape.curve))
+                direct = encoded.to(self._device)
             parts = []
-            for start in range(0, pixels, PREDICT_PIXELS):
-                pixel = torch.arange(
-                    start, min(start + PREDICT_PIXELS, pixels), device=self._device
-                )
+            for pixel in pixels.split(PREDICT_PIXELS):
                 scene = scene_inputs(self._canvas, at, torch.full_like(pixel, k), pixel)
-                if patch_cdm2 is None or self.patch == "none":
-                    direct = torch.zeros(len(pixel), 1, device=self._device)
-                else:
-                    part = patch_cdm2[k].reshape(-1)[start : start + len(pixel)]
-                    direct = (
-                        torch.from_numpy(encode(part, self.shape.curve))
-                        .to(self._device)
-                        .unsqueeze(1)
-                    )
-                parts.append(self.net(scene, direct))
+                parts.append(self.net(scene, direct[pixel]))
             yield torch.cat(parts).float().cpu().numpy()
 
     def predict(self, light: Light, patch_cdm2: NDArray[np.float32] | None = None) -> Prediction:
@@ -95,7 +87,7 @@ class DenseFitted:
         if self.patch != "none" and patch_cdm2 is None:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")
         height, width = self.average_log10.shape
-        out = np.empty((len(light.dni_wm2), height, width), np.float32)
+        out = np.empty((len(light), height, width), np.float32)
         fast = bfloat16_pays(self._device)
         with (
             torch.inference_mode(),

@@ -217,12 +217,9 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
 
     used = [k for k, click in enumerate(clicks) if click.kind in ("floor", "ceiling", "window")]
     wanted = np.array([(clicks[k].x_px, clicks[k].y_px) for k in used])
-    numbers = _numbers(clicks)
 
     def residual(values: Array) -> Array:
-        points = np.array(
-            [_point(values, start, clicks[k], start.sides[k], numbers, h) for k in used]
-        )
+        points = np.array([_point(values, start, clicks[k], start.sides[k], h) for k in used])
         off = grid.pixels(points @ _turn(values[0])) - wanted
         off[:, 0] = (off[:, 0] + grid.width_px / 2) % grid.width_px - grid.width_px / 2
         return off.ravel()
@@ -243,12 +240,7 @@ def _fit(start: _Start, clicks: Sequence[Click], grid: ClickGrid, h: float) -> C
 
 
 def _point(
-    values: Array,
-    start: _Start,
-    click: Click,
-    side: tuple[int, int, int],
-    numbers: Sequence[int],
-    h: float,
+    values: Array, start: _Start, click: Click, side: tuple[int, int, int], h: float
 ) -> Array:
     """Return a click's point in the room's axes [m], from the camera."""
     south, west, north, east, height = values[1:6]
