@@ -153,7 +153,7 @@ def over_seeds(rows: Sequence[BenchRow]) -> list[dict[str, object]]:
         mine = [row for row in rows if row["name"] == name]
         row: dict[str, object] = {**mine[0], "seeds": len(mine)}
         for key in (*ERRORS, "bias_log10"):
-            values = [value for r in mine if (value := r[key]) is not None]
+            values = [value for r in mine if (value := r.get(key)) is not None]
             row[f"{key}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
             row[key] = float(np.mean(values)) if values else None
         for key in ("fit_s", "fit_cpu_s"):
