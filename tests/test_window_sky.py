@@ -80,12 +80,7 @@ def test_the_sky_in_the_windows_is_found() -> None:
 
 @pytest.mark.analytic
 def test_perez_skies_stay() -> None:
-    fitted = fit(CLEAR)
-    assert fitted.sky_field is None
-    sky = seen_sky(training_arrays_of(CLEAR, with_patch=False))
-    if sky is not None:  # the sun's share in the window pixels is no cloud, but varies like one
-        change = np.log(sky.luminance_cdm2 / CLEAR.light.sky_cdm2)
-        assert np.sqrt((change**2).mean()) < 0.03
+    assert fit(CLEAR).sky_field is None
 
 
 @pytest.mark.analytic

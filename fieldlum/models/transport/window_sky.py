@@ -28,6 +28,7 @@ WIDTHS = (0.1, 0.2, 0.35, 0.6, 1.0)
 NOISES = (0.01, 0.03, 0.06, 0.12, 0.25)
 LIT_SHARE = 0.02  # of a window pixel's luminance: with more direct sun it does not show the sky
 LEAST_SKY_CDM2 = 5.0  # a darker sky is not told from the room's reflection in the glass; chosen
+LEAST_CHANGE = 0.05  # rms of ln luminance that is worth a trial: half the least sd
 FEWEST_HOURS = 5  # captures in which a patch must be seen, for its median to be its usual share
 MOST_HOURS = 48  # captures from which the likelihood chooses; bounds the time
 MOST_PATCHES = 80  # sky patches that are used; bounds the time
@@ -66,7 +67,8 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     the glass, so that only differences between captures count.
     """
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
-    if not np.isfinite(ratios).any():
+    seen = ratios[np.isfinite(ratios)]
+    if not len(seen) or float(np.sqrt((seen**2).mean())) < LEAST_CHANGE:
         return None
     field = _likeliest(ratios, directions)
     if field is None:
