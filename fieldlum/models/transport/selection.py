@@ -53,6 +53,7 @@ BESIDE_ROOM = 0.3
 SECOND_WIDTHS = (0.1, 0.15, 0.2)
 LAMP_NOISES = (1e-3, 1e-2)  # tried with a lamp that is always on
 SKY_NOISES = (1e-3, 1e-2, 1e-1)  # tried with the skies that the windows showed
+SKY_DAYS = 4  # fewer days do not show that a sky teaches more; chosen
 SKY_GAIN = 0.1  # share of the held-out error that these skies must explain; not measured
 LAMP_GAIN = 0.3  # share of the held-out error that a lamp always on must explain; not measured
 PATCH_GAIN_VARIANCE = 0.0025  # prior variance of a pixel's patch gain
@@ -278,7 +279,7 @@ def _with_seen_sky(
     second value. All later choices predict held-out hours under the seen skies, which shows the
     room's response better.
     """
-    if sky is None:
+    if sky is None or len(np.unique(drawn.days)) < SKY_DAYS:
         return drawn, None
     root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
     seen = sky.luminance_cdm2 * root / drawn.light.total_lx.astype(np.float32)[:, None]
