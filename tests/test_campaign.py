@@ -13,10 +13,12 @@ from learning_room import dataset, write_pairs
 
 from fieldlum.campaign import read_campaign, run_stage
 from fieldlum.campaign.drift import FEWEST, series
+from fieldlum.campaign.overview import RoomOverview
 from fieldlum.cli import main
 from fieldlum.errors import InputError
 from fieldlum.records import CameraSetup, Exposure, Room, SiteFile, Slot
 from fieldlum.session import create_session
+from fieldlum.session.files.predict_json import DirectionYear
 
 T0 = datetime(2027, 3, 1, 12, tzinfo=UTC)
 DATA = dataset(("2027-03-20", "2027-06-21"), height=8)
@@ -160,3 +162,12 @@ def test_a_room_without_a_session_is_planned(tmp_path: Path) -> None:
     first, again = (next(run_stage(read_campaign(path), "plan")).text for _ in range(2))
     assert "slots planned (4-day)" in first and "planned before" in again
     assert (tmp_path / "a" / "plan.csv").is_file()
+
+
+@pytest.mark.property
+def test_a_half_seen_direction_is_no_recommendation() -> None:
+    seen = DirectionYear(0.0, "medium", dgp_exceeded=0.36, low=0.35, high=0.37)
+    half = DirectionYear(90.0, "high", seen="partly", dgp_exceeded=0.20, low=0.20, high=0.80)
+    room = RoomOverview("office", protection=(half, seen))
+    assert room.best == seen
+    assert room.worst == seen

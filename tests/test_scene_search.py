@@ -34,7 +34,7 @@ from fieldlum.scene_fit.profile import CLOCK, reach_of
 from fieldlum.scene_fit.renderer import surfaces, unit_patches
 from fieldlum.scene_fit.scene_file import read_scene, write_scene
 from fieldlum.scene_fit.scene_search import Misfits
-from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search
+from fieldlum.scene_fit.search import PRIOR_SHARE, Objective, pattern_search, principal_search
 from fieldlum.scene_fit.solid_cost import SolidCost
 from fieldlum.scene_fit.stage import choose_by_misfit
 
@@ -124,7 +124,9 @@ def test_north_and_edges_are_found(data: Dataset, evidence: SceneEvidence) -> No
     first = float(turned.misfit(turned.patches(start, albedo)).mean())
     objective = Objective(turned, start, parameters, albedo, PRIOR_SHARE * first)
     coarse, _ = pattern_search(objective, start, parameters, fine=4.0)
-    found, _ = pattern_search(objective, coarse, parameters, coarse=0.25)
+    fine, _ = pattern_search(objective, coarse, parameters, coarse=0.25)
+    found, cost = principal_search(objective, fine, parameters)  # as `SceneSearch.refined` does
+    assert cost <= objective(replace(guess_of(ROOM), north_deg=1.0))
     values = {p.name: p.read(found) for p in parameters}
     assert found.north_deg == pytest.approx(1.0, abs=0.45)  # a sixth of a pixel
     assert values["window 1 u1"] == pytest.approx(0.6, abs=0.04)

@@ -14,7 +14,7 @@ import numpy as np
 from fieldlum.campaign.campaign_file import CampaignFile, CampaignRoom
 from fieldlum.campaign.drift import FEWEST, FEWEST_DAYS, LIMITS, UNITS, DriftSeries, drifts_of
 from fieldlum.errors import FieldlumError
-from fieldlum.projection import NOT_SEEN
+from fieldlum.predict import best_and_worst
 from fieldlum.records import Progress, quiet
 from fieldlum.report.page import (
     Figure,
@@ -56,19 +56,16 @@ class RoomOverview:
     drifts: dict[str, DriftSeries] = field(default_factory=dict)
 
     @property
-    def judged(self) -> list[DirectionYear]:
-        """Directions with a result."""
-        return [row for row in self.protection if row.glare_class != NOT_SEEN]
-
-    @property
     def worst(self) -> DirectionYear | None:
-        """Direction with the largest DGP in 5 % of the hours; None without a year."""
-        return max(self.judged, key=exceeded, default=None)
+        """Direction with the most glare, as in the room's own report; None without a year."""
+        ends = best_and_worst(self.protection)
+        return ends and ends[1]
 
     @property
     def best(self) -> DirectionYear | None:
-        """Direction with the smallest DGP in 5 % of the hours; None without a year."""
-        return min(self.judged, key=exceeded, default=None)
+        """Direction with the least glare, as in the room's own report; None without a year."""
+        ends = best_and_worst(self.protection)
+        return ends and ends[0]
 
     @property
     def drifting(self) -> list[DriftSeries]:
