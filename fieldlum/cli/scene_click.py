@@ -83,7 +83,7 @@ def command(
     table = click_room.clicked_table(found)
     path, taken = click_room.save_room(session, found, replace_room=replace_room)
     if as_json:
-        terminal.emit_json(table | {"file": str(path), "taken": taken})
+        terminal.emit_json({**table, "file": str(path), "taken": taken})
         return
     for row in table["rows"]:
         click.echo(f"{row['name']:22} {row['value']:9.3f} +- {row['u']:.3f}")

@@ -16,6 +16,7 @@ class PlanTable(TypedDict, total=False):
     start: date
     year: int
     count: int
+    seed: int  # of a sample of the year
     revision: int
     slots: int
     first: date

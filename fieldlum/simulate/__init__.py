@@ -27,6 +27,7 @@ from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.provenance import made_from
 from fieldlum.session.simulated_pairs import write_simulated_pairs
+from fieldlum.session.tables import PlanTable
 from fieldlum.simulate.slot_units import truth_units
 from fieldlum.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
 from fieldlum.simulate.truth import GroundTruth, ground_truth
@@ -139,9 +140,7 @@ def run(
     return Simulated(len(owed), int(lit.sum()) - len(owed), int((~lit).sum()), weather.name)
 
 
-def make_session(
-    out: Path, setup: SiteFile, slots: Sequence[Slot], about: dict[str, Any]
-) -> Session:
+def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanTable) -> Session:
     """Create a session of given slots. Raises InputError if `out` is a session already."""
     return create_session(
         out, setup, sorted(slots, key=lambda slot: slot.t_utc), {**about, "slots": len(slots)}

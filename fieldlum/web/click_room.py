@@ -6,7 +6,7 @@ import asyncio
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import tomli_w
@@ -60,7 +60,17 @@ class ClickedPicture:
         return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
 
 
-def clicked_table(found: ClickedRoom) -> dict[str, object]:
+class ClickedTable(TypedDict):
+    """A clicked room for people: lengths with uncertainties; where the south wall faces."""
+
+    rows: list[dict[str, Any]]
+    faces: str
+    walls: list[str]
+    misfit_px: float
+    notes: list[str]
+
+
+def clicked_table(found: ClickedRoom) -> ClickedTable:
     """Return the lengths of a room with their uncertainties, as rows for people."""
     room = found.room
     rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]
