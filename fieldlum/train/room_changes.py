@@ -79,9 +79,9 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     rows = np.flatnonzero(objects.any(axis=(1, 2)))
     if len(rows):
         notes.append(
-            f"WARNING: something darkens a part of the picture in {len(rows)} captures, such as a "
-            f"person or an object. These pixels are left out there; look at the captures: "
-            f"{_slots(data, rows)}"
+            f"WARNING: in {len(rows)} of {len(data)} captures something darkens a part of the "
+            f"picture, such as a person, an object or clipped pixels. These pixels are left out "
+            f"there; look at the captures: {_slots(data, rows)}"
         )
         counts = np.ones(objects.shape, np.float16) if data.counts is None else data.counts
         data = replace(data, counts=np.where(objects, np.float16(0.0), counts))
@@ -120,8 +120,8 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
     if len(changes.lamp):
         days = ", ".join(sorted({str(data.days[row]) for row in changes.lamp}))
         notes.append(
-            f"WARNING: a lamp was on in {len(changes.lamp)} captures that nobody marked ({days}): "
-            f"the same light is added in all of them, whatever the daylight. They are left out; "
+            f"WARNING: a lamp was on in {len(changes.lamp)} of {len(data)} captures, which nobody "
+            f"marked ({days}): the same light is added in all of them. They are left out; "
             f"mark them to learn the lamp (fieldlum status SESSION --mark SLOT lamp=on), and train "
             f"again: {_slots(data, changes.lamp)}"
         )
@@ -130,7 +130,9 @@ def _warnings(data: Dataset, changes: RoomChanges) -> list[str]:
     if not whole.all():
         groups.append(("", changes.unexplained[~whole]))
     for day, rows in groups:
-        subject = f"the {len(rows)} captures of {day}" if day else f"{len(rows)} single captures"
+        subject = (
+            f"the {len(rows)} captures of {day}" if day else f"{len(rows)} of {len(data)} captures"
+        )
         notes.append(
             f"WARNING: {subject} contradict the other days and are left out: their median light is "
             f"{np.median(changes.factor[rows]):.2f} times that predicted. A moved blind, a lamp, "
