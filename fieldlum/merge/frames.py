@@ -110,7 +110,7 @@ class RawSignal:
         return float(np.min(_FULL * self.saturation + self.black))
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """See `Signal`."""
+        """Return counts above black of some rows [rows, ...], and the mask of `Signal.strip`."""
         part = self.counts[first:last]
         above = part.astype(np.float32)
         above -= self.black
@@ -136,7 +136,7 @@ class RawSignal:
         return wide[first - a : last - a].view(np.bool_)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """See `Signal`."""
+        """Return per_cdm2 over the photon and read variance, [rows, ...] as predicted_cdm2."""
         w = predicted_cdm2 * self._per_gain
         w += np.float32(self.noise_dn2)
         np.divide(self.per_cdm2, w, out=w)
@@ -144,18 +144,18 @@ class RawSignal:
         return w
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """See `Signal`."""
+        """Return which counts [rows, ...] are below the limit of prediction."""
         return counts < self.limit
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """See `Signal`."""
+        """Return which counts [rows, ...] are below saturation, and their variance in counts²."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
         )
         return counts < self.limit, variance.astype(np.float32)
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """See `Signal`."""
+        """Return the luminance of a saturated count, broadcastable to the mosaic, in cd/m2."""
         return self._limit_cdm2
 
     def small(self) -> Small:
@@ -168,7 +168,7 @@ class RawSignal:
         )
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, NDArray[np.bool_]]:
-        """See `Signal`."""
+        """Return about rows x columns pixels of the mosaic, as in `Signal.sampled`."""
         at = evenly_spread(len(self.counts), rows)
         step = (
             max(1, self.counts.shape[-1] // columns) | 1

@@ -102,7 +102,7 @@ class JpegSignal:
         return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """See `Signal`."""
+        """Return linear light of some rows [rows, W, 3], and the mask of `Signal.strip`."""
         import cv2
 
         part = self.codes[first:last]
@@ -117,22 +117,22 @@ class JpegSignal:
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """See `Signal`."""
+        """Return per_cdm2 over the variance of the code, [rows, W, 3] as predicted_cdm2."""
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """See `Signal`."""
+        """Return which values [rows, W, 3] are of codes that the response knows well."""
         low, high, _ = self._limits
         ok = counts >= low
         ok &= counts <= high
         return ok
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """See `Signal`."""
+        """Return which values [rows, W, 3] are below the top code, and their variance."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """See `Signal`."""
+        """Return the luminance of the top code, broadcastable to [H, W, 3], in cd/m2."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
     def small(self) -> Small:
@@ -144,7 +144,7 @@ class JpegSignal:
         return reduced(light, (green >= self.low_code) & (green <= self.high_code), 0.0)
 
     def sampled(self, rows: int, columns: int) -> tuple[JpegSignal, NDArray[np.bool_]]:
-        """See `Signal`."""
+        """Return about rows x columns pixels of all colours, as in `Signal.sampled`."""
         at = evenly_spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
         full = np.stack(
