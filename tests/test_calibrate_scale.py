@@ -90,7 +90,7 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
     assert (
         "spot 1" in said[0]
         and "factor of ten" in said[0]
-        and "fL typed" in said[1]
+        and "fL entered" in said[1]
         and len(said) == 2
     )
     with pytest.raises(InputError, match=r"t.csv: 3 of 6 readings differ.*one unit"):

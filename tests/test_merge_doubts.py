@@ -230,7 +230,8 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
         shots.append(Shot(path, EXPOSURES[i]))
     assert (
         orientation_conflict(shots[:2], profile)
-        == "by its EXIF the camera was held 90 deg off the profile's roll of 0"
+        == "the camera was held 90 deg off the profile's roll of 0 deg, by its EXIF: hold it as in "
+        "the calibration, or correct roll_deg of the profile"
     )
     lens = replace(profile.lens[0], roll_deg=88.0)
     assert (

@@ -1,9 +1,9 @@
-"""A lens from pictures of a chessboard: OpenCV's omnidirectional model, then fieldlum's own lens.
+"""Fit a lens to pictures of a chessboard.
 
-OpenCV's parameters (Mei and Rives 2007) are not unique, but its rays and its poses of the boards
-are a good start. Its model is not fieldlum's lens: the corners are then fitted by fieldlum's
-mapping, together with all poses (bundle adjustment, Triggs et al. 1999). The residual is then that
-of the corners, and the centre has an uncertainty.
+OpenCV's omnidirectional model (Mei and Rives 2007) is fitted first. Its parameters are not unique,
+but its rays and its poses of the boards are a good start. fieldlum's own mapping is then fitted to
+the corners, together with all poses (bundle adjustment, Triggs et al. 1999). Therefore the residual
+is that of the corners, and the centre has an uncertainty.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MOST_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
 
 @dataclass(frozen=True, slots=True)
 class Boards:
-    """Corners [boards, points, 2] on the sensor, board points [points, 3], and a start.
+    """Corners [boards, points, 2] on the sensor, points [points, 3] on the board, and start values.
 
     poses [boards, 6] : rotation vector and position in OpenCV's camera frame; targets : the rays of
     OpenCV's model.
@@ -43,7 +43,7 @@ class Boards:
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
-    """Return the inner corners [rows * columns, 2] on the sensor, or None without a board."""
+    """Return the inner corners [rows * columns, 2] on the sensor; None if no board is visible."""
     import cv2
 
     found, corners = cv2.findChessboardCornersSB(
@@ -61,17 +61,18 @@ def from_boards(
     size_px: tuple[int, int],
     paths: Sequence[Path] = (),
 ) -> Boards:
-    """Return rays and poses from boards [rows * columns, 2], by OpenCV's omnidirectional model.
+    """Fit OpenCV's omnidirectional model to boards [rows * columns, 2]; return its rays and poses.
 
-    size_px : width, height. Raises NotEnoughDataError under four boards, InputError if the fit does
-    not converge.
+    size_px : width, height. Raises NotEnoughDataError for fewer than four boards, InputError if the
+    fit does not converge.
     """
     import cv2
 
     if len(corners) < LEAST:
         raise NotEnoughDataError(
-            f"the board was found in {len(corners)} pictures; expected at least {LEAST}, sharp and "
-            f"up to the edge; check the counts of its inner corners"
+            f"the board was detected in {len(corners)} pictures; expected at least {LEAST}; "
+            "check the number of inner corners, and take sharp pictures with the board up "
+            "to the edge of the circle"
         )
     board = np.zeros((1, rows * columns, 3))
     board[0, :, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
@@ -87,8 +88,8 @@ def from_boards(
         raise InputError(
             "chessboard",
             str(error).splitlines()[0],
-            "boards in many places, none edge-on",
-            "take more pictures",
+            "boards in many places, none seen edge-on",
+            "take more pictures with the board in other places and tilts",
         ) from None
     if not np.isfinite(rms) or rms > _MOST_MISS_PX:
         raise InputError(
@@ -159,16 +160,16 @@ def _directions(points: Array, pose: Array) -> Array:
 
 
 def _model_rays(seen: Array, k: Array, d: Array, xi: float, paths: tuple[Path, ...]) -> Targets:
-    """Return directions over the part of the picture that has corners.
+    """Return directions that OpenCV's model gives for the part of the picture with corners.
 
-    They are a fan of rays, projected by OpenCV's model.
+    They are a fan of rays, projected by the model.
     """
     import cv2
 
     angle = np.radians(np.arange(1.0, 110.0, 2.0))
     turn = np.radians(np.arange(0.0, 360.0, 15.0))
     a, t = (grid.ravel() for grid in np.meshgrid(angle, turn))
-    # OpenCV's axes: x right, y down, z forward.
+    # OpenCV's axes: x to the right, y down, z forward.
     away = np.stack([np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1)
     zero = np.zeros((3, 1))
     shown, *_ = cv2.omnidir.projectPoints(away.reshape(1, -1, 3), zero, zero, k, xi, d)

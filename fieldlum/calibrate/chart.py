@@ -1,9 +1,9 @@
-"""The 24-patch chart in a frame: its patches, and whether a candidate is a chart at all.
+"""Find the 24-patch chart in a frame, and check that it is a chart.
 
-Lattices of patches (chart_grid.py) are searched first, then OpenCV's mcc is tried at several sizes
+Lattices of patches (chart_grid.py) are searched first, then OpenCV's detector mcc at several sizes
 of the picture. mcc alone misses many good charts, depending on its random start, and sometimes
-finds one where there is none. A candidate of either counts only if its 24 colours are a chart's, in
-order.
+reports a chart where there is none. Any candidate counts only if its 24 colours are those of a
+chart, in order.
 """
 
 from __future__ import annotations
@@ -76,19 +76,20 @@ _SRGB = (
     (85, 85, 85),
     (52, 52, 52),
 )
-# Relative misfit of a chart's colours: any other order of the colours leaves 0.6 and more.
+# Largest relative misfit of a chart's colours: any other order of the colours leaves 0.6 and more.
+# Chosen.
 _ALIKE = 0.2
 _IN_ORDER = 0.9  # correlation of ln Y with a chart's; chosen, not measured
-_GRID_SIZES = (1.0, 2.0)  # of the picture, for the search of lattices
+_GRID_SIZES = (1.0, 2.0)  # sizes of the picture in which lattices are searched; chosen
 # Size of the picture and mcc's smallest window [px], for each try. Chosen by trial, not measured.
 _TRIES = ((1.0, 11), (1.0, 23), (2.0, 11), (0.5, 11), (1.5, 23), (0.7, 23))
-_LONGEST = 1600  # px of the picture that is searched at size 1; decides speed
+_LONGEST = 1600  # longest side [px] of the picture at size 1; chosen, limits the time
 
 
 def misfit(rgb: Array) -> float:
-    """Return how far camera colours [24, 3] are from a chart's, by the best 3 x 3 matrix.
+    """Return the rms relative difference of camera colours [24, 3] from a chart's.
 
-    The rms of the differences relative to each patch.
+    The best 3 x 3 matrix between the two is applied first.
     """
     from fieldlum.photometry import srgb_table
 
@@ -100,13 +101,13 @@ def misfit(rgb: Array) -> float:
 
 
 def in_order(luminance: Array) -> bool:
-    """Return whether luminances [24], in any unit, rise and fall as the chart's do."""
+    """Return whether luminances [24], in any unit, rise and fall like those of a chart."""
     logs = np.log(np.maximum(np.asarray(luminance, float), 1e-12))
     return float(np.corrcoef(logs, np.log(CHART_Y))[0, 1]) > _IN_ORDER
 
 
 def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
-    """Return centres [24, 2] and a safe radius of the patches inside corners [4, 2]."""
+    """Return the patch centres [24, 2] inside corners [4, 2], and a radius within each patch."""
     import cv2
 
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)
@@ -118,9 +119,9 @@ def patch_centres(corners: Array) -> tuple[NDArray[Any], float]:
 
 
 def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
-    """Return centres [24, 2] in sensor pixels and a safe radius of a chart's patches.
+    """Return the centres [24, 2] of a chart's patches [px], and a radius within each patch.
 
-    Raises InputError if no chart is found.
+    Both are in sensor pixels. Raises InputError if no chart is detected.
     """
     shown = np.clip(frame.rgb / max(float(np.percentile(frame.rgb[..., 1], 99)), 1e-9), 0, 1) ** (
         1 / 2.2
@@ -139,15 +140,15 @@ def find_chart(frame: LinearFrame) -> tuple[NDArray[Any], float]:
     found = "no colour chart found"
     if np.isfinite(nearest):
         found = (
-            f"no colour chart found: the best candidate has other colours, or another order "
-            f"(misfit {100 * nearest:.0f} %)"
+            "no colour chart found: the best candidate has other colours, or the colours in "
+            f"another order (misfit {100 * nearest:.0f} %)"
         )
-    remedy = "state its corners with --corners"
+    remedy = "state the chart's corners with --corners"
     raise InputError(frame.path, found, "a 24-patch chart, sharp and upright", remedy)
 
 
 def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
-    """Yield candidates for a chart's patches, [24, 4, 2] by row, in pixels of the picture."""
+    """Yield candidates for a chart's patches: corners [24, 4, 2] row by row, in picture pixels."""
     for size in _GRID_SIZES:
         searched, by = _sized(picture, size)
         for patches in grids(searched, ROWS, COLUMNS):
@@ -156,7 +157,7 @@ def _candidates(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
 
 
 def _of_mcc(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
-    """Yield the charts of OpenCV's detector; none if the installed OpenCV lacks it."""
+    """Yield the charts that OpenCV's detector reports; nothing if the installed OpenCV lacks it."""
     import cv2
 
     for seed, (size, window_px) in enumerate(_TRIES if hasattr(cv2, "mcc") else ()):
@@ -174,9 +175,9 @@ def _of_mcc(picture: NDArray[np.uint8]) -> Iterator[NDArray[np.float64]]:
 
 
 def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], float]:
-    """Return the picture in a size, and its factor from the picture itself.
+    """Return the resized picture, and its size relative to the original.
 
-    size : relative to a picture of at most _LONGEST pixels.
+    size : relative to a picture whose longer side is at most _LONGEST pixels.
     """
     import cv2
 
@@ -187,7 +188,10 @@ def _sized(picture: NDArray[np.uint8], size: float) -> tuple[NDArray[np.uint8], 
 
 
 def _colours(rgb: Array, patches: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return means [24, 3] over the middles of the patches; None if one is outside the picture."""
+    """Return mean colours [24, 3] of the middles of the patches.
+
+    None if one is outside the picture.
+    """
     h, w = rgb.shape[:2]
     half = 0.2 * float(np.linalg.norm(patches - np.roll(patches, 1, axis=1), axis=-1).min())
     means = []

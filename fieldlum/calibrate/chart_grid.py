@@ -1,9 +1,9 @@
-"""Candidates for a chart's 6 x 4 patches in a picture: squares on a lattice, in every placement.
+"""Find candidates for a chart's 6 x 4 patches in a picture: squares on a lattice.
 
-Dark gaps separate the patches, so that an adaptive threshold shows them as holes. Holes with four
-corners that are neighbours along their own edges get integer places on a lattice. The homography of
-these places gives all 24 patches from those that were found. Nothing is random: a picture always
-gives the same result.
+Dark gaps separate the patches, so that an adaptive threshold shows the patches as holes. Holes with
+four corners that are neighbours along their own edges get integer places on a lattice. The
+homography from these places to pixels gives all 24 patches, including those that were not detected.
+Nothing is random: a picture always gives the same result.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Quads = NDArray[np.float64]  # [n, 4, 2] corners, clockwise as seen
 Places = NDArray[np.int64]  # [n, 2] column and row on a lattice
 
 # All limits of this module are chosen by trial on pictures of charts, not measured.
-_BLUR_PX = 1.0  # against noise; a gap is wider
+_BLUR_PX = 1.0  # sigma of the blur against noise; a gap is wider
 _WINDOWS_PX = (11, 19, 35, 67)  # of the threshold: from one gap to several
 _DARKER = 2.0  # codes of 255 by which a gap is darker than its surroundings
-_LEAST_AREA_PX2 = 30.0  # of a patch
-_MOST_AREA = 1 / 30  # of a patch, over that of the picture
+_LEAST_AREA_PX2 = 30.0  # smallest area of a patch
+_MOST_AREA = 1 / 30  # largest area of a patch, over that of the picture
 # Distance of an outline from four straight sides, over the length of the outline; tried in order.
 _CORNER_REL = (0.04, 0.08, 0.12)
 _FILLED = 0.75  # area of an outline over that of its four corners
@@ -40,10 +40,10 @@ _QUARTER = np.array([[0, 1], [-1, 0]])  # of a turn, of row vectors
 
 
 def grids(picture: NDArray[np.uint8], rows: int, columns: int) -> Iterator[Quads]:
-    """Yield candidates [rows * columns, 4, 2] in pixels of picture [h, w, 3], by row.
+    """Yield candidates [rows * columns, 4, 2] in pixels of picture [h, w, 3], row by row.
 
-    Candidates with most patches found come first; mirror images are left out. The caller must check
-    that the colours are a chart's.
+    Candidates with most detected patches come first; mirror images are omitted. The caller must
+    check that the colours are those of a chart.
     """
     quads = _quads(picture)
     fits = (_fitted(quads, members, places) for members, places in _components(quads))
@@ -79,9 +79,9 @@ def _quads(picture: NDArray[np.uint8]) -> Quads:
 
 
 def _four_corners(outline: NDArray[Any]) -> NDArray[np.float64] | None:
-    """Return the corners [4, 2], clockwise as seen (y downwards), of an outline.
+    """Return the corners [4, 2] of an outline, clockwise as seen (y downwards).
 
-    None unless the outline is nearly a convex quadrilateral.
+    Return None unless the outline is nearly a convex quadrilateral.
     """
     import cv2
 
@@ -100,14 +100,17 @@ def _four_corners(outline: NDArray[Any]) -> NDArray[np.float64] | None:
 
 
 def _areas(quads: Quads, signed: bool = False) -> NDArray[np.float64]:
-    """Return the areas of quadrilaterals [n, 4, 2], [n]; signed ones are positive if clockwise."""
+    """Return the areas [n] of quadrilaterals [n, 4, 2]; signed areas are positive if clockwise."""
     a, b = quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]
     area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     return area if signed else np.abs(area)
 
 
 def _apart(quads: Quads) -> Quads:
-    """Return one quadrilateral for each place: the largest."""
+    """Return the largest quadrilateral at each place.
+
+    Thresholds often find the same patch twice.
+    """
     quads = quads[np.argsort(-_areas(quads), kind="stable")]
     centres, sides = quads.mean(axis=1), np.sqrt(_areas(quads))
     kept: list[int] = []
@@ -123,7 +126,7 @@ def _apart(quads: Quads) -> Quads:
 
 
 def _components(quads: Quads) -> list[tuple[list[int], Places]]:
-    """Return groups of neighbouring quadrilaterals: their indices, and their places."""
+    """Return groups of neighbouring quadrilaterals: indices, and places on a lattice."""
     centres, edges, areas = quads.mean(axis=1), _edges(quads), _areas(quads)
     inverse = np.linalg.inv(edges) if len(quads) else edges
     found, taken = [], np.zeros(len(quads), bool)
@@ -158,7 +161,10 @@ def _components(quads: Quads) -> list[tuple[list[int], Places]]:
 
 
 def _edges(quads: Quads) -> NDArray[np.float64]:
-    """Return two directions of each one's sides, [n, 2, 2]: right, then down when upright."""
+    """Return the two directions of the sides of each quadrilateral, [n, 2, 2].
+
+    For an upright quadrilateral these point right and down.
+    """
     along = quads[:, 1] - quads[:, 0] + quads[:, 2] - quads[:, 3]
     down = quads[:, 3] - quads[:, 0] + quads[:, 2] - quads[:, 1]
     return 0.5 * np.stack([along, down], axis=1)
@@ -211,9 +217,9 @@ def _homography(
 def _on_places(
     h: NDArray[np.float64], quads: Quads
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the nearest place [n, 2] of each quadrilateral, and whether it fits there, [n].
+    """Return the nearest place [n, 2] of each quadrilateral, and whether it fits there [n].
 
-    It fits if it is on the place and has the size of a patch.
+    A quadrilateral fits if its centre is on the place and its size is that of a patch.
     """
     centres, nowhere = quads.mean(axis=1), np.zeros(len(quads), bool)
     if not np.isfinite(h).all() or abs(np.linalg.det(h)) < 1e-12:
@@ -240,7 +246,7 @@ def _projected(h: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[n
 
 
 def _laid_on(h: NDArray[np.float64], places: Places, rows: int, columns: int) -> Iterator[Quads]:
-    """Yield placements of rows x columns patches on a lattice, by the count of patches found."""
+    """Yield placements of rows x columns patches on a lattice, most detected patches first."""
     grid = np.array([(c, r) for r in range(rows) for c in range(columns)])
     half = _PATCH * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     ways = []

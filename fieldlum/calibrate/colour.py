@@ -1,6 +1,6 @@
-"""Three coefficients from camera colours to luminance, by readings as far as they support it.
+"""Fit three coefficients from camera colours to luminance.
 
-The maker's own coefficients are the start; readings move them.
+The fit starts from the maker's coefficients and changes them as far as the readings support it.
 """
 
 from __future__ import annotations
@@ -24,23 +24,29 @@ Array = NDArray[np.floating]
 READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
-LEAST = 4  # readings, for three coefficients and one that is held out
-# ln luminance over that of the best start: an isolated reading further away is a gross error.
+LEAST = 4  # least number of readings: three coefficients, and one reading to hold out
+# ln of luminance over the best start's: an isolated reading that is further away is a gross error.
+# Chosen, not measured.
 FAR = 0.5
-MOST_U = 0.2  # a larger held-out error means that readings and colours do not belong together
+# a larger held-out error means that readings and colours do not belong together; chosen
+MOST_U = 0.2
 CHART_U = 0.03  # relative u of a printed chart's patch; chosen, not measured
 
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """rgb [n, 3] camera colours, y [n] luminances in any one unit, u_rel [n], labels [n]."""
+    """Camera colours and luminances of n readings.
+
+    rgb [n, 3] : camera colours; y [n] : luminances, all in one unit; u_rel [n] : relative
+    uncertainty of y; labels [n] : names for messages.
+    """
 
     rgb: Array
     y: Array
     u_rel: Array
     labels: tuple[str, ...]
     frames: tuple[Path, ...]
-    matrix: Array | None = None  # XYZ to camera, if the frames state it
+    matrix: Array | None = None  # XYZ to camera; None if the frames do not state it
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +65,9 @@ class ColourFit:
 
 
 def from_table(path: Path, profile: CameraProfile) -> Colours:
-    """Read spot readings from a csv: file, x_px, y_px, luminance_cdm2.
+    """Read spot readings from a csv with the columns file, x_px, y_px and luminance_cdm2.
 
-    Optional: radius_px (12), u_rel. The vignetting of the profile is removed.
+    Optional columns: radius_px (default 12) and u_rel. The profile's vignetting is corrected.
     """
     rows = read_table(path, ("file", "x_px", "y_px", "luminance_cdm2"), ("radius_px", "u_rel"))
     frames: dict[Path, LinearFrame] = {}
@@ -81,11 +87,11 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
 
 
 def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] = ()) -> Colours:
-    """Read a 24-patch chart in an evenly lit frame, found in it or placed by four corners.
+    """Read a 24-patch chart in an evenly lit frame.
 
-    corners_px : x, y of the top left (dark skin), top right, bottom right (black) and bottom left
-    outer corner of the field of patches. Raises InputError if no chart is found, or for corners in
-    another order.
+    The chart is searched in the frame, or placed by corners_px: x and y of the outer corners of the
+    field of patches, top left (dark skin), top right, bottom right (black), bottom left. Raises
+    InputError if no chart is detected, or if the corners are in another order.
     """
     frame = linear_frame(path, profile)
     centres, radius = (
@@ -102,9 +108,9 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
     if not in_order(np.array(rgb) @ np.array(profile.colour.y_from_rgb)):
         raise InputError(
             path,
-            "patches whose colours are in another order than a chart's",
-            "--corners from the dark skin patch on, clockwise",
-            "start at the brown corner",
+            "patches whose colours are not in a chart's order",
+            "--corners clockwise from the dark skin patch",
+            "begin --corners at the brown patch",
         )
     labels = tuple(f"patch {i + 1}" for i in range(len(CHART_Y)))
     return Colours(
@@ -117,11 +123,10 @@ def from_chart(path: Path, profile: CameraProfile, corners_px: Sequence[float] =
 
 
 def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
-    """Return possible starts, each with its name: the profile's coefficients, the file's matrix.
+    """Return possible starts of the fit, [3] each, with a name.
 
-    The luminance row of the frames' own matrix (camera to XYZ) is scaled to the same size.
-
-    Each is [3].
+    These are the profile's coefficients and the luminance row of the frames' own matrix (camera to
+    XYZ), scaled to the same size.
     """
     of_profile = np.array(profile.colour.y_from_rgb)
     starts: list[tuple[Array, str]] = [(of_profile, "the profile's coefficients")]
@@ -135,24 +140,26 @@ def priors(colours: Colours, profile: CameraProfile) -> list[tuple[Array, str]]:
 
 
 def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
-    """Fit coefficients by ridge regression towards the prior, with a weight chosen leave-one-out.
+    """Fit coefficients by ridge regression towards the start.
 
-    The new coefficients give the mean colour of the readings the same luminance as the prior: only
-    their proportion is fitted here. The absolute factor belongs to `calibrate scale` and is
-    returned separately. Raises NotEnoughDataError under four readings, InputError for readings that
-    do not fit the colours.
+    Leave-one-out errors choose its weight. The new coefficients give the mean colour of the
+    readings the same luminance as the start does: only their proportion is fitted here. The
+    absolute factor belongs to `calibrate scale` and is returned separately. Raises
+    NotEnoughDataError for fewer than four readings, InputError for readings that do not fit the
+    colours.
     """
     n = len(colours.y)
     if n < LEAST:
         raise NotEnoughDataError(
-            f"{n} readings for three coefficients; expected at least {LEAST}; take more colours"
+            f"{n} readings for three coefficients; expected at least {LEAST}; add readings "
+            "of other colours"
         )
     if not ((colours.y > 0).all() and (colours.rgb[:, 1] > 0).all()):
         raise InputError(
             colours.frames[0],
             "readings or patches that are not positive",
             "positive readings, and patches that the frame exposes",
-            "remove those lines, or use a longer exposure",
+            "remove these lines from the csv, or use a frame with a longer exposure",
         )
     every = colours
     colours, slips = _without_slips(colours, profile)
@@ -181,9 +188,13 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     residual = every.rgb @ raw / every.y - 1.0
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
     if u > MOST_U:
-        found = f"held-out readings miss by {100 * u:.0f} %: readings and colours do not fit"
-        remedy = "check that each line has the place of its reading, and that the light was steady"
-        raise InputError(colours.frames[0], found, f"at most {100 * MOST_U:.0f} %", remedy)
+        found = f"held-out readings miss by {100 * u:.0f} %: readings and colours do not fit "
+        "together"
+        remedy = "check that each line has the place of its reading, and that the light was "
+        "steady"
+        raise InputError(
+            colours.frames[0], found, f"an error of at most {100 * MOST_U:.0f} %", remedy
+        )
     if slips:
         choice = replace(choice, line=f"{choice.line}; left out: {'; '.join(slips)}")
     return ColourFit(
@@ -196,9 +207,10 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
 
 
 def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, tuple[str, ...]]:
-    """Return the colours without gross errors of readings, and a note of each.
+    """Return the colours without gross errors of readings, and a note on each omitted reading.
 
-    A gross error is a factor (a decimal point, another unit). At most a quarter is left out.
+    A gross error is a wrong factor, such as a decimal point or another unit. At most a quarter of
+    the readings is omitted.
     """
     offs = [np.log((colours.rgb @ start) / colours.y) for start, _ in priors(colours, profile)]
     offs = [off - np.median(off) for off in offs]
@@ -222,9 +234,10 @@ def _without_slips(colours: Colours, profile: CameraProfile) -> tuple[Colours, t
 
 
 def _solve(colours: Colours, prior: Array, pull: float, rows: NDArray[np.bool_]) -> Array:
-    """Minimise sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2.
+    """Return the coefficients a that minimise the ridge sum.
 
-    s is the prior's own best scale; with an infinite pull s * prior is returned.
+    The sum is sum ((a . rgb / y - 1) / u)^2 + n pull / u^2 |share * (a - s prior)|^2, where s is
+    the prior's own best scale. With an infinite pull the result is s * prior.
     """
     rgb, y, u = colours.rgb[rows], colours.y[rows], colours.u_rel[rows]
     weighted = (rgb @ prior) / y / u

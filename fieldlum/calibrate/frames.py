@@ -1,4 +1,4 @@
-"""Frames as linear camera colours, averaged over patches."""
+"""Read frames as linear camera colours, and average them over patches."""
 
 from __future__ import annotations
 
@@ -25,13 +25,16 @@ from fieldlum.raw import JPEG_SUFFIXES, channel_positions, read_jpeg, read_mosai
 from fieldlum.records import Exposure
 from fieldlum.statistics import standard_error
 
-FULL = 0.97  # of the saturation: brighter pixels are left out. Chosen, not measured.
-_MOST_CLIPPED = 0.2  # share of a patch's pixels. Chosen, not measured.
+FULL = 0.97  # of the saturation; brighter pixels do not count. Chosen, not measured.
+_MOST_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not measured.
 
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Mean camera R, G, B of a disc on the sensor, in cd/m2 at the profile's k, and relative u."""
+    """Mean camera R, G and B of a disc on the sensor, in cd/m2 at the profile's k.
+
+    u_rel : relative uncertainty of the mean.
+    """
 
     rgb: NDArray[np.float64]
     u_rel: float
@@ -65,8 +68,8 @@ class LinearFrame:
             raise InputError(
                 self.path,
                 found,
-                f"a patch inside {w * self.step} x {h * self.step} px",
-                "correct its place",
+                f"a patch inside the picture of {w * self.step} x {h * self.step} px",
+                "correct x_px, y_px or radius_px",
             )
         rows, columns = slice(int(y - r), int(y + r) + 1), slice(int(x - r), int(x + r) + 1)
         yy, xx = np.mgrid[rows, columns]
@@ -84,7 +87,7 @@ class LinearFrame:
 
 
 def _mean(values: NDArray[np.float32], clipped: float) -> Patch:
-    """Return the trimmed mean of values [n, 3], with the uncertainty of the spread of green."""
+    """Return the trimmed mean of values [n, 3]; its uncertainty is from the spread of green."""
     from scipy.stats import trim_mean
 
     rgb = np.asarray(trim_mean(values.astype(float), 0.1, axis=0), float)
@@ -145,7 +148,10 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
 
 
 def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
-    """Return the index of the lens whose circle has the place, relative to its radius."""
+    """Return the index of the lens in whose circle the place is nearest to the centre.
+
+    The distance counts relative to the circle's radius.
+    """
     away = [
         np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
         for lens in profile.lens
@@ -154,16 +160,16 @@ def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
 
 
 def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
-    """Return the angle from the optical axis over half of the full angle."""
+    """Return the angle of a place from the optical axis, over half of the full angle."""
     geometry = lens.geometry
     radius = np.hypot(x_px - lens.centre_px[0], y_px - lens.centre_px[1]) / lens.radius_px
     return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)
 
 
 def transmission(lens: Lens, f_number: float, x_px: float, y_px: float) -> float:
-    """Return V of the profile at a place on the sensor; 1 without a curve.
+    """Return the profile's vignetting factor at a place on the sensor; 1 without a curve.
 
-    Raises InputError if the profile has curves for other apertures only.
+    Raises InputError if the profile only has curves for other apertures.
     """
     coefficients, _ = vignetting_of(lens, f_number)
     return float(vignetting_at(coefficients, relative_angle(lens, x_px, y_px)))

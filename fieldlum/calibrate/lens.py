@@ -1,4 +1,4 @@
-"""The mapping and pose of a lens, from known directions, chessboards, or the edge of the circle."""
+"""Fit a lens's mapping and pose to known directions, chessboards, or the edge of its circle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fieldlum.profiles import Lens
 from fieldlum.projection import LensGeometry, direction, lens_pixels, lens_rays, signed_angle_deg
 
 Array = NDArray[Any]
-LEAST = 8  # targets, for the parameters of a lens with one free term and its pose
+LEAST = 8  # least number of targets for the parameters of a lens with one free term, and its pose
 # Powers of the polynomial mappings, from one to four terms.
 POWERS = {
     "polynomial of one term": (1,),
@@ -25,42 +25,42 @@ POWERS = {
     "three odd terms": (1, 3, 5),
     "four terms": (1, 2, 3, 4),
 }
-# A target that misses by more than both (of the median miss; of the radius) is a gross error: it is
-# left out and listed. Chosen, not measured.
+# A target is a gross error if it misses by more than both: this many median misses, and this share
+# of the radius. It is omitted and listed. Chosen, not measured.
 FAR_SIGMA = 6.0
 FAR_RADIUS = 0.02
-MOST_FAR = 0.2  # of the targets may be left out
-MISS_RADIUS = 0.01  # of the radius: a larger median miss means that no lens fits
-BEYOND = 1.06  # of half of the full angle: targets further from the axis are an error
-TURNED_DEG = 30.0  # a larger difference from the profile's pose is a warning
+MOST_FAR = 0.2  # largest share of targets that may be omitted; chosen
+MISS_RADIUS = 0.01  # of the radius: with a larger median miss no lens fits the targets; chosen
+BEYOND = 1.06  # of half of the full angle: targets further from the axis are errors; chosen
+TURNED_DEG = 30.0  # a larger difference from the profile's pose causes a warning; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Known directions on the sensor.
+    """Known directions of n targets, and their places on the sensor.
 
-    x_px, y_px [n]; rays [n, 3] : unit vectors in the panorama's frame (heading = north).
+    x_px, y_px [n]; rays [n, 3] : unit vectors in the panorama's frame, whose north is the heading.
     """
 
     x_px: Array
     y_px: Array
     rays: Array
     frames: tuple[Path, ...] = ()
-    pose_known: bool = False  # directions are relative to the optical axis itself
+    pose_known: bool = False  # True if the directions are relative to the optical axis
 
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """A fitted lens, its residuals, and warnings."""
+    """A fitted lens, the residuals of its targets, and warnings."""
 
     lens: Lens
-    rms_px: float  # held-out
+    rms_px: float  # of held-out targets
     rms_deg: float
     residual_px: Array
-    # Largest angle of a target: beyond it the mapping is an extrapolation.
+    # Largest angle of a target from the axis: beyond it the mapping is an extrapolation.
     widest_deg: float
     choice: OrderSelection
-    doubts: tuple[str, ...] = ()  # targets left out; a pose far from the profile's
+    doubts: tuple[str, ...] = ()  # omitted targets; a pose far from the profile's
 
 
 # ----------------------------------------------------------------------------------------------
@@ -68,9 +68,9 @@ class LensFit:
 
 
 def from_table(path: Path) -> Targets:
-    """Read targets from a csv: x_px, y_px, azimuth_deg, altitude_deg.
+    """Read targets from a csv with the columns x_px, y_px, azimuth_deg and altitude_deg.
 
-    Angles are relative to the camera's heading and the horizon.
+    Angles are relative to the camera's heading and to the horizon.
     """
     rows = read_table(path, ("x_px", "y_px", "azimuth_deg", "altitude_deg"))
     columns = {n: np.array([needed(row, n, path) for row in rows]) for n in rows[0]}
@@ -86,10 +86,10 @@ def from_table(path: Path) -> Targets:
 def geometry_of_figures(
     lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool
 ) -> LensGeometry:
-    """Return the lens with fitted parameters.
+    """Return a lens with the parameters of a fit.
 
-    figures : [n], centre x, y and radius [px], (azimuth, tilt, roll [deg]), then the polynomial's
-    higher terms.
+    figures : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose`, then
+    the polynomial's higher terms.
     """
     x, y, radius, *rest = figures.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
@@ -127,14 +127,16 @@ def _solve(
 def fit(targets: Targets, lens: Lens) -> LensFit:
     """Fit centre, radius, pose and mapping by robust least squares in pixels.
 
-    The profile's lens is the start. Mappings with none to four free terms are tried on held-out
-    targets. Targets that no lens explains are left out and listed. Raises NotEnoughDataError under
-    eight targets; InputError for directions that are mirrored, are behind the lens, or fit no lens.
+    The fit starts from the profile's lens. Mappings with none to four free terms are compared on
+    held-out targets. Targets that no lens explains are omitted and listed. Raises
+    NotEnoughDataError for fewer than eight targets; InputError for directions that are mirrored,
+    behind the lens, or fit no lens.
     """
     n = len(targets.x_px)
     if n < LEAST:
         raise NotEnoughDataError(
-            f"{n} targets for a lens; expected at least {LEAST}, spread over the circle; take more"
+            f"{n} targets for a lens; expected at least {LEAST}, spread over the circle; add "
+            "targets to the csv"
         )
     level = replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
     start = level if targets.pose_known else _posed(targets, lens)
@@ -199,14 +201,18 @@ def _doubts(
             f"azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll {new.roll_deg:.1f} deg"
         )
         texts.append(
-            f"the camera is turned by {turned_deg:.0f} deg from the profile's pose, now {pose}; "
-            "azimuths of targets count from the camera's heading, not from north"
+            f"the camera is turned by {turned_deg:.0f} deg from the profile's pose, now "
+            f"{pose}: if it was not turned, count the targets' azimuths from the camera's "
+            "heading, not from north"
         )
     return tuple(texts)
 
 
 def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
-    """Return the distance of each target from its place by the lens [px], and its angle [rad]."""
+    """Return each target's distance from its place by the lens [px], and its angle [rad].
+
+    The angle is that from the lens's axis.
+    """
     x, y, angle = lens_pixels(found, targets.rays)
     return np.hypot(x - targets.x_px, y - targets.y_px), angle
 
@@ -214,7 +220,7 @@ def _misses(found: LensGeometry, targets: Targets) -> tuple[Array, Array]:
 def _near(
     targets: Targets, start: Lens, models: Sequence[tuple[str, str, tuple[int, ...]]]
 ) -> NDArray[np.bool_]:
-    """Return which targets the best of the robust fits explains, [n]."""
+    """Return a mask [n] of the targets that the best of the robust fits explains."""
     every, best = np.ones(len(targets.x_px), bool), np.full(len(targets.x_px), np.inf)
     for _, mapping, powers in models:
         figures = _solve(targets, every, start, mapping, powers)
@@ -241,7 +247,8 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
             "check signs, units and the columns x_px and y_px",
         )
     if angle.max() > BEYOND * found.half_angle_rad:
-        past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that ends at"
+        past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that "
+        "ends at"
         raise InputError(
             source,
             f"{past} {np.degrees(found.half_angle_rad):.0f} deg",
@@ -251,10 +258,10 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
 
 
 def _posed(targets: Targets, lens: Lens) -> Lens:
-    """Return the lens in the pose of its targets, so that a turned camera is found too.
+    """Return the lens with the pose that its targets give.
 
-    The pose is the rotation from seen to true directions. Raises InputError if only the mirrored
-    directions fit: then a sign is wrong.
+    This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
+    directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
     seen = lens_rays(
         replace(lens.geometry, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0),
@@ -278,9 +285,9 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
 
 
 def _turn(seen: Array, true: Array) -> tuple[float, Array]:
-    """Return the median distance of directions [n, 3] after rotation, as chords, and the rotation.
+    """Return the median distance (chord) of directions [n, 3] after rotation, and the rotation.
 
-    Wahba 1965, with less weight for gross errors. The rotation is [3, 3].
+    The rotation [3, 3] solves Wahba's problem (1965), with less weight for gross errors.
     """
     from scipy.spatial.transform import Rotation
 

@@ -1,4 +1,4 @@
-"""The image circle of a fisheye on the sensor, found in a frame."""
+"""Detect the image circle of a fisheye in a frame."""
 
 from __future__ import annotations
 
@@ -15,18 +15,24 @@ from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
 
-EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured
+EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
 
 
 def grey_picture(path: Path) -> NDArray[np.uint8]:
-    """Read a raw, JPEG or PNG file as 8-bit grey at sensor size, [h, w]. Raises InputError."""
+    """Read a raw, JPEG or PNG file as 8-bit grey at sensor size, [h, w].
+
+    Raises InputError for a file that cannot be read.
+    """
     import cv2
 
     if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
         if picture is None:
             raise InputError(
-                path, "no picture that OpenCV reads", "a JPEG, PNG or raw frame", "check the file"
+                path,
+                "no picture that OpenCV reads",
+                "a JPEG, PNG or raw frame",
+                "convert the file to JPEG or PNG, or copy it from the card again",
             )
         return np.asarray(picture, np.uint8)
     from fieldlum.raw import read_mosaic
@@ -49,12 +55,11 @@ class Circle:
 
 
 def circle(picture: NDArray[np.uint8]) -> Circle:
-    """Find the image circle of a bright frame: scikit-image's Hough transform, then the edge.
+    """Find the image circle in a picture [h, w] of 8-bit grey, from a bright frame.
 
-    The edge is refined along 720 rays: linear light there is half way between just inside the
-    circle and the darkest place outside. Raises InputError without a circle.
-
-    picture : [h, w], 8-bit grey.
+    scikit-image's Hough transform finds the circle. The edge is then refined along 720 rays, as the
+    place where linear light is half way between the light just inside the circle and the darkest
+    place outside. Raises InputError if there is no circle.
     """
     from skimage.feature import canny
     from skimage.transform import hough_circle, resize
@@ -70,9 +75,9 @@ def circle(picture: NDArray[np.uint8]) -> Circle:
     if not edges.any():
         raise InputError(
             "circle",
-            "no edge in the picture",
+            "a picture without edges",
             "a bright frame that shows the complete circle",
-            "take another frame",
+            "photograph a bright, evenly lit wall and use that frame",
         )
     votes = hough_circle(edges, radii, full_output=False)
     best, y, x = np.unravel_index(int(votes.argmax()), votes.shape)
@@ -102,7 +107,7 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
             "circle",
             "no clear edge of a circle",
             "a bright, evenly lit frame with dark surroundings",
-            "take another frame",
+            "photograph a bright, evenly lit wall and use that frame",
         )
     edge = np.stack(
         [x + np.cos(turn[good]) * out[first[good]], y + np.sin(turn[good]) * out[first[good]]]
@@ -117,7 +122,7 @@ def _refined(picture: NDArray[np.uint8], x: float, y: float, r: float) -> Circle
 
 
 def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float, float]:
-    """Return how far a picture [h, w] moved in px, x right and y down, by phase correlation."""
+    """Return how far a picture [h, w] moved [px], right and down, by phase correlation."""
     from skimage.registration import phase_cross_correlation
 
     if before.shape != after.shape:
@@ -129,7 +134,7 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
         )
     window = np.outer(np.hanning(before.shape[0]), np.hanning(before.shape[1]))
     pair = [(p.astype(float) - p.mean()) * window for p in (before, after)]
-    plain: Any = None  # the type hint of scikit-image lacks None
+    plain: Any = None  # scikit-image's type hint lacks None
     # Without normalisation, because with it the pattern of the mosaic, which does not move,
     # dominates the scene.
     (down, right), *_ = phase_cross_correlation(*pair, upsample_factor=50, normalization=plain)
@@ -137,7 +142,7 @@ def shift_px(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[float
 
 
 def circle_lens(lens: Lens, found: Circle, full_angle_deg: float) -> Lens:
-    """Return the lens with the circle's centre and radius, and its own mapping."""
+    """Return the lens with the circle's centre and radius; its mapping does not change."""
     return replace(
         lens,
         centre_px=(round(found.centre_px[0], 2), round(found.centre_px[1], 2)),

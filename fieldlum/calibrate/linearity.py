@@ -1,9 +1,9 @@
-"""Linearity of a raw sensor: from frames of a steady light at many times to a correction of counts.
+"""Fit the linearity of a raw sensor to frames of a steady light with many exposure times.
 
-A steady scene gives counts in proportion to time if the sensor is linear. Real ones are to about
-one percent (a 12-bit CCD of EMVA1288/datasets: +0.3 to -1.2 %). The shutter's constant offset (an
-electronic shutter opens some microseconds longer than stated) is fitted with the curve: without it
-the darkest frames would bend the curve.
+A linear sensor gives counts in proportion to time. Real sensors deviate by about one percent (a
+12-bit CCD of EMVA1288/datasets: +0.3 to -1.2 %). The shutter's constant offset is fitted together
+with the curve, because an electronic shutter opens some microseconds longer than stated: without
+the offset the darkest frames would bend the curve.
 """
 
 from __future__ import annotations
@@ -23,25 +23,28 @@ from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions, read_mosaic
 
 Array = NDArray[np.float64]
-BLOCKS = 8  # a side, for each colour: light that differs over the frame fills the scale
+BLOCKS = 8  # blocks per side and colour; light that varies over the frame fills the scale; chosen
 ORDERS = range(5)
-FEWEST_TIMES = 6  # a fourth order and an offset, and one time over; chosen, not measured
-LOWEST, HIGHEST = 0.05, 0.8  # of the full scale: the frames must reach below and above
-_FULL = 0.97  # of saturation: a block with brighter pixels is left out
-_LEAST_DN = 5.0  # above black: darker blocks hold little but the black level
-_REPEATS = 5e-4  # relative: a lamp's stability over minutes; chosen, lets no frame outweigh others
-_BLACK_DN = 0.2  # uncertainty of a black level, DN
-_NEGLIGIBLE = 2e-5  # of light, held-out rms: block noise hides most of what an order gains
+# least number of times: a fourth order, an offset and one more; chosen, not measured
+FEWEST_TIMES = 6
+# of the full scale: the frames must reach below the first and above the second; chosen
+LOWEST, HIGHEST = 0.05, 0.8
+_FULL = 0.97  # of saturation: a block with brighter pixels does not count; chosen
+_LEAST_DN = 5.0  # counts above black: darker blocks contain little but the black level; chosen
+_REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
+_BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen
+_NEGLIGIBLE = 2e-5  # of light: an order that lowers the held-out rms by less gains nothing; chosen
 _STEPS = 8  # Gauss-Newton converges in four: the departures are small
-_OFFSET_SIGMA = 4.0  # standard errors from which an offset is written
+# standard errors that an offset must have to be written into the profile; chosen
+_OFFSET_SIGMA = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Block means of frames.
+    """Block means of the frames.
 
-    share: of the full scale [frames, blocks], NaN where a block is saturated or dark; weight: of
-    each share [frames, blocks]; seconds: true times by the profile [frames] s.
+    share: of the full scale, [frames, blocks], NaN where a block is saturated or dark; weight: of
+    each share, [frames, blocks]; seconds: true times by the profile, [frames] s.
     """
 
     share: Array
@@ -99,7 +102,10 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
 
 
 def _blocks(cell: Array, black: float, most: float) -> tuple[Array, Array]:
-    """Means above black and their standard errors [blocks]; NaN where a pixel is near full."""
+    """Return means above black of blocks [blocks], and their standard errors.
+
+    The mean is NaN where a pixel is near saturation.
+    """
     rows, columns = (n // BLOCKS * BLOCKS for n in cell.shape)
     shape = (BLOCKS, rows // BLOCKS, BLOCKS, columns // BLOCKS)
     cut = cell[:rows, :columns].reshape(shape).transpose(0, 2, 1, 3).reshape(BLOCKS**2, -1)
@@ -110,18 +116,19 @@ def _blocks(cell: Array, black: float, most: float) -> tuple[Array, Array]:
 
 
 def fit(levels: Levels) -> LinearityFit:
-    """Choose the smallest order by held-out times, and fit it to all frames.
+    """Choose the smallest order that predicts held-out times well, and fit it to all frames.
 
-    Raises NotEnoughDataError with fewer than six times, or frames that leave out the dark or the
-    bright part of the scale.
+    Raises NotEnoughDataError for fewer than six times, or for frames without the dark or the bright
+    part of the scale.
     """
     times = np.unique(levels.seconds)
     low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
     if len(times) < FEWEST_TIMES or low > LOWEST or high < HIGHEST:
-        found = f"{len(times)} times that fill {100 * low:.0f} to {100 * high:.0f} % of the scale"
+        found = f"{len(times)} times that cover {100 * low:.0f} to {100 * high:.0f} % of the "
+        "scale"
         wanted = (
-            f"at least {FEWEST_TIMES} from under {100 * LOWEST:.0f} to over {100 * HIGHEST:.0f} % "
-            f"are needed: take more frames of a steady light"
+            f"at least {FEWEST_TIMES} times from under {100 * LOWEST:.0f} to over "
+            f"{100 * HIGHEST:.0f} % are needed: take more frames of a steady light"
         )
         raise NotEnoughDataError(f"{found}; {wanted}")
     candidates = [Candidate(f"order {order}", order, _held_out(levels, order)) for order in ORDERS]
@@ -146,7 +153,7 @@ def _residuals(
 
 
 def _centred(values: Array, levels: Levels, rows: NDArray[np.bool_]) -> Array:
-    """Values [frames, blocks] less each block's weighted mean over frames `rows`."""
+    """Return values [frames, blocks] minus each block's weighted mean over the frames `rows`."""
     weight = np.where(np.isfinite(levels.share), levels.weight, 0.0)[rows]
     total = weight.sum(axis=0)
     mean = np.nansum(np.nan_to_num(values[rows]) * weight, axis=0)
@@ -154,7 +161,7 @@ def _centred(values: Array, levels: Levels, rows: NDArray[np.bool_]) -> Array:
 
 
 def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, Array]:
-    """Return offset and coefficients by weighted least squares over frames `rows`, and covariance.
+    """Return offset and coefficients by weighted least squares over `rows`, and covariance.
 
     Gauss-Newton steps start from a linear sensor without an offset.
     """
@@ -173,7 +180,8 @@ def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, 
         root = np.sqrt(levels.weight[rows][good])
         design = np.stack([slope[good] * root for slope in slopes], axis=1)
         step, *_ = np.linalg.lstsq(design, -left[good] * root, rcond=None)
-        step[0] = max(step[0] * unit, -0.5 * (unit + solution[0]))  # times stay above zero
+        # exposure times must stay above zero
+        step[0] = max(step[0] * unit, -0.5 * (unit + solution[0]))
         solution = solution + step
         freedom = max(len(root) - levels.share.shape[1] - 1 - order, 1)
         noise = float(np.sum((left[good] * root) ** 2)) / freedom
@@ -185,11 +193,12 @@ def _solve(levels: Levels, rows: NDArray[np.bool_], order: int) -> tuple[Array, 
 def _held_out(levels: Levels, order: int) -> Array:
     """Return the squared relative error of predicting each frame from the other exposure times.
 
-    The shortest and the longest time are not predicted. Blocks count by their weights, so
-    that noise in dark frames does not decide.
+    The shortest and the longest time are not predicted. Blocks count by their weights, so that
+    noise in dark frames does not decide.
     """
     out = np.full(len(levels.seconds), np.nan)
-    for seconds in np.unique(levels.seconds)[1:-1]:  # never beyond the frames that fit
+    # the shortest and longest are not predicted: that would be extrapolation
+    for seconds in np.unique(levels.seconds)[1:-1]:
         held = levels.seconds == seconds
         solution, _ = _solve(levels, ~held, order)
         left = _residuals(solution, levels, ~held, held)

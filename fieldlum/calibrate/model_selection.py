@@ -1,4 +1,7 @@
-"""The size of a model: the smallest within one standard error of the best on held-out data."""
+"""Choose the size of a model: the smallest within one standard error of the best.
+
+Errors are those on held-out data.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,15 @@ from numpy.typing import NDArray
 
 from fieldlum.statistics import is_no_worse
 
-LEAVE_ONE_OUT = 24  # up to this many groups each is held out separately; decides time
+# up to this number of groups each group is held out separately; chosen, limits the time
+LEAVE_ONE_OUT = 24
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One model of a selection.
+    """One model among those to choose from.
 
-    errors [n] : squared held-out errors of the same n data for every candidate; size : count of
+    errors [n] : squared held-out errors of the same n data for every candidate; size : number of
     free parameters.
     """
 
@@ -28,10 +32,10 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class OrderSelection:
-    """The chosen candidate."""
+    """The index of the chosen candidate, and a line for the profile with the reason."""
 
     index: int
-    line: str  # the candidates, and the reason for this one
+    line: str  # lists the candidates and states why this one was chosen
 
 
 def choose(
@@ -43,7 +47,7 @@ def choose(
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best.
 
-    negligible : an rms that is larger by at most this is not worse.
+    negligible : a candidate whose rms is larger by at most this counts as equal to the best.
     """
     means = np.array([candidate.errors.mean() for candidate in candidates])
     best = int(np.argmin(means))

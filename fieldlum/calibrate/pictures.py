@@ -1,4 +1,4 @@
-"""One picture for each fit: readings, curve and residuals."""
+"""Draw one picture for each fit: readings, fitted curve and residuals."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _two(title: str, shares: tuple[float, float] = (3, 2)) -> tuple[Figure, Any,
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write PNG, SVG or PDF by suffix; the file appears complete or not at all."""
+    """Write a figure as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
     from fieldlum.session import replacing_path
 
     with replacing_path(path) as temporary:
@@ -66,7 +66,7 @@ def _percent(axes: Any, x: NDArray[Any], residual: NDArray[Any], label: str) -> 
 
 
 def of_response(places: response.Places, found: response.ResponseFit) -> Figure:
-    """Draw the response tables and the residuals of the places."""
+    """Draw the response tables and the residuals of the sampled places."""
     figure, left, right = _two(
         f"JPEG response, {found.response.kind}; held-out rms {100 * found.response.u_rel:.2g} %"
     )
@@ -125,7 +125,7 @@ def of_vignette(
 
 
 def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> Figure:
-    """Draw meter against picture, and the residuals."""
+    """Draw the meter's readings over the picture's values, and the residuals."""
     figure, left, right = _two(f"scale: k times {found.factor:.4f}, u {100 * found.u_rel:.1f} %")
     meter = np.array([r.meter for r in readings])
     image = np.array([r.image for r in readings]) * found.factor
@@ -151,7 +151,7 @@ def of_scale(readings: list[scale.LuminanceReading], found: scale.ScaleFit) -> F
 
 
 def of_lens(targets: lens.Targets, found: lens.LensFit) -> Figure:
-    """Draw the targets in the image circle, and their misses."""
+    """Draw the targets in the image circle, and their distances from the fitted places."""
     figure, left, right = _two(
         f"lens, {found.lens.mapping}; held-out rms {found.rms_px:.2g} px ({found.rms_deg:.2g} deg)"
     )
@@ -193,7 +193,7 @@ def of_circle(picture: NDArray[np.uint8], found: lens_circle.Circle) -> Figure:
 
 
 def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
-    """Draw the readings against the fitted luminance, and the residuals."""
+    """Draw the fitted luminance over the readings, and the residuals."""
     figure, left, right = _two(f"colour to luminance; held-out rms {100 * found.u_rel:.2g} %")
     new = colours.rgb @ np.array(found.y_from_rgb) * found.scale
     shown = np.clip(colours.rgb / colours.rgb.max(axis=1, keepdims=True), 0, 1) ** (1 / 2.2)
@@ -212,7 +212,7 @@ def of_colour(colours: colour.Colours, found: colour.ColourFit) -> Figure:
 
 
 def of_shutter(found: shutter.ShutterFit) -> Figure:
-    """Draw the fitted times over nominal and over assumed times."""
+    """Draw fitted over nominal times, and fitted over assumed times."""
     figure, left, right = _two(
         f"shutter: {len(found.times)} times from {max(found.brackets)} brackets", (1, 1)
     )
@@ -251,7 +251,7 @@ def of_pixels(found: pixels.PixelDefects, width_px: int, height_px: int) -> Figu
 
 
 def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Figure:
-    """Light over time of each frame and block, before and after the curve."""
+    """Draw light over time of each frame and block, before and after the correction."""
     figure, left, right = _two(f"Linearity; held-out rms {100 * found.u_rel:.2g} %")
     seconds = levels.seconds[:, None]
     corrected = levels.share * linearity_factor(levels.share, found.coefficients)
@@ -269,7 +269,7 @@ def of_linearity(levels: linearity.Levels, found: linearity.LinearityFit) -> Fig
 
 
 def of_stray(readings: Sequence[stray.StrayReading], found: stray.StrayFit) -> Figure:
-    """Draw the kernel over the angle, and predicted against recorded stray light."""
+    """Draw the kernel over the angle, and the predicted over the recorded stray light."""
     total = 100 * found.total_share
     figure, left, right = _two(f"Stray light: {total:.2g} % of a source's light is spread")
     angle = np.geomspace(0.5, 180.0, 300)

@@ -1,10 +1,11 @@
-"""Hot, dead and stuck pixels: those that deviate from neighbours of their colour in every view.
+"""Find hot, dead and stuck pixels: they deviate from their neighbours in every view.
 
-A small light or the edge of a frame deviates too, but not in every view. The camera must be turned
-between the views, which is checked by the details of the pictures. With the cap on (`dark`) there
-is no light to confuse, but a dead pixel cannot be seen either. The count of pixels that would
-deviate everywhere by chance follows from the count that deviates in each view. It decides in how
-many views a pixel must deviate; if even all views are too few, there is no result.
+The neighbours are those of the same colour. A small light or the edge of an object deviates too,
+but not in every view. The camera must be turned between the views; the details of the pictures show
+whether it was. With the cap on (`dark`) no light can be mistaken for a defect, but dead pixels are
+invisible. The number of pixels that would deviate everywhere by chance follows from the number that
+deviates in each view. It decides in how many views a pixel must deviate. If even all views are too
+few, there is no result.
 """
 
 from __future__ import annotations
@@ -31,18 +32,18 @@ from fieldlum.raw import (
 # real sensors.
 LEAST_VIEWS = 3
 LEAST_DARK = 2
-MOST = 1e-3  # of the pixels: more is no list of defects
+MOST = 1e-3  # largest share of bad pixels; more are not a list of defects
 _SIGMA = 6.0  # of the noise
 _LEAST_REL = 0.1  # of the light: smaller deviations are normal for a sensor
-_SPREAD = 4.0  # of the neighbours' median deviation from their own median
-_CHANCE = 0.5  # pixels that may be expected to deviate everywhere by chance
+_SPREAD = 4.0  # largest multiple of the neighbours' median deviation from their own median
+_CHANCE = 0.5  # largest number of pixels expected to deviate everywhere by chance
 _INSIDE = 0.97  # of a lens's circle, because its edge is the same in every view
 _BLOCK = 4  # pixels of one colour along the edge of a block of detail
 _DETAIL = 5.0, 0.03  # sigma of the noise, share of the light: a smaller step is no detail
-_LEAST_DETAIL = 30  # blocks
+_LEAST_DETAIL = 30  # least number of blocks with detail
 _SAME_VIEW_CORRELATION = 0.3  # of the detail of two frames, from which they show one view
-_LIKE = 2  # neighbours that a defect may be like: those of a line of defects
-_FULL = 0.9  # of the saturation: brighter surroundings are not judged
+_LIKE = 2  # neighbours that may be like a defect, as in a line of defects
+_FULL = 0.9  # of the saturation; pixels in brighter surroundings are not judged
 
 Mask = NDArray[np.bool_]
 Detail = NDArray[np.int8]
@@ -52,7 +53,8 @@ Detail = NDArray[np.int8]
 class PixelDefects:
     """Bad pixels (column, row) on the sensor, and the evidence.
 
-    views : different views; frames : the frames used; by_chance : pixels expected by chance.
+    views : number of different views; frames : the frames used; by_chance : number of pixels
+    expected by chance.
     """
 
     bad_px: tuple[tuple[int, int], ...]
@@ -63,20 +65,18 @@ class PixelDefects:
 
 
 def find(sources: Sequence[Path], profile: CameraProfile, *, dark: bool = False) -> PixelDefects:
-    """Find bad pixels.
+    """Find the bad pixels of a raw camera.
 
-    sources : frames, or folders with the frames of one view each; dark : the cap was on, and each
-    frame counts as a view.
-
-    Raises InputError for frames of another camera, NotEnoughDataError for views that are too few or
-    too similar.
+    sources : frames, or folders that each contain the frames of one view; dark : the cap was on,
+    and each frame counts as a view. Raises InputError for frames of another camera,
+    NotEnoughDataError for views that are too few or too similar.
     """
     if profile.camera.kind != "raw":
         raise InputError(
             profile.camera.name,
             "a JPEG camera, whose files blur bad pixels",
             "a raw camera",
-            "use raw frames",
+            "calibrate pixels with the camera's raw files",
         )
     area = (
         np.ones((profile.camera.height_px, profile.camera.width_px), bool)
@@ -110,7 +110,7 @@ def _decide(
     least = LEAST_DARK if dark else LEAST_VIEWS
     if len(views) < least:
         what = "dark frames" if dark else "views"
-        remedy = "take more"
+        remedy = "take more dark frames"
         if not dark:
             remedy = "turn the camera between brackets, or take frames with the cap on (--dark)"
         blank = f" and {plain} frames without detail" if plain else ""
@@ -158,7 +158,12 @@ def _frames_of(source: Path) -> list[Path]:
         return [source]
     frames = possible_frames(source)
     if not frames:
-        raise InputError(source, "no frames", "a folder of raw frames of one view", "check it")
+        raise InputError(
+            source,
+            "no frames",
+            "a folder of raw frames of one view",
+            "check the path of the folder",
+        )
     return frames
 
 
@@ -172,18 +177,23 @@ def _mosaic(path: Path, profile: CameraProfile) -> Mosaic:
 
 
 def _check_dark(path: Path, mosaic: Mosaic, profile: CameraProfile) -> None:
-    """Raise InputError for a dark frame that got light."""
+    """Raise InputError if light reached a dark frame."""
     for plane, black, gain, _ in _planes(mosaic, profile):
         above = float(np.percentile(plane[::4, ::4], 90)) - black
         noise = float(np.hypot(profile.sensor.read_noise_e / gain, 1.0))
         if above > max(5 * noise, 0.01 * (profile.sensor.white_dn - black)):
-            raise InputError(path, f"{above:.0f} DN above black", "a dark frame", "put the cap on")
+            raise InputError(
+                path,
+                f"{above:.0f} DN above black",
+                "a dark frame",
+                "put the cap on and take the frame again",
+            )
 
 
 def _planes(
     mosaic: Mosaic, profile: CameraProfile
 ) -> list[tuple[NDArray[np.uint16], float, float, float]]:
-    """Return counts, black, electrons for each count, and saturation of R, G1, G2, B."""
+    """Return counts, black, electrons per count, and saturation of each of R, G1, G2 and B."""
     gain = gain_e_per_dn(mosaic.exposure.iso, profile)
     levels = zip(
         channel_positions(mosaic.cfa),
@@ -198,10 +208,11 @@ def _planes(
 
 
 def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
-    """Return the pixels that deviate from the median of their nine of one colour, [h, w].
+    """Return a mask [h, w] of the pixels that deviate from the median of their neighbourhood.
 
-    They deviate by more than noise, a tenth of the light, and the spread of the nine. alone : leave
-    out pixels with three neighbours like them, as at the corner of an object.
+    The neighbourhood is nine pixels of one colour. A pixel deviates if it differs by more than the
+    noise, a tenth of the light, and the spread of the nine. alone : omit pixels with three or more
+    neighbours like them, as at the corner of an object.
     """
     import cv2
 
@@ -226,9 +237,9 @@ def deviating(mosaic: Mosaic, profile: CameraProfile, *, alone: bool) -> Mask:
 
 
 def _isolated(plane: NDArray[np.uint16], middle: NDArray[np.uint16], found: Mask) -> Mask:
-    """Return the pixels with at most two of eight neighbours like them.
+    """Return a mask of the pixels with at most two of eight neighbours like them.
 
-    A line of defects passes, a corner does not.
+    Pixels of a line of defects remain, those at a corner of an object do not.
     """
     rows, columns = np.nonzero(found)
     own = plane[rows, columns].astype(np.int32) - middle[rows, columns]
@@ -259,17 +270,17 @@ def _inside_lenses(profile: CameraProfile) -> Mask:
 
 
 def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
-    """Return the detail of a frame, in blocks of one green.
+    """Return the detail of a frame, in blocks of one of the two green colours.
 
-    +1 and -1 where a block is brighter or darker than its neighbours, else 0; 2 where this is
-    unknown: outside, saturated, or too dark.
+    A block is +1 or -1 if it is brighter or darker than its neighbours, else 0. It is 2 if this is
+    unknown: outside the lens, saturated, or too dark.
     """
     import cv2
 
     plane, black, gain, full = _planes(mosaic, profile)[1]
     r, c = channel_positions(mosaic.cfa)[1]
     size = plane.shape[1] // _BLOCK, plane.shape[0] // _BLOCK
-    # Without single pixels, because defects are no detail of a view.
+    # Remove single pixels, because defects are not details of a view.
     clean = cv2.medianBlur(plane, 3).astype(np.float32)
     block = np.asarray(
         cv2.resize(clean, size, interpolation=cv2.INTER_AREA), np.float32
@@ -290,10 +301,10 @@ def _detail(mosaic: Mosaic, profile: CameraProfile, area: Mask) -> Detail:
 
 
 def _alike(a: Detail, b: Detail) -> float | None:
-    """Return how far the details of two frames agree: 1 equal, 0 unrelated, -1 opposite.
+    """Return the correlation of the details of two frames: 1 equal, 0 unrelated, -1 opposite.
 
-    Pixels known in both frames count, relative to the frame with less detail. Returns None if
-    that is too little.
+    Blocks known in both frames count, relative to the frame with less detail. Return None if these
+    are too few.
     """
     both = (a != 2) & (b != 2)
     x, y = a[both].astype(np.int32), b[both].astype(np.int32)
@@ -320,7 +331,7 @@ class _View:
 
 
 def _join(views: list[_View], new: _View) -> list[_View]:
-    """Return all views, with a frame added to the view, or views, that it shows."""
+    """Return all views after adding a frame to the views that it shows; these become one view."""
     source, detail = new.shown[0]
     apart = []
     for view in views:

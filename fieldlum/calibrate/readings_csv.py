@@ -1,4 +1,4 @@
-"""Tables of readings as input, and profiles as output."""
+"""Read tables of readings, and write profiles."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from fieldlum.version import __version__
 def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> list[dict[str, Any]]:
     """Read a csv with a header; all columns are numbers except the paths `file` and `panorama`.
 
-    Paths are relative to the csv. Separators are commas, or semicolons or tabs (then decimals may
-    have a comma). An empty cell is None. Raises InputError with line and column.
+    Paths are relative to the csv. Separators are commas, semicolons or tabs; with the last two,
+    decimals may have a comma. An empty cell is None. Raises InputError with line and column.
     """
     numbered = _lines(path)
     lines = [line for _, line in numbered]
@@ -48,20 +48,28 @@ def read_table(path: Path, needed: Sequence[str], also: Sequence[str] = ()) -> l
         if any(text.strip() for text in row.get(None) or ()):
             remedy = "decimals with a point, or semicolons between the cells"
             raise InputError(
-                f"{path}:{number}", "more cells than the header has", f"{len(names)} cells", remedy
+                f"{path}:{number}",
+                "more cells than the header has columns",
+                f"{len(names)} cells",
+                remedy,
             )
         readings.append({n: _cell(path, number, n, row[n], mark) for n in names})
     if not readings:
-        raise InputError(path, "no readings", "one reading a line", "add readings")
+        raise InputError(path, "no readings", "one reading per line", "add at least one reading")
     return readings
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Return lines numbered from 1, without empty lines and comments. Raises InputError."""
+    """Return the lines of a csv with their numbers from 1, without empty lines and comments.
+
+    Raises InputError if the file cannot be read.
+    """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, str(error), "a csv of readings", "check the path") from None
+        raise InputError(
+            path, str(error), "a csv of readings", "check the path of the csv"
+        ) from None
     return [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
@@ -95,9 +103,11 @@ def _cell(path: Path, number: int, name: str, text: str | None, mark: str) -> An
 
 
 def needed(row: dict[str, Any], name: str, path: Path) -> Any:
-    """Return a cell. Raises InputError if it is empty."""
+    """Return the value of a cell. Raises InputError if it is empty."""
     if row.get(name) is None:
-        raise InputError(path, f"an empty {name}", "a value in every line", "add it")
+        raise InputError(
+            path, f"an empty {name}", "a value in every line", "fill in the missing value"
+        )
     return row[name]
 
 
@@ -109,7 +119,7 @@ def save_calibration(
     today: date,
     **changed: Any,
 ) -> CameraProfile:
-    """Write the profile with `changed` tables, a line for every fit, and the frames' hashes."""
+    """Write the profile with `changed` tables, a line about every fit, and the frames' sha256."""
     hashes = tuple(sorted({sha256(path) for path in frames}))
     before = profile.provenance
     provenance = Provenance(

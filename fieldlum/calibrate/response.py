@@ -1,4 +1,4 @@
-"""The response of a JPEG camera: from codes to linear light, with the exposures held fixed."""
+"""Fit the response of a JPEG camera: from codes to linear light, for known exposures."""
 
 from __future__ import annotations
 
@@ -26,25 +26,26 @@ from fieldlum.profiles import CameraProfile, Response
 from fieldlum.raw import JPEG_SUFFIXES, read_jpeg
 from fieldlum.records import Exposure
 
-PLACES = 500  # used from a bracket; more do not change the table
-BLOCKS = 60_000  # searched for them; limits memory
-LOW = 27  # codes from LOW to HIGH count for the residual, and later carry weight
+PLACES = 500  # places used from a bracket; more did not change the table; chosen
+BLOCKS = 60_000  # blocks in which places are searched; limits memory; chosen
+LOW = 27  # codes from LOW to HIGH count for the residual, and have weight in a merge; chosen
 HIGH = 228
-FLAT = 3.0  # codes: largest difference of a place's neighbours in a frame that exposes it
-NEGLIGIBLE = 0.002  # of light: a difference between candidates that does not matter
+# codes: largest difference of a place's neighbours in a frame that exposes it well; chosen
+FLAT = 3.0
+NEGLIGIBLE = 0.002  # of light: smaller differences between candidates do not matter; chosen
 DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
 _LAW_GAIN = 0.8  # of the residual under the labels' law: another law must leave less
-_LAW_SIGMA = 4.0  # standard errors of the difference between two laws, place by place
+_LAW_SIGMA = 4.0  # least difference between two laws, in standard errors over the places; chosen
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
 TablesOf = Callable[[NDArray[np.bool_]], list[NDArray[np.float64]]]
 
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Places of brackets, and their codes.
+    """Codes of the same places in all frames of a bracket, pooled over brackets.
 
     codes [places, frames, 3] : 0 if the bracket has no such exposure; log_exposure [frames];
-    bracket [places]; law : of the shutter, under which log_exposure holds.
+    bracket [places] : index of the bracket; law : shutter law that log_exposure assumes.
     """
 
     codes: NDArray[np.uint8]
@@ -59,12 +60,12 @@ class ResponseFit:
     """A fitted response, and its residuals."""
 
     response: Response
-    residual: tuple[float, float, float]  # rms of ln z of each colour, held-out
+    residual: tuple[float, float, float]  # rms of ln z for each colour, of held-out places
     choice: OrderSelection
 
 
 def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
-    """Return the brackets: each folder is one, and all single files together are one.
+    """Return the frames of each bracket: a folder is one bracket; all single files are one more.
 
     Raises InputError for a folder without JPEG frames.
     """
@@ -74,7 +75,10 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
         frames = sorted(p for p in folder.glob("*") if p.suffix.lower() in JPEG_SUFFIXES)
         if not frames:
             raise InputError(
-                folder, "no JPEG frames", "a folder with the frames of one bracket", "check it"
+                folder,
+                "no JPEG frames",
+                "a folder with the frames of one bracket",
+                "check the path of the folder",
             )
         brackets.append(frames)
     return brackets
@@ -82,7 +86,7 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """Flat places of one bracket, codes [places, frames, 3], and the exposures as recorded."""
+    """Flat places of one bracket: codes [places, frames, 3], and the exposures that EXIF states."""
 
     codes: NDArray[np.uint8]
     exposures: tuple[Exposure, ...]
@@ -92,7 +96,7 @@ class _Part:
 def sample(
     brackets: Sequence[Sequence[Path]], profile: CameraProfile, rng: np.random.Generator
 ) -> Places:
-    """Sample the same flat places of every frame of a bracket, pooled over brackets.
+    """Sample the same flat places in every frame of a bracket, pooled over brackets.
 
     A profile with shutter law "auto" gets the law that the codes support. The places are spread
     over the brightnesses. Raises InputError for a bracket of mixed apertures or with fewer than
@@ -113,9 +117,9 @@ def sample(
 
 
 def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
-    """Return the places under the law whose response leaves the smallest residual.
+    """Return the places under the law whose response has the smallest residual.
 
-    The labels' law is kept unless another is better by more than chance, place by place.
+    The labels' law remains unless another law is better by more than chance, place by place.
     """
     errors = {law: _left_by(places) for law, places in pooled.items()}
     misfit = {law: round(100.0 * float(np.sqrt(np.nanmean(e))), 2) for law, e in errors.items()}
@@ -130,7 +134,7 @@ def _supported(pooled: dict[str, Places], labels: ShutterLaw) -> Places:
 
 
 def _left_by(places: Places) -> NDArray[np.float64]:
-    """Return squared residuals of ln z of each place's green codes about a fitted response."""
+    """Return squared residuals of places: ln z of their green codes about a fitted response."""
     codes = places.codes[..., 1]
     table, _ = fit_response(codes, places.log_exposure, smooth=SMOOTH[-1])
     return residuals(table, codes, places.log_exposure)
@@ -149,7 +153,7 @@ def _pool(
                 part.folder,
                 f"{len(part.exposures)} frames",
                 "a bracket of at least three exposures",
-                "take more exposures",
+                "take a bracket with at least three exposures",
             )
         exposures.append(np.array(log_e))
     grid = np.unique(np.round(np.concatenate(exposures), 4)).astype(float)
@@ -164,7 +168,7 @@ def _pool(
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """Codes [frames, places, 9, 3] of 3 x 3 blocks with middles x_px, y_px [places]."""
+    """Codes [frames, places, 9, 3] of 3 x 3 blocks, and the blocks' middles x_px, y_px [places]."""
 
     codes: NDArray[np.uint8]
     x_px: NDArray[np.float64]
@@ -174,7 +178,7 @@ class _Blocks:
 def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, list[Exposure]]:
     """Read at most BLOCKS blocks on a grid, one frame at a time.
 
-    Memory does not grow with the sensor.
+    Therefore the memory needed does not grow with the sensor.
     """
     codes, exposures, shape = [], [], (0, 0)
     y, x = np.zeros(0, int), np.zeros(0, int)
@@ -201,10 +205,10 @@ def _blocks_of(paths: Sequence[Path], profile: CameraProfile) -> tuple[_Blocks, 
 def _flat_places(
     blocks: _Blocks, profile: CameraProfile, rng: np.random.Generator, bracket: Path
 ) -> NDArray[np.uint8]:
-    """Return means of blocks without an edge, inside the lens circles, [places, frames, 3]."""
+    """Return mean codes [places, frames, 3] of blocks without an edge, inside the lens circles."""
     codes = blocks.codes
     holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
-    spread = np.where(holds, np.ptp(codes[..., 1], axis=2), 0)  # green
+    spread = np.where(holds, np.ptp(codes[..., 1], axis=2), 0)  # of green
     inside = np.zeros(len(blocks.x_px), bool)
     for lens in profile.lens:
         x, y = lens.centre_px
@@ -223,9 +227,10 @@ def _flat_places(
 
 
 def _spread(level: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Choose at most `count` of `level` [n]: half even over the levels, half over the places.
+    """Return at most `count` indices of `level` [n], spread over levels and over places.
 
-    Without this the few bright places, which alone the short frames see, would be too few.
+    Half is spread evenly over the levels. Otherwise there would be too few bright places, which are
+    the only ones that short frames show.
     """
     order = np.argsort(level)
     wanted = np.linspace(level.min(), level.max(), count // 2)
@@ -243,7 +248,7 @@ def residuals(
 ) -> NDArray[np.float64]:
     """Return the mean square of ln(z / exposure) about each place's own mean, [places].
 
-    Over codes from `low` to HIGH; NaN with fewer than two.
+    Codes from `low` to HIGH count; NaN for places with fewer than two.
     """
     counts = (codes >= low) & (codes <= HIGH)
     light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
@@ -263,9 +268,9 @@ def _tables(places: Places, rows: NDArray[np.bool_], smooth: float) -> list[NDAr
 def fit(places: Places) -> ResponseFit:
     """Fit standard curves, then monotone tables from stiff to flexible; choose on held-out places.
 
-    Complete brackets are held out if there are three or more, else every eighth of the places. If
-    the darkest codes do not follow the light (a black level), low_code rises to the first that
-    does. Raises NotEnoughDataError with under 20 places.
+    Complete brackets are held out if there are three or more, else every eighth place. If the
+    darkest codes do not follow the light (because of a black level), low_code rises to the first
+    code that does. Raises NotEnoughDataError for fewer than 20 places.
     """
     low = max(LOW, *(dark_floor(places.codes[..., c], places.log_exposure) for c in range(3)))
     groups = places.bracket if places.bracket.max() >= 2 else np.arange(len(places.codes)) % 8
@@ -294,8 +299,8 @@ def fit(places: Places) -> ResponseFit:
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
     if u > DOUBTFUL:
         doubt = (
-            f"CAUTION: the same places differ by {100 * u:.0f} % between frames: check that camera "
-            f"and light did not change"
+            f"CAUTION: the same places differ by {100 * u:.0f} % between frames: check that "
+            "camera and light did not change, and take the bracket again"
         )
         choice = replace(choice, line=f"{choice.line}. {doubt}")
     return ResponseFit(_with_u(response, u, low), (rms[0], rms[1], rms[2]), choice)

@@ -1,4 +1,4 @@
-"""The absolute factor k from spot luminances and illuminances, its uncertainty, and residuals."""
+"""Fit the absolute factor k to spot luminances and illuminances, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -19,33 +19,36 @@ from fieldlum.records import Flag, Panorama
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 
 SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree
-METER_U = 0.02  # relative u of a meter's calibration, common to its readings; typical data sheet
+# relative u of a meter's calibration, common to its readings; typical of data sheets
+METER_U = 0.02
 READING_U = 0.02  # relative u of one reading: aim, flicker, a passing cloud. Chosen, not measured.
 # Readings that differ by more than this many u, and by at least FAR_LEAST, are listed.
 FAR = 3.0
 FAR_LEAST = 0.1
-MOST_FAR = 1 / 3  # of the readings: with more, the picture is wrong and not the readings
-UNEVEN = 0.1  # relative u of a spot's mean: an edge is in its field
-# k (R + G + B) of cameras whose white_dn is their white level, without a filter. Chosen around 1.
+# largest share of outliers: with more, the picture is wrong and not the readings; chosen
+MOST_FAR = 1 / 3
+UNEVEN = 0.1  # relative u of a spot's mean; a larger one means an edge in its field; chosen
+# Range of k (R + G + B) for cameras whose white_dn is their white level, without a filter. Chosen
+# around 1.
 SENSIBLE_K = 0.5, 2.0
-MOST_FACTOR = 10.0  # on a profile's k: a larger factor is another unit
-# Ratios of reading and picture by mistyped readings (1 fL = 3.426 cd/m2, 1 fc = 10.764 lx).
+MOST_FACTOR = 10.0  # largest change of a profile's k; a larger factor means another unit; chosen
+# Ratios of reading to picture that typing errors cause (1 fL = 3.426 cd/m2, 1 fc = 10.764 lx).
 SLIPS = {
-    1 / 3.426: "fL typed for cd/m2",
-    1 / 10.764: "fc typed for lx",
-    1e-3: "thousands typed for ones",
-    1e3: "ones typed for thousands",
+    1 / 3.426: "fL entered as cd/m2",
+    1 / 10.764: "fc entered as lx",
+    1e-3: "thousands entered as ones",
+    1e3: "ones entered as thousands",
     0.1: "a factor of ten",
     10.0: "a factor of ten",
 }
-_LIKE = 0.06  # relative difference from a ratio of `SLIPS`
+_LIKE = 0.06  # largest relative difference from a ratio of `SLIPS`; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class LuminanceReading:
-    """One comparison: the meter's reading and the picture's value there, in the same unit."""
+    """One comparison of a meter's reading with the picture's value there, in the same unit."""
 
-    kind: str  # spot or illuminance
+    kind: str  # "spot" or "illuminance"
     label: str
     meter: float
     image: float
@@ -54,11 +57,11 @@ class LuminanceReading:
 
 @dataclass(frozen=True, slots=True)
 class ScaleFit:
-    """A fitted factor, its uncertainty, and the residuals of the readings."""
+    """A fitted factor on k, its uncertainty, and the residuals of the readings."""
 
     factor: float  # multiplies the profile's k
     u_rel: float
-    residual: NDArray[np.float64]  # meter over corrected image, less one, [n]
+    residual: NDArray[np.float64]  # meter over corrected picture minus one, [n]
     far: tuple[str, ...]
     choice: OrderSelection
 
@@ -66,13 +69,13 @@ class ScaleFit:
 def from_table(
     path: Path, profile: CameraProfile
 ) -> tuple[list[LuminanceReading], list[Path], tuple[str, ...]]:
-    """Read a csv: panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or illuminance_lx.
+    """Read a csv with panorama, azimuth_deg, altitude_deg, and luminance_cdm2 or illuminance_lx.
 
-    u_rel is optional. Azimuth is clockwise from north. A spot is the trimmed mean over 1 degree; an
-    illuminance is that of the plane that faces the direction. Values of the pictures are converted
-    to the profile's k, whichever k they were merged with. Returns readings, pictures and notes.
-    Raises InputError for a line with both or neither reading, and for pictures of another
-    calibration.
+    The column u_rel is optional. Azimuth is clockwise from north. A spot is the trimmed mean over 1
+    degree; an illuminance is that of a plane which faces the direction. Values of the pictures are
+    converted to the profile's k from the k that they were merged with. Return readings, pictures
+    and notes. Raises InputError for a line with both or neither reading, and for pictures of
+    another calibration.
     """
     rows = read_table(
         path,
@@ -91,7 +94,7 @@ def from_table(
                 path,
                 "a line with both or neither reading",
                 "luminance_cdm2 or illuminance_lx",
-                "correct that line",
+                "leave one of luminance_cdm2 and illuminance_lx in that line",
             )
         file, u = row["panorama"], row.get("u_rel") or READING_U
         picture, label = pictures[file], f"{file.stem} {azimuth:g}/{altitude:g} deg"
@@ -110,20 +113,23 @@ def from_table(
     unmarked = [file.name for file, picture in pictures.items() if "k" not in picture.attributes]
     notes: tuple[str, ...] = ()
     if unmarked:
-        notes += (f"{', '.join(unmarked)} states no k: the profile's k is assumed",)
+        notes += (
+            f"{', '.join(unmarked)} states no k: the profile's k is assumed; merge it "
+            "again to be sure",
+        )
     uneven = [r.label for r in readings if r.u_rel > np.hypot(UNEVEN, READING_U)]
     if uneven:
         notes += (
-            f"an edge is in the field of {', '.join(uneven)}: low weight; read places that are "
-            f"even over two degrees",
+            f"an edge is in the field of {', '.join(uneven)}, so it has a low weight: read "
+            "places that are even over two degrees",
         )
     return readings, list(pictures), notes
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
-    """Return the profile's k divided by the k that the picture was merged with.
+    """Return the profile's k divided by the k with which the picture was merged.
 
-    Raises InputError for another calibration.
+    Raises InputError if the picture was merged with another calibration.
     """
     known, own = picture.attributes, calibration_mark(profile)
     if known.get("calibration", own["calibration"]) != own["calibration"]:
@@ -135,13 +141,13 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
             file,
             found,
             f"the calibration of {profile.camera.name}",
-            "merge it again with this profile",
+            "merge it again with this profile (fieldlum merge)",
         )
     try:
         return profile.scale.k / float(known.get("k", own["k"]))
     except (ValueError, ZeroDivisionError):
         raise InputError(
-            file, f"k is '{known['k']}'", "a number above 0", "merge it again"
+            file, f"k is '{known['k']}'", "a number above 0", "merge it again (fieldlum merge)"
         ) from None
 
 
@@ -166,13 +172,18 @@ def _refuse_clipped(
 
 
 def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path) -> float:
-    """Return the illuminance of a plane. Raises InputError if light in front of it is clipped."""
+    """Return the illuminance of a plane that faces a direction [lx].
+
+    Raises InputError if light in front of the plane is clipped.
+    """
     front = _inside(picture, azimuth_deg, altitude_deg, np.pi / 2)
     place = (
-        f"in front of {azimuth_deg:g}/{altitude_deg:g} deg (sun or lamp): an unknown part of "
-        f"the illuminance"
+        f"in front of {azimuth_deg:g}/{altitude_deg:g} deg, by the sun or a lamp, so that "
+        "part of the illuminance is unknown"
     )
-    _refuse_clipped(picture, front, file, place, "remove this line, or take shorter frames as well")
+    _refuse_clipped(
+        picture, front, file, place, "remove this line, or capture shorter exposures as well"
+    )
     return illuminance_lx(
         picture.luminance_cdm2, picture.heading_deg, altitude_deg, azimuth_deg, picture.sun
     )
@@ -181,9 +192,9 @@ def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: 
 def spot_cdm2(
     picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path | str = "picture"
 ) -> tuple[float, float]:
-    """Return the trimmed mean over the meter's field, at least a few pixels, and its relative u.
+    """Return the trimmed mean luminance over the meter's field, and its relative u.
 
-    Raises InputError for a place that is clipped or without light.
+    The field has at least a few pixels. Raises InputError for a place that is clipped or dark.
     """
     from scipy.stats import trim_mean
 
@@ -195,13 +206,19 @@ def spot_cdm2(
         np.radians(max(SPOT_DEG, 1.2 * 180.0 / len(picture.luminance_cdm2))),
     )
     _refuse_clipped(
-        picture, inside, file, place, "read a darker place, or take shorter frames as well"
+        picture, inside, file, place, "read a darker place, or capture shorter exposures as well"
     )
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
-        remedy = "check it: azimuth is clockwise from north, altitude up from the horizon"
-        raise InputError(file, f"no light {place}", "a direction that the picture shows", remedy)
+        remedy = "check azimuth (clockwise from north) and altitude (up from the horizon) "
+        "of this line"
+        raise InputError(
+            file,
+            f"the picture has no luminance {place}",
+            "a direction within the lens's field, with light",
+            remedy,
+        )
     spread = float(values.std() / values.mean() / np.sqrt(len(values)))
     return float(trim_mean(values, 0.1)), spread
 
@@ -209,16 +226,17 @@ def spot_cdm2(
 def fit(
     readings: list[LuminanceReading], meter_u: float = METER_U, source: Path | str = "scale"
 ) -> ScaleFit:
-    """Fit k by weighted least squares of ln(meter / image) with Huber weights.
+    """Fit k by weighted least squares of ln(meter / picture) with Huber weights.
 
-    u(k) includes the meter's own u. A second model with an offset (stray light) is tried on
-    held-out readings; it is reported, but never written into the profile. Raises
-    NotEnoughDataError without readings, InputError for readings that are not positive, or that
-    contradict each other too often.
+    u(k) includes the meter's own u. A second model with an offset (stray light) is compared on
+    held-out readings and reported, but never written into the profile. Raises NotEnoughDataError
+    without readings, InputError if a reading is not positive, or if too many readings contradict
+    each other.
     """
     if not readings:
         raise NotEnoughDataError(
-            "no readings; expected at least one spot or one vertical illuminance; add one"
+            "no readings; expected at least one spot luminance or one vertical illuminance; "
+            "add a line to the csv"
         )
     meter = np.array([r.meter for r in readings], float)
     image = np.array([r.image for r in readings], float)
@@ -238,15 +256,12 @@ def fit(
     u_log = np.sqrt(max(scatter, 1.0) / weight.sum())
     far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > FAR)
     if len(far) > MOST_FAR * len(log):
-        found = (
-            f"{len(far)} of {len(log)} readings differ much from any one factor: "
-            f"{', '.join(far[:4])}"
-        )
+        found = f"no single factor fits {len(far)} of {len(log)} readings: {', '.join(far[:4])}"
         remedy = (
-            "check azimuths (clockwise from north), one unit for all, steady light; then merge "
-            "again"
+            "check the azimuths (clockwise from north), that all readings have one unit, "
+            "and that the light was steady; correct the csv and run this again"
         )
-        raise InputError(source, found, "readings that agree", remedy)
+        raise InputError(source, found, "pictures and readings in one proportion", remedy)
     spots = np.array([r.kind == "spot" for r in readings])
     choice = _choice(meter, image, u, log, spots)
     residual = meter / (image * np.exp(centre)) - 1.0
@@ -254,7 +269,10 @@ def fit(
 
 
 def slips(readings: list[LuminanceReading], found: ScaleFit) -> list[str]:
-    """Return what may have been mistyped: readings that differ by a unit's factor or by tens."""
+    """Return a text on each outlier that looks like a typing error.
+
+    Its ratio is that of two units, or a power of ten.
+    """
     texts = []
     for reading in readings:
         if reading.label in found.far:
@@ -273,7 +291,7 @@ def _slip(ratio: float) -> str:
 
 
 def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
-    """Return a warning about k, or an empty text.
+    """Return a warning about k, or "" if k is plausible.
 
     Raises InputError for a k that is impossible with such a profile.
     """
@@ -288,8 +306,8 @@ def check_level(found: ScaleFit, profile: CameraProfile, path: Path) -> str:
     )
     if not 1 / MOST_FACTOR <= found.factor <= MOST_FACTOR:
         remedy += (
-            "; if a filter on the lens or white_dn is the reason, first write a k near it under "
-            "[scale]"
+            "; if a filter on the lens or white_dn causes this, first write a k near it "
+            "under [scale]"
         )
         raise InputError(
             path,
@@ -317,10 +335,12 @@ def _choice(
     log: NDArray[np.float64],
     spots: NDArray[np.bool_],
 ) -> OrderSelection:
-    """Choose one factor, or a factor and an offset, on spots held out one by one."""
+    """Choose between one factor, and a factor with an offset, on spots held out one at a time."""
     n = len(log)
     if n < 2:
-        return OrderSelection(0, "scale: one reading, one factor: no reading to hold out")
+        return OrderSelection(
+            0, "scale: one factor, not tested, because there is no second reading to hold out"
+        )
     plain = (
         np.array([log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in range(n)]) ** 2
     )

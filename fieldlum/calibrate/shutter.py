@@ -1,10 +1,11 @@
-"""The shutter's true times, from the exposure ratios of many merged brackets.
+"""Fit the true times of a shutter to the exposure ratios of many merged brackets.
 
-The sidecar of each merged bracket (panoramas/<slot>.json) has the remaining difference of
-neighbouring frames and their corrections: together, how much longer or shorter each frame was than
-assumed, relative to its neighbour. The value of one bracket also includes changes of the light; the
-median over many does not, and a line over the bracket's seconds removes a drift. Pictures determine
-only ratios: the profile's times, or the snapped ones, keep the level.
+The sidecar of each merged bracket (panoramas/<slot>.json) states how far neighbouring frames still
+differ, and the corrections that were applied. Their sum shows how much longer or shorter each frame
+was than assumed, relative to its neighbour. In one bracket the light also changes. The median over
+many brackets removes these changes, and a line over the seconds of each bracket removes a drift.
+Pictures determine only ratios: the mean level stays that of the profile's times, or of the snapped
+ones.
 """
 
 from __future__ import annotations
@@ -29,9 +30,11 @@ from fieldlum.session.files.merge_report import FrameQuality, NeighbourQuality
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.statistics import median_standard_error, robust_sigma
 
-LEAST = 5  # brackets that must have a pair of times; chosen so that a median is robust
-WIDEST = 0.02  # relative spread of a pair over brackets: beyond it light or shutter were unsteady
-_NOISY = 0.01  # relative u of one bracket's pair: less certain pairs are left out
+LEAST = 5  # least number of brackets with a pair of times; chosen so that a median is robust
+# largest relative spread of a pair over brackets; a larger one means unsteady light or shutter;
+# chosen
+WIDEST = 0.02
+_NOISY = 0.01  # relative u of one bracket's pair; less certain pairs do not count; chosen
 _FLOOR = 2e-4  # smallest relative u of a time; chosen, not measured
 _LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in photometry.ratios; not measured
 
@@ -40,10 +43,10 @@ Pair = tuple[float, float]  # nominal times of the longer and the shorter frame 
 
 @dataclass(frozen=True, slots=True)
 class ShutterReading:
-    """The ratio of two neighbouring frames of a bracket.
+    """The measured ratio of two neighbouring frames of a bracket.
 
     log_ratio : ln of true over assumed exposure of the shorter frame minus that of the longer;
-    u_log : its u; seconds : between the frames.
+    u_log : its u; seconds : time between the frames.
     """
 
     pair: Pair
@@ -54,7 +57,10 @@ class ShutterReading:
 
 @dataclass(frozen=True, slots=True)
 class FramePairTable:
-    """One pair of times over all brackets; median, spread beyond noise, and error are of ln."""
+    """One pair of times over all brackets.
+
+    median, spread and error are those of log_ratio; the spread is that beyond the noise.
+    """
 
     pair: Pair
     median: float
@@ -66,9 +72,10 @@ class FramePairTable:
 
 @dataclass(frozen=True, slots=True)
 class ShutterFit:
-    """Fitted times, which replace the profile's of the same nominal value.
+    """Fitted shutter times; each replaces the profile's time with the same nominal value.
 
-    assumed_s, brackets : assumed time, and count of brackets, of each time.
+    assumed_s : the time that the merge assumed before the fit, for each of `times`; brackets :
+    number of brackets that determine it; left_out : pairs that were not used, with the reason.
     """
 
     times: tuple[ShutterTime, ...]
@@ -87,14 +94,15 @@ def from_session(
 ) -> tuple[list[list[ShutterReading]], tuple[Path, ...]]:
     """Return the readings of every bracket that was merged with this profile, and their sidecars.
 
-    Raises NotEnoughDataError if there is none, InputError if another profile merged them.
+    Raises NotEnoughDataError if there is no such bracket, InputError if they were merged with
+    another profile.
     """
     brackets, files, others = [], [], 0
     for path in session.sidecar_files():
         try:
             sidecar = Sidecar.read(path)
         except InputError:
-            continue  # damaged, or not of a merge
+            continue  # damaged, or not written by a merge
         others += sidecar.profile_sha256 not in ("", profile_sha256)
         readings = readings_of(sidecar) if sidecar.profile_sha256 == profile_sha256 else []
         if readings:
@@ -106,11 +114,12 @@ def from_session(
             session.panoramas,
             found,
             "panoramas merged with the stated profile",
-            "merge again, or state the other profile",
+            "merge again (fieldlum merge), or name the other profile",
         )
     if not brackets:
         raise NotEnoughDataError(
-            f"{session.panoramas}: no merged bracket with overlapping frames; merge some first"
+            f"{session.panoramas}: no merged bracket with overlapping frames; run fieldlum "
+            "merge first"
         )
     return brackets, tuple(files)
 
@@ -128,7 +137,7 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
         raise InputError(
             sidecars[0].parent,
             f"brackets merged under several shutter laws: {', '.join(sorted(laws))}",
-            "one law",
+            "one law for all brackets",
             'write shutter_law = "exact" (or another) into the profile and merge again',
         )
     return replace(profile, shutter_law=laws.pop())
@@ -137,7 +146,7 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
 def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
     """Return the readings of one bracket.
 
-    Frames through a filter and pairs of two ISOs are left out: they have errors of their own.
+    Frames with a filter and pairs of two ISOs are omitted, because they have additional errors.
     """
     headings: list[list[FrameQuality]] = []
     for frame in sidecar.report.frames:
@@ -150,10 +159,10 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
             runs.append([])
         runs[-1].append(neighbour)
     if len(runs) != len(headings):
-        return []  # a heading has no overlap: its pairs cannot be assigned
+        return []  # a heading has no overlap, so pairs cannot be assigned to headings
     for frames, run in zip(headings, runs, strict=True):
         if max(max(n.long, n.short) for n in run) >= len(frames):
-            return []  # damaged: it lists frames that do not exist
+            return []  # damaged: the sidecar lists frames that do not exist
     readings = [
         _reading(frames[n.long], frames[n.short], n)
         for frames, run in zip(headings, runs, strict=True)
@@ -187,9 +196,9 @@ def _reading(
 def pool(
     brackets: Sequence[Sequence[ShutterReading]], drift: bool = True
 ) -> dict[Pair, FramePairTable]:
-    """Return every pair's median over brackets, after each bracket's own drift is removed.
+    """Return the median of each pair over the brackets, after removing the drift of each bracket.
 
-    drift : False returns the medians with the drift.
+    drift : with False the drift is not removed.
     """
     logs: dict[Pair, list[tuple[float, float, float]]] = defaultdict(list)
     first = pool(brackets, drift=False) if drift else {}
@@ -202,7 +211,7 @@ def pool(
 
 
 def _pair_table(pair: Pair, values: NDArray[np.float64]) -> FramePairTable:
-    """Return the table of a pair; values [brackets, 3] : log ratio, its u, seconds."""
+    """Return the summary of a pair; values [brackets, 3] : log ratio, its u, seconds."""
     n, median = len(values), float(np.median(values[:, 0]))
     apart = robust_sigma(values[:, 0])
     noise = float(np.median(values[:, 1]))
@@ -212,9 +221,9 @@ def _pair_table(pair: Pair, values: NDArray[np.float64]) -> FramePairTable:
 
 
 def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePairTable]) -> float:
-    """Return the relative change of the light for each second of one bracket, in 1/s.
+    """Return the relative change of the light in one bracket [1/s].
 
-    From the differences to the pooled pairs; 0 if these are too few.
+    It is fitted to the differences from the pooled pairs; 0 if these are too few.
     """
     rows = [(r.seconds, r.log_ratio - pooled[r.pair].median, r.u_log) for r in bracket if r.seconds]
     if len(rows) < 3:
@@ -225,9 +234,9 @@ def _drift_per_s(bracket: Sequence[ShutterReading], pooled: dict[Pair, FramePair
 
 
 def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
-    """Return the standard error of the brackets' common drift, in 1/s.
+    """Return the standard error of the drift that is common to all brackets [1/s].
 
-    A common drift cannot be distinguished from an error of the shutter.
+    The fit cannot separate a common drift from an error of the shutter.
     """
     pooled = pool(brackets, drift=False)
     rates = np.array([_drift_per_s(bracket, pooled) for bracket in brackets])
@@ -235,14 +244,20 @@ def _drift_error(brackets: Sequence[Sequence[ShutterReading]]) -> float:
 
 
 def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) -> ShutterFit:
-    """Fit the true times of the largest chain of settings in which enough brackets agree.
+    """Fit the true times of the largest set of connected pairs in which enough brackets agree.
 
     Raises NotEnoughDataError if brackets are too few or disagree, or if the fit is not better than
     the assumed times; InputError for a JPEG camera.
     """
     if profile.camera.kind != "raw":
-        found = "a JPEG camera: a response curve and exposure ratios cannot both be free"
-        raise InputError(profile.camera.name, found, "a raw camera", "keep its snapped times")
+        found = "a JPEG camera, for which response and shutter times cannot be fitted "
+        "together"
+        raise InputError(
+            profile.camera.name,
+            found,
+            "a raw camera",
+            "keep the times by the shutter law, and calibrate the response only",
+        )
     pooled = pool(brackets)
     left_out = [_why(t) for t in pooled.values() if t.brackets < LEAST or t.spread > WIDEST]
     chain = _largest_chain(
@@ -251,7 +266,8 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     if not chain:
         why = "; ".join(left_out) or "no pairs"
         raise NotEnoughDataError(
-            f"shutter: no two times agree over {LEAST} brackets or more: {why}; capture more"
+            f"shutter: no two times agree over {LEAST} brackets or more: {why}; capture more "
+            "brackets in steady light"
         )
     held = _held_out(brackets, {t.pair for t in chain})
     choice = choose(
@@ -260,7 +276,8 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     )
     if choice.index == 0:
         raise NotEnoughDataError(
-            f"no table is better than the times of the profile: {choice.line}; keep the profile"
+            f"no table is better than the times of the profile: {choice.line}; use the "
+            "profile as it is"
         )
     nominal = sorted({time for t in chain for time in t.pair}, reverse=True)
     assumed = [true_shutter_s(time, profile) for time in nominal]
@@ -286,12 +303,12 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
 def _why(table: FramePairTable) -> str:
     a, b = map(shutter_text, table.pair)
     if table.brackets < LEAST:
-        return f"{a} to {b} s: {table.brackets} of {LEAST} brackets"
+        return f"{a} to {b} s: only {table.brackets} of {LEAST} brackets"
     return f"{a} to {b} s: brackets differ by {100 * table.spread:.1f} %"
 
 
 def _largest_chain(tables: Sequence[FramePairTable]) -> list[FramePairTable]:
-    """Return the connected pairs with the most times."""
+    """Return the connected pairs that contain most times."""
     chains: list[list[FramePairTable]] = []
     for table in tables:
         touching = [c for c in chains if any(set(table.pair) & set(t.pair) for t in c)]
@@ -306,7 +323,8 @@ def _held_out(
 ) -> NDArray[np.float64]:
     """Return squared errors [2, n] of the ratios of held-out brackets.
 
-    With the assumed times, and with the table of the other brackets.
+    The first row has the errors of the assumed times, the second those of a fit to the other
+    brackets.
     """
     errors = []
     for out in folds(np.arange(len(brackets))):
@@ -323,7 +341,10 @@ def _levelled(
     u_prior: NDArray[np.float64],
     u_drift_per_s: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ln of true over assumed time, [n], and its u relative to the common level in k."""
+    """Return ln of true over assumed time [n], and its u.
+
+    The uncertainty is relative to the common level, which is part of k.
+    """
     design = np.zeros((len(chain), len(nominal)))
     for row, table in enumerate(chain):
         design[row, nominal.index(table.pair[0])] = -1.0
@@ -341,7 +362,10 @@ def _levelled(
 
 
 def with_times(profile: CameraProfile, found: ShutterFit) -> tuple[ShutterTime, ...]:
-    """Return the profile's table with the fitted times in place of the old ones, longest first."""
+    """Return the profile's table of times after replacing old ones by fitted ones.
+
+    The longest time comes first.
+    """
     kept = [
         s
         for s in profile.shutter

@@ -1,7 +1,7 @@
-"""Stray light of a lens: from readings of black traps in bright fields to a kernel of the angle.
+"""Fit the stray light of a lens, as a kernel of the angle, to readings of dark places.
 
 A black trap (a deep dark box with a small hole) has no light of its own: what a picture shows there
-is stray light. The same holds for any dark place of a dark room with one lamp. Readings with the
+is stray light. The same is true for any dark place in a dark room with one lamp. Readings with the
 trap or the lamp at many angles give the kernel of `photometry.stray_light` by least squares.
 """
 
@@ -34,18 +34,20 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
     (1.5, 6.0, 24.0, 96.0),
     (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
 )
-FEWEST_READINGS = 8  # twice the nodes of the smallest kernel; chosen, not measured
-TRAP_RADIUS_DEG = 0.5  # of the place that is averaged, unless the csv states another
-LEAST_U_REL = 0.1  # of the stray light: the interpolation on a grid of 3 degrees is no better
-MOST_SHARE = 0.3  # of a source's light; a lens with more is fogged, or the place was not black
+FEWEST_READINGS = 8  # twice the number of nodes of the smallest kernel; chosen, not measured
+TRAP_RADIUS_DEG = 0.5  # radius of the place that is averaged, unless the csv states another; chosen
+# of the stray light: interpolation on a grid of 3 degrees is not better; not measured
+LEAST_U_REL = 0.1
+# of a source's light; with more, the lens is fogged or the place was not black; chosen
+MOST_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class StrayReading:
-    """One dark place.
+    """The stray light at one dark place, and the light that may cause it.
 
-    stray_cdm2 : recorded minus true luminance; light_sr : of the lit pixels that the lens sees, the
-    angle from the place [n] rad, and luminance times solid angle [n].
+    stray_cdm2 : recorded minus true luminance; angle_rad [n] : angle of each lit pixel from the
+    place; flux [n] : its luminance times solid angle.
     """
 
     label: str
@@ -57,7 +59,7 @@ class StrayReading:
 
 @dataclass(frozen=True, slots=True)
 class StrayFit:
-    """The kernel; the predicted stray light of each reading, cd/m2; and why this size."""
+    """A fitted kernel, the predicted stray light of each reading [cd/m2], and the choice."""
 
     kernel: StrayLight
     predicted_cdm2: Array
@@ -66,11 +68,11 @@ class StrayFit:
 
 
 def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
-    """Read a csv: panorama, azimuth_deg, altitude_deg of dark places.
+    """Read a csv of dark places: panorama, azimuth_deg, altitude_deg.
 
-    luminance_cdm2 : the place's true luminance, 0 if the column is absent; radius_deg : of the
-    place. Azimuth is clockwise from north. Pictures hold one heading, merged without a stray-light
-    kernel. Raises InputError with the picture or the line at fault.
+    Optional columns: luminance_cdm2, the true luminance of the place (default 0), and radius_deg of
+    the place. Azimuth is clockwise from north. Pictures have one heading and were merged without a
+    stray-light kernel. Raises InputError with the picture or the line at fault.
     """
     rows = read_table(
         path, ("panorama", "azimuth_deg", "altitude_deg"), ("luminance_cdm2", "radius_deg")
@@ -115,8 +117,8 @@ def reading(
 ) -> StrayReading:
     """Return the stray light at azimuth and altitude `at_deg`, and the light that may cause it.
 
-    Only the field of the lens that sees the place best counts. Raises InputError for a place that
-    is clipped or that no lens sees.
+    Only the field of the lens whose axis is nearest to the place counts. Raises InputError for a
+    place that is clipped or that no lens sees.
     """
     height, width = picture.luminance_cdm2.shape
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
@@ -131,9 +133,9 @@ def reading(
     if (flags[inside] & (Flag.CLIPPED_HIGH | Flag.OUTSIDE_LENS)).any():
         raise InputError(
             file,
-            f"{label} is clipped or not seen",
-            "a dark place in the picture",
-            "check its line in the csv",
+            f"{label} is clipped, or outside the lens's field",
+            "a dark place that the picture shows",
+            "check azimuth_deg and altitude_deg of its line in the csv",
         )
     seen = _field_of_nearest_lens(rays, toward, profile, picture.heading_deg)
     use = seen & ~inside & (light > 0)
@@ -147,7 +149,10 @@ def reading(
     if stray <= 0:
         found = f"{label}: {light[inside].mean():.3g} cd/m2, not more than its true luminance"
         raise InputError(
-            file, found, "stray light above it", "remove its line from the csv of dark places"
+            file,
+            found,
+            "more light than that, due to stray light",
+            "remove its line from the csv of dark places",
         )
     return StrayReading(label, file, stray, away, flux)
 
@@ -155,25 +160,28 @@ def reading(
 def _field_of_nearest_lens(
     rays: Array, toward: Array, profile: CameraProfile, heading_deg: float
 ) -> NDArray[np.bool_]:
-    """Return which rays [n, 3] the lens sees whose axis is nearest to `toward` [3]."""
+    """Return a mask [n] of the rays [n, 3] that one lens sees.
+
+    It is the lens whose axis is nearest to the direction `toward` [3].
+    """
     axes = [direction(lens.tilt_deg, heading_deg + lens.azimuth_deg) for lens in profile.lens]
     nearest = int(np.argmax([axis @ toward for axis in axes]))
     return rays @ axes[nearest] >= np.cos(np.radians(profile.lens[nearest].full_angle_deg / 2))
 
 
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:
-    """Fit the kernel: K >= 0 and falling with the angle; its size by held-out readings.
+    """Fit a kernel K >= 0 that falls with the angle; held-out readings choose the number of nodes.
 
     Raises NotEnoughDataError for too few readings, InputError for a kernel that no lens has.
     """
     if len(readings) < FEWEST_READINGS:
         raise NotEnoughDataError(
-            f"{source}: {len(readings)} readings; at least {FEWEST_READINGS}, at different angles "
-            f"from the light, are needed"
+            f"{source}: {len(readings)} readings; expected at least {FEWEST_READINGS}; add "
+            "dark places at other angles from the light"
         )
     stray = np.array([r.stray_cdm2 for r in readings])
     groups = np.unique([str(r.picture) for r in readings], return_inverse=True)[1]
-    if groups.max() < 3:  # with fewer pictures each reading is held out by itself
+    if groups.max() < 3:  # with fewer pictures each reading is its own group
         groups = np.arange(len(readings))
     candidates = []
     for nodes in NODE_SETS:
@@ -191,9 +199,10 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     if share > MOST_SHARE:
         raise InputError(
             source,
-            f"{100 * share:.0f} % of the light would be stray light",
+            f"stray light of {100 * share:.0f} % of the light",
             f"at most {100 * MOST_SHARE:.0f} %",
-            "check that the places are black, and luminance_cdm2 of those that are not",
+            "check that places without luminance_cdm2 are black, and that the stated "
+            "luminance_cdm2 of the others is right",
         )
     u_rel = max(float(np.sqrt(candidates[choice.index].errors.mean())), LEAST_U_REL)
     kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))
@@ -201,7 +210,10 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
 
 
 def _design(readings: Sequence[StrayReading], nodes: tuple[float, ...]) -> Array:
-    """Return the stray light of each reading for a kernel of 1 at one node, [readings, nodes]."""
+    """Return the stray light of each reading for each node alone, [readings, nodes].
+
+    The kernel is then 1 at that node and 0 at the others.
+    """
     at, unit = np.asarray(nodes), np.eye(len(nodes))
     columns = [
         [float((kernel_per_sr(r.angle_rad, at, hat) * r.flux).sum()) for hat in unit]

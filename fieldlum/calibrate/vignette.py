@@ -1,4 +1,7 @@
-"""Vignetting: an even polynomial that falls towards the edge, of the smallest supported order."""
+"""Fit vignetting by an even polynomial that falls towards the edge.
+
+Its order is the smallest that the readings support.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +24,16 @@ from fieldlum.statistics import robust_sigma
 
 Array = NDArray[Any]
 ORDERS = (0, 2, 4, 6, 8)  # of the even polynomials that are tried
-BINS = 60  # rings of an evenly lit frame
-LEAST = 5  # readings
-# A reading that misses by more than both (sigma; relative), and is isolated among its neighbours,
-# is a gross error. Chosen, not measured.
+BINS = 60  # number of rings of an evenly lit frame; chosen
+LEAST = 5  # least number of readings; chosen
+# A reading is a gross error if it misses by more than both (sigma; relative) and its neighbours do
+# not. Chosen, not measured.
 FAR_SIGMA = 5.0
 FAR = 0.03
-NEIGHBOURS = 0.12  # of the half angle: distance of neighbouring readings
-SAME = 0.02  # of the half angle: distance of readings at one angle
-BEYOND = 1.02  # of the half angle: readings further out are an error
-RISING = 0.03  # a parabola that rises by more than this to the edge has the wrong sign
+NEIGHBOURS = 0.12  # of the half angle: distance within which readings are neighbours; chosen
+SAME = 0.02  # of the half angle: distance within which readings have one angle; chosen
+BEYOND = 1.02  # of the half angle: readings further out are errors; chosen
+RISING = 0.03  # a parabola that rises by more than this to the edge means a wrong sign; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +54,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class VignettingFit:
-    """A fitted curve, its uncertainty, and the residuals of the readings."""
+    """A fitted vignetting curve, its uncertainty, and the residuals of the readings."""
 
     coefficients: tuple[float, ...]  # powers of r, c_0 = 1
     level: float  # the value on the axis
@@ -65,10 +68,11 @@ class VignettingFit:
 
 
 def from_table(path: Path, profile: CameraProfile) -> Samples:
-    """Read a csv: angle_deg, value; or file, x_px, y_px of one patch seen at many angles.
+    """Read a csv with angle_deg and value, or with the places of one patch in many frames.
 
-    Optional: radius_px of the patch (12), reference (a meter's reading at that time, which removes
-    the drift of a lamp), u_rel, f_number. Raises InputError.
+    The second form has the columns file, x_px and y_px. Optional columns: radius_px of the patch
+    (default 12), reference (a meter's reading at that time, which corrects the drift of a lamp),
+    u_rel and f_number. Raises InputError for other columns or values.
     """
     if "angle_deg" in columns_of(path):
         rows = read_table(path, ("angle_deg", "value"), ("reference", "u_rel", "f_number"))
@@ -103,7 +107,7 @@ def _from_patches(path: Path, rows: Sequence[dict], profile: CameraProfile) -> S
         value.append(float(patch.rgb @ weights) / (row.get("reference") or 1.0))
         u.append(float(np.hypot(patch.u_rel, 0.002)))
         f_numbers.add(frame.exposure.f_number)
-    f_number = _one_aperture(path, f_numbers, "write one table for each")
+    f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
     files = tuple(row["file"] for row in rows)
     return Samples(np.array(r), np.array(value), np.array(u), f_number, lens, files)
 
@@ -115,7 +119,7 @@ def _one_aperture(path: Path, f_numbers: set[float], remedy: str) -> float:
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
-    """Read frames of an evenly lit field (a sphere, a diffuser): medians of BINS rings."""
+    """Read frames of an evenly lit field (a sphere, a diffuser) as the medians of BINS rings."""
     geometry, rings = profile.lens[lens].geometry, []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), set()
     for path in paths:
@@ -126,13 +130,13 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         r = angle_of_radius(geometry, radius) / geometry.half_angle_rad
         rings += _rings(r, frame.rgb @ weights, ~frame.bad & (radius < 0.99))
         f_numbers.add(frame.exposure.f_number)
-    f_number = _one_aperture(paths[0], f_numbers, "fit each separately")
+    f_number = _one_aperture(paths[0], f_numbers, "fit each aperture separately")
     if not rings:
         raise InputError(
             paths[0],
             "all pixels saturated or dark",
             "a frame exposed to the middle of its range",
-            "take another frame",
+            "take a frame with half the saturation in the middle",
         )
     table = np.array(rings)
     return Samples(table[:, 0], table[:, 1], table[:, 2], f_number, lens, tuple(paths))
@@ -161,7 +165,7 @@ def _design(r: Array, order: int) -> Array:
 
 
 def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
-    """Fit level * V(r) in even powers, with V' <= 0 up to the edge, by least squares."""
+    """Fit level * V(r) in even powers of r by least squares, with V' <= 0 up to the edge."""
     from scipy.optimize import LinearConstraint, minimize
 
     scale = float(np.median(value))
@@ -190,23 +194,24 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
 
 
 def fit(samples: Samples) -> VignettingFit:
-    """Fit the curve of the smallest supported order.
+    """Fit the curve of the smallest order that the readings support.
 
-    Raises NotEnoughDataError under five readings, InputError for a curve that rises to the edge.
+    Raises NotEnoughDataError for fewer than five readings, InputError for a curve that rises to the
+    edge.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     if len(r) < LEAST or r.max() < 0.5:
         raise NotEnoughDataError(
-            f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the "
-            f"half angle; expected at least {LEAST}, from the axis to the edge (angles in "
-            f"degrees); take more"
+            f"{samples.frames[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of "
+            f"the half angle; expected at least {LEAST}, from the axis to the edge; add "
+            "readings, and check that angles are in degrees"
         )
     if not (np.isfinite(value).all() and (value > 0).all()):
         raise InputError(
             samples.frames[0],
             "readings that are not positive",
             "linear values above zero",
-            "correct them",
+            "correct or remove these lines",
         )
     near = ~_slips(samples)
     left_out = ", ".join(f"one at {100 * a:.0f} % of the half angle" for a in r[~near])
@@ -229,16 +234,22 @@ def fit(samples: Samples) -> VignettingFit:
         choice = replace(choice, line=f"{choice.line}; {text}")
     wrong = check_vignetting(tuple(coefficients))
     if wrong:
-        raise InputError(samples.frames[0], wrong, "a loss towards the edge", "check the readings")
+        raise InputError(
+            samples.frames[0],
+            wrong,
+            "a loss towards the edge",
+            "check that the readings fall from the axis to the edge",
+        )
     u_rel = float(np.sqrt(candidates[choice.index].errors.mean()))
     return VignettingFit(tuple(coefficients), float(theta[0]), max(u_rel, 0.001), residual, choice)
 
 
 def _slips(samples: Samples) -> NDArray[np.bool_]:
-    """Return which readings contradict their neighbours (a shadow, a lamp that blinked), [n].
+    """Return a mask [n] of readings that contradict their neighbours.
 
-    A reading counts only if its neighbours are near the curve. At a steep rim several neighbouring
-    readings are far from it: these are all used.
+    A shadow or a blinking lamp causes such readings. A reading is compared only if its neighbours
+    are near the curve. At a steep rim several neighbouring readings are far from the curve: all of
+    them are used.
     """
     r, value, u = samples.r, samples.value, samples.u_rel
     order = 4 if len(r) < 12 else 6
@@ -253,7 +264,7 @@ def _slips(samples: Samples) -> NDArray[np.bool_]:
     for i in np.flatnonzero(slips):
         away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))
         same = off[away < SAME]
-        # Compare with readings at the same angle, or else with those on both sides.
+        # Compare with readings at the same angle, or else with readings on both sides.
         judged = same if len(same) else off[away < NEIGHBOURS]
         between = len(same) > 0 or r[i] < r.max()
         slips[i] = len(judged) > 0 and between and np.median(np.abs(judged)) < limit / 2
@@ -269,9 +280,9 @@ def _held_out(r: Array, value: Array, u: Array, groups: NDArray[np.integer], ord
 
 
 def _refuse_rising(samples: Samples) -> None:
-    """Raise InputError for values that rise: the correction in place of the loss.
+    """Raise InputError for values that rise, which are corrections and not losses.
 
-    This is a common error of sign; it would darken where it should brighten.
+    This sign error is common: the result would darken where it should brighten.
     """
     a = _design(samples.r, 2) / (samples.u_rel * samples.value)[:, None]
     theta, *_ = np.linalg.lstsq(a, 1.0 / samples.u_rel, rcond=None)
@@ -285,7 +296,7 @@ def _refuse_rising(samples: Samples) -> None:
 
 
 def with_curve(lens: Lens, f_number: float, found: VignettingFit) -> Lens:
-    """Return the lens with this aperture's curve in place of an older one."""
+    """Return the lens with this aperture's curve, which replaces an older one."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
     curve = Vignetting(
         f_number, tuple(round(c, 6) for c in found.coefficients), round(found.u_rel, 5)

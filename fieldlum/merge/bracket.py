@@ -28,10 +28,10 @@ from fieldlum.sun_disc import SunDisc
 
 @dataclass(frozen=True, slots=True)
 class MergeResult:
-    """The map of a bracket, a verdict of one line, and the figures behind it.
+    """A merged bracket: its map, a one-line verdict, and the figures that the verdict rests on.
 
-    view: Radiance's description of the projection, empty for a panorama. sun: centre of the sun's
-    disc, if it was looked for and found.
+    view: Radiance's description of the projection, empty for a panorama. sun: the measured centre
+    of the sun's disc; None if the disc was not searched for or is not visible.
     """
 
     panorama: Panorama
@@ -54,7 +54,11 @@ def merge_headings(
     heading_deg: float,
     progress: Progress = quiet,
 ) -> tuple[list[SensorImage], list[Findings]]:
-    """Merge the frames of each heading on the sensor; shots sorted, heading_deg of the target."""
+    """Merge the frames of each heading on the sensor.
+
+    shots: sorted by exposure, longest first. heading_deg: heading of the resulting picture. Return
+    one merged sensor and one set of findings for each heading.
+    """
     images, findings = [], []
     for heading, group in groupby(shots, key=lambda s: s.heading_deg):
         turn_deg = 0.0 if heading is None else heading - heading_deg
@@ -91,7 +95,7 @@ def merge_shots(
     panorama = finish(
         blend(views), profile, target, heading_deg=heading_deg, t_utc=middle_of(shots)
     )
-    assert panorama.flags is not None  # `finish` sets them
+    assert panorama.flags is not None  # `finish` always sets the flags
     report = report_of(findings, panorama.flags, target, profile)
     sun = None
     if sun_deg is not None and isinstance(target, Equirect):
@@ -108,9 +112,10 @@ def _measured_sun(
     panorama: Panorama,
     disc: SunDisc,
 ) -> MeasuredSun | None:
-    """Return the disc's centre by the sensor pixels, and when the frames that show it were taken.
+    """Return the disc's centre, measured on the sensor pixels, and the time of those frames.
 
-    These are the frames through a filter, else the least exposed one of each heading.
+    The centre comes from the frames taken through a filter. Without a filter it comes from the
+    least exposed frame of each heading.
     """
     views = []
     for image in images:

@@ -1,4 +1,4 @@
-"""contact-1.png and so on: every panorama of a session in false colour."""
+"""Write contact-1.png and so on: every panorama of a session in false colour."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _FONT_SCALE = 0.36
 
 
 def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
-    """Write all panoramas, log 1 to 10 000 cd/m2, with flagged pixels in grey."""
+    """Write the pages of all panoramas, coloured by log luminance from 1 to 10 000 cd/m2.
+
+    Flagged pixels are grey.
+    """
     import cv2
 
     zone = ZoneInfo(session.site_file().site.timezone)
@@ -32,7 +35,7 @@ def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
 
 
 def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDArray[np.uint8]:
-    """Return one page, [H, W, 3], blue first."""
+    """Return the picture of one page [H, W, 3], in blue, green, red."""
     width, height = _THUMB_PX
     rows = -(-len(sidecars) // _PER_ROW)
     sheet = np.full((rows * (height + 20) + 34, _PER_ROW * (width + 6), 3), 255, np.uint8)
@@ -55,7 +58,7 @@ def _write_text(sheet: NDArray[np.uint8], text: str, at: tuple[int, int]) -> Non
 
 
 def _draw_scale(sheet: NDArray[np.uint8], top: int) -> None:
-    """Draw the colours of 1 to 10 000 cd/m2 at the foot of a sheet [H, W, 3]."""
+    """Draw the colour scale from 1 to 10 000 cd/m2 at the foot of a page [H, W, 3]."""
     import cv2
 
     width = min(460, sheet.shape[1] - 100)
@@ -67,7 +70,7 @@ def _draw_scale(sheet: NDArray[np.uint8], top: int) -> None:
 
 
 def _thumbnail(path: Path) -> NDArray[np.uint8]:
-    """Return one panorama, [height, width, 3], blue first."""
+    """Return one panorama as a picture [height, width, 3], in blue, green, red."""
     import cv2
 
     panorama = read_panorama(path)

@@ -1,4 +1,7 @@
-"""Pixels of the sensor that are not used: those in the profile, and those with contradictions."""
+"""Find the sensor pixels to ignore.
+
+These are the profile's bad pixels, and pixels whose frames contradict each other.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,10 @@ from fieldlum.records import Flag
 def good_pixels(
     profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]
 ) -> NDArray[np.bool_] | None:
-    """Return False at the profile's bad pixels and, for a mosaic, at `odd_pixels`.
+    """Return a mask [height, width] of the crop that is False at pixels to ignore.
 
-    The mask has [height, width] of the crop; None if every pixel is good. flags: of the merge, in
-    the frames' shape.
+    These are the profile's bad pixels and, on a mosaic, the pixels of `odd_pixels`. Return None if
+    every pixel is good. flags: of the merge, in the frames' shape.
     """
     places = [(y - crop.top, x - crop.left) for x, y in profile.sensor.bad_px]
     inside = [(y, x) for y, x in places if 0 <= x < crop.width and 0 <= y < crop.height]
@@ -31,10 +34,11 @@ def good_pixels(
 
 
 def odd_pixels(flags: NDArray[np.uint8]) -> NDArray[np.intp]:
-    """Return row and column [n, 2] of pixels of a mosaic [h, w] that contradict themselves.
+    """Return row and column [n, 2] of mosaic pixels that contradict themselves.
 
-    Their frames disagree (MOTION) while those of all eight neighbours of their colour agree: stuck
-    pixels, and noise. What moves is larger.
+    At such a pixel the frames disagree (MOTION), but at all eight neighbours of the same colour
+    they agree. This happens at stuck pixels and through noise. A moving object covers more than one
+    pixel.
     """
     import cv2
 

@@ -1,8 +1,8 @@
-"""Remove the sun's disc from a merged panorama, where the ephemeris expects it and it shows.
+"""Remove the sun's disc from a merged panorama, if it is visible where the ephemeris expects it.
 
-With frames through a filter the disc's illuminance is measured. Without, every frame clips in it:
-then the removed light is a lower bound, its pixels keep CLIPPED_HIGH, and `pair` completes the
-source from the irradiance of that hour.
+If frames were taken through a filter, the disc's illuminance is measured. Otherwise every frame is
+clipped at the disc: the removed light is a lower bound and its pixels keep CLIPPED_HIGH. `pair`
+later computes the disc's illuminance from the irradiance of that hour.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ from fieldlum.sun import position
 from fieldlum.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
 _LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees
-# Relative errors of a disc one pixel wide, and of a point (bench/sun_on_mosaic.py).
+# Relative errors of the luminance of a disc one pixel wide, and of a point, on a mosaic
+# (bench/sun_on_mosaic.py).
 _ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5
-# Standard uncertainty of a disc's centre of energy on a mosaic, of a disc one pixel wide, sharp
-# optics: 0.08 px rms over the places where it may fall, falling with its width (150 draws each).
+# Standard uncertainty [px] of a disc's centre of energy on a mosaic, for a disc one pixel wide and
+# sharp optics: 0.08 px rms over positions on the mosaic (simulation, 150 draws for each width). It
+# decreases with the disc's width, but not below the second value.
 _CENTRE_PX, _LEAST_CENTRE_PX = 0.1, 0.02
-_CLIPPED_CENTRE = 0.05  # of a clipped spot's width: its halo is not quite round; not measured
-_BLUR_RAD = np.radians(0.5)  # of a lens; not measured
-_DISC_PART = 0.05  # of the brightest pixel's excess: dimmer pixels are sky; not measured
+# share of a clipped spot's width, because its halo is not exactly round; not measured
+_CLIPPED_CENTRE = 0.05
+_BLUR_RAD = np.radians(0.5)  # blur of a lens; not measured
+_DISC_PART = 0.05  # share of the brightest pixel's excess; dimmer pixels count as sky; not measured
 MEASURED = "nd-frames"
 OPEN = "merge"
 
@@ -43,11 +46,12 @@ def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:
 def take_out_disc(
     panorama: Panorama, altitude_deg: float, azimuth_deg: float
 ) -> tuple[Panorama, SunDisc | None]:
-    """Return the panorama with the disc's pixels at their surroundings (FILLED), and the disc.
+    """Return the panorama without the sun's disc, and the disc.
 
-    altitude_deg, azimuth_deg: the sun's apparent place. The panorama's `sun` gets the disc's
-    illuminance there. Its origin is nd-frames (measured through a filter), merge (no frame
-    clipped), or clipped (a lower bound). The panorama does not change where it shows no disc.
+    The disc's pixels get the luminance of their surroundings and the flag FILLED. altitude_deg,
+    azimuth_deg: the sun's apparent direction. The panorama's `sun` gets the disc's illuminance,
+    with one of three origins: nd-frames (measured through a filter), merge (no frame clipped) or
+    clipped (a lower bound). If the disc is not visible, return the panorama unchanged and None.
     """
     flags = (
         np.zeros(panorama.luminance_cdm2.shape, np.uint16)
@@ -83,9 +87,9 @@ def take_out_disc(
 
 
 def disc_px(lenses: Sequence[Lens]) -> float:
-    """Return the diameter of the disc on the sensor [px], mid-field.
+    """Return the diameter of the sun's disc on the sensor [px], as a mean over the field.
 
-    Of several lenses, use the one that shows the disc smallest.
+    With several lenses, this is the smallest diameter.
     """
     return min(
         2 * SUN_RADIUS_RAD * lens.radius_px / np.radians(lens.full_angle_deg / 2) for lens in lenses
@@ -93,12 +97,12 @@ def disc_px(lenses: Sequence[Lens]) -> float:
 
 
 def mosaic_u_rel(diameter_px: float) -> float:
-    """Return the relative u of a small disc's luminance that a mosaic causes.
+    """Return the relative u of a small disc's luminance that is due to the mosaic.
 
-    Each colour has some of the pixels only. The value is that of sharp optics, rms over the places
-    where the disc may be, accurate to a quarter for 0.7 to 16 pixels (the law is that of lattice
-    points in a circle; bench/sun_on_mosaic.py). It is an upper bound: where the optics spread a
-    point over two pixels, the error is a twentieth of it.
+    Each colour samples only some of the pixels. The value is an rms over positions of the disc, for
+    sharp optics, and is accurate to a quarter between 0.7 and 16 pixels (the law of lattice points
+    in a circle; bench/sun_on_mosaic.py). It is an upper bound: where the optics spread a point over
+    two pixels, the error is 20 times smaller.
     """
     return min(_POINT_ON_MOSAIC, _ON_MOSAIC * diameter_px**-1.5)
 
@@ -113,12 +117,12 @@ def sun_on_sensor(
     heading_deg: float,
     pixel_rad: float,
 ) -> tuple[float, float, float] | None:
-    """Return altitude, azimuth and standard uncertainty of the disc's centre [deg], on the sensor.
+    """Return altitude, azimuth and standard uncertainty [deg] of the disc's centre.
 
-    views: for each lens of each heading the merged luminance [h, w], what is clipped in it [h, w],
-    and the lens relative to the panorama's heading; the lens with the disc nearest to its axis
-    is used. pixel_rad: pixel of the panorama that the disc was found in. Return None if the sensor
-    does not show the disc.
+    The centre is measured on the sensor. views: for each lens of each heading its merged luminance
+    [h, w], its mask of clipped pixels [h, w], and its geometry relative to the panorama's heading.
+    The lens whose axis is nearest to the disc is used. pixel_rad: size of a pixel of the panorama
+    in which the disc was detected. Return None if the disc is not visible on the sensor.
     """
     towards = direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
     places = [lens_pixels(lens, towards) for _, _, lens in views]
@@ -151,7 +155,7 @@ def sun_on_sensor(
 def _disc_weight(
     light: NDArray[np.float32], clipped: NDArray[np.bool_] | None
 ) -> NDArray[np.float64]:
-    """Return each pixel's weight for the disc's centre: its excess, or 1 where the disc clips."""
+    """Return each pixel's weight for the disc's centre: its excess, or 1 if it is clipped."""
     if clipped is not None:
         return clipped.astype(float)
     excess = light - float(np.median(light))

@@ -1,11 +1,11 @@
-"""The estimator: inverse-variance weights from the predicted signal, frame by frame.
+"""Merge frames by weighting each one with the inverse of its predicted variance.
 
-Model of a frame: y = e L + noise, with e the counts per cd/m2 and var(y) known as a function of e
-L. The first pass, sum y / sum e, only predicts. The second has the weights e / var(predicted): it
-is unbiased and reaches the Cramer-Rao bound from far below the noise to just below saturation
-(Aguerrebere et al. 2014; bench/merge_estimator.py). Weights from the noisy value itself would give
-a bias of -15 % in the dark. Negative signals stay, because clipping them biases the dark. Sums are
-two float32 arrays.
+Model of a frame: y = e L + noise, with e the counts per cd/m2 and var(y) a known function of e L.
+The first pass computes sum y / sum e, which only serves to predict the signal. The second pass uses
+the weights e / var(predicted). Its result is unbiased and reaches the Cramer-Rao bound from far
+below the noise to just below saturation (Aguerrebere et al. 2014; bench/merge_estimator.py).
+Weights computed from the noisy value itself would bias dark pixels by -15 %. Negative signals are
+included, because clipping them would bias dark pixels too. The sums are two float32 arrays.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 
 from fieldlum.records import Flag, Progress, quiet
 
-_READABLE_SNR = 5.0  # a frame below it does not fill a pixel that the others lost; not measured
-_STRIP = 1 << 17  # elements processed at a time: they stay in a core's cache
+# a frame with a lower ratio does not fill pixels that other frames lost; not measured
+_READABLE_SNR = 5.0
+_STRIP = 1 << 17  # elements processed at a time, so that they fit in a core's cache; chosen
 
 Strip = NDArray[np.float32]
 
 
 class Signal(Protocol):
-    """One frame [rows, ...], linear and black-subtracted, read in strips along its first axis.
+    """One linear, black-subtracted frame [rows, ...], which is read in strips along its first axis.
 
-    Luminances are in cd/m2; what is called broadcastable fits the frame's array.
+    Luminances are in cd/m2. "Broadcastable" arrays can be broadcast to the frame's shape.
     """
 
     @property
@@ -40,35 +41,35 @@ class Signal(Protocol):
         ...
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return counts above black, and where they are saturated or near a saturated pixel.
+        """Return the counts above black, and a mask of saturated pixels and their neighbours.
 
         The mask is None if nothing is saturated.
         """
         ...
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """Return per_cdm2 / variance of the counts predicted from the luminance.
+        """Return per_cdm2 divided by the variance of the counts that the luminance predicts.
 
-        It is 0 where the prediction nears saturation.
+        The weight is 0 where the prediction is close to saturation.
         """
         ...
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return which counts are far enough from saturation to predict from."""
+        """Return a mask of counts that are far enough below saturation to predict a luminance."""
         ...
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return which counts are below saturation itself, and their variance."""
+        """Return a mask of counts below saturation, and the variance of the counts."""
         ...
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the luminance from which this frame's counts are unreadable, broadcastable."""
+        """Return the luminance at which this frame saturates [cd/m2], broadcastable."""
         ...
 
     def sampled(self, rows: int, columns: int) -> tuple["Signal", NDArray[np.bool_]]:
-        """Return about rows x columns evenly spread pixels, and which are near saturation.
+        """Return a signal of about rows x columns evenly spread pixels, and their mask.
 
-        The pixels are a signal themselves.
+        The mask is True for pixels at or next to saturation.
         """
         ...
 
@@ -121,7 +122,11 @@ def _predict(
 
 @dataclass(slots=True)
 class _Sums:
-    """Sums of w y, w e, (y - predicted)^2 / var, and w e of the frames without a filter."""
+    """Sums over the frames at each pixel, from which the merge computes value and variance.
+
+    value: sum of w y; information: of w e; chi2: of (y - predicted)^2 / var; unfiltered: of w e
+    over the frames without a filter.
+    """
 
     value: Strip
     information: Strip
@@ -176,15 +181,17 @@ def merge_signals(
     resident: bool = False,
     progress: Progress = quiet,
 ) -> Merged:
-    """Merge frames of one `shape`; `frames` load them and are called once per pass, in order.
+    """Merge frames of one `shape`.
 
-    resident: all frames are in memory, so loading them again costs nothing. Then each strip goes
-    through all passes and stays in a core's cache, with the same result.
+    frames: functions that load the frames, sorted by exposure, most exposed first, so that the
+    result does not depend on the order of files. Each function is called once per pass. resident:
+    all frames are in memory, so that loading again costs nothing; each strip then goes through all
+    passes while it is in a core's cache, with the same result. u_ratio: relative disagreement of
+    frames that does not count as motion.
 
-    Callers sort the frames, most exposed first, so that the order of files does not matter.
-    u_ratio: relative disagreement between frames that is not motion. A pixel that saturates in all
-    frames gets its lower bound and CLIPPED_HIGH. One that is only next to such a pixel gets the
-    value of the most exposed frame that is readable there, and BLOOM.
+    A pixel that is saturated in all frames gets a lower bound and the flag CLIPPED_HIGH. A pixel
+    that is only next to saturated ones gets the value of the most exposed frame that is readable
+    there, and the flag BLOOM.
     """
     if resident:
         return _merge_by_strips(frames, shape, passes, u_ratio, motion_sigma, progress)
@@ -209,7 +216,7 @@ def merge_signals(
 
 
 class _Rows:
-    """Some rows of a frame, as a frame that is read once."""
+    """A strip of rows of a frame; the frame is read only once."""
 
     def __init__(self, whole: Signal, first: int, last: int) -> None:
         self._whole, self._strip = whole, whole.strip(first, last)
@@ -261,7 +268,10 @@ def _settle(
     motion_sigma: float,
     last: bool,
 ) -> None:
-    """Compute the value from the sums of one strip, in the last pass also variance and flags."""
+    """Compute the merged values of one strip from its sums.
+
+    In the last pass also variance and flags.
+    """
     information = sums.information[at]
     seen = information > 0
     mean = np.divide(sums.value[at], information, out=np.full_like(information, np.inf), where=seen)
@@ -279,7 +289,7 @@ def _settle(
         flags[at][moved] |= np.uint8(Flag.MOTION)
         variance[at][moved] *= chi2[moved] / (
             frames - 1
-        )  # the mean is at least as uncertain as the frames disagree
+        )  # frames that disagree make the mean at least this uncertain
     if sums.unfiltered is not None:
         flags[at][seen & (sums.unfiltered[at] < 0.5 * information)] |= np.uint8(Flag.ND)
     value[at] = mean
@@ -288,7 +298,10 @@ def _settle(
 def _fill_lost(
     frames: Sequence[Callable[[], Signal]], value: Strip, variance: Strip, flags: NDArray[np.uint8]
 ) -> None:
-    """Fill pixels without any frame: the most exposed readable frame's value, or a lower bound."""
+    """Fill the pixels that no frame could measure.
+
+    They get the value of the most exposed readable frame, else a lower bound.
+    """
     lost = ~np.isfinite(value)
     strips = [(a, b) for a, b in _strips(value.shape) if lost[a:b].any()]
     bound = np.zeros(value.shape, np.float32) if strips else value

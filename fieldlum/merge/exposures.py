@@ -1,4 +1,4 @@
-"""Exposures of one bracket: the shutter's law, the fitted corrections, and their uncertainty."""
+"""Determine the exposures of a bracket: shutter law, fitted corrections, uncertainty."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ from fieldlum.photometry import PairRatio, RatioFit, ShutterLaw, fit_ratios, law
 from fieldlum.profiles import CameraProfile
 from fieldlum.session.files.merge_report import NeighbourQuality
 
-# A relative difference of frames below this is never taken for motion. It equals the prior of a
-# mechanical shutter time (photometry/ratios.py, PRIOR_LONG).
+# Smaller relative differences between frames never count as motion. The value equals the prior
+# uncertainty of a mechanical shutter time (photometry/ratios.py, PRIOR_LONG).
 _LEAST_TOLERANCE = 0.003
-_TOLERANCE_SIGMA = 3.0  # standard deviations of the typical disagreement of frames
-# A deviation of an exposure is reported if it exceeds both, relative and in prior u.
+_TOLERANCE_SIGMA = 3.0  # standard deviations of the frames' typical disagreement; chosen
+# The verdict reports an exposure's deviation if it exceeds both: 2 %, and three times its prior u.
+# Chosen.
 _REPORTED_DEVIATION, _REPORTED_SIGMA = 0.02, 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SampledFrames:
-    """The same pixels of every frame, and the exposure ratios that pairs of frames show."""
+    """The same pixels of every frame, and the measured exposure ratios of pairs of frames."""
 
     samples: list[Sample]
     pairs: list[PairRatio]
@@ -44,35 +45,39 @@ class SampledFrames:
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """Fitted exposures compared with the profile's: ln ratio, prior uncertainty, [frames]."""
+    """Deviations of the fitted exposures from the profile's.
+
+    log_ratio: ln of fitted over nominal, [frames]. u_prior: its prior uncertainty, [frames].
+    """
 
     log_ratio: NDArray[np.float64]
     u_prior: NDArray[np.float64]
 
     @property
     def span_percent(self) -> float:
-        """Range of the fitted exposures over the profile's [%]."""
+        """Range of the ratios of fitted to nominal exposures [%]."""
         return float(100 * np.ptp(self.log_ratio))
 
     @property
     def beyond_prior(self) -> bool:
-        """Whether an exposure differs by more than its prior uncertainty explains."""
+        """Whether an exposure deviates by more than its prior uncertainty explains."""
         limit = np.maximum(_REPORTED_DEVIATION, _REPORTED_SIGMA * self.u_prior)
         return bool((np.abs(self.log_ratio) > limit).any())
 
     @property
     def text(self) -> str:
-        """The range in percent, for the verdict."""
+        """Range of the deviations in percent, as text for the verdict."""
         low, high = 100 * np.expm1(self.log_ratio.min()), 100 * np.expm1(self.log_ratio.max())
         return f"{low:+.1f} to {high:+.1f}"
 
 
 @dataclass(frozen=True, slots=True)
 class ExposureTrust:
-    """Uncertainty of the exposures.
+    """Uncertainty of a bracket's exposures.
 
-    u_rel: relative uncertainty of a typical frame; u_curve: that of a merged value over its
-    luminance; tolerance: relative difference of two frames that is not motion.
+    neighbours: disagreement of frames that are neighbours in exposure. u_rel: relative uncertainty
+    of a typical frame. u_curve: relative uncertainty of a merged value over its luminance.
+    tolerance: relative difference of two frames that does not count as motion.
     """
 
     neighbours: tuple[NeighbourQuality, ...]
@@ -83,7 +88,10 @@ class ExposureTrust:
 
 
 def sample_frames(store: FrameStore) -> SampledFrames:
-    """Return some pixels of every frame, and the ratios of all pairs that share bright pixels."""
+    """Return sampled pixels of every frame, and the measured exposure ratios of all pairs.
+
+    Only pairs with bright common pixels have a ratio.
+    """
     samples = take_samples(store)
     return SampledFrames(samples, bracket_pairs(samples))
 
@@ -95,10 +103,10 @@ def decide_shutter_law(
     shots: Sequence[Shot],
     profile: CameraProfile,
 ) -> tuple[SampledFrames, ShutterLaw]:
-    """Return the law that the frames decide, if only their labels were known before.
+    """Return the shutter law that fits the frames better, if the profile leaves the choice open.
 
-    profile: with the law that the frames were read with. If the law changes, the frames of `store`
-    get the exposures of the new law and are sampled again.
+    The profile has the law that the frames were read with. If another law fits better, the frames
+    of `store` get its exposures and are sampled again.
     """
     if law.decided_by != "labels":
         return sampled, law
@@ -129,11 +137,11 @@ def trust_in(
     profile: CameraProfile,
     fits: bool,
 ) -> ExposureTrust:
-    """Return the uncertainty of the exposures from the frames' disagreement.
+    """Return the uncertainty of the exposures, estimated from the frames' disagreement.
 
-    Disagreement that neither the shutter nor the response explains widens the uncertainty: the
-    light changed, or the profile is wrong. Exposures that were not fitted are compared with a fit
-    for this purpose only. prior : covariance of the log exposures, [frames, frames].
+    Disagreement beyond the tolerances of shutter and response increases the uncertainty: the light
+    changed, or the profile is wrong. If the exposures were not fitted, they are compared with a fit
+    that serves only this purpose. prior : covariance of the log exposures, [frames, frames].
     """
     residuals = neighbours(sampled.pairs, fit.correction)
     u_typical = float(np.median(fit.u_log))
@@ -155,6 +163,7 @@ def trust_in(
         deviations,
         float(np.hypot(u_typical, u_extra)),
         ratio_curve(sampled.samples, fit.covariance, u_extra),
-        # An error of a JPEG's response looks like a difference between frames, not like motion.
+        # The tolerance includes the error of a JPEG's response, because that error makes frames
+        # differ without any motion.
         max(_LEAST_TOLERANCE, _TOLERANCE_SIGMA * disagreement, u_response),
     )

@@ -1,4 +1,4 @@
-"""Memory for the frames of one bracket as linear signals, within a budget."""
+"""Hold the frames of one bracket in memory as linear signals, up to a given number of bytes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.jpeg_signal import JpegSignal
 from fieldlum.merge.shift import Small
 
-# 18 JPEG frames of a fisheye's 13 megapixels, or 16 raw ones of 24: with the sums about 1.5 GB.
+# Enough for 18 JPEG frames of a 13-megapixel fisheye, or for 16 raw frames of 24 megapixels.
+# Together with the sums this takes about 1.5 GB. Chosen; other frames are read again in each pass.
 FRAMES_BYTES = 800_000_000
 
 
 class FrameStore:
-    """Loads frames on demand and stores them while they fit in `budget_bytes`.
+    """Frames of a bracket, loaded on demand and stored while they fit in `budget_bytes`.
 
-    The other frames are read again in each pass.
+    Frames that do not fit are read again in each pass.
     """
 
     def __init__(
@@ -40,17 +41,23 @@ class FrameStore:
         return len(self._kept) == len(self)
 
     def correct(self, factors: NDArray[np.floating]) -> None:
-        """Multiply the frames' assumed exposures by factors [frames], now and for later reads."""
+        """Multiply the assumed exposures by factors [frames].
+
+        This applies to stored frames and to later reads.
+        """
         self._scale = self._scale * factors
         self._kept = {i: _scaled(signal, float(factors[i])) for i, signal in self._kept.items()}
 
     def noisier(self, shot: float, read: float) -> None:
-        """Multiply the variances of raw frames' shot and read noise, also for all later reads."""
+        """Multiply the variances of raw frames' shot and read noise.
+
+        This applies to stored frames and to later reads.
+        """
         self._noise = shot, read
         self._kept = {i: _with_noise(signal, shot, read) for i, signal in self._kept.items()}
 
     def small(self, number: int) -> Small:
-        """Return a frame reduced to a size that shows a turn of the camera."""
+        """Return a frame at a reduced size that still shows a turn of the camera."""
         signal = self[number]
         assert isinstance(signal, RawSignal | JpegSignal)
         return signal.small()

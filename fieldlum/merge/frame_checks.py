@@ -1,4 +1,4 @@
-"""What frames show about sensor and camera before they are merged: saturation, black, roll."""
+"""Check saturation, black level and camera roll of the frames before the merge."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from fieldlum.raw import channel_positions, read_mosaic, roll_deg_of
 
 Plateau = tuple[float | None, float | None, float | None, float | None]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)
-_LOOKED_AT = 6_000_000  # pixels; bounds the time
-# Differences of EXIF's roll that count as turned, and as level. Not measured.
+_LOOKED_AT = 6_000_000  # pixels that are examined, to limit the time; chosen
+# A frame whose EXIF roll differs from the profile's by more than the first value counts as turned;
+# a lens within the second value of the horizon counts as level. Not measured.
 _HELD_DEG, _LEVEL_DEG = 60.0, 45.0
 
 
 @dataclass(frozen=True, slots=True)
 class FirstLook:
-    """Result of the first look at the frames.
+    """What the most exposed frames show about saturation and black.
 
-    plateau_dn: the counts at which each colour saturates, by ISO; black_off_dn: the file's black
-    level minus the profile's, largest over the colours.
+    plateau_dn: for each ISO, the counts at which each colour saturates. black_off_dn: black level
+    of the files minus that of the profile, for the colour with the largest difference.
     """
 
     plateau_dn: dict[float, Plateau]
@@ -35,11 +36,11 @@ class FirstLook:
 
 
 def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
-    """Find saturation and black level in the most exposed frame of each ISO.
+    """Measure saturation and black level in the most exposed frame of each ISO.
 
-    shots: of one heading, sorted. JPEG frames give no result. A colour can saturate below the
-    others, and at another count for each ISO: at a low one the full well limits, at a high one the
-    converter.
+    shots: of one heading, sorted. JPEG frames give no result. One colour can saturate at lower
+    counts than the others. The counts depend on the ISO: at a low ISO the full well limits, at a
+    high ISO the converter.
     """
     if profile.camera.kind == "jpeg":
         return FirstLook({})
@@ -67,24 +68,25 @@ def first_look(shots: Sequence[Shot], profile: CameraProfile) -> FirstLook:
 
 
 def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
-    """Return how the frames' EXIF contradicts the profile's roll, or "".
+    """Return how the frames' EXIF contradicts the profile's roll; "" if it does not.
 
-    The map of a camera on its side is itself rotated, and no figure shows that.
+    A camera held on its side gives a rotated map, and no other figure of the merge shows that.
     """
     lens = profile.lens[0]
-    # Dual-fisheye bodies have no upright position, and EXIF roll is unreliable when the camera
-    # points up.
+    # Cameras with two fisheyes have no upright position, and the EXIF roll is unreliable when the
+    # camera points up.
     if len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG:
         return ""
     told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(told) > 1:
-        return f"the camera was turned within the bracket, by its EXIF: roll {_degrees(told)}"
+        return "the camera was turned within the bracket: its EXIF has the roll angles "
+        f"{_degrees(told)}; capture the bracket again with a fixed camera"
     off = float(signed_angle_deg(told.pop() - lens.roll_deg)) if told else 0.0
     if abs(off) <= _HELD_DEG:
         return ""
     return (
-        f"by its EXIF the camera was held {abs(off):.0f} deg off the profile's roll of "
-        f"{lens.roll_deg:g}"
+        f"the camera was held {abs(off):.0f} deg off the profile's roll of {lens.roll_deg:g} "
+        "deg, by its EXIF: hold it as in the calibration, or correct roll_deg of the profile"
     )
 
 

@@ -1,4 +1,4 @@
-"""Raw frames as linear signals, and what raw and JPEG frames have in common."""
+"""Read raw frames as linear signals; provide what raw and JPEG frames have in common."""
 
 from __future__ import annotations
 
@@ -26,14 +26,19 @@ from fieldlum.photometry import linearity_factor
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import channel_positions, read_mosaic
 
-_GATE = 0.97  # of the saturation, for predictions; noise is added to it; chosen
+# of the saturation: brighter pixels do not predict; noise is added to the limit; chosen
+_GATE = 0.97
 _FULL = 0.99  # of the saturation: a count above it is treated as saturated; chosen
-_SMALL_SNR = 8.0  # of a pixel of a frame that is searched for edges; not measured
+# least signal-to-noise ratio of a pixel of a frame that is searched for edges; not measured
+_SMALL_SNR = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """The part of the sensor that any lens reaches, in even numbers for the mosaic."""
+    """The part of the sensor that any lens illuminates.
+
+    All four numbers are even, to fit the mosaic.
+    """
 
     top: int
     left: int
@@ -42,7 +47,10 @@ class Crop:
 
 
 def lens_crop(profile: CameraProfile) -> Crop:
-    """Return the crop. Raises InputError if a lens's circle misses the sensor."""
+    """Return the part of the sensor that the lenses illuminate.
+
+    Raises InputError if a lens's circle is outside the sensor.
+    """
     body = profile.camera
     top, left, bottom, right = body.height_px, body.width_px, 0, 0
     for lens in profile.lens:
@@ -59,7 +67,7 @@ def lens_crop(profile: CameraProfile) -> Crop:
             body.name,
             "a lens circle outside the sensor",
             "centre_px on the sensor",
-            "correct [[lens]]",
+            "correct centre_px and radius of [[lens]] in the profile",
         )
     return Crop(top, left, bottom - top, right - left)
 
@@ -70,9 +78,9 @@ def lens_crop(profile: CameraProfile) -> Crop:
 
 @dataclass(frozen=True)
 class RawSignal:
-    """A cropped mosaic as [rows / 2, 2, columns].
+    """A cropped raw frame, shaped [rows / 2, 2, columns] so that each axis-1 row has two colours.
 
-    Constants of the four colours are [2, columns] or scalars.
+    Values that differ between the four colours are arrays [2, columns]; equal values are scalars.
     """
 
     counts: NDArray[np.uint16]
@@ -83,7 +91,8 @@ class RawSignal:
     noise_dn2: float  # read noise and quantisation
     through_nd: bool = False
     linearity: tuple[float, ...] = ()  # of the profile's sensor
-    scale_dn: float = 65535.0  # full scale above black; `linearity` is over shares of it
+    # full scale above black; the unit of the shares that `linearity` corrects
+    scale_dn: float = 65535.0
 
     def _linear(self, above: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.linearity:
@@ -92,7 +101,7 @@ class RawSignal:
 
     @cached_property
     def limit(self) -> NDArray[np.float32]:
-        """Limit of predictions, which may have saturated above it: 97 % of full, or four sigma."""
+        """Count up to which pixels may predict: 97 % of full, or four sigma of noise below full."""
         sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
         limit = np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma)
         return self._linear(limit.astype(np.float32))
@@ -110,7 +119,7 @@ class RawSignal:
         return float(np.min(_FULL * self.saturation + self.black))
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return counts above black of some rows [rows, ...], and the mask of `Signal.strip`."""
+        """Return counts above black of some rows [rows, ...], and a mask as `Signal.strip` does."""
         part = self.counts[first:last]
         above = part.astype(np.float32)
         above -= self.black
@@ -123,9 +132,9 @@ class RawSignal:
         return above, self._near_full(first, last)
 
     def _near_full(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Return which counts are saturated, or within two pixels of a saturated one.
+        """Return a mask of counts that are saturated, or within two pixels of a saturated one.
 
-        Charge spills over, and the other colours there are affected too.
+        Charge spills to neighbouring pixels and affects the other colours too.
         """
         import cv2
 
@@ -136,7 +145,7 @@ class RawSignal:
         return wide[first - a : last - a].view(np.bool_)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """Return per_cdm2 over the photon and read variance, [rows, ...] as predicted_cdm2."""
+        """Return per_cdm2 over photon plus read variance, [rows, ...] as predicted_cdm2."""
         w = predicted_cdm2 * self._per_gain
         w += np.float32(self.noise_dn2)
         np.divide(self.per_cdm2, w, out=w)
@@ -144,22 +153,22 @@ class RawSignal:
         return w
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return which counts [rows, ...] are below the limit of prediction."""
+        """Return a mask of counts [rows, ...] below the limit of prediction."""
         return counts < self.limit
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return which counts [rows, ...] are below saturation, and their variance in counts²."""
+        """Return a mask of counts [rows, ...] below saturation, and the counts' variance [DN2]."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
         )
         return counts < self.limit, variance.astype(np.float32)
 
     def largest_cdm2(self) -> NDArray[np.float32]:
-        """Return the luminance of a saturated count, broadcastable to the mosaic, in cd/m2."""
+        """Return the luminance at which the frame saturates [cd/m2], broadcastable."""
         return self._limit_cdm2
 
     def small(self) -> Small:
-        """Return the picture of all four colours together, for its edges."""
+        """Return a reduced picture, the sum of all four colours, to detect turns by its edges."""
         counts = self.counts.reshape(-1, self.counts.shape[-1])
         above = counts.astype(np.float32)
         above -= np.float32(self.black.mean())
@@ -172,7 +181,7 @@ class RawSignal:
         at = evenly_spread(len(self.counts), rows)
         step = (
             max(1, self.counts.shape[-1] // columns) | 1
-        )  # odd, so that both columns of the mosaic are sampled
+        )  # an odd step samples both columns of the mosaic
         full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])[:, :, ::step]
         constants = (
             c[..., ::step] if c.ndim else c for c in (self.black, self.saturation, self.per_cdm2)
@@ -184,26 +193,32 @@ class RawSignal:
 
 
 def evenly_spread(length: int, wanted: int) -> NDArray[np.intp]:
-    """Return at most `wanted` places, evenly spread over `length`, [n]."""
+    """Return at most `wanted` indices [n], spread evenly over 0 to `length`."""
     return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
 
 
 def over_mosaic(
     mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Apply a change of [h, w] masks to a mask of raw frames' shape, [h / 2, 2, w]."""
+    """Apply a function of [h, w] masks to a mask in the shape of raw frames, [h / 2, 2, w]."""
     return change(np.ascontiguousarray(mask.reshape(-1, mask.shape[-1]))).reshape(mask.shape)
 
 
 def over_colours(
     mask: NDArray[np.bool_], change: Callable[..., NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Apply a change of [h, w] masks to a mask of JPEG frames, [h, w, 3], for all colours alike."""
+    """Apply a function of [h, w] masks to a mask of JPEG frames [h, w, 3].
+
+    All three colours get the same result.
+    """
     return np.repeat(change(mask.any(axis=2))[:, :, None], 3, axis=2)
 
 
 def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[np.float32]:
-    """Return values of R, G1, G2, B on the mosaic, [2, width]; a scalar if all are equal."""
+    """Return the values of R, G1, G2 and B arranged on the mosaic, [2, width].
+
+    A scalar if all are equal.
+    """
     if len(set(by_colour)) == 1:
         return np.asarray(by_colour[0], np.float32)
     cell = np.empty((2, 2), np.float32)
@@ -213,9 +228,10 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> NDArray[n
 
 
 def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -> RawSignal:
-    """Read a raw frame. plateau: saturation of R, G1, G2, B as found in the frames.
+    """Read a raw frame.
 
-    Raises InputError for a frame of another camera.
+    plateau: counts at which R, G1, G2 and B saturate, measured in the frames. Raises InputError for
+    a frame of another camera.
     """
     mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
     sensor, body = profile.sensor, profile.camera

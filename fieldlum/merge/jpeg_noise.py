@@ -1,11 +1,12 @@
-"""Noise of JPEG frames over areas as large as a map's pixel, as the bracket itself shows it.
+"""Measure the noise of JPEG frames over areas as large as a map's pixel, from the bracket itself.
 
-Noise of raw pixels is independent, so a mean over n of them is sqrt(n) times quieter. Noise of a
-JPEG is not: quantised cosines and values rounded twice have correlated errors over blocks, more so
-in coarse files and flat pictures, and edges spread their errors over the block. No single number of
-codes describes that. But each frame of a bracket is compressed separately. So the noise is the
-scatter of cell means of neighbouring frames, beyond what depends on the level alone (response and
-exposure, which are separate parts of the budget; GUM, type A).
+The noise of raw pixels is independent, so that a mean over n pixels has sqrt(n) times less noise.
+The noise of JPEG pixels is not independent: quantised cosines and repeated rounding correlate
+errors over blocks, more strongly in small files and uniform pictures, and edges spread errors over
+their block. No single number describes this. But each frame of a bracket is compressed separately.
+Therefore the noise is estimated from the scatter of cell means between neighbouring frames, after
+removing what depends only on the level (response and exposure, which are other parts of the budget;
+GUM, type A).
 """
 
 from __future__ import annotations
@@ -24,21 +25,22 @@ from fieldlum.projection.grids import Target
 from fieldlum.records import Flag
 from fieldlum.statistics import MAD_TO_SIGMA
 
-_BANDS = 64  # rows of cells that are evaluated: enough for a smooth field; chosen
-# Cells for one step of the curve over the level, and most steps. Not measured.
+_BANDS = 64  # rows of cells that are evaluated, enough for a smooth field; chosen
+# Cells in one step of the curve over the level, and largest number of steps. Not measured.
 _IN_A_STEP, _MOST_STEPS = 40, 24
-_FAR = 4.0  # robust sigmas beyond which a cell is excluded: something moved
-_REACH_CELLS = 1.5  # sigma of the neighbourhood of a place [cells]; not measured
-_PRIOR_CELLS = 2.0  # weight of the mean over the picture, as a number of cells; not measured
+_FAR = 4.0  # robust sigmas beyond which a cell is excluded, because something moved there; chosen
+_REACH_CELLS = 1.5  # sigma of the neighbourhood over which noise is averaged [cells]; not measured
+_PRIOR_CELLS = 2.0  # weight of the picture's mean, as a number of cells; not measured
 _UNSURE = int(Flag.CLIPPED_HIGH | Flag.BLOOM)
 
 
 @dataclass(frozen=True, slots=True)
 class _Bands:
-    """Bands of rows of a frame at equal distances.
+    """Some bands of rows of a frame, at equal distances.
 
-    light, variance: luminance and its variance, if noise of pixels were independent [bands, edge,
-    columns, 3]; good: in all colours [bands, edge, columns].
+    light: luminance [bands, edge, columns, 3]. variance: its variance if pixel noise were
+    independent, same shape. good: True for pixels that are good in all colours, [bands, edge,
+    columns].
     """
 
     light: Strip
@@ -47,17 +49,17 @@ class _Bands:
 
 
 def footprint_px(lens: LensGeometry, target: Target) -> float:
-    """Return the edge of a target pixel on the sensor [px], in the middle of the lens's field."""
+    """Return how many sensor pixels one target pixel is wide, as a mean over the field."""
     return max(1.0, lens.radius_px / lens.half_angle_rad * target.pixel_rad)
 
 
 def with_seen_noise(
     merged: Merged, store: FrameStore, y_from_rgb: Sequence[float], edge_px: float
 ) -> Merged:
-    """Return merged JPEG frames with variances that give means over cells their measured noise.
+    """Return merged JPEG frames whose variances give the measured noise of means over cells.
 
-    edge_px: edge of a cell [px]. Pixels with the flag MOTION keep their variance, which includes
-    the frames' disagreement already.
+    edge_px: edge of a cell [px]. Pixels with the flag MOTION keep their variance, because it
+    already includes the frames' disagreement.
     """
     height, width = merged.value_cdm2.shape[:2]
     edge = int(np.clip(round(edge_px), 1, min(height, width)))
@@ -77,7 +79,7 @@ def with_seen_noise(
     variance = merged.variance.copy()
     for band, scale in enumerate(
         ratio[:, column, None]
-    ):  # band by band: arrays of factors for the complete picture need too much memory
+    ):  # band by band, because factors for all pixels at once need too much memory
         at = slice(
             band * edge * stride, height if band == len(ratio) - 1 else (band + 1) * edge * stride
         )
@@ -97,7 +99,10 @@ def _bands_of(signal: Signal, merged: Merged, edge: int, stride: int) -> _Bands:
 def _band(
     signal: Signal, merged: Merged, first: int, edge: int, width: int
 ) -> tuple[Strip, Strip, NDArray[np.bool_]]:
-    """Return luminance and variance [edge, width, 3], and which pixels are good in all colours."""
+    """Return luminance and variance [edge, width, 3] of a band, and its mask of good pixels.
+
+    Good pixels are good in all colours.
+    """
     at = slice(first, first + edge)
     counts, full = signal.strip(first, first + edge)
     w = signal.weight(merged.value_cdm2[at])
@@ -110,9 +115,10 @@ def _band(
 
 
 def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return squared differences of two frames' cell luminances over the u of independent pixels.
+    """Return how far two frames' cell luminances differ, squared, over the variance expected.
 
-    The result is [bands, cells]; NaN where less than half of a cell is good in both frames.
+    The expected variance assumes independent noise. The result is [bands, cells]; NaN where less
+    than half of a cell is good in both frames.
     """
     both = long.good & short.good
     pixels = _cell_sums(both)
@@ -126,7 +132,7 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
     )
     a, b, u2_a, u2_b = (
         np.maximum(v, 1e-12) for v in sums
-    )  # black in one colour: no light, and no division by zero
+    )  # a pixel that is black in one colour has no light there: avoid a division by zero
     apart = np.log(b / a)
     apart -= np.stack([_by_level(np.log(a[:, c]), apart[:, c]) for c in range(3)], axis=1)
     share = y_from_rgb * a
@@ -138,18 +144,18 @@ def _pulls2(long: _Bands, short: _Bands, y_from_rgb: NDArray[np.float64]) -> NDA
 
 
 def _cell_sums(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return sums over cells: [bands, edge, columns, ..] to [bands, columns / edge, ..]."""
+    """Return sums over cells: [bands, edge, columns, ...] becomes [bands, columns / edge, ...]."""
     bands, edge, columns = values.shape[:3]
     down = values.sum(
         axis=1, dtype=np.float64
-    )  # rows first: numpy sums both axes at once three values at a time
+    )  # sum the rows first, because numpy sums two axes at once slowly
     return down.reshape(bands, columns // edge, edge, *values.shape[3:]).sum(axis=2)
 
 
 def _by_level(level: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the part of `apart` that depends on the level alone.
+    """Return the part of `apart` that depends only on the level.
 
-    It is medians over steps of equally many cells, joined by lines.
+    It is a line through the medians of steps with equal numbers of cells.
     """
     order = np.argsort(level)
     steps = np.array_split(order, int(np.clip(len(level) // _IN_A_STEP, 1, _MOST_STEPS)))
@@ -160,9 +166,9 @@ def _by_level(level: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray
 def _neighbourhood(
     total: NDArray[np.float64], count: NDArray[np.float64], sigma_cells: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return the mean of `total` over `count` around each cell.
+    """Return sum of `total` over sum of `count` in the neighbourhood of each cell.
 
-    The picture's mean counts as `_PRIOR_CELLS` further cells.
+    The mean over the picture counts as `_PRIOR_CELLS` additional cells.
     """
     import cv2
 

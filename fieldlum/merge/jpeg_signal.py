@@ -1,4 +1,4 @@
-"""JPEG frames as linear signals: codes through tables of the response."""
+"""Read JPEG frames as linear signals: tables of the response convert codes to light."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ from fieldlum.merge.shots import Shot
 from fieldlum.profiles import CameraProfile
 from fieldlum.raw import read_jpeg
 
-# Codes: noise of a JPEG pixel besides its quantisation. Sensor 0.5, rounding to YCbCr and of its
-# cosines 0.7; these are correlated between colours and neighbours, so that sums of them need the
-# 1.0 (bench/merge_budget.py --kind jpeg).
+# Noise of a JPEG pixel besides its quantisation, in codes. The sensor has 0.5; rounding to YCbCr
+# and of its cosines 0.7. These errors are correlated between colours and neighbours, so that sums
+# of pixels need 1.0 (bench/merge_budget.py --kind jpeg).
 _SIGMA_CODE = 1.0
 
 
-_Z_STEPS, _Z_TOP = 1 << 14, 1.02  # of the table over z
+_Z_STEPS, _Z_TOP = 1 << 14, 1.02  # steps and upper end of the table over z; chosen
 
 
-_TOP_CODE = 250  # of a JPEG: a pixel above it is treated as saturated; chosen
+_TOP_CODE = 250  # code above which a JPEG pixel is treated as saturated; chosen
 
 
 @dataclass(frozen=True)
 class JpegSignal:
-    """Codes [h, w, 3] with a table of z for each colour.
+    """A JPEG frame: codes [h, w, 3], and for each colour a table that converts codes to light z.
 
-    The weights by predicted z are in a table too.
+    low_code, high_code: codes between which the response is well known. dark_end, bright_end:
+    whether this is the most, least exposed frame of the bracket.
     """
 
     codes: NDArray[np.uint8]
@@ -46,7 +47,8 @@ class JpegSignal:
     per_cdm2: NDArray[np.float32]  # [w, 3]; or a scalar or [3], which is slower
     low_code: int
     high_code: int
-    dark_end: bool  # the most exposed frame: there is no brighter one for codes below low_code
+    # the most exposed frame, which is used below low_code too, as no frame is brighter
+    dark_end: bool
     bright_end: bool
     through_nd: bool = False
 
@@ -55,12 +57,12 @@ class JpegSignal:
         return _TOP_CODE if self.bright_end else self.high_code
 
     def _rows(self, colours: NDArray[Any]) -> NDArray[Any]:
-        """Return [3] as [w, 3]: numpy then processes complete rows, not three values at a time."""
+        """Return an array [3] repeated as [w, 3], because numpy processes long rows faster."""
         return np.ascontiguousarray(np.broadcast_to(colours, self.codes.shape[1:]))
 
     @cached_property
     def _limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Lowest and highest z to predict from, and highest readable z, [w, 3] each."""
+        """Lowest and highest z that may predict, and highest readable z, [w, 3] each."""
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
         return (
             self._rows(low),
@@ -74,9 +76,9 @@ class JpegSignal:
 
     @cached_property
     def _tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Variance of z, and weight of a predicted z, over z in equal steps, [3 steps].
+        """Variance of z, and weight of a predicted z, at equal steps of z, [3 steps].
 
-        The colours follow each other.
+        The tables of the three colours follow each other in one array.
         """
         z = (np.arange(_Z_STEPS) + 0.5) / _Z_STEPS * _Z_TOP
         variance, weight = np.empty((3, _Z_STEPS), np.float32), np.empty((3, _Z_STEPS), np.float32)
@@ -91,9 +93,9 @@ class JpegSignal:
         return variance.reshape(-1), weight.reshape(-1)
 
     def _looked_up(self, table: NDArray[np.float32], z: Strip) -> Strip:
-        """Return the values of a table over z, computed in z's own memory.
+        """Return the values of a table at z, overwriting z.
 
-        An unknown luminance, infinite, is above all codes.
+        An unknown luminance is infinite and counts as above the top code.
         """
         z *= np.float32(_Z_STEPS / _Z_TOP)
         np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
@@ -102,7 +104,7 @@ class JpegSignal:
         return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Strip, NDArray[np.bool_] | None]:
-        """Return linear light of some rows [rows, W, 3], and the mask of `Signal.strip`."""
+        """Return linear light of some rows [rows, W, 3], and a mask as `Signal.strip` does."""
         import cv2
 
         part = self.codes[first:last]
@@ -112,23 +114,23 @@ class JpegSignal:
             return linear, None
         below = cv2.inRange(
             self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3
-        )  # 255 where no colour is full
+        )  # 255 where no colour is saturated
         wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
         return linear, np.repeat(wide[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Strip) -> Strip:
-        """Return per_cdm2 over the variance of the code, [rows, W, 3] as predicted_cdm2."""
+        """Return per_cdm2 over the variance of z, [rows, W, 3] as predicted_cdm2."""
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 
     def usable(self, counts: Strip) -> NDArray[np.bool_]:
-        """Return which values [rows, W, 3] are of codes that the response knows well."""
+        """Return a mask of values [rows, W, 3] whose codes the response knows well."""
         low, high, _ = self._limits
         ok = counts >= low
         ok &= counts <= high
         return ok
 
     def readable(self, counts: Strip) -> tuple[NDArray[np.bool_], Strip]:
-        """Return which values [rows, W, 3] are below the top code, and their variance."""
+        """Return a mask of values [rows, W, 3] below the top code, and their variance."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
     def largest_cdm2(self) -> NDArray[np.float32]:
@@ -136,7 +138,7 @@ class JpegSignal:
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
     def small(self) -> Small:
-        """Return the green picture, for its edges."""
+        """Return a reduced picture of the green colour, to detect turns by its edges."""
         import cv2
 
         green = np.ascontiguousarray(self.codes[..., 1])
@@ -167,9 +169,10 @@ def load_jpeg(
     crop: Crop,
     ends: tuple[bool, bool] = (False, False),
 ) -> JpegSignal:
-    """Read a JPEG frame. ends: whether it is the bracket's most, least exposed frame.
+    """Read a JPEG frame.
 
-    Raises InputError.
+    ends: whether the frame is the most exposed, and whether it is the least exposed, of the
+    bracket. Raises InputError for a file that is no JPEG of this camera.
     """
     frame = read_jpeg(shot.path)
     check_frame(shot.path, frame.codes.shape, frame.model, profile)

@@ -1,4 +1,4 @@
-"""`fieldlum merge --frames`: merge files to one picture, .exr or .hdr, panorama or fisheye."""
+"""Merge files to one panorama or fisheye picture in .exr or .hdr (`fieldlum merge --frames`)."""
 
 from __future__ import annotations
 
@@ -43,9 +43,10 @@ def files_to_picture(
     heading_deg: float = 180.0,
     progress: Progress = quiet,
 ) -> tuple[MergeResult, dict[str, float]]:
-    """Merge files and write the picture; return the result and its illuminance.
+    """Merge files and write the picture; return the result and the illuminances.
 
-    Raises InputError for a frame that cannot be merged, or for another suffix than .exr or .hdr.
+    Raises InputError for a frame that cannot be merged, or if `out` ends neither in .exr nor in
+    .hdr.
     """
     if out.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(out, f"suffix '{out.suffix}'", ".exr or .hdr")

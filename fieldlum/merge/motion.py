@@ -1,11 +1,11 @@
-"""Exclude frames from the pixels where something moved through them.
+"""Exclude frames from pixels where something moved in front of the scene.
 
-The merge flags pixels whose frames disagree. Around such pixels the frames vote: starting from each
-frame in turn, which value do most of them share within their noise? A saturated frame votes too,
-for anything bright enough to saturate it. Frames outside the consensus are excluded there and for
-some pixels around (soft edges have no halo), and the estimator merges the others again. Where too
-few frames could separate two values, or they are undecided, nothing is excluded and only the flag
-stays. Everywhere else the map is bit by bit the same.
+The merge flags pixels whose frames disagree. At and around such pixels the frames vote: the value
+that most frames share within their noise is the consensus. A saturated frame votes for any value
+bright enough to saturate it. Frames outside the consensus are excluded there and some pixels
+around, so that soft edges leave no halo. The estimator then merges the remaining frames again. If
+too few frames could separate two values, or if the vote is undecided, nothing is excluded and only
+the flag remains. All other pixels of the map do not change.
 """
 
 from __future__ import annotations
@@ -24,22 +24,27 @@ Mask = NDArray[np.bool_]
 Over = Callable[[Mask, Callable[[Mask], Mask]], Mask]
 
 _BAND = 1 << 21  # elements processed at a time, for all frames together; bounds the memory
-_VOTE_SIGMA = 4.0  # a frame further from a value does not share it; chosen
-_LEAVE_SIGMA = 3.0  # a frame further from the consensus is excluded, if its neighbours are too
-_SUPPORT, _WINDOW_PX = 4, 5  # least marked pixels in a window: single ones are marked by chance
-_CLOUDED = 10  # undecided pixels in such a window that make its middle undecided too
-_SURE = 1 / 8  # relative sigma of a frame that can contradict one outside its limits
-_REACH_PX, _HALO_PX = 8, 3  # examined around flagged pixels; excluded around disagreeing pixels
-_SATURATED = 0.9  # of the largest readable value: a brighter consensus explains a saturated frame
-_WITNESSES = 2  # least number of agreeing frames
+_VOTE_SIGMA = 4.0  # a frame further from a value does not vote for it; chosen
+# a frame further from the consensus is excluded if its neighbours are excluded too; chosen
+_LEAVE_SIGMA = 3.0
+# least number of marked pixels in a window, because single pixels are marked by chance; chosen
+_SUPPORT, _WINDOW_PX = 4, 5
+_CLOUDED = 10  # with this many undecided pixels in a window, its middle is undecided too; chosen
+# largest relative sigma of a frame that may contradict a frame outside its limits; chosen
+_SURE = 1 / 8
+# distance examined around flagged pixels; distance excluded around disagreeing ones; chosen
+_REACH_PX, _HALO_PX = 8, 3
+# of the largest readable value: a brighter consensus explains a saturated frame; chosen
+_SATURATED = 0.9
+_WITNESSES = 2  # least number of agreeing frames; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """Consensus at m pixels.
+    """The frames' consensus at m pixels.
 
-    value_cdm2: the value that most frames share; clear: whether to act on it; sure: number of
-    frames that are certain of it.
+    value_cdm2: value that most frames share. clear: whether frames outside the consensus are
+    excluded. sure: number of frames whose noise is small enough to confirm the value.
     """
 
     value_cdm2: NDArray[np.float32]
@@ -49,9 +54,10 @@ class Consensus:
 
 @dataclass(frozen=True, slots=True)
 class Ballot:
-    """Votes of n frames at m pixels, all [n, m].
+    """The votes of n frames at m pixels; all arrays are [n, m].
 
-    value_cdm2: own luminance where `usable`; largest_cdm2: limit where `saturated`.
+    value_cdm2: luminance by the frame where it is `usable`. largest_cdm2: luminance above which the
+    frame saturates, where it is `saturated`.
     """
 
     value_cdm2: Strip
@@ -62,11 +68,11 @@ class Ballot:
 
 
 def vote(ballot: Ballot, u_ratio: float) -> Consensus:
-    """Return the value that most frames share, and whether it is reliable.
+    """Return the value that most frames share, and whether the vote is clear.
 
-    It is clear if every usable frame agrees, or if at least two frames agree that would have
-    noticed a difference (their noise is less than the gap, or they would not have saturated), and
-    they outnumber the others.
+    It is clear if all usable frames agree. It is also clear if at least two frames agree that would
+    have noticed a difference, and these outnumber the others. A frame would have noticed a
+    difference if its noise is less than the gap, or if it would have saturated.
     """
     value, variance, usable = ballot.value_cdm2, ballot.variance, ballot.usable
     enough = _SATURATED * ballot.largest_cdm2
@@ -80,7 +86,9 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
     for start in range(n):
         centre = value[start]
         agree = usable & ((value - centre) ** 2 <= _VOTE_SIGMA**2 * (spread + spread[start]))
-        for _ in range(2):  # a noisy start agrees with all; its group must agree within itself
+        # a noisy frame agrees with every value, so that the group around it must agree again within
+        # itself
+        for _ in range(2):
             weight = np.where(agree, 1 / spread, 0.0)
             total = weight.sum(axis=0)
             shared = (weight * value).sum(axis=0)
@@ -109,7 +117,7 @@ def vote(ballot: Ballot, u_ratio: float) -> Consensus:
 
 
 def _around(mark: Mask) -> NDArray[np.uint16]:
-    """Return how many pixels of [h, w] are marked in the window around each."""
+    """Return, for each pixel of a mask [h, w], how many pixels around it are marked."""
     import cv2
 
     size, border = (_WINDOW_PX, _WINDOW_PX), cv2.BORDER_CONSTANT
@@ -120,7 +128,7 @@ def _around(mark: Mask) -> NDArray[np.uint16]:
 
 
 def _supported(mark: Mask) -> Mask:
-    """Return marked pixels [h, w] that are not isolated."""
+    """Return a mask [h, w] of the marked pixels that have enough marked neighbours."""
     return mark & (_around(mark) >= _SUPPORT)
 
 
@@ -132,7 +140,7 @@ def _wider(mark: Mask, by_px: int) -> Mask:
 
 
 class _Part:
-    """Rows of a frame as a signal, without the pixels in `left_out`."""
+    """Some rows of a frame as a signal; pixels in `left_out` do not count."""
 
     def __init__(self, signal: Signal, first: int, left_out: Mask) -> None:
         self._signal, self._first, self._left_out = signal, first, left_out
@@ -156,9 +164,9 @@ def _parts(
 
 
 def _own(signal: Signal, first: int, last: int) -> tuple[Strip, Mask, Mask]:
-    """Return counts of some rows, which can vote (within their limits), and which are saturated.
+    """Return counts of some rows, a mask of counts that can vote, and a mask of saturated counts.
 
-    Pixels next to saturated ones are neither.
+    Counts within the frame's limits can vote. Pixels next to saturated ones are in neither mask.
     """
     counts, full = signal.strip(first, last)
     usable = signal.usable(counts)
@@ -168,7 +176,7 @@ def _own(signal: Signal, first: int, last: int) -> tuple[Strip, Mask, Mask]:
 
 
 def _ballot(frames: Sequence[Callable[[], Signal]], near: Mask, first: int) -> Ballot:
-    """Return the votes of the pixels `near`, which are in rows from `first` on."""
+    """Return the votes of the pixels in `near`, a mask of the rows from `first` on."""
     shape = (len(frames), int(near.sum()))
     value, variance, largest = (np.empty(shape, np.float32) for _ in range(3))
     usable, saturated = np.empty(shape, bool), np.empty(shape, bool)
@@ -189,9 +197,9 @@ def _left_out(
     u_ratio: float,
     over_picture: Over,
 ) -> Mask:
-    """Return which pixels of the rows from `first` on each frame loses, [frames, *near.shape].
+    """Return a mask [frames, *near.shape] of the pixels that each frame loses.
 
-    A pixel loses all colours or none.
+    The mask covers the rows from `first` on. A pixel loses all colours or none.
     """
     consensus = vote(_ballot(frames, near, first), u_ratio)
     value, clear = np.zeros(near.shape, np.float32), np.zeros(near.shape, bool)
@@ -204,7 +212,7 @@ def _left_out(
         spread = signal.readable(np.maximum(counts, expected))[1] + (u_ratio * expected) ** 2
         used = usable | (
             ~full & (signal.weight(value) > 0)
-        )  # the merge weights by the expected value, not by the measured one
+        )  # the merge weights by the expected value, and so must the vote
         far[i] = near & used & ((counts - expected) ** 2 > _LEAVE_SIGMA**2 * spread)
         beyond += far[i] & ~usable
     sure = np.zeros(near.shape, np.int16)
@@ -226,12 +234,12 @@ def leave_out_moved(
     u_ratio: float,
     over_picture: Over,
 ) -> tuple[Merged, tuple[float, ...]]:
-    """Merge again without frames that disagree where something moved; return each frame's share.
+    """Merge again without the frames that disagree where something moved; return each frame's loss.
 
-    frames, u_ratio: as for `merge_signals`; the arrays of `merged` are changed in place.
-    over_picture(mask, change) applies a change of [h, w] masks to a mask of the frames' shape.
-    MOTION stays on every pixel that lost a frame, and where nothing could be decided. The share is
-    that of a frame's excluded pixels.
+    frames, u_ratio: as for `merge_signals`. The arrays of `merged` are changed in place.
+    over_picture(mask, change) applies a function of [h, w] masks to a mask of the frames' shape.
+    The flag MOTION remains where a frame was excluded and where the vote was undecided. A frame's
+    loss is the share of its pixels that were excluded.
     """
     shape = merged.value_cdm2.shape
     seeds = over_picture((merged.flags & Flag.MOTION) > 0, _supported)
@@ -253,7 +261,7 @@ def leave_out_moved(
         lost_any = np.any(out, axis=0)[inner]
         changed = lost_any & (
             (again.flags[inner] & (Flag.CLIPPED_HIGH | Flag.BLOOM)) == 0
-        )  # otherwise no frame remains
+        )  # if all frames were excluded, none would remain
         for old, new in ((value, again.value_cdm2), (variance, again.variance)):
             old[first:last][changed] = new[inner][changed]
         flags[first:last][changed] = again.flags[inner][changed] | np.uint8(Flag.MOTION)

@@ -1,9 +1,9 @@
-"""Estimate how much noisier raw frames are than the profile states, from neighbouring frames.
+"""Estimate how much the noise of raw frames exceeds the profile's, from neighbouring frames.
 
-Gain and read noise of a profile are often those of another body. If the profile's noise is too
-small, noise is treated as motion and u is too small. Two frames of one scene differ by their noise:
-its part that grows with the signal gives the gain, the other part the read noise (photon transfer;
-Janesick, SPIE 2007). The fit is robust, so that motion does not count.
+A profile's gain and read noise are often those of another body. If they give too little noise,
+noise is mistaken for motion and u is too small. Two frames of one scene differ by their noise: the
+part that grows with the signal gives the gain, the constant part gives the read noise (photon
+transfer; Janesick, SPIE 2007). The fit is robust against motion.
 """
 
 from __future__ import annotations
@@ -19,18 +19,24 @@ from fieldlum.merge.ratios import Sample
 from fieldlum.photometry import PairRatio
 from fieldlum.statistics import robust_sigma
 
-_STEPS = 12  # levels of a pair that are evaluated; chosen
-_IN_A_STEP, _MOST = 200, 12_000  # least pixels of a step, most of a pair
-_ROUNDED_DN2 = 1 / 12  # variance of rounding to integers
-# A smaller factor on a variance (1.2 of noise) does not differ reliably from the profile's.
+_STEPS = 12  # levels of the signal at which a pair is evaluated; chosen
+# least number of pixels in a step, and most pixels of a pair; chosen
+_IN_A_STEP, _MOST = 200, 12_000
+_ROUNDED_DN2 = 1 / 12  # variance of rounding to integers, a uniform distribution (GUM 4.3.7)
+# Smaller factors on a variance (1.2 on the noise) are not reliably different from the profile's.
+# Chosen.
 _TOLD = 1.44
-# Standard errors that a factor must have too: read noise is uncertain where shot noise dominates.
+# The factor must also exceed 1 by this many standard errors, because read noise is uncertain where
+# shot noise dominates. Chosen.
 _SURE_SIGMA = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SeenNoise:
-    """Factors on the profile's variances of shot noise and read noise; 1 if not larger."""
+    """Factors on the profile's variances of shot noise and read noise.
+
+    1 unless the frames show more.
+    """
 
     shot: float = 1.0
     read: float = 1.0
@@ -44,16 +50,18 @@ class SeenNoise:
 def seen_noise(
     samples: Sequence[Sample], pairs: Sequence[PairRatio], correction: NDArray[np.floating]
 ) -> SeenNoise:
-    """Return the factors from neighbouring frames.
+    """Return the factors on the profile's noise, from neighbouring frames.
 
-    samples, pairs: of raw frames before `correction` [frames], which the pairs gave.
+    samples, pairs: of raw frames. correction: factors on the exposures [frames] that the pairs
+    gave.
     """
     rows = []
     for pair in pairs:
         if pair.short == pair.long + 1:
             ratio = float(np.exp(np.log(correction[pair.short]) - np.log(correction[pair.long])))
             for shot, read, found in _steps(samples[pair.long], samples[pair.short], ratio):
-                rows.append((shot / found, read / found))  # relative: equal weights for all steps
+                # divide by the measured variance, so that all steps have equal weight
+                rows.append((shot / found, read / found))
     if len(rows) < 4:
         return SeenNoise()
     table = np.array(rows)
@@ -74,9 +82,9 @@ def _factors(rows: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, float, float]]:
-    """Return, for steps of the signal, variances of the two frames' difference [DN2].
+    """Return variances of the difference of two frames [DN2], one row for each step of the signal.
 
-    These are shot and read variance by the profile, and the measured variance.
+    A row has the shot variance and the read variance by the profile, and the measured variance.
     """
     a, b = long.signal, short.signal
     if not (isinstance(a, RawSignal) and isinstance(b, RawSignal)):
@@ -88,8 +96,8 @@ def _steps(long: Sample, short: Sample, correction: float) -> list[tuple[float, 
     y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
     ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, shape).ravel()[at]
     order = np.argsort(y_long)
-    # Where noise is about a count wide, a median of integers jumps: spread them evenly over a
-    # count's width first.
+    # Where noise is about one count, a median of integers would jump between counts: spread the
+    # counts evenly over their width first.
     dither = np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
     found = []
     for step in np.array_split(order, int(np.clip(len(order) // _IN_A_STEP, 1, _STEPS))):

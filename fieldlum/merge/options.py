@@ -15,10 +15,10 @@ DEFAULT_HEIGHT = 230  # rows: 0.8 degrees a pixel (docs/design.md); chosen
 class MergeOptions:
     """How brackets are merged.
 
-    height: rows of the result [px]. projection: "equirect" (panorama, twice as wide) or "fisheye"
-    (square, along the first lens). fit: estimate exposure ratios from the frames; None: for raw
-    frames only. drop_moved: exclude frames from pixels where most other frames agree that
-    something moved.
+    height: rows of the result [px]. projection: "equirect" (a panorama, twice as wide as high) or
+    "fisheye" (a square picture along the first lens). fit: whether exposure ratios are estimated
+    from the frames; None: for raw frames only. drop_moved: whether to exclude frames from pixels
+    where most other frames agree that something moved.
     """
 
     height: int = DEFAULT_HEIGHT

@@ -1,4 +1,4 @@
-"""Project merged sensors to one map: resampling, vignetting, colour, blending, and uncertainty."""
+"""Project merged sensors onto one map: resampling, vignetting, colour, blending, uncertainty."""
 
 from __future__ import annotations
 
@@ -21,23 +21,26 @@ from fieldlum.projection import Equirect, Resampler, resampler
 from fieldlum.projection.grids import Target
 from fieldlum.records import Flag, Panorama
 
-# Share of a target pixel's weight that must have a flag before the pixel gets it. Any clipped part
-# makes a pixel a lower bound. The others are not measured.
+# Share of a target pixel's weight that must have a flag before the target pixel gets the flag. For
+# clipping nearly any share suffices, because the pixel is then a lower bound. The other shares are
+# chosen, not measured.
 _SHARE = {Flag.CLIPPED_HIGH: 1e-3, Flag.BLOOM: 0.05, Flag.MOTION: 0.25, Flag.ND: 0.25}
 _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
-# Sensor pixels of light that leak over an edge, at most: mean half-width of a pixel's square and of
-# bilinear shares, which reach two pixels where each colour has its own, one where every pixel sees
-# all colours.
+# Most light that leaks over an edge, in sensor pixels: mean half-width of a pixel's square and of
+# bilinear resampling. Resampling reaches two pixels where each colour has its own pixels, one pixel
+# where every pixel sees all colours.
 _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
-_TAPER_RAD = 0.06  # over which a lens fades in from its edge, if another lens sees the same; chosen
+# width of the rim in which a lens fades out if another lens sees the same directions; chosen
+_TAPER_RAD = 0.06
 
 
 @dataclass(frozen=True, slots=True)
 class ProjectedImage:
-    """What one lens, or several blended, show of the target; flat arrays [n] over its pixels.
+    """What one lens, or several blended lenses, see of the target; arrays [n] over its pixels.
 
-    variance: of the random error. coverage: share of a pixel that is covered. edge: 0 at the lens's
-    edge, 1 from `_TAPER_RAD` inwards. u_vignetting, u_ratio: relative standard uncertainties.
+    variance: of the random error. coverage: share of the pixel that is seen. edge: 0 at the lens's
+    edge, rising to 1 at `_TAPER_RAD` inside it. u_vignetting, u_ratio: relative standard
+    uncertainties.
     """
 
     luminance: NDArray[np.float64]
@@ -48,14 +51,14 @@ class ProjectedImage:
     u_ratio: NDArray[np.float64]
     flags: NDArray[np.uint8]
     rgb: NDArray[np.float64]  # [n, 3]
-    u_stray: NDArray[np.float64]  # of the stray light that was removed, cd/m2
-    lens: Lens | None = None  # None: of several
+    u_stray: NDArray[np.float64]  # of the stray light that was subtracted [cd/m2]
+    lens: Lens | None = None  # None for several lenses
 
 
 def _project(
     sensor: SensorImage, r: Resampler
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-    """Return camera RGB [n, 3], its random variance [n, 3] and flags [n] of one lens."""
+    """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens."""
     m = sensor.merged
     colours = list("RGB") if len(r.matrices) > 1 else [""]
     values, variance = (
@@ -72,14 +75,14 @@ def _project(
         if valid is None:
             rgb.append(matrix @ values)
             var.append(square @ variance)
-        else:  # bad pixels: the weights of each row without them are scaled to a sum of 1
+        else:  # scale the weights of each row without its bad pixels to a sum of 1
             share = np.maximum(matrix @ valid, 1e-6)
             rgb.append(matrix @ (values * valid) / share)
             var.append(square @ (variance * valid) / share**2)
     flags = np.zeros(
         len(r.coverage), np.uint8
-    )  # bad pixels may raise theirs too, which is harmless
-    if valid is not None:  # no good pixel of one colour: no value
+    )  # flags of bad pixels may count too, which is harmless
+    if valid is not None:  # a pixel without a good sensor pixel of some colour has no value
         left = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
         flags[(left < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
     raised = m.flags if colours != [""] else np.bitwise_or.reduce(m.flags, axis=-1)
@@ -97,7 +100,7 @@ def _project(
 def view_through(
     sensor: SensorImage, lens: Lens, profile: CameraProfile, target: Target
 ) -> ProjectedImage:
-    """Return the contribution of one lens, without its vignetting."""
+    """Return what one lens sees of the target, with its vignetting not yet corrected."""
     geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
     r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
@@ -136,7 +139,7 @@ def view_through(
 def _stray_of_lens(
     light: NDArray[np.float64], seen: NDArray[np.bool_], profile: CameraProfile, target: Target
 ) -> NDArray[np.float64]:
-    """Return the stray light [n] in cd/m2 that the light in a lens's own field causes."""
+    """Return the stray light [n] in cd/m2 that the light within a lens's field causes."""
     kernel = profile.stray
     rows, columns = (np.arange(count) + 0.5 for count in target.shape)
     return stray_cdm2(
@@ -151,9 +154,9 @@ def _stray_of_lens(
 def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
     """Return the inverse-variance mean of all lenses and headings that see a pixel.
 
-    The variance is that of the common luminance; that of the noisy one would favour the darker
-    lens. A lens fades out towards its edge. Pixels that are clipped, bloomed or moving in one lens
-    get little weight.
+    The weights use the variance of the mean luminance, because the variance of each noisy luminance
+    would favour the darker lens. A lens fades out towards its edge. Pixels that are clipped,
+    bloomed or moving in one lens have little weight.
     """
     coverage = np.stack([v.coverage for v in views])
     luminance = np.stack([v.luminance for v in views])
@@ -179,15 +182,15 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
         flags |= np.where(part > 0.05, view.flags, 0).astype(np.uint8)
     flags[coverage.sum(0) < 1e-3] = Flag.OUTSIDE_LENS
     rgb = sum(part[:, None] * view.rgb for view, part in zip(views, share, strict=True))
-    u_stray = (share * np.stack([v.u_stray for v in views])).sum(0)  # one kernel for all lenses
-    by_lens: dict[
-        Lens | int, NDArray[np.float64]
-    ] = {}  # one lens has one curve for all its headings
+    # add linearly, because all lenses share one kernel
+    u_stray = (share * np.stack([v.u_stray for v in views])).sum(0)
+    by_lens: dict[Lens | int, NDArray[np.float64]] = {}  # one curve for all headings of a lens
     for i, (view, part) in enumerate(zip(views, share, strict=True)):
         key = i if view.lens is None else view.lens
         by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
     u_vignetting = np.sqrt(sum(u**2 for u in by_lens.values()))
-    u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)  # the shutter is common
+    # add linearly, because all lenses share one shutter
+    u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)
     return ProjectedImage(
         (share * luminance).sum(0),
         (share**2 * variance).sum(0),
@@ -209,13 +212,13 @@ def finish(
     heading_deg: float = 180.0,
     t_utc: datetime | None = None,
 ) -> Panorama:
-    """Return the finished map with its GUM budget and flags.
+    """Return the finished map with its flags and its uncertainty (GUM).
 
     u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
-    + (stray light)^2 + edges^2. A filter is part of its frames' exposure. The glare floor is a
-    share of the mean luminance seen. A clipped pixel is a lower bound with an uncertainty of 100 %.
-    bench/merge_budget.py compares u with simulated cameras, bench/merge_scene.py its part for edges
-    with a scene.
+    + (stray light)^2 + edges^2. The uncertainty of a filter is part of the exposure's. The glare
+    floor is a share of the mean luminance that is seen. A clipped pixel is a lower bound with an
+    uncertainty of 100 %. bench/merge_budget.py compares u with simulated cameras;
+    bench/merge_scene.py compares the part for edges with a scene.
     """
     p, light = profile, view.luminance
     seen = (view.flags & Flag.OUTSIDE_LENS) == 0
@@ -231,7 +234,7 @@ def finish(
     u = np.sqrt(view.variance + light**2 * relative + floor**2 + view.u_stray**2 + edges**2)
     u = np.where(view.flags & Flag.CLIPPED_HIGH, np.maximum(u, np.abs(light)), u)
     flags = view.flags.astype(np.uint16)
-    quiet = (view.flags & Flag.MOTION) == 0  # variance of disagreeing frames is not noise
+    quiet = (view.flags & Flag.MOTION) == 0  # the variance of disagreeing frames is not noise
     flags[seen & quiet & (light < np.sqrt(view.variance))] |= np.uint16(Flag.BELOW_NOISE)
     matrix = np.reshape(p.colour.rgb_to_radiance, (3, 3)) if p.colour.rgb_to_radiance else None
     rgb = None if matrix is None else _radiance_rgb(view.rgb @ matrix.T, light)
@@ -251,12 +254,13 @@ def finish(
 def u_of_edges(
     light: NDArray[np.float64], seen: NDArray[np.bool_], target: Target, profile: CameraProfile
 ) -> NDArray[np.float64]:
-    """Return the error of a pixel from its neighbours' light, [H, W] cd/m2.
+    """Return the uncertainty of a pixel due to light leaking from its neighbours, [H, W] cd/m2.
 
-    The sensor's pixels are not small. An edge on the border of two target pixels leaks at most
-    `_LEAK_PX` over the pixel's width of the difference, and an edge elsewhere less: a rectangular
-    distribution (GUM 4.3.7). On a slope, gains and losses cancel, so the second difference counts.
-    Next to pixels that no lens sees it is unknown and counts as zero.
+    Sensor pixels are not small. An edge on the border of two target pixels leaks at most `_LEAK_PX`
+    over the target pixel's width of the luminance difference; an edge elsewhere leaks less. This is
+    a rectangular distribution (GUM 4.3.7). On a uniform slope gains and losses cancel, so the
+    second difference is used. Next to pixels that no lens sees the leak is unknown and counts as
+    zero.
     """
     width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
     share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)
@@ -264,7 +268,8 @@ def u_of_edges(
     if not isinstance(target, Equirect):
         return share * np.hypot(down, _second_difference(light.T, seen.T).T)
     rows = (np.arange(target.height) + 0.5) / target.height * np.pi
-    narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]  # meridians converge
+    # target pixels narrow towards the zenith
+    narrow = np.minimum(share / np.sin(rows), 0.5 / np.sqrt(3.0))[:, None]
     around = _second_difference(_wrapped(light).T, _wrapped(seen).T).T[:, 1:-1]
     return np.hypot(share * down, narrow * around)
 
@@ -274,15 +279,16 @@ def _wrapped(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _second_difference(light: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the second difference down the columns, [H, W]."""
+    """Return the second difference of the luminance along the columns, [H, W]."""
     step = np.pad(np.diff(light, axis=0) * (seen[1:] & seen[:-1]), ((1, 1), (0, 0)))
     return np.diff(step, axis=0)
 
 
 def _radiance_rgb(colour: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return RGB scaled for each pixel so that 179 (.265 .670 .065) gives the luminance.
+    """Return RGB, scaled for each pixel to give the luminance.
 
-    The pixel is grey where that is impossible.
+    Radiance computes it as 179 (.265 R + .670 G + .065 B). Pixels whose colour makes this
+    impossible are grey.
     """
     own = np.maximum(colour, 0.0)
     y = own @ np.asarray(RADIANCE_Y)

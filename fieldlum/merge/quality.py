@@ -1,4 +1,4 @@
-"""The report of a merged bracket, and its one-line verdict."""
+"""Compile the report of a merged bracket and its one-line verdict."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ def report_of(
     target: Target,
     profile: CameraProfile,
 ) -> MergeReport:
-    """Return the figures of one bracket; flags [H, W] of the result on `target`."""
+    """Return the figures of one merged bracket.
+
+    Flags [H, W] are those of the result on `target`.
+    """
     solid = target.solid_angles()
     seen = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
 
@@ -89,16 +92,23 @@ def _shifts(part: Findings) -> list[ShiftQuality]:
 
 
 def verdict(report: MergeReport) -> str:
-    """Return one line: good, or what to check."""
+    """Return the verdict as one line: "good", or what to check."""
     notes: list[str] = []
     residual = report.residual_percent
     if residual is None:
-        notes.append("no two frames overlap")
+        notes.append(
+            "no two frames overlap, so the exposures could not be checked: plan "
+            "smaller steps between exposures"
+        )
     elif residual > RESIDUAL_WARN_PERCENT:
-        notes.append(f"neighbouring frames disagree by {residual:.1f} %")
+        notes.append(
+            f"neighbouring frames disagree by {residual:.1f} %: the light changed "
+            "or something moved during the bracket, or the response needs "
+            "calibration"
+        )
     notes += [
         f"fitted exposures differ from the profile by {text} %: the light changed during the "
-        f"bracket, or shutter and response need calibration"
+        "bracket, or shutter times need calibration (fieldlum calibrate shutter)"
         for text in report.deviations
     ]
     if report.orientation_conflict:
@@ -114,8 +124,8 @@ def verdict(report: MergeReport) -> str:
             f"contains the larger value: check gain_e_per_dn and read_noise_e of the profile"
         )
     notes += [
-        f"the camera turned by {m.turn_deg:.2f} deg ({m.shift_px:.1f} px) between "
-        f"{m.long} and {m.short}"
+        f"the camera turned by {m.turn_deg:.2f} deg ({m.shift_px:.1f} px) between {m.long} "
+        f"and {m.short}: fix the tripod"
         for m in report.shifts
         if m.sure_px > SHIFT_WARN_PX
     ]

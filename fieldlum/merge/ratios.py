@@ -1,4 +1,4 @@
-"""Estimate the exposure ratios of one bracket from a sample of its pixels, and their agreement."""
+"""Estimate the exposure ratios of a bracket from sampled pixels, and how well they agree."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,42 +13,44 @@ from fieldlum.photometry import PairRatio, RatioFit, fit_ratios, pair_ratio
 from fieldlum.session.files.merge_report import NeighbourQuality
 from fieldlum.statistics import robust_sigma
 
-_ROWS, _COLUMNS = 96, 640  # sampled of a frame: some 100 000 pixels
-_SNR_LONG = 30.0  # of a pixel in the longer frame; not measured
-# Of the short frame: the brightest pixels that are numerous enough, because a black level that is
-# wrong by a count affects dim ones.
+# rows and columns sampled from a frame, about 100 000 values; chosen to limit the time
+_ROWS, _COLUMNS = 96, 640
+_SNR_LONG = 30.0  # least signal-to-noise ratio of a pixel in the longer frame; not measured
+# Least signal-to-noise ratios in the shorter frame, tried from the highest, and number of pixels
+# that suffices. Bright pixels are preferred because a black level that is wrong by one count
+# affects dim pixels. Chosen.
 _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
-_REACH = 3  # frames of a bracket that are compared with each frame; not measured
-_FREE = 0.3  # relative prior of exposures without a reference
-_LEVELS = 193  # luminances at which the ratios' uncertainty is computed
+_REACH = 3  # number of following frames with which each frame is compared; not measured
+_FREE = 0.3  # relative prior of an exposure that nothing else constrains; chosen
+_LEVELS = 193  # number of luminances at which the ratios' uncertainty is computed; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Some pixels of one frame."""
+    """Pixels sampled from one frame: their counts, and whether each is near saturation."""
 
-    signal: Signal  # of the sampled pixels alone
+    signal: Signal  # the frame reduced to the sampled pixels
     counts: NDArray[np.float32]
     full: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class RatioCurve:
-    """Relative standard uncertainty of a merged value from the exposures, over that value.
+    """Relative standard uncertainty of a merged value due to the exposures, by luminance.
 
-    levels_cdm2: rising.
+    levels_cdm2: luminances of the curve, rising.
     """
 
     levels_cdm2: NDArray[np.float64]
     u_rel: NDArray[np.float64]
 
     def at(self, value_cdm2: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the relative uncertainty of values [n] cd/m2, by interpolation."""
+        """Return the relative uncertainty of luminances [n] in cd/m2, by interpolation."""
         return np.interp(value_cdm2, self.levels_cdm2, self.u_rel)
 
 
 def take_samples(store: FrameStore) -> list[Sample]:
-    """Return the same 100 000 pixels, about, of each frame."""
+    """Return about 100 000 values of each frame, at the same places in all."""
 
     def sample(signal: Signal) -> Sample:
         small, full = signal.sampled(_ROWS, _COLUMNS)
@@ -58,7 +60,10 @@ def take_samples(store: FrameStore) -> list[Sample]:
 
 
 def compare(long: Sample, short: Sample, i: int, j: int) -> PairRatio | None:
-    """Return the pair's exposure ratio over the assumed one; None for too few common pixels."""
+    """Return the measured over the assumed exposure ratio of two frames.
+
+    Return None if too few pixels are well exposed in both.
+    """
     e_long, e_short = (np.broadcast_to(s.signal.per_cdm2, s.counts.shape) for s in (long, short))
     light = np.maximum(long.counts / e_long, 0.0).astype(np.float32)
     w_long, w_short = long.signal.weight(light), short.signal.weight(light)
@@ -91,9 +96,10 @@ def _brightest(seen: NDArray[np.bool_], snr: NDArray[np.floating]) -> NDArray[np
 
 
 def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
-    """Return all pairs up to three frames apart that see the same pixels well.
+    """Return the exposure ratios of all pairs with common well-exposed pixels.
 
-    samples: of frames sorted by exposure, longest first.
+    Frames of a pair are at most three frames apart. samples: of frames sorted by exposure, longest
+    first.
     """
     found = [
         compare(samples[i], samples[j], i, j)
@@ -104,7 +110,7 @@ def bracket_pairs(samples: Sequence[Sample]) -> list[PairRatio]:
 
 
 def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list[NeighbourQuality]:
-    """Return how far frames next to each other in exposure disagree, after `correction`.
+    """Return how much neighbouring frames still disagree after `correction`.
 
     correction: factors on the exposures, [frames].
     """
@@ -123,10 +129,10 @@ def neighbours(pairs: list[PairRatio], correction: NDArray[np.floating]) -> list
 
 
 def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
-    """Return the relative u of one frame against another that is not explained yet.
+    """Return the relative uncertainty of one frame against its neighbour that is still unexplained.
 
-    It follows from neighbours' disagreement beyond the pairs' own noise and `explained`, the
-    relative u of a frame by its time and its response.
+    This is the disagreement beyond the pairs' own noise and beyond `explained`, the relative
+    uncertainty of a frame due to its time and its response.
     """
     if not left:
         return 0.0
@@ -136,18 +142,19 @@ def unexplained(left: Sequence[NeighbourQuality], explained: float) -> float:
 
 
 def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
-    """Return the corrections by the pairs alone; their mean is 1, as is that of unseen frames.
+    """Return the corrections that the pairs alone give, with a mean of 1.
 
-    Neighbours that agree within 2 % may still add up to 30 % over a bracket, if the light changed
-    or the response is wrong.
+    Frames that no pair includes get 1. Neighbours that agree within 2 % can add up to 30 % over a
+    bracket, if the light changed or the response is wrong.
     """
     return fit_ratios(pairs, np.eye(frames) * _FREE**2)
 
 
 def beyond(free: RatioFit, explained: float) -> float:
-    """Return the relative u of a value from exposures that seem wrong.
+    """Return the relative uncertainty of a value due to exposures that seem wrong.
 
-    It is their deviation beyond `explained` (relative) and the noise of the pairs.
+    This is the deviation of the exposures beyond `explained` (relative) and beyond the pairs'
+    noise.
     """
     seen = sorted({i for p in free.pairs for i in (p.long, p.short)})
     if not seen:
@@ -160,12 +167,12 @@ def beyond(free: RatioFit, explained: float) -> float:
 def ratio_curve(
     samples: Sequence[Sample], covariance: NDArray[np.floating], extra: float = 0.0
 ) -> RatioCurve:
-    """Return the relative u of a value from uncertain exposures.
+    """Return the relative uncertainty of a merged value due to uncertain exposures, by luminance.
 
-    It is s C s, with C the covariance [frames, frames] and s the frames' shares of the information
-    at that level. The frames' errors are correlated (pictures contain ratios only), and a level
-    depends on the few frames that see it well: a single value for the bracket would be too small
-    where only an uncertain frame is readable.
+    Its square is s C s, with C the covariance [frames, frames] and s the share of information that
+    each frame has at that luminance. Errors of frames are correlated, because pictures contain only
+    ratios of exposures. A single value for the bracket would be too small at luminances that only
+    an uncertain frame can read.
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
     largest = [float(np.max(s.largest_cdm2())) for s in small]

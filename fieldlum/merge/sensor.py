@@ -1,4 +1,4 @@
-"""Merge one heading of a bracket on the sensor: its steps in order."""
+"""Merge the frames of one heading on the sensor, step by step."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from fieldlum.records import Progress, quiet
 
 @dataclass(frozen=True, slots=True)
 class SensorImage:
-    """A merged sensor in the camera's own colours, and where it looked.
+    """Merged pixels of the sensor in the camera's own colours, and the direction of the camera.
 
-    turn_deg: heading of the camera relative to the target's heading. u_curve: relative uncertainty
-    of the exposures over luminance. good: False at bad pixels, [height, width] of the crop; None:
-    every pixel is good.
+    turn_deg: heading of the camera minus that of the target. u_curve: relative uncertainty due to
+    the exposures, over luminance. good: mask [height, width] of the crop, False at bad pixels; None
+    if every pixel is good.
     """
 
     merged: Merged
@@ -57,7 +57,7 @@ class SensorImage:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What the frames of one heading showed about themselves.
+    """What the frames of one heading showed about exposures, noise, saturation and motion.
 
     dropped: share of its pixels that each frame lost to motion; empty without `drop_moved`.
     """
@@ -74,7 +74,7 @@ class Findings:
 
 @dataclass(frozen=True, slots=True)
 class _Frames:
-    """The opened frames of one heading, as every later step needs them."""
+    """The opened frames of one heading, with what every later step needs."""
 
     shots: tuple[Shot, ...]
     profile: CameraProfile  # with the shutter law that the frames are read with
@@ -88,7 +88,7 @@ class _Frames:
 
     @property
     def lenses(self) -> list[LensGeometry]:
-        """Each lens in pixels of the crop."""
+        """Geometry of each lens, in pixels of the crop."""
         corner_px = (self.crop.left, self.crop.top)
         return [lens_geometry(lens, corner_px=corner_px) for lens in self.profile.lens]
 
@@ -110,9 +110,9 @@ def merge_sensor(
 ) -> tuple[SensorImage, Findings]:
     """Merge the frames of one heading.
 
-    shots: already sorted by exposure, longest first. turn_deg: heading of the camera minus that of
-    the resulting picture. Frames are kept in memory up to
-    `budget_bytes`. Raises InputError for a frame that cannot be read or does not belong.
+    shots: sorted by exposure, longest first. turn_deg: heading of the camera minus that of the
+    resulting picture. budget_bytes: memory for frames. Raises InputError for a frame that cannot be
+    read, or of another camera or aperture.
     """
     options = options or MergeOptions()
     fits = options.fits(profile)
@@ -142,7 +142,7 @@ def merge_sensor(
 
 
 def _open_frames(shots: Sequence[Shot], profile: CameraProfile, budget_bytes: int) -> _Frames:
-    """Return the frames, each to be read when it is first needed."""
+    """Prepare the frames; each is read when it is first needed."""
     crop, look = lens_crop(profile), first_look(shots, profile)
     last = len(shots) - 1
     loaders: Sequence[Callable[[], Signal]]
@@ -156,7 +156,7 @@ def _open_frames(shots: Sequence[Shot], profile: CameraProfile, budget_bytes: in
 
 
 def _check_noise(frames: _Frames, sampled: SampledFrames, fit: RatioFit, fits: bool) -> SeenNoise:
-    """Return the noise of raw frames over the profile's, and set it in the frames' variances."""
+    """Return the factors of the frames' noise over the profile's, and apply them to the frames."""
     if not (frames.raw and fits):
         return SeenNoise()
     noise = seen_noise(sampled.samples, sampled.pairs, fit.correction)
@@ -180,6 +180,6 @@ def _merge_pixels(
 
 
 def _with_jpeg_noise(frames: _Frames, merged: Merged, target: Target) -> Merged:
-    """Return the pixels with the noise that means over one target pixel show."""
+    """Return the pixels with the measured noise of means over one target pixel."""
     edge_px = float(np.mean([footprint_px(lens, target) for lens in frames.lenses]))
     return with_seen_noise(merged, frames.store, frames.profile.colour.y_from_rgb, edge_px)

@@ -1,9 +1,10 @@
-"""What many brackets show together: quality.csv, the drift of the light, contact sheets.
+"""Summarise many brackets: quality.csv, the drift of the light, contact sheets.
 
-The exposure ratios of a bracket contain two things: the true shutter times, equal in every bracket,
-and the change of the light during the bracket, different in each. The median over brackets is the
-shutter. What remains in one bracket, fitted over its seconds, is the drift of its light. The
-pyranometer measured the same seconds. `fieldlum calibrate shutter` fits the shutter itself.
+The exposure ratios of a bracket contain two effects: the true shutter times, which are the same in
+every bracket, and the change of the light during the bracket, which is not. The median over
+brackets gives the shutter times. The rest in one bracket, fitted over its seconds, is the drift of
+its light. The pyranometer's change over the same seconds is written next to it. `fieldlum calibrate
+shutter` fits the shutter times themselves.
 """
 
 from __future__ import annotations
@@ -23,18 +24,21 @@ from fieldlum.session import Session, exposure_text, read_day
 from fieldlum.session.files.quality_csv import QUALITY_COLUMNS, QualityRow, write_quality
 from fieldlum.session.files.sidecar import Sidecar
 
-# A median over fewer brackets is not trusted as the shutter's. Chosen, not measured.
+# A median over fewer brackets is not used for shutter times. Chosen, not measured.
 MIN_BRACKETS = 5
-# Frames whose correction is less certain are excluded from the drift; weights are limited [%].
+# Frames whose correction is less certain than the first value are excluded from the drift; the
+# second value limits the weights [%]. Chosen.
 _MOST_U_PERCENT, _LEAST_U_PERCENT = 1.0, 0.02
-# A mean global irradiance below this counts as night for the change of irradiance [W/m2].
+# A lower mean global irradiance counts as night, and no change of irradiance is computed [W/m2].
+# Chosen.
 _LEAST_GHI_WM2 = 5.0
 
 
 def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
-    """Return the median of true over assumed exposure by exposure text.
+    """Return the median of true over assumed exposure, by the exposure's text.
 
-    Exposures of fewer than MIN_BRACKETS brackets whose neighbouring frames agree are left out.
+    Only brackets whose neighbouring frames agree count. Exposures with fewer than MIN_BRACKETS of
+    them are omitted.
     """
     corrections: dict[str, list[float]] = defaultdict(list)
     for sidecar in sidecars:
@@ -53,7 +57,8 @@ def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
 def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | None:
     """Return the change of the light from the first frame to the last [%].
 
-    typical: of `typical_corrections`. None: fewer than three frames can be compared.
+    typical: result of `typical_corrections`. Return None if fewer than three frames can be
+    compared.
     """
     rows = [
         (f.t_utc.timestamp(), float(np.log(f.correction / typical[text])), f.u_percent)
@@ -73,9 +78,9 @@ def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | Non
 
 
 def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> float | None:
-    """Return the change of global irradiance over the same seconds [%], by a fitted line.
+    """Return the change of global irradiance during a bracket [%], by a fitted line.
 
-    None: fewer than three samples, or night.
+    Return None for fewer than three samples, or at night.
     """
     days = {t.strftime("%Y-%m-%d") for t in (opened, closed)}
     rows = [
@@ -95,7 +100,7 @@ def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> 
 
 
 def read_sidecars(session: Session) -> list[Sidecar]:
-    """Return the sidecars of all panoramas in order of time, without damaged ones."""
+    """Return the readable sidecars of all panoramas, in order of time."""
     sidecars = []
     for path in session.sidecar_files():
         with suppress(InputError):
@@ -106,7 +111,10 @@ def read_sidecars(session: Session) -> list[Sidecar]:
 
 
 def write_summary(session: Session) -> None:
-    """Write contact sheets and quality.csv of everything merged so far; quality.csv last."""
+    """Write contact sheets and quality.csv of all merged brackets.
+
+    quality.csv is written last: its date shows that the summary is complete.
+    """
     sidecars = read_sidecars(session)
     typical = typical_corrections(sidecars)
     write_contact_sheets(session, sidecars)
@@ -114,7 +122,7 @@ def write_summary(session: Session) -> None:
 
 
 def summary_due(session: Session) -> bool:
-    """Return whether a sidecar is newer than quality.csv, as after a kill."""
+    """Return whether a sidecar is newer than quality.csv, which happens after a killed run."""
     path = session.quality
     written_ns = path.stat().st_mtime_ns if path.is_file() else -1
     return any(path.stat().st_mtime_ns > written_ns for path in session.sidecar_files())

@@ -1,11 +1,12 @@
-"""Detect a turn of the camera within a bracket: compare each frame with its neighbour.
+"""Detect a turn of the camera within a bracket, by comparing each frame with its neighbour.
 
-Shared edges of clipped or dark areas would hold a phase correlation at zero, and the short frames
-of a room show little but windows. So the turn is found by least squares on the pixels that both
-frames see (Lucas and Kanade 1981), from coarse to fine, with an offset and a slope for what
-exposures and response do not explain, and Huber weights for motion. A fisheye's picture does not
-shift evenly when its camera turns, and two lenses back to back shift against each other. So the
-unknowns are the three angles of the turn, through the lens's own mapping.
+Phase correlation is not suitable: edges of clipped and dark areas are common to both frames and
+hold it at zero, and the short frames of a room show little but windows. Therefore the turn is found
+by least squares on the pixels that both frames see (Lucas and Kanade 1981), from coarse to fine. An
+offset and a slope absorb errors of exposure and response; Huber weights reduce the effect of
+motion. A fisheye picture does not shift uniformly when its camera turns, and two lenses back to
+back shift against each other. Therefore the unknowns are the three angles of the turn, and the
+lens's mapping converts them.
 """
 
 from __future__ import annotations
@@ -21,24 +22,26 @@ from fieldlum.projection import LensGeometry, lens_pixels, lens_rays, radius_of_
 from fieldlum.statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float32]
-LONGEST = 800  # of the reduced frames' sides; bounds the time
-_LEVELS = 4  # sizes, each half the one before
-_STEPS = 2  # at each size
-_MOST = 30_000  # pixels of a fit; bounds the time
-_BLOCKS = 6  # per side, for the standard error
-_LEAST = 300  # pixels with an edge in them; not measured
-_FLAT = 0.02  # of ln light: a smaller difference between neighbours is not an edge
-# Of ln light: ignore gradients below this, because smooth shading does not constrain the turn.
+LONGEST = 800  # longest side of the reduced frames [px], to limit the time; chosen
+_LEVELS = 4  # number of sizes, each half of the one before; chosen
+_STEPS = 2  # Gauss-Newton steps at each size; chosen
+_MOST = 30_000  # most pixels of a fit, to limit the time; chosen
+_BLOCKS = 6  # blocks per side that are omitted in turn for the standard error; chosen
+_LEAST = 300  # least number of pixels at edges for a fit; not measured
+_FLAT = 0.02  # ln light; smaller differences between neighbours are not edges; not measured
+# Smaller gradients of ln light are ignored, because smooth shading does not constrain the turn. Not
+# measured.
 _SMOOTH_PER_RAD = 4.0
-_RIM = 0.97  # of a lens's circle: its edge does not move with the scene
+_RIM = 0.97  # of a lens's circle, because its edge does not move with the scene; chosen
 _TINY_RAD = 1e-4  # step of the numerical derivatives
 
 
 @dataclass(frozen=True, slots=True)
 class Small:
-    """A frame reduced to ln light [h, w] in any unit.
+    """A reduced frame: ln light [h, w], in any unit.
 
-    step: sensor pixels per pixel; seen: neither clipped nor dark [h, w].
+    step: sensor pixels per reduced pixel; seen: mask [h, w] of pixels that are neither clipped nor
+    dark.
     """
 
     log_light: Array
@@ -61,16 +64,16 @@ class Moved:
 
     @property
     def sure_px(self) -> float:
-        """The turn minus three standard errors [px], at least 0."""
+        """The shift minus three standard errors [px], at least 0."""
         return max(self.shift_px - 3.0 * self.u_px, 0.0)
 
 
 def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1) -> Small:
-    """Return means of blocks of cells, at most LONGEST a side.
+    """Return the frame reduced by means over blocks of cells to at most LONGEST pixels a side.
 
-    A block is seen if all of it is, and its mean is above `least` (over 0). signal: linear in
-    light, black at 0, in any unit [h, w]; cell: pixels per side that belong together (2 for a
-    mosaic).
+    A block is seen if all its pixels are seen and its mean is above `least`, which is positive.
+    signal: [h, w], linear in light with black at 0, in any unit; cell: pixels per side of a cell (2
+    for a mosaic).
     """
     import cv2
 
@@ -87,9 +90,9 @@ def reduced(signal: Array, seen: NDArray[np.bool_], least: float, cell: int = 1)
 
 
 def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Moved]:
-    """Return the turns of neighbours in a bracket that share enough edges.
+    """Return the turns between neighbouring frames of a bracket that have enough common edges.
 
-    lenses: centres in the frames' own sensor pixels.
+    lenses: with centres in sensor pixels of the frames.
     """
     if len(frames) < 2 or min(frames[0].log_light.shape) < 16:
         return []
@@ -115,7 +118,7 @@ def shifts(frames: Sequence[Small], lenses: Sequence[LensGeometry]) -> list[Move
 def _flow(
     lenses: tuple[LensGeometry, ...], step: int, shape: tuple[int, int]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the motion of reduced pixels and which are inside a lens's rim.
+    """Return how reduced pixels move when the camera turns, and a mask inside the lens's rim.
 
     The motion is [6, h, w]: x and y for a turn about each of three axes [px/rad].
     """
@@ -158,13 +161,16 @@ def _turn(
     second: list[tuple[Array, NDArray[np.bool_]]],
     flows: list[Array],
 ) -> tuple[float, float] | None:
-    """Return the angle [rad] and its standard error; None if the two share too few edges."""
+    """Return the turn between two frames [rad] and its standard error.
+
+    None for too few common edges.
+    """
     turn, covariance = np.zeros(3), None
     for level in range(len(flows) - 1, -1, -1):
         for _ in range(_STEPS):
             found = _step(first[level], second[level], flows[level], turn)
             if found is None:
-                break  # too few edges at this size; a finer one may have more
+                break  # too few edges at this size; a finer size may have more
             turn, covariance = turn + found[0], found[1]
             if np.abs(found[0]).max() * np.abs(flows[level]).max() < 0.02:
                 break
@@ -181,7 +187,7 @@ def _step(
     flow: Array,
     turn: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the correction of `turn` [3] rad, and its covariance."""
+    """Return the next correction of `turn` [3] in rad, and its covariance."""
     import cv2
 
     h, w = a[0].shape
@@ -217,7 +223,7 @@ def _solve(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Solve Huber-weighted least squares; estimate the covariance by omitting one block at a time.
 
-    The covariance is that of the first three unknowns.
+    Return the first three unknowns (the turn) and their covariance.
     """
     design = design / (scale := np.sqrt((design**2).mean(axis=0)) + 1e-30)
     weight, x = np.ones(len(target)), np.zeros(design.shape[1])

@@ -1,4 +1,4 @@
-"""Decide which frames belong to a bracket, and the exposure that each of them really had."""
+"""Decide which frames belong to a bracket, and which exposure each frame really had."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from fieldlum.raw import JPEG_SUFFIXES, possible_frames, read_exif
 from fieldlum.records import Exposure
 from fieldlum.session.files.capture_json import CaptureFile
 
-U_REPEAT = 2e-4  # relative, of one shutter time from frame to frame; not measured
-# Relative, for an ISO other than the profile's: amplifiers are not exact. Not measured.
+U_REPEAT = 2e-4  # relative u of a shutter time from frame to frame; not measured
+# Relative u for an ISO other than the profile's, because gains of amplifiers are not exact. Not
+# measured.
 U_ISO = 0.03
-_ONE_APERTURE = 0.02  # relative
+# relative difference below which two apertures count as equal; chosen, a third stop is 12 %
+_ONE_APERTURE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One frame of a bracket: the file and its intended exposure.
+    """One frame of a bracket: its file, intended exposure, heading and time.
 
-    heading_deg: None for the camera's own.
+    heading_deg: None for the heading of the camera.
     """
 
     path: Path
@@ -39,15 +41,15 @@ class Shot:
 
 
 def middle_of(shots: Sequence[Shot]) -> datetime | None:
-    """Return the middle between the first and the last frame; None where no time is known."""
+    """Return the middle between the first and the last frame; None if no frame has a time."""
     times = [s.t_utc for s in shots if s.t_utc is not None]
     return min(times) + (max(times) - min(times)) / 2 if times else None
 
 
 def shots_of_slot(folder: Path) -> list[Shot]:
-    """Return the frames of raw/<slot>/, from capture.json if there is one, else from EXIF.
+    """Return the frames in raw/<slot>/, described by capture.json if it exists, else by their EXIF.
 
-    Raises InputError.
+    Raises InputError for a folder without frames, or with frames that cannot be read.
     """
     capture = CaptureFile.find(folder / "capture.json")
     if capture is None or not capture.frames:
@@ -59,7 +61,7 @@ def shots_of_slot(folder: Path) -> list[Shot]:
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """Return the files in a slot's folder that can be frames. Raises InputError without any."""
+    """Return the files in a slot's folder that can be frames; raise InputError if there is none."""
     files = possible_frames(folder)
     if not files:
         raise InputError(
@@ -69,9 +71,10 @@ def frame_files(folder: Path) -> list[Path]:
 
 
 def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Shot]:
-    """Return frames by their EXIF; lens_f_number: for frames without one.
+    """Return frames described by their EXIF.
 
-    Raises InputError for a file without exposure time, or named twice.
+    lens_f_number: for files without an aperture. Raises InputError for a file without an exposure
+    time, or if a file is named twice.
     """
     if not files:
         raise InputError("merge", "no frames", "at least one raw or JPEG file")
@@ -81,7 +84,9 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
             raise InputError(path, "no such file", "a raw or JPEG frame")
         if (real := path.resolve()) in known:
             raise InputError(
-                path, "the same frame twice: it would count for two", "each frame once"
+                path,
+                "this frame is listed twice and would count twice",
+                "each frame once; remove the repetition",
             )
         known.add(real)
         found.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
@@ -89,9 +94,9 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
 
 
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
-    """Return the frames by exposure, longest first, then by name.
+    """Return the frames sorted by exposure, longest first, then by name.
 
-    Raises InputError for a mixed bracket.
+    Raises InputError for frames of another camera, ISO, aperture or filter than the profile's.
     """
     known = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
     for shot in shots:
@@ -143,7 +148,7 @@ def is_jpeg(path: Path) -> bool:
 
 
 def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
-    """Return the profile's shutter law; for "auto" that of the bracket's labels."""
+    """Return the profile's shutter law; for "auto", the law that the bracket's labels suggest."""
     if profile.shutter_law != AUTO:
         return ShutterLaw(profile.shutter_law, "profile")
     nominal_s = [shot.exposure.shutter_s for shot in shots]
@@ -151,7 +156,10 @@ def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
 
 
 def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDArray[np.float64]]:
-    """Return the time of each frame under each law, [frames] s; measured times stay under all."""
+    """Return the times of the frames under each law, [frames] s.
+
+    Measured times are the same under all.
+    """
     profiles = {law: replace(profile, shutter_law=law) for law in LAWS}
     return {
         law: np.array([true_shutter_s(shot.exposure.shutter_s, p)[0] for shot in shots])
@@ -162,10 +170,11 @@ def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, NDA
 def exposure_covariance(
     exposures: Sequence[Exposure], profile: CameraProfile
 ) -> NDArray[np.float64]:
-    """Return the relative covariance of the frames' exposures, before any fit, [frames, frames].
+    """Return the relative covariance of the frames' exposures before any fit, [frames, frames].
 
-    Errors of frames with the same shutter time are equal, and so are those of frames through one
-    filter, and of frames of one ISO other than the profile's. Each frame has its own error too.
+    Frames with the same shutter time have the same error of time. Frames with the same filter share
+    an error too, and so do frames of one ISO other than the profile's. Each frame also has its own
+    error.
     """
     times, filters, isos = (
         [e.shutter_s for e in exposures],

@@ -1,4 +1,4 @@
-"""`fieldlum merge SESSION`: merge every captured slot to panoramas/<slot>.exr, as units of work."""
+"""Merge every captured slot of a session to panoramas/<slot>.exr (`fieldlum merge SESSION`)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from fieldlum.session.files.sidecar import MeasuredSun, Sidecar, SidecarSun
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.version import __version__
 
-# Relative uncertainty of the sun's illuminance from which the verdict reports it.
+# The verdict reports the relative uncertainty of the sun's illuminance from this value on. Chosen.
 _SUN_WARN = 0.02
 # Increase it when the arithmetic changes: earlier panoramas are then merged again.
 _RECIPE = 5
@@ -39,7 +39,10 @@ _RECIPE = 5
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One bracket's outcome. state: merged, kept (merged before from the same inputs), failed."""
+    """The outcome of one bracket.
+
+    state: "merged", "kept" (merged by an earlier run from the same inputs) or "failed".
+    """
 
     slot: str
     state: str
@@ -54,7 +57,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class _MergeJob:
-    """What one bracket needs besides its files. It is sent to workers, so it has no path."""
+    """What the merge of one bracket needs besides its files.
+
+    It contains no path, because it is sent to workers on other computers.
+    """
 
     slot: str
     profile: CameraProfile
@@ -71,7 +77,7 @@ def captured_slots(session: Session) -> list[str]:
 
 
 def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
-    """Return what a panorama depends on; equal recipes give equal pictures."""
+    """Return everything that a panorama depends on; equal recipes give equal pictures."""
     frames = [
         {
             "file": s.path.name,
@@ -94,7 +100,10 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> dict[str, Any]:
 
 
 def _merged_before(session: Session, slot: str, recipe: dict[str, Any]) -> Sidecar | None:
-    """Return the sidecar of a panorama that was merged with the same recipe, else None."""
+    """Return the sidecar of a panorama that was merged with the same recipe.
+
+    None if there is none yet.
+    """
     path, picture = session.sidecar(slot), session.panorama(slot)
     table = made_from(path, recipe, [picture])
     try:
@@ -106,17 +115,20 @@ def _merged_before(session: Session, slot: str, recipe: dict[str, Any]) -> Sidec
 
 
 def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> datetime:
-    """Return capture.json's middle; without one that of the frames, else the slot's own time."""
+    """Return the middle time of capture.json; else that of the frames.
+
+    Else the slot's planned time.
+    """
     if capture is not None:
         return capture.t_mid_utc
     return middle_of(shots) or datetime.fromisoformat(slot)
 
 
 def merge_slot(root: Path, job: _MergeJob) -> Verdict:
-    """Merge one bracket of the session `root`, from frames to files.
+    """Merge one bracket of the session in the folder `root`, from frames to files.
 
-    A bad bracket gives the verdict "failed". Raises OSError for a fault of this computer, such as
-    a full disk, which is not a fault of the bracket.
+    A bracket that cannot be merged gets the verdict "failed". Raises OSError for a fault of the
+    computer, such as a full disk, because the bracket is not at fault.
     """
     session = Session(root)
     try:
@@ -147,9 +159,9 @@ def _failed(slot: str, text: str) -> Verdict:
 def _merge_readable(
     job: _MergeJob, shots: list[Shot], sun_deg: tuple[float, float] | None
 ) -> tuple[MergeResult, list[str]]:
-    """Merge the frames that can be read, and return the names of the others.
+    """Merge the readable frames, and return the names of the others.
 
-    Raises InputError if less than half of the frames, or less than two, can be read.
+    Raises InputError if less than half of the frames, or fewer than two, are readable.
     """
 
     def merged(some: list[Shot]) -> MergeResult:
@@ -169,23 +181,24 @@ def _merge_readable(
 def _with_session_facts(
     result: MergeResult, profile: CameraProfile, complete: bool, lost: list[str]
 ) -> MergeResult:
-    """Return the result with its illuminance, and with the verdict of its slot."""
+    """Return the result with its illuminance and with a verdict that covers the slot as well."""
     panorama = result.panorama
     illuminance_lx = vertical_illuminance_lx(
         panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
     )
     report = replace(result.report, vertical_illuminance_lx=illuminance_lx, lost=tuple(lost))
-    text = result.verdict if complete else f"incomplete bracket; {result.verdict}"
+    text = result.verdict if complete else "incomplete bracket: not all planned frames "
+    f"exist; {result.verdict}"
     if lost:
         text = (
-            f"without {', '.join(lost)}, whose pixels cannot be read: copy from the card "
-            f"again; {text}"
+            f"merged without {', '.join(lost)}, because the pixels cannot be read: copy from "
+            f"the card again; {text}"
         )
     return replace(result, report=report, verdict=text + _sun_note(panorama.sun, profile))
 
 
 def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: dict[str, Any]) -> None:
-    """Write the picture first, then its sidecar: a picture without sidecar is merged again."""
+    """Write the picture, then its sidecar: a picture without a sidecar is merged again later."""
     picture = session.panorama(job.slot)
     with replacing_path(picture) as path:
         write_panorama(path, result.panorama)
@@ -234,14 +247,14 @@ def _sun_u_rel(profile: CameraProfile) -> float:
 
 
 def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
-    """Return a note for the verdict if the sun's disc is too small on the sensor, else ""."""
+    """Return a note for the verdict if the sun's disc has few sensor pixels; "" otherwise."""
     u_rel = _sun_u_rel(profile)
     if sun is None or sun.origin == CLIPPED_SUN or u_rel < _SUN_WARN:
         return ""
     wide_px = disc_px(profile.lens)
     return (
-        f"; the sun is {wide_px:.1f} px wide on the sensor: the uncertainty of its illuminance is "
-        f"{100 * u_rel:.0f} %"
+        f"; the sun is only {wide_px:.1f} px wide on the sensor: the uncertainty of its "
+        f"illuminance is {100 * u_rel:.0f} %"
     )
 
 
@@ -266,7 +279,7 @@ def _units(
 
 
 def _unit(session: Session, job: _MergeJob) -> WorkUnit:
-    """Return the unit of one bracket: its frames are checked by the sha256 in capture.json."""
+    """Return the merge of one bracket as a unit of work, with the sha256 of its frames."""
     note = session.capture_file(job.slot)
     try:
         capture = CaptureFile.find(note)
@@ -285,7 +298,7 @@ def _unit(session: Session, job: _MergeJob) -> WorkUnit:
 
 
 def _verdict(outcome: UnitOutcome) -> Verdict:
-    """Return a unit's verdict; a bracket whose workers failed or whose disk is full has failed."""
+    """Return a unit's verdict: "failed" if its workers failed or the disk is full."""
     if outcome.trouble or isinstance(outcome.error, OSError):
         return _failed(outcome.unit.name, outcome.trouble or str(outcome.error))
     return outcome.result()
@@ -299,13 +312,16 @@ def run(
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
-    """Merge every slot that is not merged yet from the same frames and profile; then summarise all.
+    """Merge every slot that has no panorama from the same frames and profile.
 
-    Raises NotEnoughDataError when nothing was captured; InputError when every bracket failed.
+    Then write the summary. Raises NotEnoughDataError if nothing was captured, InputError if no
+    bracket could be merged.
     """
     slots = captured_slots(session)
     if not slots:
-        raise NotEnoughDataError(f"{session.raw}: no captured slots; capture or import some first")
+        raise NotEnoughDataError(
+            f"{session.raw}: no captured slots; run fieldlum capture or fieldlum import first"
+        )
     units = _units(session, slots, options or MergeOptions(), force)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     remove_scraps(session.panoramas)  # of killed runs
@@ -319,6 +335,7 @@ def run(
         raise InputError(
             session.raw,
             f"no bracket could be merged; {verdicts[0].text}",
-            remedy="read the verdict of each bracket",
+            remedy="read the verdict of each bracket (fieldlum merge --json), correct the "
+            "first and merge again",
         )
     return verdicts
