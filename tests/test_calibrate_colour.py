@@ -97,7 +97,7 @@ def test_colour_from_a_chart(tmp_path: Path) -> None:
     shares = np.array(found.y_from_rgb) / sum(found.y_from_rgb)
     assert shares == pytest.approx((0.30, 0.60, 0.10), abs=0.03)
     with pytest.raises(
-        InputError, match=r"another order.*clockwise"
+        InputError, match=r"not in a chart.s order.*clockwise"
     ):  # the corners from the black patch on
         colour.from_chart(path, PROFILE, corners[4:] + corners[:4])
 

@@ -371,7 +371,7 @@ def test_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Pa
         "-08:00",
     ]
     without = CliRunner().invoke(main, asked)
-    assert without.exit_code == 3 and "or by --column ghi_wm2=NAME" in without.stderr
+    assert without.exit_code == 3 and "or state one with --column ghi_wm2=NAME" in without.stderr
     assert CliRunner().invoke(main, [*asked, "--column", "sky=Sky_W"]).exit_code == 2
     named = CliRunner().invoke(
         main, [*asked, "--column", "ghi_wm2=Sky_W", "--column", "dhi_wm2=Shade_W"]

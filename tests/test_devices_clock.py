@@ -62,7 +62,7 @@ def test_uri_parts() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("office", "no device URI"),
+        ("office", "not a device URI"),
         ("sim:office?seed", "name=value"),
         ("sim:office?seed=1&seed=2", "occurs twice"),
         ("fax:1", "no camera driver 'fax:'"),

@@ -207,12 +207,16 @@ def learned(*lines: str) -> LineForm:
 @pytest.mark.parametrize(
     ("lines", "odd", "said"),
     [
-        (['{"G": 812.4, "T": 24.1}'], '{"G": 812, "T": 24.1}', "812 has 0 decimals, usual is 1"),
+        (
+            ['{"G": 812.4, "T": 24.1}'],
+            '{"G": 812, "T": 24.1}',
+            "812 has 0 decimals; in earlier lines it has 1",
+        ),
         (['{"G": 812.4, "T": 24.1}'], '{"G": 8124, "T": 24.1}', "8124 has 0 decimals"),
         (['{"G": 812.4, "T": 24.1}'], '{"G": 812.4, "U": 24.1}', "around its numbers"),
         (["G=812.4 T=24.1"], "G=812.4  24.1", "around its numbers"),
-        (["G=0812.4", "G=1012.4"], "G=812.4", "fills 5 characters, usual is 6"),
-        (["G= 812.4", "G=  92.4"], "G= 12.4", "fills 5 characters, usual is 6"),
+        (["G=0812.4", "G=1012.4"], "G=812.4", "fills 5 characters; in earlier lines it fills 6"),
+        (["G= 812.4", "G=  92.4"], "G= 12.4", "fills 5 characters; in earlier lines it fills 6"),
     ],
 )
 def test_a_line_unlike_all_before_it_is_noticed(lines: list[str], odd: str, said: str) -> None:
@@ -262,7 +266,9 @@ def test_no_whole_line_is_refused(values: list[tuple[int, int]], how: str) -> No
 
 @pytest.mark.contract
 def test_profiles_are_checked(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match=r"no line profile 'x'; expected one of .*arduino-json"):
+    with pytest.raises(
+        DeviceError, match=r"no profile of text lines named 'x'; expected one of .*arduino-json"
+    ):
         load_ascii_profile("x")
     own = tmp_path / "own.toml"
     for text, said in (
@@ -340,7 +346,10 @@ def test_a_line_of_another_form_gives_no_number_and_is_handed_out(talker: tuple[
     os.write(ours, b'{"G": 811, "T": 22.0}\nboot\n{"G": 811.0, "T": 22.0}\n')
     assert device.read().ghi_wm2 == 811.0 and device.ignored == 2
     first, second = device.refused()
-    assert "811 has 0 decimals, usual is 1" in first and r"""b'{"G": 811, "T": 22.0}\n'""" in first
+    assert (
+        "811 has 0 decimals; in earlier lines it has 1" in first
+        and r"""b'{"G": 811, "T": 22.0}\n'""" in first
+    )
     assert "boot" in second and device.refused() == []
     device.close()
 
@@ -352,7 +361,7 @@ def test_silence_and_noise(talker: tuple[int, str]) -> None:
     with pytest.raises(DeviceError, match="no line received"):
         device.read()
     os.write(ours, b"\n\xf0\x81\xfe\n")
-    with pytest.raises(DeviceError, match="has bytes that are no text"):
+    with pytest.raises(DeviceError, match="has bytes that are not ASCII text"):
         device.read()
     device.close()
 

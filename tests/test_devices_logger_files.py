@@ -48,7 +48,7 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
             "no row could be read: line 2: ghi_wm2 is 'many'",
         ),
         ("", "no header"),
-        ("t_utc;ghi_wm2\n2027-03-20T16:00:00Z;5,1\n", "columns separated by ';'; expected by ','"),
+        ("t_utc;ghi_wm2\n2027-03-20T16:00:00Z;5,1\n", "columns separated by ';'; expected commas"),
         (
             't_utc,ghi_wm2\n2027-03-20T16:00:00Z,"5,1"\n',
             "ghi_wm2 is '5,1', expected a number with a decimal point",

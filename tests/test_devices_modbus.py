@@ -217,7 +217,7 @@ def test_unplugged_is_a_device_error() -> None:
         ("modbus:/dev/x?kind=smq", "no instrument 'smq'; expected one of apogee"),
         (
             "modbus:/dev/x?kind=ms60",
-            "no unit number, and ms60 has no usual one; add it: its unit number is",
+            "no unit number, and ms60 has no default; add it to the URI: its unit number is",
         ),
         ("modbus:/dev/x?unit=1", "expected a port and a kind"),
         ("modbus:/dev/x?kind=smp&unit=1&dhi_unit=1", "occurs twice"),

@@ -310,7 +310,10 @@ def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) 
             "serial.tools.list_ports.comports", lambda device=device: plugged(device)
         )
         assert resolve("usb=0403:6001") == resolve("usb=0403:6001:ft9z") == device
-    with pytest.raises(DeviceError, match=r"not plugged in; USB ports: 0403:6001:ft9z"):
+    with pytest.raises(
+        DeviceError,
+        match=r"not plugged in; plug it in, or name one of these USB ports: 0403:6001:ft9z",
+    ):
         resolve("usb=0403:6015")
     assert resolve("COM3") == "COM3"
 

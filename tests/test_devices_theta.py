@@ -233,7 +233,7 @@ def test_one_that_never_ends(
             1
         ],
     )
-    with pytest.raises(DeviceError, match="was not done within"):
+    with pytest.raises(DeviceError, match="was not complete within"):
         camera.expose(Exposure(0.004, 5.6), tmp_path / "f")
 
 

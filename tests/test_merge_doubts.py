@@ -206,7 +206,7 @@ def test_a_black_level_unlike_the_profiles_is_told(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_what_makes_no_bracket_is_refused(tmp_path: Path) -> None:
     shots = take(tmp_path)
-    with pytest.raises(InputError, match=r"0.dng: the same frame twice"):
+    with pytest.raises(InputError, match=r"0.dng: this frame is listed twice"):
         shots_of_files([shots[0].path, shots[1].path, tmp_path / "." / "0.dng"])
     with pytest.raises(
         InputError, match=r"2.dng: f/8 in a bracket of f/5.6; expected one aperture"
@@ -246,7 +246,7 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
     ):  # a guess; as its maker liked
         assert orientation_conflict(shots, replace(profile, lens=lenses)) == ""
     assert orientation_conflict(shots, profile).endswith(
-        "turned within the bracket, by its EXIF: roll 0 and 90 deg"
+        "roll angles 0 and 90 deg; capture the bracket again with a fixed camera"
     )
     assert "held 90 deg off" in merge_frames([s.path for s in shots[:2]], profile, SMALL).verdict
 

@@ -188,10 +188,10 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     residual = every.rgb @ raw / every.y - 1.0
     u = float(np.sqrt(candidates[choice.index].errors.mean()))
     if u > MOST_U:
-        found = f"held-out readings miss by {100 * u:.0f} %: readings and colours do not fit "
-        "together"
-        remedy = "check that each line has the place of its reading, and that the light was "
-        "steady"
+        found = (
+            f"held-out readings miss by {100 * u:.0f} %: readings and colours do not fit together"
+        )
+        remedy = "check that each line has the place of its reading, and that the light was steady"
         raise InputError(
             colours.frames[0], found, f"an error of at most {100 * MOST_U:.0f} %", remedy
         )

@@ -247,8 +247,7 @@ def _check(found: LensGeometry, missed: Array, angle: Array, targets: Targets) -
             "check signs, units and the columns x_px and y_px",
         )
     if angle.max() > BEYOND * found.half_angle_rad:
-        past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that "
-        "ends at"
+        past = f"a target {np.degrees(angle.max()):.0f} deg from the axis of a lens that ends at"
         raise InputError(
             source,
             f"{past} {np.degrees(found.half_angle_rad):.0f} deg",

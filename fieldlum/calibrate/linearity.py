@@ -124,8 +124,7 @@ def fit(levels: Levels) -> LinearityFit:
     times = np.unique(levels.seconds)
     low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
     if len(times) < FEWEST_TIMES or low > LOWEST or high < HIGHEST:
-        found = f"{len(times)} times that cover {100 * low:.0f} to {100 * high:.0f} % of the "
-        "scale"
+        found = f"{len(times)} times that cover {100 * low:.0f} to {100 * high:.0f} % of the scale"
         wanted = (
             f"at least {FEWEST_TIMES} times from under {100 * LOWEST:.0f} to over "
             f"{100 * HIGHEST:.0f} % are needed: take more frames of a steady light"

@@ -211,8 +211,9 @@ def spot_cdm2(
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
-        remedy = "check azimuth (clockwise from north) and altitude (up from the horizon) "
-        "of this line"
+        remedy = (
+            "check azimuth (clockwise from north) and altitude (up from the horizon) of this line"
+        )
         raise InputError(
             file,
             f"the picture has no luminance {place}",

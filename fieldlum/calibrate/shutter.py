@@ -250,8 +250,7 @@ def fit(brackets: Sequence[Sequence[ShutterReading]], profile: CameraProfile) ->
     the assumed times; InputError for a JPEG camera.
     """
     if profile.camera.kind != "raw":
-        found = "a JPEG camera, for which response and shutter times cannot be fitted "
-        "together"
+        found = "a JPEG camera, for which response and shutter times cannot be fitted together"
         raise InputError(
             profile.camera.name,
             found,

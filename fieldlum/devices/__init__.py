@@ -35,7 +35,7 @@ FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no ch
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """What a camera states about itself; empty or None where it states nothing."""
+    """What a camera reports about itself; empty or None where it reports nothing."""
 
     kind: str  # the driver
     make: str = ""
@@ -44,13 +44,13 @@ class CameraInfo:
     firmware: str = ""
     lens: str = ""
     battery: str = ""
-    clock_offset_s: float | None = None  # the camera's clock minus the computer's
-    frames_left: int | None = None  # that fit on its card
+    clock_offset_s: float | None = None  # the camera's clock minus the computer's [s]
+    frames_left: int | None = None  # number of frames that still fit on its card
 
 
 @dataclass(frozen=True, slots=True)
 class InstrumentInfo:
-    """What an instrument states about itself; empty where it states nothing."""
+    """What an instrument reports about itself; empty where it reports nothing."""
 
     kind: str  # the driver or register profile
     model: str = ""
@@ -58,10 +58,11 @@ class InstrumentInfo:
     firmware: str = ""
     calibration_date: str = ""  # ISO
     sensitivity: str = ""  # with its unit
-    status: str = ""  # empty: no fault reported
+    status: str = ""  # empty if no fault is reported
     port: str = ""
-    gives: tuple[str, ...] = ("ghi",)  # of ghi, dhi, dni, illuminance
-    # How a damaged answer is detected: CRC-16, exclusive or, asked twice; FORM_ALONE: by form only.
+    gives: tuple[str, ...] = ("ghi",)  # any of ghi, dhi, dni, illuminance
+    # How a damaged answer is detected: by CRC-16, by exclusive or, by a second query, or
+    # (FORM_ALONE) only by its form.
     guard: str = ""
 
 
@@ -70,14 +71,14 @@ class Camera(Protocol):
 
     @property
     def info(self) -> CameraInfo:
-        """What the camera states about itself."""
+        """Return what the camera reports about itself."""
         ...
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Take one frame and return its file: the name of `target` plus the camera's suffix.
+        """Take one frame, write it to `target` plus the camera's suffix, and return the file.
 
-        heading_deg : view direction of a camera on a turning head. Raises DeviceError if the camera
-        cannot take exactly this frame.
+        heading_deg : view direction, for a camera on a turning head. Raises DeviceError if the
+        camera cannot take exactly this exposure.
         """
         ...
 
@@ -92,23 +93,23 @@ class BracketingCamera(Protocol):
 
     @property
     def bracket_shots(self) -> range:
-        """The counts of frames that a bracket may have."""
+        """Numbers of frames that a bracket may have."""
         ...
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """Take all frames in the given order, each to its target's name plus a suffix.
+        """Take all frames in the given order; write each one to its target plus a suffix.
 
-        Raises DeviceError.
+        Raises DeviceError if the camera does not deliver them all.
         """
         ...
 
 
 @runtime_checkable
 class ReportingCamera(Protocol):
-    """A camera that states the exposure it took, which may differ from the requested one."""
+    """A camera that reports which exposure it took; it may differ from the requested one."""
 
     def exposure_taken(self, written: Path) -> Exposure | None:
-        """Return the exposure of the frame just written; None where it is not known."""
+        """Return the exposure of the frame just written; None if the camera does not report it."""
         ...
 
 
@@ -117,7 +118,7 @@ class Choosing(Protocol):
     """A camera whose settings have fixed steps."""
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError, with the nearest step, for an exposure that is not offered."""
+        """Raise DeviceError, naming the nearest step, for an exposure that is not offered."""
         ...
 
 
@@ -130,9 +131,9 @@ def refuse_turning(kind: str, heading_deg: float | None) -> None:
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Return why a camera will not take these exposures, one sentence each, without repetition.
+    """Return why a camera will not take these exposures, one sentence for each reason.
 
-    Empty for a camera that does not report its steps.
+    The list is empty for a camera that does not report its steps.
     """
     reasons: list[str] = []
     if not isinstance(camera, Choosing):
@@ -150,13 +151,13 @@ class Pyranometer(Protocol):
 
     @property
     def info(self) -> InstrumentInfo:
-        """What the instrument states about itself."""
+        """Return what the instrument reports about itself."""
         ...
 
     def read(self) -> IrradianceSample:
-        """Return one reading, taken now.
+        """Take one reading now and return it.
 
-        Raises DeviceError for silence and for an answer that cannot be trusted.
+        Raises DeviceError if the instrument does not answer, or if the answer is damaged.
         """
         ...
 
@@ -170,13 +171,13 @@ class Streaming(Protocol):
     """An instrument that sends readings without a request."""
 
     def refused(self) -> list[str]:
-        """Return the lines that were rejected since the last call, each with the reason."""
+        """Return the lines rejected since the last call, each with the reason."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class IlluminanceReading:
-    """One reading of an illuminance meter; raw is its answer as received."""
+    """One reading of an illuminance meter; `raw` is the answer as received."""
 
     illuminance_lx: float
     low_battery: bool = False
@@ -188,11 +189,11 @@ class IlluminanceMeter(Protocol):
 
     @property
     def info(self) -> InstrumentInfo:
-        """What the meter states about itself."""
+        """Return what the meter reports about itself."""
         ...
 
     def read(self) -> IlluminanceReading:
-        """Return one reading, taken now. Raises DeviceError."""
+        """Take one reading now and return it. Raises DeviceError."""
         ...
 
     def close(self) -> None:
@@ -200,7 +201,8 @@ class IlluminanceMeter(Protocol):
         ...
 
 
-# Scheme -> module and function; a module is imported only when its scheme is used.
+# Scheme of the URI, and the module and function that open it. A module is imported only when its
+# scheme is used.
 CAMERAS = {
     "sim": ("fieldlum.devices.simulated", "open_camera"),
     "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
@@ -229,7 +231,10 @@ def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any
 
 
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
-    """Open a camera. Raises DeviceError for an unknown scheme or option, or a missing camera."""
+    """Open a camera.
+
+    Raises DeviceError for an unknown scheme or option, or if the camera is missing.
+    """
     parsed = parse_uri(uri)
     return _driver(parsed, CAMERAS, "camera")(parsed, clock=clock, session=session)
 
@@ -237,7 +242,7 @@ def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Ca
 def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) -> Pyranometer:
     """Open a pyranometer. Raises DeviceError as `open_camera` does.
 
-    session : its simulated truth is read by the simulator; other drivers ignore it.
+    session : the simulator reads its true irradiance; other drivers ignore it.
     """
     parsed = parse_uri(uri)
     return _driver(parsed, PYRANOMETERS, "pyranometer")(parsed, clock=clock, session=session)

@@ -1,8 +1,8 @@
-"""Lines of instruments that print readings (Arduino rigs, loggers), as data and pure functions.
+"""Parse lines of instruments that print their readings (Arduino rigs, loggers).
 
-A profile states the form: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json`
-(one object a line). A line that does not fit in every part gives no number: it is rejected and
-counted.
+A profile describes the lines: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json`
+(one object per line). A line must fit the profile in every part. Otherwise it is rejected and
+counted, and none of its numbers is used.
 """
 
 from __future__ import annotations
@@ -26,31 +26,32 @@ from fieldlum.strict_toml import build, read_toml
 
 _NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
 _LONGEST = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.
-# Limits of quantities that are no irradiance; outside is a misread number. Chosen wider than any
+# Limits of quantities other than irradiance; a number outside was misread. Chosen wider than any
 # instrument housing in use; not measured.
 _LIMITS = {"temperature_c": (-60.0, 150.0)}
 
 
 @dataclass(frozen=True, slots=True)
 class AsciiLine:
-    """The serial line.
+    """Settings of the serial line.
 
-    Opening it restarts most Arduinos; `silence_s` is longer than their restart.
+    `silence_s` must be longer than the restart of an Arduino, because opening the line restarts
+    most of them.
     """
 
     baud: int = 9600
     bits: int = 8
     parity: Literal["N", "E", "O"] = "N"
     stop: int = 1
-    silence_s: float = 5.0  # without a line for this long the instrument counts as silent
+    silence_s: float = 5.0  # the instrument counts as silent after this time without a line
 
 
 @dataclass(frozen=True, slots=True)
 class AsciiField:
     """One number of a line: quantity = scale * number + offset.
 
-    Further fields reject damaged numbers. `decimals` : the exact count of digits after the point;
-    `width` : the exact count of characters, as printf's %6.1f or %06.1f print; `unit` : text
+    The other fields serve to reject damaged numbers. `decimals` : exact number of digits after the
+    point; `width` : exact number of characters, as printf's %6.1f or %06.1f print; `unit` : text
     directly behind the number; `lowest` and `highest` : limits of the quantity.
     """
 
@@ -67,16 +68,16 @@ class AsciiField:
 
 @dataclass(frozen=True, slots=True)
 class AsciiProfile:
-    """The form of an instrument's lines: calibration/instruments/ascii/NAME.toml."""
+    """Description of an instrument's lines, from calibration/instruments/ascii/NAME.toml."""
 
     name: str
     form: Literal["regex", "key-value", "json"]
     entry: tuple[AsciiField, ...]
-    pattern: str = ""  # of a regex; groups are named as the entries' keys
-    only: bool = False  # key-value, json: these keys, in this order, and no others
-    # The line ends in * and hexadecimal digits over the text before it (without a leading $): two
-    # digits for the exclusive or of its bytes, as in NMEA; four for CRC-16/MODBUS, which detects
-    # all damage to a few bytes.
+    pattern: str = ""  # of a regex; its groups have the names of the entries' keys
+    only: bool = False  # for key-value and json: only these keys, in this order
+    # The line ends in * and hexadecimal digits. These check the text before the *, without a
+    # leading $. Two digits are the exclusive or of its bytes, as in NMEA. Four digits are
+    # CRC-16/MODBUS, which detects all damage to a few bytes.
     checksum: Literal["none", "xor", "crc16"] = "none"
     model: str = ""
     serial: str = ""
@@ -85,16 +86,17 @@ class AsciiProfile:
 
 
 def load_ascii_profile(name: str) -> AsciiProfile:
-    """Read a profile, by the name of a shipped one or by path.
+    """Read the profile of an instrument's lines: a shipped one by name, any other by path.
 
-    Raises DeviceError for an unknown name, and InputError for a broken profile.
+    Raises DeviceError for an unknown name, InputError for a broken profile.
     """
     folder = shipped("calibration") / "instruments" / "ascii"
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
         raise DeviceError(
-            f"no line profile '{name}'; expected one of {known}, or the path of a TOML file"
+            f"no profile of text lines named '{name}'; expected one of {known}, or the path "
+            "of a TOML file"
         )
     profile = build(AsciiProfile, read_toml(path), str(path))
     quantities = [e.quantity for e in profile.entry]
@@ -105,7 +107,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
             path,
             f"entries for {', '.join(quantities) or 'nothing'}",
             "at least one irradiance, and each quantity once",
-            "correct the entries",
+            "correct the [[entry]] tables",
         )
     if profile.form == "regex":
         try:
@@ -128,7 +130,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Return the quantities of one complete line, including its end mark.
+    """Return the quantities in one complete line, which includes its end mark.
 
     Raises DeviceError for a line that does not fit the profile in every part.
     """
@@ -145,13 +147,17 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
         high = entry.highest if entry.highest is not None else high
         if not low <= value <= high:
             raise DeviceError(
-                f"line {text[:60]!r}: {entry.quantity} {value:g}; expected {low:g} to {high:g}"
+                f"line {text[:60]!r}: {entry.quantity} {value:g}; expected {low:g} to "
+                f"{high:g}; check scale and offset of the profile"
             )
     return values
 
 
 def body_of(profile: AsciiProfile, line: bytes) -> str:
-    """Return the text of a complete line without its checksum. Raises DeviceError for damage."""
+    """Return the text of a complete line without its checksum.
+
+    Raises DeviceError for a damaged line.
+    """
     text = _complete_text(line)
     return text if profile.checksum == "none" else _without_checksum(text, profile.checksum)
 
@@ -161,7 +167,7 @@ def _complete_text(line: bytes) -> str:
         raise DeviceError(f"line {line[:60]!r} has no end mark")
     body = line.rstrip(b"\r\n")
     if not body.isascii() or any(c < 32 and c != 9 for c in body):
-        raise DeviceError(f"line {line[:60]!r} has bytes that are no text")
+        raise DeviceError(f"line {line[:60]!r} has bytes that are not ASCII text")
     return body.decode("ascii")
 
 
@@ -175,9 +181,9 @@ def _without_checksum(text: str, kind: Literal["xor", "crc16"]) -> str:
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC-16/MODBUS: polynomial 0x8005 reflected, from 0xFFFF.
+    """Return the CRC-16/MODBUS of some bytes: polynomial 0x8005 reflected, start 0xFFFF.
 
-    The same as `_crc16_update` of avr-libc.
+    This equals `_crc16_update` of avr-libc.
     """
     crc = 0xFFFF
     for byte in data:
@@ -195,13 +201,13 @@ def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
 
 
 def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
-    """Return the values by key; every word must be key=value, and no key may be there twice."""
+    """Return the values by key; every word must be key=value, and each key must occur once."""
     found: dict[str, str] = {}
     for word in re.split(r"[,;\s]+", text.strip(" \t,;")):
         key, equals, value = word.partition("=")
         if not equals or not key or key in found:
             raise DeviceError(
-                f"line {text[:60]!r}: {word!r} is no key=value, or its key occurs twice"
+                f"line {text[:60]!r}: {word!r} is not key=value, or its key occurs twice"
             )
         found[key] = value
     return _having(profile, found, text)
@@ -214,7 +220,7 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
         return dict(pairs)
 
     try:
-        # Numbers are read as text, so that their decimals can be counted.
+        # Read numbers as text, so that their decimals can be counted.
         found = json.loads(
             text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str
         )

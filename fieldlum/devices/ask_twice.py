@@ -1,4 +1,4 @@
-"""Queries of instruments without a checksum: an answer counts if a second answer agrees."""
+"""Query instruments whose answers have no checksum: two answers must agree."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TypeVar
 from fieldlum.errors import DeviceError
 
 T = TypeVar("T")
-ASKED_AT_MOST = 3  # a third answer decides between two that differ (docs/results/parsers.md)
+ASKED_AT_MOST = 3  # a third answer decides if two differ (docs/results/parsers.md)
 
 
 def agreed_answer(
@@ -19,16 +19,18 @@ def agreed_answer(
     limits: tuple[float, float],
     in_line: Callable[[T, T, T], bool],
 ) -> tuple[T, tuple[bytes, ...]]:
-    """Return the value that the answers agree on, and all answers as received.
+    """Return the value on which answers agree, and all answers as received.
 
-    ask : queries the instrument; parse : raises DeviceError for a damaged answer; apart : the
-    difference of two values; limits : (noise of the instrument, largest difference that counts as
-    agreement), in the unit of `apart`; in_line : whether three values follow an even change.
+    ask : queries the instrument; parse : raises DeviceError for a damaged answer; apart :
+    difference of two values; limits : noise of the instrument, and the largest difference that
+    still counts as agreement, in the unit of `apart`; in_line : whether three values in order of
+    time are evenly spaced.
 
-    Queries twice, and a third time if the two differ by more than the noise. Returns the earlier of
-    the two values that are nearest to each other, if they agree; else the middle one of three that
-    are `in_line`, because the light was changing. An answer that does not parse agrees with none.
-    Raises DeviceError if nothing agrees; errors of `ask` (silence) are raised at once.
+    The instrument is queried twice, and a third time if the answers differ by more than the noise.
+    If two values agree, the earlier of the nearest two is returned. Otherwise, if three values are
+    `in_line`, the light was changing and the middle one is returned. A damaged answer agrees with
+    no other. Raises DeviceError if nothing agrees, or at once if `ask` fails, for example for
+    silence.
     """
     answers: list[bytes] = []
     valid: list[T] = []
@@ -47,4 +49,4 @@ def agreed_answer(
     if len(valid) == ASKED_AT_MOST and in_line(valid[0], valid[1], valid[2]):
         return valid[1], tuple(answers)
     shown = ", ".join(repr(answer[:40]) for answer in answers)
-    raise DeviceError(why if not valid else f"no two answers agree: {shown}")
+    raise DeviceError(why if not valid else f"no two answers agree: {shown}; check the cable")

@@ -1,4 +1,4 @@
-"""Sleep of this computer: a lock of the operating system keeps it awake while a capture runs."""
+"""Keep this computer awake while a capture runs, by a lock of the operating system."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-# A closed lid needs a lock of its own. If that is not granted (a remote login, for example), the
-# other two are still taken.
+# A closed lid needs a lock of its own. If it is refused (for example in a remote login), the other
+# two locks are still requested.
 _WHAT = ("sleep:idle:handle-lid-switch", "sleep:idle")
-_PATIENCE_S = 5.0  # for an answer of the lock's process; chosen, not measured
+_PATIENCE_S = 5.0  # timeout for an answer of the lock's process; chosen, not measured
 
 
 @contextmanager
 def kept_awake() -> Iterator[str]:
     """Keep the computer awake inside the block; yield the locks that were granted.
 
-    Yields systemd's names (``sleep:idle:handle-lid-switch``), or an empty text without a lock.
-    Linux: a lock of systemd-logind; macOS: caffeinate; Windows: the thread's execution state (the
-    last two were not tried). The lock ends with this process, however it ends.
+    The text has systemd's names (``sleep:idle:handle-lid-switch``); it is empty if no lock was
+    granted. Linux uses a lock of systemd-logind, macOS caffeinate, Windows the thread's execution
+    state (the last two are untested). The lock ends with this process, even after a crash.
     """
     if sys.platform == "win32":
         with _windows() as what:
@@ -54,9 +54,9 @@ def _start() -> tuple[subprocess.Popen[bytes] | None, str]:
 
 
 def _inhibit(what: str) -> subprocess.Popen[bytes] | None:
-    """Start `cat` under the lock, and return its process, or None if the lock is not granted.
+    """Start `cat` under the lock; return its process, or None if the lock is refused.
 
-    It answers once the lock is granted, and ends when this process ends.
+    The process answers once the lock is granted, and ends when this process ends.
     """
     line = [
         "systemd-inhibit",

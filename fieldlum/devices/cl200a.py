@@ -116,13 +116,17 @@ def parse_answer(reply: bytes) -> ChromaticityReading:
     values = [_value(match[7][i : i + 6]) for i in (0, 6, 12)]
     if not (0.0 <= values[0] <= 200_000.0 and 0.0 <= values[1] <= 1.0 and 0.0 <= values[2] <= 1.0):
         raise DeviceError(
-            f"CL-200A: {values[0]:g} lx at x {values[1]:g}, y {values[2]:g} is out of its range"
+            f"CL-200A: {values[0]:g} lx at x {values[1]:g}, y {values[2]:g} is out of its "
+            "range; read it again in less light"
         )
     return ChromaticityReading(values[0], values[1], values[2], match[6] == "1", match[4] == "6")
 
 
 class Cl200a:
-    """Implements `IlluminanceMeter`. sleep : used for the pauses that the meter needs."""
+    """A CL-200A on a serial port; implements `IlluminanceMeter`.
+
+    sleep : waits for the pauses that the meter needs.
+    """
 
     def __init__(
         self,
@@ -133,7 +137,7 @@ class Cl200a:
         timeout_s: float = 1.5,
     ) -> None:
         self._sleep = sleep
-        # A pty has neither seven bits nor parity: "N" is for tests and for converters that remove
+        # "N" is for tests (a pty has neither seven bits nor parity) and for converters that remove
         # them.
         self._port = SerialPort(
             place, baud=9600, bits=7 if parity == "E" else 8, parity=parity, timeout_s=timeout_s
@@ -151,7 +155,7 @@ class Cl200a:
 
     @property
     def info(self) -> InstrumentInfo:
-        """What the meter states about itself."""
+        """Return what the meter reports about itself."""
         return InstrumentInfo(
             "cl200a", "Konica Minolta CL-200A", port=self._port.name, gives=("illuminance",)
         )
@@ -159,8 +163,8 @@ class Cl200a:
     def read(self) -> IlluminanceReading:
         """Return one reading.
 
-        Raises DeviceError for silence, damage, the meter's own errors, and a meter that does not
-        settle.
+        Raises DeviceError if the meter does not answer, its answer is damaged or reports an error,
+        or the meter does not settle on a range.
         """
         for _ in range(_TRIES - 1):
             with suppress(NotReady):

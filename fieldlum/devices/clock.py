@@ -1,4 +1,4 @@
-"""Clocks as devices: the real clock, and a simulated one that can be stepped and suspended."""
+"""Provide clocks: the computer's, and a simulated one that can be stepped and suspended."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from typing import Literal, Protocol
 
 
 class Clock(Protocol):
-    """Wall time, time since start with and without sleep, and waiting."""
+    """Wall time, time since start (with and without sleep), and waiting."""
 
     def now(self) -> datetime:
-        """Return wall time, aware UTC; people and time servers may step it."""
+        """Return wall time, aware UTC; users and time servers may step it."""
         ...
 
     def monotonic(self) -> float:
-        """Return seconds that stop while the computer sleeps."""
+        """Return seconds since a fixed start; they stop while the computer sleeps."""
         ...
 
     def boottime(self) -> float:
-        """Return seconds that continue while the computer sleeps."""
+        """Return seconds since a fixed start; they continue while the computer sleeps."""
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for a number of seconds."""
         ...
 
 
@@ -38,7 +38,7 @@ class RealClock:
         return datetime.now(UTC)
 
     def monotonic(self) -> float:
-        """Return seconds that stop while the computer sleeps."""
+        """Return seconds since a fixed start; they stop while the computer sleeps."""
         return (
             time.clock_gettime(time.CLOCK_MONOTONIC)
             if hasattr(time, "clock_gettime")
@@ -46,9 +46,9 @@ class RealClock:
         )
 
     def boottime(self) -> float:
-        """Return seconds that continue while the computer sleeps."""
-        # Only Linux has this clock. On macOS and Windows time.monotonic counts sleep, or no clock
-        # does.
+        """Return seconds since a fixed start; they continue while the computer sleeps."""
+        # Only Linux has this clock. On macOS and Windows time.monotonic already counts sleep, or no
+        # clock does.
         return (
             time.clock_gettime(time.CLOCK_BOOTTIME)
             if hasattr(time, "CLOCK_BOOTTIME")
@@ -56,13 +56,13 @@ class RealClock:
         )
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for a number of seconds."""
         time.sleep(max(seconds, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class ClockFault:
-    """A fault of the wall clock at `at_utc` (true time).
+    """A disturbance of the wall clock at the true time `at_utc`.
 
     step : the wall clock is set forward by `seconds`; suspend : the computer sleeps for `seconds`.
     """
@@ -73,10 +73,10 @@ class ClockFault:
 
 
 class FastClock:
-    """Simulated time: `sleep` returns at once, and time has passed.
+    """A simulated clock: `sleep` returns at once and moves its time forward.
 
     `true_utc` is the time of the simulated sun. faults : steps and suspends that happen at their
-    time; `step` and `suspend` cause them directly.
+    times; `step` and `suspend` cause them directly.
     """
 
     def __init__(self, start: datetime, faults: Iterable[ClockFault] = ()) -> None:
@@ -99,17 +99,17 @@ class FastClock:
             return self._true + timedelta(seconds=self._step_s)
 
     def monotonic(self) -> float:
-        """Return seconds that stop while the computer sleeps."""
+        """Return seconds since a fixed start; they stop while the computer sleeps."""
         with self._lock:
             return self._boot_s - self._slept_s
 
     def boottime(self) -> float:
-        """Return seconds that continue while the computer sleeps."""
+        """Return seconds since a fixed start; they continue while the computer sleeps."""
         with self._lock:
             return self._boot_s
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass; a suspend meanwhile delays the return, as on a real computer."""
+        """Let time pass; a suspend in this time delays the return, as on a real computer."""
         with self._lock:
             left = max(seconds, 0.0)
             while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=left):

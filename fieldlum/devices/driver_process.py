@@ -1,7 +1,7 @@
-"""A driver in its own process, which is killed if it hangs and restarted after a crash.
+"""Run a driver in its own process, which is killed if it hangs and restarted after a crash.
 
-The child runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result), ("error",
-text), or ("full", errno) for a full disk, which is no fault of the device.
+The child process runs `serve(pipe)`: it receives (command, arguments) and answers ("ok", result),
+("error", text), or ("full", errno) for a full disk, which is not the device's fault.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Serve = Callable[[Connection], None]
 
 
 def failure(error: Exception) -> tuple[str, Any]:
-    """Return the child's answer for an exception: ("full", errno) or ("error", text)."""
+    """Return the child's answer to an exception: ("full", errno) or ("error", text)."""
     return (
         ("full", error.errno)
         if isinstance(error, OSError) and disk_is_full(error)
@@ -31,9 +31,9 @@ def failure(error: Exception) -> tuple[str, Any]:
 
 
 class Child:
-    """A child process that starts with the first command and does one command at a time.
+    """A child process that starts with the first command and runs one command at a time.
 
-    starts : how often it was started.
+    starts : number of times that it was started.
     """
 
     def __init__(self, name: str, serve: Serve) -> None:
@@ -49,10 +49,10 @@ class Child:
         return self._process is not None and self._process.is_alive()
 
     def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
-        """Return the child's answer to a command.
+        """Send a command to the child and return its answer.
 
-        Raises DeviceError for an error of the child, for its silence (then it is killed) and for
-        its death; OSError if the child found the disk full.
+        Raises DeviceError if the child reports an error, does not answer (it is then killed) or
+        dies; OSError if the child found the disk full.
         """
         with self._lock:
             pipe = self._ready()
@@ -61,12 +61,12 @@ class Child:
                 if not pipe.poll(timeout_s):
                     self._kill()
                     raise DeviceError(
-                        f"{self._name}: '{command}' did not answer within {timeout_s:g} s; its "
-                        f"process was killed"
+                        f"{self._name}: '{command}' did not answer within {timeout_s:g} s "
+                        "and its process was killed; check cable and battery"
                     )
                 kind, result = pipe.recv()
             except (EOFError, OSError):
-                code = self._kill(grace_s=5.0)  # the process is ending: wait for its exit code
+                code = self._kill(grace_s=5.0)  # the process is ending, so wait for its exit code
                 why = (
                     f"signal {signal.Signals(-code).name}"
                     if code is not None and code < 0
@@ -84,7 +84,7 @@ class Child:
     def _ready(self) -> Connection:
         if self._pipe is None or not self.alive:
             self._kill()
-            # Never fork: libusb and threads do not survive it.
+            # Never fork, because neither libusb nor threads survive it.
             context = multiprocessing.get_context("spawn")
             ours, theirs = context.Pipe()
             self._process = context.Process(
@@ -113,7 +113,7 @@ class Child:
         return code
 
     def close(self, timeout_s: float = 3.0) -> None:
-        """Let the child end by itself within the time, and kill it otherwise."""
+        """Wait for the child to end by itself, and kill it after `timeout_s`."""
         with self._lock:
             if self._pipe is not None and self.alive:
                 with suppress(OSError, EOFError):

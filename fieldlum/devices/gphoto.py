@@ -1,4 +1,4 @@
-"""A tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``.
+"""Drive a tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``.
 
 The option ``?delete=1`` deletes each picture from the card after it was copied.
 """
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from fieldlum.devices.clock import Clock
     from fieldlum.session import Session
 
-# Timeouts; READOUT_S is added to the shutter time. Chosen so that slow cards pass; not measured.
+# Timeouts in seconds; READOUT_S is added to the shutter time. Chosen so that slow cards pass; not
+# measured.
 OPEN_S = 30.0
 SET_S = 15.0
 READOUT_S = 30.0
@@ -28,9 +29,9 @@ _NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", r
 
 
 def setting_value(text: str) -> float | None:
-    """Return the number of a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100.
+    """Return the number in a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100.
 
-    None for Bulb, Auto and other words.
+    Return None for Bulb, Auto and other words.
     """
     match = _NUMBER.fullmatch(text.strip())
     if match is None or (match[2] is not None and not float(match[2])):
@@ -39,7 +40,10 @@ def setting_value(text: str) -> float | None:
 
 
 def choose(role: str, asked: float, choices: list[str]) -> str:
-    """Return the camera's own text for a value. Raises DeviceError if none is within 1/6 EV."""
+    """Return the camera's own text for a value.
+
+    Raises DeviceError if no choice is within 1/6 EV.
+    """
     offered = {value: text for text in choices if (value := setting_value(text)) is not None}
     unit = {"shutter": "s", "aperture": "", "iso": ""}[role]
     return offered[nearest(asked, offered, f"camera {role}", unit)]
@@ -50,10 +54,11 @@ def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
 
 
 class GphotoCamera:
-    """Implements `Camera`, with libgphoto2 in a child process under a watchdog.
+    """A tethered camera; libgphoto2 runs in a child process under a watchdog. Implements `Camera`.
 
-    After a hang or a crash the next call restarts the child. readout_s : timeout after the shutter
-    time; late_file_s : time within which the second file of a raw and JPEG pair may arrive.
+    After a hang or a crash the next call restarts the child. readout_s : time that is added to the
+    shutter time before a call counts as hung; late_file_s : time to wait for the second file of a
+    raw and JPEG pair.
     """
 
     def __init__(
@@ -84,15 +89,15 @@ class GphotoCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """What the camera states about itself."""
+        """Return what the camera reports about itself."""
         about = {k: v for k, v in self._about.items() if k != "settings"}
         return CameraInfo("gphoto", **about)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set the exposure, check it, take the frame and copy it.
+        """Set the exposure, check the setting, take the frame and copy it.
 
-        The frame is kept whatever its EXIF states: the caller compares it. Raises DeviceError, and
-        OSError if the disk is full.
+        The frame is returned even if its EXIF differs: the caller compares it. Raises DeviceError,
+        and OSError if the disk is full.
         """
         refuse_turning("gphoto", heading_deg)
         if not self._child.alive or self._child.starts != self._opened_at_start:
@@ -111,7 +116,7 @@ class GphotoCamera:
                 choose(role, asked, self._about["settings"][role][1])
 
     def _set(self, role: str, asked: float) -> None:
-        # A manual lens, or a fixed setting: `capture` checks the EXIF of the frame instead.
+        # A manual lens or a fixed setting: `capture` checks the EXIF of the frame instead.
         if role not in self._about["settings"]:
             return
         widget, choices = self._about["settings"][role]
@@ -119,8 +124,8 @@ class GphotoCamera:
         shown = self._child.ask("set", widget, text, timeout_s=SET_S)
         if shown != text:
             raise DeviceError(
-                f"gphoto: {widget} was set to {text}, but the camera shows {shown}; set its dial "
-                f"to M"
+                f"gphoto: {widget} was set to {text}, but the camera shows {shown}; set its "
+                "dial to M"
             )
 
     def close(self) -> None:

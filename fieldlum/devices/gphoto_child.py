@@ -1,4 +1,4 @@
-"""The child process around libgphoto2: opens a camera, sets it, takes a picture, copies it."""
+"""Run libgphoto2 in a child process: open a camera, set it, take a picture, copy it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, TypedDict
 
 from fieldlum.devices.driver_process import failure
 
-# The names of the three settings by brand; the first that a camera has is used.
+# Names of the three settings by brand; the first name that a camera has is used.
 WIDGETS = {
     "shutter": ("shutterspeed", "shutterspeed2", "exptime"),
     "aperture": ("aperture", "f-number"),
@@ -20,20 +20,20 @@ WIDGETS = {
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw")
 _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
     -1: "unspecified error",
-    -3: "out of memory, or its card is full",
+    -3: "out of memory, or the camera's card is full; delete pictures on the card",
     -7: "input/output error; check the cable",
     -10: "timeout",
-    -52: "not found on USB",
-    -53: "another program uses it; close it, or run 'gio mount -s gphoto2'",
-    -105: "no camera found; switch it on, set it to PTP, check the cable",
-    -115: "its card is full",
+    -52: "the camera is not on USB; check the cable and switch the camera on",
+    -53: "another program uses it; close that program, or run 'gio mount -s gphoto2'",
+    -105: "no camera found; switch it on, set it to PTP, and check the cable",
+    -115: "the camera's card is full; delete pictures on it",
 }
 _BUSY = -110  # GP_ERROR_CAMERA_BUSY of gphoto2-result.h
-_TRIES = 4  # half a second apart while the camera is busy; chosen, not measured
+_TRIES = 4  # number of tries, half a second apart, while the camera is busy; chosen, not measured
 
 
 class GphotoDescription(TypedDict):
-    """What a camera states, and for each setting its widget and its choices."""
+    """What a camera reports about itself; for each setting its widget and its choices."""
 
     make: str
     model: str
@@ -128,7 +128,7 @@ def _describe(gp: Any, camera: Any) -> GphotoDescription:
 
 
 def _patiently(gp: Any, work: Any) -> Any:
-    """Call `work`, and again while the camera reports that it is busy."""
+    """Call `work`; call it again while the camera reports that it is busy."""
     for left in reversed(range(_TRIES)):
         try:
             return work()
@@ -140,10 +140,10 @@ def _patiently(gp: Any, work: Any) -> Any:
 
 
 def _set(gp: Any, camera: Any, name: str, text: str) -> str:
-    """Set one of the widget's own choices and return the value that it has afterwards.
+    """Set a widget to one of its own choices, and return the value that it then has.
 
-    A text that is no choice never reaches libgphoto2, which replaces some silently and crashes on
-    others.
+    A text that is not among the choices is never sent to libgphoto2, because it silently replaces
+    some such texts and crashes on others.
     """
     widget = camera.get_single_config(name)
     if text not in list(widget.get_choices()):
@@ -157,9 +157,10 @@ def _set(gp: Any, camera: Any, name: str, text: str) -> str:
 def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> str:
     """Take a picture, copy it to `target` plus its suffix, and return the path.
 
-    Of a raw and JPEG pair the raw is copied. late_ms : time to wait for the second file.
+    From a pair of raw and JPEG only the raw file is copied. late_ms : time to wait for the second
+    file.
     """
-    for _ in range(50):  # events of earlier pictures
+    for _ in range(50):  # discard events of earlier pictures
         if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
             break
     first = _patiently(gp, lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
@@ -171,7 +172,8 @@ def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> st
         kind, data = camera.wait_for_event(late_ms)
     folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
     shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
-    body = bytes(memoryview(shot.get_data_and_size()))  # `shot` must exist until this copy
+    # `shot` must exist until this copy is complete
+    body = bytes(memoryview(shot.get_data_and_size()))
     path = Path(f"{target}{Path(name).suffix.lower()}")
     with path.open("wb") as file:
         file.write(body)

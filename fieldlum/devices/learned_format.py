@@ -1,8 +1,8 @@
-"""The format of a stream of lines, learned from the stream: text around numbers, their decimals.
+"""Learn the format of a stream of lines: text around numbers, and numbers of decimals.
 
-A damaged line that still reads as a number often differs from the format of all lines before it: it
-lost decimals, a key, a zero of its padding. The constant parts of a stream are found here, so that
-nobody has to state them.
+A damaged line that still reads as a number often differs from the format of all earlier lines: it
+has lost decimals, a key, or a zero of its padding. The constant parts of the format are learned
+from the stream, so that the user need not state them.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from collections import Counter, deque
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
-# Lines that count, and lines from which on a part can be called constant. Chosen so that a format
-# is known after half a minute to some minutes; effect in docs/results/parsers.md.
+# Number of recent lines that count, and number of lines from which on a part can count as constant.
+# Chosen so that a format is known after half a minute to some minutes; effect in
+# docs/results/parsers.md.
 RECENT = 60
 ENOUGH = 20
 _NUMBER = re.compile(
@@ -23,9 +24,10 @@ _PADDED = re.compile(r"[+-]?0\d")
 
 
 def constant(values: Sequence[Hashable]) -> Hashable | None:
-    """Return the value that nearly all have; None without one, or for fewer than 20 values.
+    """Return the value that nearly all values have.
 
-    One value may differ, or one in sixty if there are more.
+    Return None if there is no such value, or for fewer than 20 values. One value may differ, or one
+    in sixty if there are more.
     """
     if len(values) < ENOUGH:
         return None
@@ -35,28 +37,28 @@ def constant(values: Sequence[Hashable]) -> Hashable | None:
 
 @dataclass(slots=True)
 class _Number:
-    """The forms of the number at one place of the line, over the recent lines."""
+    """The forms that the number at one place of the line had in the recent lines."""
 
     decimals: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
     widths: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))  # with leading blanks
     blanks: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    zero_padded: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))  # 024.1
+    zero_padded: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))  # like 024.1
 
     @property
     def padded(self) -> bool:
-        """Whether it has a fixed width: leading zeros, or leading blanks of varying count."""
+        """Whether the number has a fixed width, by leading zeros or by varying leading blanks."""
         return sum(self.zero_padded) > 1 or constant(self.blanks) is None
 
 
 @dataclass(slots=True)
 class LineForm:
-    """The format of the last 60 lines that fitted their profile."""
+    """The format of the last 60 lines that fit their profile."""
 
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))
     numbers: dict[int, _Number] = field(default_factory=dict)
 
     def unlike(self, text: str) -> str:
-        """Return how a line differs from the constant format, or an empty text; then learn it.
+        """Return how a line differs from the constant format, or ""; then learn from the line.
 
         After a permanent format change, two lines are rejected, then the new format is accepted.
         """
@@ -65,7 +67,7 @@ class LineForm:
         usual = constant(self.texts)
         self.texts.append(around)
         if usual not in (None, around):
-            return f"it reads {around!r} around its numbers, usual is {usual!r}"
+            return f"the text around its numbers is {around!r}; in earlier lines it is {usual!r}"
         reasons = (self._number(i, match) for i, match in enumerate(numbers))
         reason = next((text for text in reasons if text), "")
         for i, match in enumerate(numbers):
@@ -82,8 +84,12 @@ class LineForm:
             return ""
         usual = constant(known.decimals)
         if usual not in (None, decimals):
-            return f"number {match['number']} has {decimals} decimals, usual is {usual}"
+            return (
+                f"number {match['number']} has {decimals} decimals; in earlier lines it has {usual}"
+            )
         usual = constant(known.widths) if known.padded else None
         if usual not in (None, width):
-            return f"number {match[0]!r} fills {width} characters, usual is {usual}"
+            return (
+                f"number {match[0]!r} fills {width} characters; in earlier lines it fills {usual}"
+            )
         return ""

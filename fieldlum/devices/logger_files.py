@@ -1,4 +1,4 @@
-"""Files of data loggers to irradiance samples: Campbell TOA5, plain CSV, fieldlum's day files."""
+"""Read irradiance from files of data loggers: Campbell TOA5, plain csv, fieldlum's day files."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _TIMES = ("t_utc", "time", "timestamp")
 class LoggerFile:
     """The content of a logger's file.
 
-    samples : by time; left_out : lines that could not be read, with the reason; about : the kind of
-    file, in words.
+    samples : in order of time; left_out : unreadable lines, each with the reason; about : a
+    description of the kind of file.
     """
 
     samples: tuple[IrradianceSample, ...]
@@ -34,13 +34,12 @@ class LoggerFile:
 def read_logger_file(
     path: Path, utc_offset: timedelta | None = None, columns: Mapping[str, str] | None = None
 ) -> LoggerFile:
-    """Read a file of a data logger.
+    """Read the irradiance in a data logger's file.
 
-    utc_offset : the logger's clock minus UTC, for files whose times have no zone; columns :
-    quantity (ghi_wm2 ...) to column name, else the usual names.
-
-    Raises InputError for a file of another kind, for times without a zone and without utc_offset,
-    and for a file without a readable row.
+    utc_offset : the logger's clock minus UTC, needed if the times have no zone; columns : name of
+    the column of each quantity (ghi_wm2 ...), if it is not one of the usual names. Raises
+    InputError for another kind of file, for times without a zone and without utc_offset, and for a
+    file without a readable row.
     """
     try:
         data = path.read_bytes()
@@ -73,7 +72,10 @@ def read_logger_file(
     if not found.samples:
         why = found.left_out[0] if found.left_out else "it has no rows"
         raise InputError(
-            path, f"no row could be read: {why}", "rows of irradiance", "check the file"
+            path,
+            f"no row could be read: {why}",
+            "rows of irradiance",
+            "open the file and compare a row with docs/capture.md",
         )
     return LoggerFile(
         tuple(sorted(found.samples, key=lambda s: s.t_utc)), found.left_out, found.about
@@ -85,14 +87,14 @@ def _no_zone(path: Path) -> InputError:
         path,
         "times without a time zone",
         "the logger's offset from UTC",
-        "give --utc-offset +HH:MM",
+        "state it with --utc-offset +HH:MM",
     )
 
 
 def _read_csv(
     path: Path, text: str, utc_offset: timedelta | None, columns: Mapping[str, str] | None
 ) -> LoggerFile:
-    """Read rows under a header with a time (t_utc, time or timestamp) and an irradiance."""
+    """Read rows below a header that has a time (t_utc, time or timestamp) and an irradiance."""
     rows = csv.reader(text.splitlines())
     try:
         names = [name.strip() for name in next(rows)]
@@ -105,14 +107,14 @@ def _read_csv(
         ) from None
     if len(names) == 1 and (mark := next((mark for mark in ";\t|" if mark in names[0]), "")):
         remedy = "save it as CSV with commas between and points in the numbers"
-        raise InputError(path, f"columns separated by {mark!r}", "by ','", remedy)
+        raise InputError(path, f"columns separated by {mark!r}", "commas", remedy)
     lower = [name.lower() for name in names]
     when = next((lower.index(name) for name in _TIMES if name in lower), None)
     wanted = columns or {name: name for name in QUANTITIES}
     chosen = {q: lower.index(name.lower()) for q, name in wanted.items() if name.lower() in lower}
     if when is None or not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(chosen):
         shown = ", ".join(names)[:120]
-        remedy = "name them in its first line, or by --column ghi_wm2=NAME"
+        remedy = "write names into its first line, or state one with --column ghi_wm2=NAME"
         raise InputError(path, f"columns {shown}", "t_utc and ghi_wm2, dhi_wm2 or dni_wm2", remedy)
     samples, left_out = [], []
     try:

@@ -1,8 +1,8 @@
-"""Pyranometers on Modbus RTU: ``modbus:PLACE?kind=smp&unit=1``, one driver with register profiles.
+"""Read pyranometers on Modbus RTU: ``modbus:PLACE?kind=smp&unit=1``.
 
-Options: kind (or the path of another profile), unit, dhi_unit and dni_unit (more instruments of the
-same kind on the bus), baud, parity, stop, timeout. Only functions 3 and 4 are sent: no register is
-ever written.
+One driver serves all kinds; a register profile describes each. Options: kind (or the path of
+another profile), unit, dhi_unit and dni_unit (more instruments of the same kind on the bus), baud,
+parity, stop, timeout. Only functions 3 and 4 are sent: no register is ever written.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Unit:
 
 
 class ModbusPyranometer:
-    """Implements `Pyranometer`: one instrument, or several of one kind on one bus."""
+    """One instrument, or several of one kind, on one bus; implements `Pyranometer`."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class ModbusPyranometer:
 
     @property
     def info(self) -> InstrumentInfo:
-        """What the instruments state about themselves, joined by " + "."""
+        """Return what the instruments report about themselves, joined by " + "."""
 
         def texts(name: str) -> str:
             parts = [d.texts.get(name) or _integer_text(d.values.get(name)) for d in self._about]
@@ -82,7 +82,7 @@ class ModbusPyranometer:
             model,
             texts("serial"),
             texts("firmware"),
-            # Of several instruments the oldest date counts.
+            # The oldest date of several instruments counts.
             min(
                 (
                     d.texts["calibration_date"]
@@ -99,9 +99,9 @@ class ModbusPyranometer:
         )
 
     def read(self) -> IrradianceSample:
-        """Return one reading of all units, read one after the other.
+        """Read all units, one after the other, and return one reading.
 
-        Raises DeviceError if a unit does not answer or its answer cannot be right.
+        Raises DeviceError if a unit does not answer, or if its answer is impossible.
         """
         t_utc = self._clock.now()
         values: dict[str, float] = {}
@@ -123,7 +123,7 @@ class ModbusPyranometer:
         )
 
     def _ask(self, unit: Unit, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
-        """Return the blocks of one unit, decoded, and as hexadecimal words."""
+        """Return the register blocks of one unit, decoded, and as hexadecimal words."""
         import minimalmodbus
 
         client = minimalmodbus.Instrument(self._port.handle, unit.address)
@@ -185,8 +185,8 @@ def open_pyranometer(
     unit = options.get("unit", line.unit)
     if not unit:
         raise DeviceError(
-            f"{uri.text}: no unit number, and {profile.kind} has no usual one; add it: "
-            f"{profile.note}"
+            f"{uri.text}: no unit number, and {profile.kind} has no default; add it to the "
+            f"URI: {profile.note}"
         )
     units = [Unit("ghi", unit)]
     units += [

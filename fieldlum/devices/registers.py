@@ -1,4 +1,4 @@
-"""Instruments with registers: profiles of registers as data, and the decoding of their blocks."""
+"""Decode the registers of instruments, as profiles describe them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fieldlum.strict_toml import build, read_toml
 
 Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
 WORDS = {"u16": 1, "s16": 1, "u32": 2, "s32": 2, "f32": 2, "date": 2}
-# An irradiance outside of these limits is a misread register: chosen beyond any sun, cloud edge and
-# night offset; not measured. [W/m2]
+# An irradiance outside these limits means a misread register [W/m2]. Chosen beyond any sun, cloud
+# edge and night offset; not measured.
 LOWEST_WM2 = -200.0
 HIGHEST_WM2 = 4000.0
 Registers = Mapping[int, int]
@@ -24,7 +24,7 @@ Registers = Mapping[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Factory settings of the serial line; unit 0: the user must state it."""
+    """Factory settings of the serial line; unit 0 means that the user must state it."""
 
     baud: int = 19200
     bits: int = 8
@@ -35,7 +35,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class RegisterBlock:
-    """Registers that are read by one request, and so are of one moment."""
+    """Registers that are read by one request, and therefore at one moment."""
 
     start: int
     count: int
@@ -53,13 +53,14 @@ class Entry:
     type: Kind = "u16"
     scale: float = 1.0
     power10_register: int | None = None
-    words: int = 0  # of a text
-    allow: tuple[int, ...] = ()  # good values of a status word; others make the sample suspect
+    words: int = 0  # number of registers of a text
+    # values of a status word without a fault; with others the sample is suspect
+    allow: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class RegisterProfile:
-    """The registers of a kind of instrument: calibration/instruments/KIND.toml.
+    """Description of the registers of a kind of instrument: calibration/instruments/KIND.toml.
 
     32-bit values have their high word first.
     """
@@ -70,7 +71,8 @@ class RegisterProfile:
     source: str
     poll: tuple[RegisterBlock, ...]
     entry: tuple[Entry, ...]
-    function: Literal[3, 4] = 3  # read holding or input registers; no other function is sent
+    # read holding (3) or input (4) registers; no other function is ever sent
+    function: Literal[3, 4] = 3
     at_open: tuple[RegisterBlock, ...] = ()
     largest_request: int = 125
     line: Line = field(default_factory=Line)
@@ -79,10 +81,10 @@ class RegisterProfile:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Decoded registers.
+    """The decoded content of some registers.
 
-    values : by the names of the entries; texts : of model, serial and dates; status : the status
-    words that report a fault.
+    values : by name of the entry; texts : model, serial number and dates; status : the status words
+    that report a fault.
     """
 
     values: dict[str, float]
@@ -96,7 +98,7 @@ def known_kinds() -> list[str]:
 
 
 def load_register_profile(kind: str) -> RegisterProfile:
-    """Read a profile, by kind or by the path of a TOML file.
+    """Read a profile of registers: a shipped one by kind, any other by path.
 
     Raises InputError for a broken profile, DeviceError for an unknown kind.
     """
@@ -116,7 +118,7 @@ def load_register_profile(kind: str) -> RegisterProfile:
         ):
             limit = f"1 to {profile.largest_request} registers in a request"
             found = f"a block of {block.count} registers at {block.start}"
-            raise InputError(path, found, limit, "split the block")
+            raise InputError(path, found, limit, "split the [[poll]] block into two")
     polled = {r for b in profile.poll for r in range(b.start, b.start + b.count)}
     read = polled | {r for b in profile.at_open for r in range(b.start, b.start + b.count)}
     for entry in profile.entry:
@@ -125,15 +127,20 @@ def load_register_profile(kind: str) -> RegisterProfile:
                 path,
                 f"entry '{entry.name}' is outside the blocks",
                 "a block with all its registers",
-                "add the block",
+                "add its registers to a [[poll]] block",
             )
     if "irradiance_wm2" not in {e.name for e in profile.entry}:
-        raise InputError(path, "no entry 'irradiance_wm2'", "one such entry", "add it")
+        raise InputError(
+            path,
+            "no entry 'irradiance_wm2'",
+            "one such entry",
+            "add an [[entry]] named irradiance_wm2",
+        )
     return profile
 
 
 def _span(entry: Entry) -> list[int]:
-    """Return all registers that an entry needs."""
+    """Return the numbers of all registers that an entry needs."""
     count = entry.words if entry.type == "text" else WORDS[entry.type]
     own = list(range(entry.register, entry.register + count))
     return own if entry.power10_register is None else [*own, entry.power10_register]
@@ -147,7 +154,7 @@ def raw_value(kind: str, words: Iterable[int]) -> float:
 
 
 def date_text(number: float) -> str:
-    """Return 20260115 as 2026-01-15; empty for a number that is no date."""
+    """Return 20260115 as 2026-01-15; "" for a number that is not a date."""
     text = f"{number:.0f}"
     plausible = (
         len(text) == 8
@@ -195,8 +202,8 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
         math.isfinite(irradiance) and LOWEST_WM2 <= irradiance <= HIGHEST_WM2
     ):
         raise DeviceError(
-            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2; expected {LOWEST_WM2:g} to "
-            f"{HIGHEST_WM2:g} W/m2"
+            f"{profile.maker} {profile.kind}: {irradiance:g} W/m2; expected {LOWEST_WM2:g} "
+            f"to {HIGHEST_WM2:g} W/m2; check the kind in the URI"
         )
     return Decoded(
         {k: v for k, v in values.items() if math.isfinite(v)}, texts, " ".join(complaints)
@@ -206,5 +213,8 @@ def decode(profile: RegisterProfile, registers: Registers) -> Decoded:
 def _power(word: int, profile: RegisterProfile) -> int:
     power = int(raw_value("s16", [word]))
     if not -1 <= power <= 2:
-        raise DeviceError(f"{profile.maker} {profile.kind}: scale factor {power}; expected -1 to 2")
+        raise DeviceError(
+            f"{profile.maker} {profile.kind}: scale factor {power}; expected "
+            "-1 to 2; check the kind in the URI"
+        )
     return power

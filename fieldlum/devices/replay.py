@@ -1,7 +1,7 @@
-"""Frames that were taken before, as a camera: ``replay:FOLDER``, for rehearsals.
+"""Replay existing frames as a camera, for rehearsals: ``replay:FOLDER``.
 
 Each frame of the folder is returned once, in the order of the camera's clock, for the first
-exposure that it fits.
+exposure that it matches.
 """
 
 from __future__ import annotations
@@ -27,10 +27,9 @@ _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", 
 
 
 def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
-    """Return all frames under a folder, by the camera's clock and name.
+    """Return all frames in a folder and its subfolders, ordered by camera clock and name.
 
-    A file that is no frame, or has no exposure in its EXIF, is skipped. Raises DeviceError if no
-    frame remains.
+    Files without an exposure in their EXIF are skipped. Raises DeviceError if no frame remains.
     """
     frames = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.name[0] != "."):
@@ -45,7 +44,7 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
 
 
 def _order(t_camera: datetime | None) -> datetime:
-    """Return a sort key; naive camera times are compared only with each other."""
+    """Return a sort key; times without a zone are compared only with each other."""
     late = datetime.max.replace(tzinfo=UTC)
     return (
         late if t_camera is None else t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
@@ -74,11 +73,11 @@ class ReplayCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """What the first frame states about its camera."""
+        """Return what the first frame states about its camera."""
         return CameraInfo("replay", self._make, self._model, frames_left=len(self._left))
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Copy the next frame that fits. Raises DeviceError if none remains."""
+        """Copy the next frame with this exposure. Raises DeviceError if there is none left."""
         for i, (path, info) in enumerate(self._left):
             if fits(info.exposure, exposure):
                 del self._left[i]
@@ -88,11 +87,12 @@ class ReplayCamera:
                 return written
         shown = f"{exposure.shutter_s:.5g} s f/{exposure.f_number:g} ISO {exposure.iso:g}"
         raise DeviceError(
-            f"replay: no frame of {shown} remains; {len(self._left)} frames of other exposures do"
+            f"replay: no frame of {shown} is left, only {len(self._left)} of other "
+            "exposures; plan the exposures that the folder has"
         )
 
     def close(self) -> None:
-        """Forget the frames that remain."""
+        """Drop the frames that were not replayed."""
         self._left = []
 
 

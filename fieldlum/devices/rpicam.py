@@ -1,11 +1,11 @@
-"""A Raspberry Pi camera through the program rpicam-still: ``rpicam:``, ``rpicam:1``.
+"""Drive a Raspberry Pi camera through the program rpicam-still: ``rpicam:``, ``rpicam:1``.
 
-The place is the camera's number (0 without one). Options: ``f_number`` of the lens, which no frame
+The place is the camera's number (default 0). Options: ``f_number`` of the lens, which no frame
 states, and ``program`` for another path of rpicam-still. Each frame is a raw DNG with fixed
-shutter, gain and white balance; its exposure is taken from the metadata that the program writes,
-since the sensor exposes for an integer number of lines: 60 us gives 114 us on one module.
+shutter, gain and white balance. Its exposure comes from the metadata that the program writes,
+because the sensor exposes for an integer number of lines: 60 us gives 114 us on one module.
 
-Source: rpicam-apps (options, the metadata's keys, the list of cameras). Untried on hardware.
+Source: rpicam-apps (options, the metadata's keys, the list of cameras). Untested on hardware.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 PROGRAM = "rpicam-still"
-LIST_S = 20.0  # timeout of the list of cameras; chosen, not measured
-# Start of the camera stack, and frames that it discards before the one that is kept: long exposures
-# take several times their length (rpicam-apps and its predecessor report up to 7).
+LIST_S = 20.0  # timeout for listing the cameras; chosen, not measured
+# Start of the camera stack, and number of frames that it discards before the one that it writes.
+# Long exposures take several times their length (rpicam-apps and its predecessor report up to 7).
 START_S = 20.0
 DISCARDED_FRAMES = 7.0
-# Analogue gain has steps of some percent; DigitalGain above 1 means that the sensor could not
+# Analogue gain has steps of a few percent. A digital gain above 1 means that the sensor could not
 # expose so long (an OV5647 set to 6 s gives 1.06 s and a digital gain of 4).
 GAIN_TOLERANCE = 0.03
 ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
@@ -49,14 +49,14 @@ _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
 
 @dataclass(frozen=True, slots=True)
 class FrameMetadata:
-    """The program's statements about a frame; shutter_s in s."""
+    """What the program reports about a frame: the shutter time [s] and the two gains."""
 
     shutter_s: float
     analogue_gain: float
     digital_gain: float
 
     def exposure(self, asked: Exposure) -> Exposure:
-        """Return the exposure that was taken; aperture and filter are the requested ones."""
+        """Return the exposure that was taken; aperture and filter are those requested."""
         iso = asked.iso if self._gain_is(asked) else ISO_OF_GAIN_1 * self.analogue_gain
         return Exposure(self.shutter_s, asked.f_number, iso, asked.nd)
 
@@ -82,12 +82,15 @@ def parse_metadata(text: str) -> FrameMetadata:
 
 
 def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
-    """Return number, sensor and format of each camera that --list-cameras names."""
+    """Return number, sensor and format of each camera in the output of --list-cameras."""
     return {int(m[1]): (m[2], m[3]) for m in _CAMERA_LINE.finditer(text)}
 
 
 class RpicamCamera:
-    """Implements `Camera` and `ReportingCamera`. Raises DeviceError without program or camera."""
+    """A Raspberry Pi camera; implements `Camera` and `ReportingCamera`.
+
+    Raises DeviceError if the program or the camera is missing.
+    """
 
     def __init__(self, place: str, f_number: float, *, program: str = PROGRAM) -> None:
         self._program, self._f_number, self._start_s = program, f_number, START_S
@@ -106,14 +109,13 @@ class RpicamCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """What the program states about the camera; its clock is the computer's."""
+        """Return what the program reports about the camera; its clock is the computer's."""
         return CameraInfo("rpicam", make="Raspberry Pi", model=self._sensor, clock_offset_s=0.0)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one DNG.
 
-        Raises DeviceError for a frame with an exposure that cannot be merged, and OSError if the
-        disk is full.
+        Raises DeviceError if its exposure cannot be merged, and OSError if the disk is full.
         """
         refuse_turning("rpicam", heading_deg)
         self.check_offered(exposure)
@@ -126,7 +128,10 @@ class RpicamCamera:
             self._check(metadata, exposure)
             if not written.is_file() or written.stat().st_size < _SMALLEST_FILE:
                 size = written.stat().st_size if written.is_file() else 0
-                raise DeviceError(f"rpicam: the raw frame has {size} bytes")
+                raise DeviceError(
+                    f"rpicam: the raw frame has only {size} bytes; take it "
+                    "again, and check the camera's cable"
+                )
         except BaseException:
             written.unlink(missing_ok=True)
             raise
@@ -137,21 +142,23 @@ class RpicamCamera:
         return written
 
     def exposure_taken(self, written: Path) -> Exposure | None:
-        """Return the exposure that the metadata state for the newest frame."""
+        """Return the exposure of the newest frame by its metadata."""
         return self._taken.get(written)
 
     def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for another aperture than the lens has, or a gain below 1."""
+        """Raise DeviceError for an aperture that the lens does not have, or for a gain below 1."""
         if abs(exposure.f_number / self._f_number - 1.0) > 0.02:
             raise DeviceError(
                 f"rpicam: f/{exposure.f_number:g} is planned, and the lens has "
                 f"f/{self._f_number:g}; give f_number=... in the URI, or correct the plan"
             )
         if exposure.iso < ISO_OF_GAIN_1 * (1.0 - GAIN_TOLERANCE):
-            raise DeviceError(f"rpicam: ISO {exposure.iso:g} is a gain below 1; plan ISO 100")
+            raise DeviceError(
+                f"rpicam: ISO {exposure.iso:g} would need a gain below 1; plan with ISO 100 or more"
+            )
 
     def close(self) -> None:
-        """Nothing is held between frames."""
+        """Do nothing: the camera is not held between frames."""
 
     def _arguments(self, exposure: Exposure, picture: Path, about: Path) -> list[str]:
         return [
@@ -166,10 +173,15 @@ class RpicamCamera:
         try:
             return parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
         except OSError:
-            raise DeviceError("rpicam: no metadata were written; the exposure is unknown") from None
+            raise DeviceError(
+                "rpicam: no metadata were written, so the exposure is unknown; update rpicam-apps"
+            ) from None
 
     def _check(self, metadata: FrameMetadata, asked: Exposure) -> None:
-        """Refuse what the sensor cannot do: the next try would give the same."""
+        """Raise DeviceError if the sensor cannot take this exposure.
+
+        A repetition would not help.
+        """
         off_ev = abs(math.log2(metadata.shutter_s / asked.shutter_s))
         stretched = metadata.digital_gain > 1.0 + 10 * GAIN_TOLERANCE
         if off_ev > LARGEST_STEP_EV and stretched:
@@ -182,13 +194,14 @@ class RpicamCamera:
         gain = asked.iso / ISO_OF_GAIN_1
         if abs(math.log2(metadata.analogue_gain / gain)) > LARGEST_STEP_EV:
             raise DeviceError(
-                f"rpicam: gain {gain:g} requested, but the sensor used {metadata.analogue_gain:g}"
+                f"rpicam: gain {gain:g} requested, but the sensor used "
+                f"{metadata.analogue_gain:g}; plan an ISO that this module has"
             )
 
     def _run(self, arguments: list[str], timeout_s: float) -> str:
-        """Return what the program prints. Raises DeviceError.
+        """Run the program and return what it prints.
 
-        A program that hangs is killed with all that it started.
+        A program that hangs is killed with all processes that it started. Raises DeviceError.
         """
         try:
             process = subprocess.Popen(
@@ -221,11 +234,11 @@ class RpicamCamera:
 
 
 def _reason(said: str, code: int) -> str:
-    """Return the line that names the fault."""
+    """Return the line of the program's output that names the fault."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     errors = [line for line in lines if "ERROR" in line]
     if any("in use by another process" in line for line in lines):
-        return "the camera is used by another program; end that one"
+        return "another program uses the camera; end that program"
     return f"{(errors or lines or ['nothing printed'])[-1][:200]} (exit code {code})"
 
 
@@ -240,14 +253,17 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> RpicamCamera:
-    """Open the camera; the lens's f-number is the plan's unless the URI states it."""
+    """Open the camera; its f-number is that of the plan unless the URI states it."""
     options = uri.read(f_number=number(0.5, 64.0), program=str)
     f_number = options.get("f_number") or _planned_f_number(session)
     return RpicamCamera(uri.place, f_number, program=options.get("program", PROGRAM))
 
 
 def _planned_f_number(session: Session | None) -> float:
-    """Return the aperture of the plan. Raises DeviceError without a session or with two."""
+    """Return the aperture of the plan.
+
+    Raises DeviceError without a session, or if the plan has two apertures.
+    """
     slots = session.slots() if session is not None else []
     planned = {exposure.f_number for slot in slots for exposure in slot.exposures}
     if len(planned) != 1:

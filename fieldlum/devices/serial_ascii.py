@@ -1,4 +1,4 @@
-"""Serial pyranometers: ``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``.
+"""Open serial pyranometers: ``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``.
 
 PLACE is a device file or usb=VID:PID:SERIAL.
 """

@@ -1,4 +1,4 @@
-"""An instrument that sends lines by itself on a serial port; nothing is ever sent to it."""
+"""Read an instrument that sends lines by itself; nothing is ever sent to it."""
 
 from __future__ import annotations
 
@@ -14,29 +14,31 @@ from fieldlum.devices.serial_port import SerialPort
 from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
-_POLL_S = 0.05  # timeout of one read; decides only how often the port is polled
-_LONGEST_REST = 4096  # bytes without an end mark that mean a wrong baud rate; chosen, not measured
-# Lines of which the median is taken, and the largest time between them: over slower lines the light
-# changes too much. Effect in docs/results/parsers.md.
+_POLL_S = 0.05  # timeout of one read; only sets how often the port is polled
+# this many bytes without an end mark mean a wrong baud rate; chosen, not measured
+_LONGEST_REST = 4096
+# Number of lines whose median is taken, and largest time between them, because the light changes
+# over longer times. Effect in docs/results/parsers.md.
 _VOTES = 3
 _SLOWEST_VOTE_S = 2.0
-_REJECTED_STORED = 100  # the last rejected lines that wait for `refused`
+_REJECTED_STORED = 100  # number of the last rejected lines that `refused` can return
 _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 
 
 def voted(values: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the median of each quantity over lines.
 
-    Of three values a damaged one is outside the other two, or does no harm.
+    One damaged value out of three is either outside the other two, so that the median omits it, or
+    between them, where it does no harm.
     """
     return {quantity: median(line[quantity] for line in values) for quantity in values[-1]}
 
 
 class LineInstrument:
-    """Returns the newest line since the last reading, or the next one.
+    """An instrument that sends lines; implements `Pyranometer` and `Streaming`.
 
-    Implements `Pyranometer` and `Streaming`. If three or more lines have arrived at most two
-    seconds apart, the reading is the median of the newest three.
+    A reading is the newest line since the last reading, or else the next line. If three or more
+    lines have arrived, at most two seconds apart, the reading is the median of the newest three.
     """
 
     def __init__(
@@ -54,7 +56,7 @@ class LineInstrument:
             timeout_s=_POLL_S,
         )
         self._rest: bytes | None = (
-            None  # None: the first line may have begun before the port opened
+            None  # None: the first line may have begun before the port was opened
         )
         self._form = LineForm()
         self._refused: list[str] = []
@@ -63,7 +65,7 @@ class LineInstrument:
 
     @property
     def info(self) -> InstrumentInfo:
-        """What the profile states about the instrument."""
+        """Return what the profile states about the instrument."""
         p = self._profile
         gives = tuple(
             e.quantity.removesuffix("_wm2") for e in p.entry if e.quantity.endswith("_wm2")
@@ -99,7 +101,7 @@ class LineInstrument:
     def _understood(self, line: bytes) -> tuple[str, dict[str, float]]:
         values = parse_line(self._profile, line)
         if reason := self._form.unlike(body_of(self._profile, line)):
-            raise DeviceError(f"line differs from all lines before it: {reason}")
+            raise DeviceError(f"the line differs from earlier lines: {reason}")
         return line.decode("ascii").strip(), values
 
     def _reading(self, valid: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:
@@ -117,7 +119,7 @@ class LineInstrument:
         return refused
 
     def _lines(self) -> list[bytes]:
-        """Return the complete lines received; an incomplete one waits for the next call."""
+        """Return the complete lines received; an incomplete line stays for the next call."""
         data = self._port.drain() or self._port.read(1) + self._port.drain()
         if self._rest is None:
             if b"\n" not in data:
@@ -125,7 +127,7 @@ class LineInstrument:
             data = data.partition(b"\n")[2]
             self._rest = b""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > _LONGEST_REST:  # no end mark: the baud rate is wrong
+        if len(self._rest) > _LONGEST_REST:  # without an end mark the baud rate is wrong
             self._rest = None
         return [line + b"\n" for line in lines]
 

@@ -1,4 +1,7 @@
-"""A serial port whose errors are DeviceErrors with a remedy, and that finds a replugged device."""
+"""Open serial ports: errors become DeviceErrors with a remedy.
+
+A replugged device is found again.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ except ImportError:  # Windows
 
 @contextmanager
 def device_errors(port: str) -> Iterator[None]:
-    """Raise DeviceError for the three unrelated errors that a serial port raises."""
+    """Raise DeviceError in place of the three unrelated errors that a serial port raises."""
     try:
         yield
     except (OSError, _TermiosError) as error:
@@ -27,7 +30,7 @@ def device_errors(port: str) -> Iterator[None]:
 
 
 def _cannot_open(port: str, error: DeviceError) -> str:
-    """Return why a port does not open, and the remedy.
+    """Return why a port cannot be opened, and the remedy.
 
     On Windows the text of pyserial's error is the only hint of the reason.
     """
@@ -52,7 +55,8 @@ def _cannot_open(port: str, error: DeviceError) -> str:
 def resolve(place: str) -> str:
     """Return the device file of a place: itself, or the port of ``usb=VID:PID[:SERIAL]``.
 
-    A USB port gets another name after a replug; its identity is the same. Raises DeviceError.
+    The name of a USB port changes after a replug; its identity does not. Raises DeviceError if the
+    device is not plugged in.
     """
     if not place.startswith("usb="):
         return place
@@ -67,7 +71,10 @@ def resolve(place: str) -> str:
         if name[: len(wanted)] == wanted:
             return port.device
         found.append(":".join(part for part in name if part))
-    raise DeviceError(f"{place}: not plugged in; USB ports: {', '.join(found) or 'none'}")
+    raise DeviceError(
+        f"{place}: not plugged in; plug it in, or name one of these USB ports: "
+        f"{', '.join(found) or 'none'}"
+    )
 
 
 class SerialPort:
@@ -107,7 +114,7 @@ class SerialPort:
         return self._port
 
     def drain(self) -> bytes:
-        """Return the bytes that wait: a late reply must not be read as the next one."""
+        """Return the bytes already received: a late reply must not be taken for the next one."""
         with device_errors(self.name):
             waiting = self._port.in_waiting
             return self._port.read(waiting) if waiting else b""
@@ -123,7 +130,10 @@ class SerialPort:
             return self._port.read(count)
 
     def read_until(self, end: bytes, limit: int = 4096) -> bytes:
-        """Return all bytes up to and including `end`; after the timeout without it: check."""
+        """Return all bytes up to and including `end`.
+
+        After the timeout `end` may be missing: the caller must check.
+        """
         with device_errors(self.name):
             return self._port.read_until(end, limit)
 
@@ -141,6 +151,6 @@ class SerialPort:
         return out
 
     def close(self) -> None:
-        """Close the port; errors of a port that is gone are ignored."""
+        """Close the port; ignore errors of a port that was unplugged."""
         with suppress(OSError, _TermiosError):
             self._port.close()

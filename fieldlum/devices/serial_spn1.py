@@ -1,4 +1,4 @@
-"""The SPN1 on a serial port."""
+"""Read a Delta-T SPN1 on a serial port."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from fieldlum.errors import DeviceError
 from fieldlum.records import IrradianceSample
 
 _WAKE_TRIES = 3  # a sleeping SPN1 may lose the first character; chosen, not measured
-# A total this far below the diffuse is doubtful: the instrument's own noise is below 3 W/m2, and
-# larger differences were seen in the field at dawn.
+# A total this far below the diffuse is doubtful, because the instrument's own noise is below 3
+# W/m2. Larger differences were seen in the field at dawn.
 _TOTAL_BELOW_DIFFUSE_WM2 = 3.0
 
 
 class Spn1:
-    """The SPN1; implements `Pyranometer`. Sends R, S and I and nothing else.
+    """An SPN1 on a serial port; implements `Pyranometer`. Sends R, S and I and nothing else.
 
-    close_too : called by `close`, for a simulator behind the port.
+    close_too : called by `close`, to stop a simulator behind the port.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Spn1:
 
     @property
     def info(self) -> InstrumentInfo:
-        """What the instrument states about itself."""
+        """Return what the instrument reports about itself."""
         return InstrumentInfo(
             "spn1",
             "Delta-T SPN1",
@@ -65,10 +65,11 @@ class Spn1:
         )
 
     def read(self) -> IrradianceSample:
-        """Return total and diffuse on which two answers agree: the line has no checksum.
+        """Return a reading of total and diffuse on which two answers agree.
 
-        A total below the diffuse gets a status. raw has all answers that differ. Raises DeviceError
-        for silence, and if neither two answers agree nor three follow an even change.
+        Two answers are needed because the line has no checksum. A total below the diffuse gets a
+        status. `raw` has all answers that differ. Raises DeviceError for silence, or if neither two
+        answers agree nor three are evenly spaced.
         """
         t_utc = self._clock.now()
         reading, answers = agreed_answer(
@@ -88,7 +89,9 @@ class Spn1:
         self._port.write(b"S")
         reply = self._port.read_until(b"\r", 64)
         if not reply:
-            raise DeviceError(f"{self._port.name}: SPN1 is awake, but does not answer")
+            raise DeviceError(
+                f"{self._port.name}: SPN1 is awake, but does not answer; switch it off and on again"
+            )
         return reply
 
     def _wake(self) -> None:

@@ -1,4 +1,4 @@
-"""Steps of a camera's settings: a planned value must be one of them, or nearly."""
+"""Match planned camera settings to the steps that a camera offers."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ LARGEST_STEP_EV = 1.0 / 6.0  # half of a third of a stop
 
 
 def nearest(asked: float, offered: Iterable[float], what: str, unit: str = "") -> float:
-    """Return the offered value nearest to `asked` in the log domain.
+    """Return the offered value that is nearest to `asked` in the log domain.
 
-    Raises DeviceError if it is over 1/6 EV away, or if nothing is offered.
+    Raises DeviceError if it is more than 1/6 EV away, or if nothing is offered.
     """
     choices = [value for value in offered if value > 0]
     if not (asked > 0 and choices):
         raise DeviceError(
-            f"{what}: {asked:g} {unit} planned, but the camera offers nothing".replace("  ", " ")
+            f"{what}: {asked:g} {unit} planned, but the camera reports no choices for this "
+            "setting; set its dial to M".replace("  ", " ")
         )
     best = min(choices, key=lambda value: abs(math.log2(value / asked)))
     if abs(math.log2(best / asked)) > LARGEST_STEP_EV:
         shown = shutter_text(best) if unit == "s" else f"{best:.5g}"
         raise DeviceError(
-            f"{what}: {asked:.5g} {unit} is not offered; the nearest is {shown}".replace("  ", " ")
+            f"{what}: {asked:.5g} {unit} is not offered; the nearest is {shown}: plan with "
+            "that value".replace("  ", " ")
         )
     return best

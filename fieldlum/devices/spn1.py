@@ -1,7 +1,7 @@
-"""Delta-T SPN1, total and diffuse: its answers and their values, as pure functions.
+"""Parse the answers of a Delta-T SPN1 (total and diffuse irradiance).
 
 Source: SPN1 User Manual v1.0, appendix B: 9600 8N1; every character is echoed except R; replies end
-in CR only. Only R, S and I are ever sent. T starts a test mode in which commands change the
+in CR only. Only R, S and I may be sent: T starts a test mode in which commands change the
 calibration permanently.
 """
 
@@ -14,11 +14,13 @@ from fieldlum.errors import DeviceError
 
 AWAKE = b"\xaf"
 LARGEST_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User Manual)
-_SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"  # padded with blanks, or with zeros
+# padded to six characters with blanks or zeros
+_SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"
 _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
-# Differences of answers within a tenth of a second, in W/m2 (docs/results/parsers.md): the noise of
-# the instrument; the largest difference under a steady sky; from the first to the third answer at
-# the edge of a shadow, which the sun's half degree and the cloud's own edge blur.
+# Three differences of answers that are a tenth of a second apart [W/m2] (docs/results/parsers.md):
+# the instrument's noise; the largest difference under a steady sky; the largest from the first to
+# the third answer at the edge of a shadow, which the sun's half degree and the cloud's own edge
+# blur.
 NOISE_WM2 = 3.0
 AGREE_WM2 = 25.0
 STEEPEST_WM2 = 200.0
@@ -38,7 +40,7 @@ class Spn1Reading:
 
 @dataclass(frozen=True, slots=True)
 class Spn1Status:
-    """The answer to I; lines has all of it."""
+    """The instrument's answer to I; `lines` has all of it."""
 
     firmware: str = ""
     serial: str = ""
@@ -46,10 +48,10 @@ class Spn1Status:
 
 
 def parse_reading(reply: bytes) -> Spn1Reading:
-    """Return the reading of ``S 812.4, 104.9,1<CR>``, with or without the echo.
+    """Return the reading in ``S 812.4, 104.9,1<CR>``, with or without the echo.
 
-    Raises DeviceError for every other byte string. Both numbers fill six places with one decimal,
-    so that a number that lost a character is never read as a smaller one.
+    Raises DeviceError for any other bytes. Both numbers have six characters with one decimal, so
+    that a number that lost a character is never read as a smaller one.
     """
     match = _READING.fullmatch(reply)
     if match is None:
@@ -63,12 +65,12 @@ def parse_reading(reply: bytes) -> Spn1Reading:
 
 
 def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
-    """Return the larger of the differences of total and of diffuse, in W/m2."""
+    """Return the larger of two differences: that of the totals and that of the diffuse [W/m2]."""
     return max(abs(x - y) for x, y in zip(_both(a), _both(b), strict=True))
 
 
 def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
-    """Return whether three answers may be of light that rises or falls evenly.
+    """Return whether three answers are evenly spaced, as in light that rises or falls steadily.
 
     The middle answer must be half way between the others.
     """
@@ -83,17 +85,17 @@ def _both(reading: Spn1Reading) -> tuple[float, float]:
 
 
 def parse_status(reply: bytes) -> Spn1Status:
-    """Parse the reply to I: firmware, units, radio and serial number in CR lines.
+    """Parse the reply to I: lines with firmware, units, radio and serial number.
 
-    Raises DeviceError for another reply, and for an instrument that is set to other units.
+    Raises DeviceError for another reply, and for an instrument with other units.
     """
     if not (_STATUS_REPLY.fullmatch(reply) and b"SPN1 " in reply):
-        raise DeviceError(f"SPN1 answered {reply[:40]!r}; expected lines about itself")
+        raise DeviceError(f"SPN1 answered {reply[:40]!r}; expected lines about the instrument")
     text = reply.decode("ascii").replace("\r", "\n")
     units = re.search(r"Units: *(\S+)", text)
     if units and units[1].upper().replace("^", "") not in ("W.M-2", "W/M2"):
         raise DeviceError(
-            f"SPN1 is set to {units[1]}; expected W.m-2; set it with Delta-T's own program"
+            f"SPN1 is set to {units[1]}; expected W.m-2; change the unit with Delta-T's own program"
         )
     firmware, serial = _FIRMWARE.search(text), _SERIAL.search(text)
     lines = tuple(line.strip() for line in text.splitlines() if line.strip())

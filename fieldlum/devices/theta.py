@@ -1,7 +1,7 @@
-"""A Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``.
+"""Drive a Ricoh Theta by Open Spherical Camera over HTTP: ``theta:http://192.168.1.1``.
 
 The option ``?delete=1`` deletes pictures after they were copied. Source: Ricoh's THETA Web API
-v2.1. With file format raw+ (Z1) the DNG of each picture is copied, else the JPEG.
+v2.1. If the file format is raw+ (Z1), the DNG of each picture is copied, else the JPEG.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from fieldlum.session import Session
 
 ADDRESS = "http://192.168.1.1"  # of the camera's own access point
-# Timeout added to the shutter time, and the pause between status requests. Chosen, not measured.
+# Timeout that is added to the shutter time, and pause between status requests. Chosen, not
+# measured.
 READOUT_S = 40.0
 POLL_S = 0.3
 BRACKET_SHOTS = range(2, 14)  # all models take up to 13, Z1 and V up to 19 (THETA Web API v2.1)
@@ -37,7 +38,10 @@ _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylig
 
 
 class ThetaCamera:
-    """Implements `Camera`; `expose_bracket` takes many frames at once (`_autoBracket`, JPEG)."""
+    """A Ricoh Theta; implements `Camera`.
+
+    `expose_bracket` takes many frames with one command (`_autoBracket`, JPEG).
+    """
 
     def __init__(
         self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0
@@ -72,7 +76,10 @@ class ThetaCamera:
         )
 
     def _clock_offset(self, text: Any) -> float | None:
-        """Return the offset for ``2027:03:20 15:30:00+00:00``; the camera states full seconds."""
+        """Return the offset of a camera's clock from its text, ``2027:03:20 15:30:00+00:00``.
+
+        The camera states integer seconds.
+        """
         with suppress(ValueError, TypeError, AttributeError):
             day, _, clock = text.partition(" ")
             stamp = datetime.fromisoformat(f"{day.replace(':', '-')}T{clock}")
@@ -83,10 +90,10 @@ class ThetaCamera:
     # pictures
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Set the exposure, check it, take the frame and fetch it.
+        """Set the exposure, check the setting, take the frame and fetch it.
 
-        The frame is kept whatever its EXIF states: the caller compares it. Raises DeviceError, and
-        OSError if the disk is full.
+        The frame is returned even if its EXIF differs: the caller compares it. Raises DeviceError,
+        and OSError if the disk is full.
         """
         refuse_turning("theta", heading_deg)
         wanted = self._chosen(exposure)
@@ -105,7 +112,7 @@ class ThetaCamera:
         ]
         if not urls:
             raise DeviceError(
-                "theta: the picture was taken, but the camera states no file; take it again"
+                "theta: the picture was taken, but the camera names no file for it; take it again"
             )
         path = self._fetch(urls[0], target)
         self._clear(urls)
@@ -113,18 +120,19 @@ class ThetaCamera:
 
     @property
     def bracket_shots(self) -> range:
-        """The counts of frames that a bracket may have."""
+        """Numbers of frames that a bracket may have."""
         return BRACKET_SHOTS
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """Take all frames at once, in the given order.
+        """Take all frames with one command, in the given order.
 
-        Raises DeviceError; frames that were fetched before stay on the disk.
+        Raises DeviceError; frames that were already fetched stay on the disk.
         """
         if len(exposures) not in self.bracket_shots:
             low, high = self.bracket_shots[0], self.bracket_shots[-1]
             raise DeviceError(
-                f"theta: a bracket of {len(exposures)} frames; expected {low} to {high}"
+                f"theta: a bracket of {len(exposures)} frames; expected {low} to {high}; "
+                "plan fewer or more exposures"
             )
         shots = [
             {"exposureProgram": 1, "whiteBalance": "daylight", **self._chosen(e)} for e in exposures
@@ -133,17 +141,23 @@ class ThetaCamera:
             {**_MANUAL, "_autoBracket": {"_bracketNumber": len(shots), "_bracketParameters": shots}}
         )
         patience = sum(e.shutter_s for e in exposures) + READOUT_S + 2.0 * len(shots)
-        # The camera reports only the count of frames, not their settings: their EXIF states them.
+        # The camera reports only the number of frames; their EXIF states the settings.
         urls = self._command("camera.startCapture", {"_mode": "bracket"}, patience).get("fileUrls")
         if not isinstance(urls, list) or len(urls) != len(shots):
             count = len(urls) if isinstance(urls, list) else "no"
-            raise DeviceError(f"theta: {count} files; expected {len(shots)}")
+            raise DeviceError(
+                f"theta: the camera took {count} frames of a bracket; expected "
+                f"{len(shots)}; capture the bracket again"
+            )
         paths = [self._fetch(str(url), target) for url, target in zip(urls, targets, strict=True)]
         self._clear([str(u) for u in urls])
         return paths
 
     def _chosen(self, exposure: Exposure) -> dict[str, float]:
-        """Return the camera's own steps. Raises DeviceError if one is over 1/6 EV away."""
+        """Return the camera's steps for an exposure.
+
+        Raises DeviceError if a value is more than 1/6 EV from every step.
+        """
         out = {
             "shutterSpeed": nearest(
                 exposure.shutter_s, self._offers["shutter"], "theta shutter", "s"
@@ -161,7 +175,9 @@ class ThetaCamera:
     def _fetch(self, url: str, target: Path) -> Path:
         parts = urlsplit(url)
         if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
-            raise DeviceError(f"theta: it states the file {url}; expected one on {self._address}")
+            raise DeviceError(
+                f"theta: the camera names the file {url}; expected one on {self._address}"
+            )
         path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
         body = self._http(urllib.request.Request(url), 60.0)
         with path.open("wb") as file:
@@ -189,15 +205,17 @@ class ThetaCamera:
         return found if isinstance(found, dict) else {}
 
     def _command(self, name: str, parameters: dict[str, Any], patience_s: float) -> dict[str, Any]:
-        """Execute a command, wait until it is done, and return its results.
+        """Execute a command, wait until it is complete, and return its results.
 
-        Raises DeviceError for an error of the camera and for its silence.
+        Raises DeviceError if the camera reports an error or does not answer.
         """
         reply = self._post("/osc/commands/execute", {"name": name, "parameters": parameters})
         started = self._clock.boottime()
         while reply.get("state") == "inProgress":
             if self._clock.boottime() - started > patience_s:
-                raise DeviceError(f"theta: {name} was not done within {patience_s:g} s")
+                raise DeviceError(
+                    f"theta: {name} was not complete within {patience_s:g} s; restart the camera"
+                )
             self._clock.sleep(POLL_S)
             reply = self._post("/osc/commands/status", {"id": reply.get("id")})
         if reply.get("state") != "done":
@@ -214,9 +232,9 @@ class ThetaCamera:
         return _json(self._http(request, self._timeout_s))
 
     def _http(self, request: urllib.request.Request, timeout_s: float) -> bytes:
-        """Return the body of the answer; an HTTP error with a JSON body is the camera's answer.
+        """Return the body of the answer, also that of an HTTP error with a JSON body.
 
-        Raises DeviceError for everything else that can go wrong.
+        Raises DeviceError for every other fault.
         """
         try:
             with urllib.request.urlopen(request, timeout=timeout_s) as response:

@@ -1,8 +1,8 @@
-"""Campbell Scientific TOA5 tables: a logger's file to irradiance samples.
+"""Read Campbell Scientific TOA5 tables.
 
-Four header lines (environment, names, units, processing), then quoted times WITHOUT a time zone, a
-record number and numbers, "NAN" where there is none. Source: help.campbellsci.com, TOA5. The user
-must state the logger's UTC offset.
+Four header lines (environment, names, units, processing) come before the rows. A row has a quoted
+time WITHOUT a time zone, a record number and numbers; "NAN" is a missing number. The user must
+state the logger's UTC offset. Source: help.campbellsci.com, TOA5.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from fieldlum.records import IrradianceSample
 _TIME = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,6})?")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?")
 _UNITS = ("W/M^2", "W/M2", "W.M-2", "WM-2", "W/M²", "WATTS/METER^2")
-# Usual column names in loggers' programs; compared without digits, underscores and case.
+# Usual column names in loggers' programs; digits, underscores and case are ignored in the
+# comparison.
 _USUAL = {
     "ghi_wm2": ("ghi", "global", "slrw", "slrwavg", "solarwm", "total", "ghiavg", "globalavg"),
     "dhi_wm2": ("dhi", "diffuse", "dhiavg", "diffuseavg"),
@@ -35,10 +36,10 @@ _USUAL = {
 
 @dataclass(frozen=True, slots=True)
 class Toa5:
-    """The content of a table.
+    """The content of a TOA5 table.
 
-    samples : in the file's order; broken : lines that were left out, with the reason;
-    missing_records : gaps in the record numbers.
+    samples : in the file's order; broken : omitted lines, each with the reason; missing_records :
+    number of gaps in the record numbers.
     """
 
     samples: tuple[IrradianceSample, ...]
@@ -63,12 +64,13 @@ def parse_toa5(
 ) -> Toa5:
     """Read a TOA5 table.
 
-    columns : quantity (ghi_wm2 ...) to column name, else the usual names; utc_offset : the logger's
-    clock minus UTC.
+    columns : name of the column of each quantity (ghi_wm2 ...), if it is not one of the usual
+    names; utc_offset : the logger's clock minus UTC.
 
-    A row is left out and listed if it is cut, if its time or a number cannot be read, if its time
-    does not fit its record number, or if it has other decimals than the rest of its column. Raises
-    InputError for a file that is no TOA5 table, has no such column, or another unit than W/m2.
+    A row is omitted and listed if it is incomplete, if its time or a number cannot be read, if its
+    time does not fit its record number, or if its decimals differ from the rest of the column.
+    Raises InputError for a file that is no TOA5 table, has no such column, or has a unit other than
+    W/m2.
     """
     lines = text.split("\n")
     if not is_toa5(text) or len(lines) < 4:
@@ -97,8 +99,8 @@ def parse_toa5(
     samples: list[IrradianceSample] = []
     broken: list[str] = []
     records: list[int] = []
-    numbered: list[tuple[int, int, int]] = []  # line, its sample, its record number
-    read: list[tuple[int, list[str]]] = []  # line, its values
+    numbered: list[tuple[int, int, int]] = []  # line, index of its sample, its record number
+    read: list[tuple[int, list[str]]] = []  # line and its values
     for number, line in enumerate(lines[4:], start=5):
         if not line.strip():
             continue
@@ -131,11 +133,12 @@ def parse_toa5(
 
 
 def _differing_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[int, str]:
-    """Return row to reason, for numbers with other decimals than the rest of their column.
+    """Return the reason for each row with other decimals than the rest of its column.
 
-    All of the column but one number in sixty must agree. Numbers with equally many digits before
-    the point are compared: Campbell's FP2 writes 99.99, 999.9 and 1023. If numbers of several sizes
-    have the same decimals, all are compared. A logger that drops zeros has no usual decimals.
+    All numbers of a column but one in sixty must have the same decimals. Only numbers with equally
+    many digits before the point are compared, because Campbell's FP2 writes 99.99, 999.9 and 1023.
+    If numbers of several sizes have the same decimals, all are compared. A logger that drops
+    trailing zeros has no usual decimals.
     """
     differing: dict[int, str] = {}
     for quantity, i in chosen.items():
@@ -159,10 +162,10 @@ def _differing_decimals(rows: list[list[str]], chosen: dict[str, int]) -> dict[i
 
 
 def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> list[tuple[int, int]]:
-    """Return (line, sample) of rows whose time does not fit their record number.
+    """Return (line, sample) of the rows whose time does not fit their record number.
 
-    A table's records are written at a fixed interval. Time minus interval times number of a damaged
-    row differs from both neighbours, which agree. After a logger's clock was set, all later rows
+    Records have a fixed interval. For a damaged row, time minus interval times number differs from
+    both neighbours, which agree with each other. After a logger's clock was set, all later rows
     change together: they are not listed.
     """
     if len(rows) < 4:
@@ -189,7 +192,10 @@ def _out_of_step(rows: list[tuple[int, int, int]], times: list[datetime]) -> lis
 def _columns(
     names: list[str], units: list[str], asked: Mapping[str, str] | None, source: str | Path
 ) -> dict[str, int]:
-    """Return quantity to column index. Raises InputError for missing or ambiguous columns."""
+    """Return the column index of each quantity.
+
+    Raises InputError for missing or ambiguous columns.
+    """
     found: dict[str, int] = {}
     for quantity, usual in _USUAL.items():
         if asked is not None:
@@ -210,7 +216,10 @@ def _columns(
             found[quantity] = matches[0]
     if asked is not None and (lost := [name for q, name in asked.items() if q not in found]):
         raise InputError(
-            source, f"no column {', '.join(lost)}", f"one of {', '.join(names)}", "check the name"
+            source,
+            f"no column {', '.join(lost)}",
+            f"one of {', '.join(names)}",
+            "correct the name after --column",
         )
     for quantity, i in found.items():
         if quantity.endswith("_wm2") and units[i].upper().replace(" ", "") not in _UNITS:
@@ -245,7 +254,7 @@ def _sample(
 
 
 def number_of(text: str, quantity: str) -> float | None:
-    """Return a logger's number, or None for its NAN.
+    """Return a logger's number, or None for NAN.
 
     Raises ValueError for a text that is not a number, and for an irradiance outside -200 to 4000
     W/m2.

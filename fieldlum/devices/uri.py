@@ -1,4 +1,4 @@
-"""Device URIs: ``scheme:place?option=value&option=value``."""
+"""Parse device URIs: ``scheme:place?option=value&option=value``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class DeviceUri:
     def read(self, **known: Callable[[str], Any]) -> dict[str, Any]:
         """Return the options, each converted by its reader.
 
-        Raises DeviceError for an unknown option or a bad value, with its name.
+        Raises DeviceError, naming the option, for an unknown option or a bad value.
         """
         for name in self.options:
             if name not in known:
@@ -47,11 +47,12 @@ class DeviceUri:
 
 
 def parse_uri(text: str) -> DeviceUri:
-    """Parse a URI. Raises DeviceError without a scheme, or for an option without a value."""
+    """Parse a URI. Raises DeviceError if it has no scheme, or an option without a value."""
     scheme, colon, rest = text.partition(":")
     if not colon or not re.fullmatch(r"[a-z][a-z0-9+]*", scheme):
         raise DeviceError(
-            f"{text}: no device URI; expected one like sim:office or serial:/dev/ttyUSB0?kind=spn1"
+            f"{text}: not a device URI; expected one like sim:office or "
+            "serial:/dev/ttyUSB0?kind=spn1"
         )
     place, _, query = rest.partition("?")
     try:
@@ -59,7 +60,7 @@ def parse_uri(text: str) -> DeviceUri:
     except ValueError:
         raise DeviceError(f"{text}: options '{query}'; expected name=value joined by &") from None
     if len({name for name, _ in pairs}) != len(pairs):
-        raise DeviceError(f"{text}: an option occurs twice; remove one")
+        raise DeviceError(f"{text}: an option occurs twice; remove one of the two")
     return DeviceUri(text, scheme, unquote(place), dict(pairs))
 
 

@@ -79,8 +79,10 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
         return ""
     told = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(told) > 1:
-        return "the camera was turned within the bracket: its EXIF has the roll angles "
-        f"{_degrees(told)}; capture the bracket again with a fixed camera"
+        return (
+            "the camera was turned within the bracket: its EXIF has the roll angles "
+            f"{_degrees(told)}; capture the bracket again with a fixed camera"
+        )
     off = float(signed_angle_deg(told.pop() - lens.roll_deg)) if told else 0.0
     if abs(off) <= _HELD_DEG:
         return ""

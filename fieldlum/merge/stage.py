@@ -187,8 +187,11 @@ def _with_session_facts(
         panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
     )
     report = replace(result.report, vertical_illuminance_lx=illuminance_lx, lost=tuple(lost))
-    text = result.verdict if complete else "incomplete bracket: not all planned frames "
-    f"exist; {result.verdict}"
+    text = (
+        result.verdict
+        if complete
+        else (f"incomplete bracket: not all planned frames exist; {result.verdict}")
+    )
     if lost:
         text = (
             f"merged without {', '.join(lost)}, because the pixels cannot be read: copy from "

@@ -1,4 +1,4 @@
-"""Shipped simulators: ``sim:office?seed=1`` as a camera or as a pyranometer.
+"""Provide simulated devices: ``sim:office?seed=1`` as a camera or as a pyranometer.
 
 Camera options: seed, profile (name or path; default: the session's, else sim-dual-fisheye),
 clock_offset (s, the camera's clock minus the computer's), overhead (s between frames). Pyranometer

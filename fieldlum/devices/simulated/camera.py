@@ -1,4 +1,4 @@
-"""A fisheye camera that photographs a `World`: from the room's light to a DNG or JPEG file."""
+"""Simulate a fisheye camera that photographs a `World` and writes DNG or JPEG files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ from fieldlum.records import Exposure, Panorama
 
 
 class SimulatedCamera:
-    """Implements `Camera`. heading_deg : its view direction unless `expose` states another."""
+    """A simulated camera; implements `Camera`.
+
+    heading_deg : its view direction unless `expose` states another.
+    """
 
     def __init__(
         self,
@@ -50,7 +53,7 @@ class SimulatedCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """What the simulated camera states about itself."""
+        """Return what the simulated camera reports about itself."""
         body = self._profile.camera
         return CameraInfo(
             "sim",
@@ -62,18 +65,15 @@ class SimulatedCamera:
         )
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
-        """Take one frame; it takes as much of the clock's time as a camera would.
-
-        That time is the overhead plus the shutter time.
-        """
+        """Take one frame; the clock advances by the overhead plus the shutter time."""
         dial_s = self._allowed(exposure)
         set_to = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)
         opened = self._clock.now()
         heading = self._heading_deg if heading_deg is None else heading_deg
         image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
         true_s = self._true_s(dial_s)
-        # One seed for each frame, independent of frames before it: a resumed capture gives the same
-        # frames as an undisturbed one.
+        # Each frame has its own seed, independent of earlier frames, so that a resumed capture
+        # gives the same frames as an undisturbed one.
         name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
         rng = np.random.default_rng([self._seed, zlib.crc32(name)])
         path = self._write(image, set_to, true_s, target, opened, rng)
@@ -81,16 +81,20 @@ class SimulatedCamera:
         return path
 
     def close(self) -> None:
-        """Forget the last picture."""
+        """Forget the last picture, which is stored for repeated exposures."""
         self._last = None
 
     def _allowed(self, exposure: Exposure) -> float:
-        """Return the dial's time, in s. Raises DeviceError for settings that it does not have."""
+        """Return the true shutter time of the dial [s].
+
+        Raises DeviceError for settings that the camera does not have.
+        """
         profile = self._profile
         apertures = [v.f_number for v in profile.lens[0].vignetting] or [profile.bracket.f_number]
         if exposure.f_number not in apertures:
             raise DeviceError(
-                f"simulated camera: no f/{exposure.f_number:g}; expected {_list(apertures, 'f/')}"
+                f"simulated camera: no f/{exposure.f_number:g}; expected "
+                f"{_list(apertures, 'f/')}; correct the plan"
             )
         if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
             known = ", ".join(nd.name for nd in profile.nd) or "none"
@@ -105,7 +109,7 @@ class SimulatedCamera:
     def _image(self, panorama: Panorama, heading_deg: float) -> NDArray[np.float32]:
         """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
 
-        The result is stored while the scene stays the same.
+        The result is stored and used again while the scene does not change.
         """
         if self._last is None or self._last[0] is not panorama or self._last[1] != heading_deg:
             height, width = panorama.luminance_cdm2.shape

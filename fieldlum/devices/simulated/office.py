@@ -1,7 +1,8 @@
-"""A built-in office for the simulators: a box lit by sky, ground and sun through its windows.
+"""Simulate an office: a box lit by sky, ground and sun through its windows.
 
-Closed form and fast, not physically accurate: window form factors, split-flux interreflection, one
-sun patch. `fieldlum simulate` renders an accurate truth with Radiance.
+The simulation is in closed form and fast, but not physically accurate: window form factors,
+split-flux interreflection, one sun patch. `fieldlum simulate` renders an accurate truth with
+Radiance.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
 # The office of Liu, Colburn and Inanici (2020): 6 x 14 x 4.5 m, one glazed south wall.
 OFFICE = Room(window=(Window("south", left_m=0.5, width_m=5.0, sill_m=0.9, height_m=3.2, panes=3),))
 _HEIGHT = 230  # rows of the panorama; chosen for speed
-_LIGHT_STEP_S = 600  # between computed skies
+_LIGHT_STEP_S = 600  # seconds between computed skies; chosen for speed
 # Luminous efficacies of sun and sky, typical of clear skies; chosen, not computed for each sky.
 _LM_PER_W_SUN = 93.0
 _LM_PER_W_SKY = 120.0
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 def _wall_frames(room: Room) -> dict[str, tuple[Array, Array, Array]]:
-    """Return for each wall its lower left corner, right vector and inward normal (room axes).
+    """Return lower left corner, right vector and inward normal of each wall, in room axes.
 
     Left and right are as seen from inside.
     """
@@ -46,7 +47,7 @@ def _wall_frames(room: Room) -> dict[str, tuple[Array, Array, Array]]:
 
 
 class _Geometry:
-    """The part that does not change with time: view of each pixel, form factors of the windows."""
+    """The part of the office that does not change: view of each pixel, form factors of windows."""
 
     def __init__(self, room: Room, heading_deg: float) -> None:
         self.room = room
@@ -72,9 +73,9 @@ class _Geometry:
         self.sky_factor, self.ground_factor = self._window_factors()
 
     def through_glass(self, start: Array, rays: Array) -> Array:
-        """Return the transmittance of rays [n, 3] to the outside, [n]; `start` is [3] or [n, 3].
+        """Return the transmittance [n] of rays [n, 3] to the outside; `start` is [3] or [n, 3].
 
-        It is 0 where a wall is in the way.
+        It is 0 where a wall blocks the ray.
         """
         transmittance = np.zeros(len(rays))
         for window in self.room.window:
@@ -98,7 +99,7 @@ class _Geometry:
         return transmittance
 
     def _window_factors(self) -> tuple[Array, Array]:
-        """Return form factor times transmittance of windows to sky and ground, [n] each."""
+        """Return form factor times transmittance of the windows to sky and to ground, [n] each."""
         sky, ground = np.zeros(len(self.points)), np.zeros(len(self.points))
         for window in self.room.window:
             corner, right, inward = _wall_frames(self.room)[window.wall]
@@ -132,7 +133,7 @@ def _turn(wall_azimuth_deg: float) -> Array:
 
 
 class Office:
-    """A `World` under a sky whose clouds are random, by `seed`."""
+    """A `World`: the built-in office under a sky with random clouds, by `seed`."""
 
     def __init__(self, setup: SiteFile | None = None, seed: int = 1) -> None:
         self.setup = setup or SiteFile(SEATTLE, CameraSetup(), OFFICE)
@@ -160,7 +161,10 @@ class Office:
         return SimulatedLight(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
 
     def _cloudiness(self, t_utc: datetime) -> float:
-        """Return 0 to 1: a clear, mixed or overcast day, with small differences of its hours."""
+        """Return the cloudiness from 0 to 1.
+
+        Days are clear, mixed or overcast; the hours of a day differ slightly.
+        """
         hour = t_utc.timestamp() / 3600.0
         day = np.random.default_rng([self._seed, int(hour // 24)]).choice(
             [0.02, 0.1, 0.35, 0.6, 0.95]
@@ -171,7 +175,7 @@ class Office:
         return float(np.clip(day + np.interp(hour % 1.0, [0, 1], marks), 0.0, 1.0))
 
     def scene(self, t_utc: datetime) -> Panorama:
-        """Return the panorama of a time; it is constant within each minute."""
+        """Return the panorama at a time; it does not change within a minute."""
         return self._scene_of(t_utc.replace(second=0, microsecond=0))
 
     def _scene(self, t_utc: datetime) -> Panorama:
@@ -212,7 +216,7 @@ class Office:
         return Panorama(luminance, self.setup.camera.heading_deg, t_utc=t_utc, sun=disc)
 
     def _interreflected_lx(self, g: _Geometry, first_lx: Array) -> float:
-        """Return the interreflected illuminance in lx: first flux in a room of mean reflectance."""
+        """Return the interreflected illuminance [lx] from the first flux and mean reflectance."""
         room = self._room
         floor = room.width_m * room.depth_m
         walls = 2 * (room.width_m + room.depth_m) * room.height_m
@@ -230,7 +234,7 @@ class Office:
 
 
 def open_world(session: Session | None, seed: int) -> World:
-    """Return the session's truth, or the built-in office at the session's place.
+    """Return the session's truth, or else the built-in office at the session's place.
 
     Without a session the office is in Seattle.
     """

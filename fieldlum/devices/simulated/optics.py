@@ -1,4 +1,4 @@
-"""From a luminance panorama to the light on each pixel of a fisheye sensor."""
+"""Compute the light on each pixel of a fisheye sensor from a luminance panorama."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class LensSampling:
-    """One lens on the sensor.
+    """How one lens maps a panorama onto the sensor.
 
     pixels [n] : flat indices of its pixels; relative_angle [n] : their angle from the axis over
-    half of the full angle; weights [n, H * W] : the share of each panorama pixel in each sensor
-    pixel, rows sum to 1.
+    half of the full angle; weights [n, H * W] : share of each panorama pixel in each sensor pixel,
+    rows sum to 1.
     """
 
     geometry: LensGeometry
@@ -42,13 +42,14 @@ class LensSampling:
 
 
 def look(lens: LensGeometry, sensor: tuple[int, int], panorama: tuple[int, int]) -> LensSampling:
-    """Compute the sampling of a lens once; sensor and panorama are (height, width).
+    """Compute how a lens samples the panorama; sensor and panorama are (height, width).
 
     The panorama is constant over each of its pixels. A sensor pixel averages 3 x 3 directions.
     """
     from scipy.sparse import csr_array
 
-    (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0  # the picture ends outside the circle
+    # the picture ends outside the circle, to include its edge
+    (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0
     top, bottom = max(int(cy - reach), 0), min(int(cy + reach) + 1, sensor[0])
     left, right = max(int(cx - reach), 0), min(int(cx + reach) + 1, sensor[1])
     rows, columns = (a.ravel() for a in np.mgrid[top:bottom, left:right])
@@ -86,7 +87,7 @@ def _panorama_pixels(rays: Array, panorama: tuple[int, int]) -> NDArray[np.int32
 def channels(panorama: Panorama) -> NDArray[np.float32]:
     """Return R, G, B in cd/m2 with luminance .265 R + .670 G + .065 B, [H * W, 3].
 
-    [H * W, 1] for a grey panorama.
+    A grey panorama gives [H * W, 1].
     """
     from fieldlum.images import RADIANCE_LM_PER_W
 
@@ -116,9 +117,9 @@ def on_sensor(
 def _add_sun(
     image: NDArray[np.float32], sun: SunSource, heading_deg: float, lens: LensGeometry
 ) -> None:
-    """Add the disc to the image by its energy.
+    """Add the sun's disc to the image, with the correct energy.
 
-    The sum of luminance times solid angle over its pixels is its normal illuminance.
+    The sum of luminance times solid angle over its pixels equals its normal illuminance.
     """
     from scipy.ndimage import gaussian_filter
 

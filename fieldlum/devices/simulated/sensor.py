@@ -1,4 +1,4 @@
-"""From luminance on a sensor to the counts or codes of a camera, with its noise and clipping."""
+"""Simulate a sensor: from luminance to counts or codes, with noise and clipping."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _GAUSSIAN_ABOVE_E = 60.0
 def camera_from_scene(profile: CameraProfile) -> NDArray[np.float64]:
     """Return the matrix from scene R, G, B [cd/m2] to camera channels, [3, 3].
 
-    It is the inverse of the profile's colour. A profile without a matrix sees grey only: each
-    channel gets luminance / sum(y_from_rgb).
+    It is the inverse of the profile's colour. With a profile without a matrix, each channel gets
+    luminance / sum(y_from_rgb), so that the camera sees grey only.
     """
     colour = profile.colour
     if colour.rgb_to_radiance:
@@ -45,7 +45,7 @@ def camera_channels(scene: NDArray[np.float32], profile: CameraProfile) -> NDArr
 
 
 def mosaic_of(image: NDArray[np.float32], cfa: str) -> NDArray[np.float32]:
-    """Return one colour for each pixel, [h, w, 3] to [h, w]."""
+    """Return one colour for each pixel of the mosaic: [h, w, 3] becomes [h, w]."""
     out = np.empty(image.shape[:2], np.float32)
     for i, letter in enumerate(cfa):
         row, column = divmod(i, 2)
@@ -62,7 +62,7 @@ def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> ND
 
 
 class RawSensor:
-    """A Bayer sensor by its profile, for one size of picture."""
+    """A Bayer sensor that a profile describes, for one size of picture."""
 
     def __init__(self, profile: CameraProfile) -> None:
         sensor, body = profile.sensor, profile.camera
@@ -79,9 +79,9 @@ class RawSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint16]:
-        """Return the raw counts of camera channels on the mosaic, vignetting included, [h, w].
+        """Return raw counts [h, w] of camera channels on the mosaic, which include vignetting.
 
-        Adds shot noise and read noise, then rounds.
+        Shot noise and read noise are added before rounding.
         """
         sensor, k = self._profile.sensor, self._profile.scale.k
         gain = gain_e_per_dn(exposure.iso, self._profile)
@@ -102,7 +102,7 @@ class RawSensor:
 
 
 class JpegSensor:
-    """A camera that writes 8 bits through a response."""
+    """A camera that writes 8-bit codes through a response curve."""
 
     def __init__(self, profile: CameraProfile) -> None:
         self._profile = profile
@@ -115,7 +115,7 @@ class JpegSensor:
         true_s: float,
         rng: np.random.Generator,
     ) -> NDArray[np.uint8]:
-        """Return the codes of camera channels [h, w, 3], vignetting included, [h, w, 3]."""
+        """Return the codes [h, w, 3] of camera channels [h, w, 3], which include vignetting."""
         sensor, k = self._profile.sensor, self._profile.scale.k
         per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
         full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso

@@ -1,4 +1,4 @@
-"""An SPN1 on a pseudo-terminal: the answers of the real instrument, its noise and its delay."""
+"""Simulate an SPN1 on a pseudo-terminal: the instrument's answers, noise and delay."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _STATUS = b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\r1mV radio off\rA%d\r"
 
 
 class PtyInstrument(threading.Thread):
-    """A thread that answers on a pseudo-terminal; `port` is its device file.
+    """A thread that answers like an instrument on a pseudo-terminal; `port` is its device file.
 
-    answer : gives the reply to each group of bytes that arrives. The pty stays open until `unplug`,
+    answer : returns the reply to each group of bytes received. The pty stays open until `unplug`,
     so that a client may close and open it.
     """
 
@@ -62,9 +62,9 @@ class PtyInstrument(threading.Thread):
 
 
 class Spn1Voice:
-    """The answers of the instrument.
+    """The replies of a simulated SPN1.
 
-    It echoes all but R, wakes with 0xAF, and answers S with total, diffuse and sunshine.
+    It echoes all characters but R, wakes with 0xAF, and answers S with total, diffuse and sunshine.
     """
 
     def __init__(
@@ -74,13 +74,16 @@ class Spn1Voice:
         noise_wm2: float,
         serial: int,
     ) -> None:
-        """Take light : a function that returns a time [s] that never decreases, and irradiance."""
+        """Store the source of light.
+
+        light : returns a time [s], which never decreases, and the irradiance at that time.
+        """
         self._light, self._rng, self._noise_wm2, self._serial = light, rng, noise_wm2, serial
         self._shown: np.ndarray | None = None
         self._shown_at = 0.0
 
     def __call__(self, data: bytes) -> bytes:
-        """Return the answer to some bytes of the client."""
+        """Return the reply to some bytes of the client."""
         out = b""
         for byte in data:
             command = bytes([byte])
@@ -102,7 +105,7 @@ class Spn1Voice:
             level = late * self._shown + (1.0 - late) * level
         self._shown, self._shown_at = level, now
         total, diffuse = np.maximum(level + self._rng.normal(0.0, self._noise_wm2, 2), 0.0)
-        # Manual p. 20: sunshine where the beam is over 120 W/m2.
+        # SPN1 User Manual, p. 20: sunshine where the beam is over 120 W/m2.
         sunshine = total > 1.35 * diffuse and total > 24.0
         return b"%6.1f,%6.1f,%d\r" % (total, diffuse, sunshine)
 
@@ -119,7 +122,7 @@ def open_simulated(world: World, clock: Clock, seed: int, noise_wm2: float) -> P
             "sim: this system has no pseudo-terminals, which the simulated pyranometer needs; use "
             "Linux or macOS"
         )
-    world.irradiance(clock.now())  # load the truth now, not within the driver's timeout
+    world.irradiance(clock.now())  # load the truth before the driver's timeout starts
     voice = Spn1Voice(
         lambda: (clock.boottime(), world.irradiance(clock.now())),
         np.random.default_rng([seed, 1]),

@@ -1,8 +1,8 @@
-"""The scenes of the simulated devices: a session's truth/ folder, or the built-in office.
+"""Provide the scenes of simulated devices: a session's truth/ folder, or the built-in office.
 
-truth/ (written by `fieldlum simulate`): ``<slot>.exr``, a panorama with its sun, and
-``irradiance.csv`` with the columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted. Between its rows light
-is interpolated; before and after them it is dark.
+`fieldlum simulate` writes truth/: ``<slot>.exr``, a panorama with its sun, and ``irradiance.csv``
+with the columns t_utc, ghi_wm2, dhi_wm2, dni_wm2, sorted by time. Irradiance between its rows is
+interpolated; before and after them it is 0.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fieldlum.errors import DeviceError
 from fieldlum.records import Panorama
 from fieldlum.session.files.truth_csv import TruthIrradiance
 
-# A panorama of the truth serves for times up to this far away: slots are an hour apart.
+# A panorama of the truth is used for times up to this far away, because slots are an hour apart.
 NEAREST_TRUTH = timedelta(minutes=45)
 
 
@@ -34,11 +34,11 @@ class World(Protocol):
     """A simulated place: its picture and its irradiance at any time."""
 
     def scene(self, t_utc: datetime) -> Panorama:
-        """Return the luminance panorama of a time."""
+        """Return the luminance panorama at a time."""
         ...
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return the irradiance of a time."""
+        """Return the irradiance at a time."""
         ...
 
 
@@ -58,13 +58,13 @@ class TruthWorld:
         nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
         if nearest is None or abs(nearest - t_utc) > NEAREST_TRUTH:
             raise DeviceError(
-                f"simulated camera: no truth within 45 min of {t_utc:%Y-%m-%d %H:%M} UTC; simulate "
-                f"that hour"
+                f"simulated camera: no truth within 45 min of {t_utc:%Y-%m-%d %H:%M} UTC; "
+                "simulate that hour with fieldlum simulate"
             )
         return self._read(self._panoramas[nearest])
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return the irradiance of a time, 0 before the first and after the last row."""
+        """Return the irradiance at a time; it is 0 before the first and after the last row."""
         now = t_utc.timestamp()
         times = self._light.t_unix_s
         if not times[0] <= now <= times[-1]:
