@@ -87,7 +87,7 @@ def test_any_camera_clock_is_found_from_a_whole_day(
 def test_part_of_a_day_is_taken_for_civil_time_and_says_so() -> None:
     groups = group_frames(card(PLAN[3:6], PDT_S), LADDER)
     found = find_offset(groups, PLAN, (PDT_S, 0.0))
-    assert found is not None and found.seconds == PDT_S and "other hours would fit" in found.how
+    assert found is not None and found.seconds == PDT_S and "full hours would fit" in found.how
     assert "civil time" in found.how
     assert find_offset(groups, PLAN, ()) is None
     utc = find_offset(group_frames(card(PLAN[3:6], 0.0), LADDER), PLAN, (0.0,))

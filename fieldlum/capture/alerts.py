@@ -1,7 +1,7 @@
-"""Decide which events of a running capture are reported to a person far away.
+"""Decide which events of a running capture are reported by message.
 
-The capture hands over its journal events and, about once a second, its state. Each fault gives one
-message. The same kind of fault gives another one only after it was over, or after `QUIET`.
+The capture passes on its journal events and, about once a second, its state. Each fault causes one
+message. A fault of the same kind causes another message only after it was over, or after `QUIET`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from fieldlum.notify import Message
 from fieldlum.records import parse_utc
 from fieldlum.session.tables import EventFields
 
-# Not measured: chosen so that one message means that a person should act, and none is sent for what
-# the capture repairs by itself. A device that reconnects needs at most two retries (30 s each).
+# Not measured. Chosen so that a message means that somebody should act, and that faults which the
+# capture repairs itself cause none. A device that reconnects needs at most two tries (30 s each).
 DEVICE_AWAY = timedelta(minutes=10)
-LOW_DISK_DAYS = 3.0  # leaves a weekend to bring a disk
-ENOUGH_DISK_DAYS = 4.0  # above this the disk alert is armed again
-MISSES_IN_A_ROW = 2  # one missed slot can be a slow bracket before it
+LOW_DISK_DAYS = 3.0  # days of captures; leaves a weekend to bring a disk; chosen
+# days of captures; above this, a new alert about the disk is possible; chosen
+ENOUGH_DISK_DAYS = 4.0
+# a single missed slot can be due to a slow bracket before it; chosen, not measured
+MISSES_IN_A_ROW = 2
 QUIET = timedelta(hours=6)
 
 
@@ -42,7 +44,7 @@ def _no_sheet() -> Path | None:
 
 @dataclass(slots=True)
 class Alerts:
-    """State of the alerts of one capture.
+    """The faults already reported, and the counts of the current day, in one capture.
 
     contact_sheet: returns the picture to attach to a daily summary, at the time of that summary.
     """
@@ -118,11 +120,15 @@ class Alerts:
         self._misses += 1
         if self._misses != MISSES_IN_A_ROW:
             return []
-        body = f"The last one is {self._slot(slot)} ({event}): {why or 'no reason recorded'}."
+        body = f"The last slot was {self._slot(slot)} ({event}): {why or 'no reason recorded'}."
         return [self._message(f"{self._misses} slots in a row gave no bracket", body)]
 
     def _clock_step(self, t_utc: datetime, fields: EventFields) -> list[Message]:
-        followed = "The capture follows it." if fields.get("followed") else "It is not followed."
+        followed = (
+            "The capture follows the new time."
+            if fields.get("followed")
+            else ("The capture does not follow the new time.")
+        )
         body = f"The computer's clock jumped by {fields.get('seconds', 0.0):+.0f} s. "
         return self._once("clock-step", t_utc, "the clock jumped", body + followed)
 
@@ -139,7 +145,7 @@ class Alerts:
         return [self._message("the disk is nearly full", body)]
 
     def _new_day(self, t_utc: datetime) -> list[Message]:
-        """Return the summary of the day that just ended, once."""
+        """Return the summary of the day that just ended; return it only once."""
         today = t_utc.astimezone(ZoneInfo(self.timezone)).date()
         if self._day is None or today <= self._day:
             self._day = self._day or today

@@ -21,19 +21,19 @@ from fieldlum.records import CameraSetup, Exposure, Slot
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.tables import DeviceTable
 
-STALE_S = 60.0  # after a longer pause between frames the light may differ; not measured
+STALE_S = 60.0  # after a longer pause between frames the light may have changed; not measured
 _FOLDER_BYTES = 1 << 14  # a new folder with its entries; not measured
 Check = Callable[[Path, Exposure], str]
-"""Checks a new frame. Returns what is wrong with it, or an empty text."""
+"Checks a new frame; returns what is wrong with it, or ."
 
 
 def no_check(path: Path, exposure: Exposure) -> str:
-    """Accept every frame: the check that is used where none is given."""
+    """Accept every frame; used if no check is given."""
     return ""
 
 
 def no_look(path: Path) -> str:
-    """Return no doubt."""
+    """Return "", which means that the frame is good."""
     return ""
 
 
@@ -42,8 +42,8 @@ class BracketCapture:
     """Takes the frames of one slot.
 
     check: checks a frame's EXIF; check_opens: reads its pixels; check_shortest: checks the darkest
-    frame for clipping. Each returns what is wrong, or an empty text. between: called after each
-    frame, to log a sample and refresh the display.
+    frame for clipping. Each returns what is wrong, or "". between: called after each frame, to log
+    irradiance and to refresh the display.
     """
 
     session: Session
@@ -59,7 +59,7 @@ class BracketCapture:
     frame_bytes: int = 0  # size of the largest frame so far
 
     def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
-        """Take the missing frames of a slot and return its final state.
+        """Take the missing frames of a slot and return the slot's final state.
 
         After a failure, try again until `deadline`, the end of the slot's window.
         """
@@ -85,12 +85,12 @@ class BracketCapture:
                     if whole
                     else [self._expose(missing[0], folder, state.attempt)]
                 )
-            # A driver's defect costs one frame; it must not end a capture of a month.
+            # A driver's defect may cost one frame, but must not end a capture of a month.
             except Exception as error:
                 why = f"{type(error).__name__}: {error}"[:300]
                 if disk_is_full(error):
                     self.recorder.make_room()
-                    _sweep(folder)  # a frame that was cut off takes up space
+                    _sweep(folder)  # an incomplete frame takes up space
                     on = self._wait_for_room(deadline, disk_pause_s)
                     disk_pause_s = min(max(FIRST_PAUSE_S, 2.0 * disk_pause_s), LONGEST_PAUSE_S)
                 else:
@@ -127,10 +127,10 @@ class BracketCapture:
         doubtful: Frame,
         deadline: datetime,
     ) -> SlotState:
-        """Take a doubtful frame once more while the slot's window is open.
+        """Take a doubtful frame again while the slot's window is open.
 
-        Both files stay; the second one is used. Take no second frame if an earlier second frame of
-        this bracket has a doubt too: then the cause is a setting of the camera.
+        Both files remain; the second one is used. If an earlier second frame of this bracket is
+        doubtful too, nothing is taken again, because the cause is then a setting of the camera.
         """
         in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= deadline
         in_vain = any(frame.instead_of and frame.doubt for frame in state.frames)
@@ -138,7 +138,7 @@ class BracketCapture:
             return state
         try:
             second = self._expose(shot, folder, state.attempt, instead_of=doubtful.file)
-        except Exception as error:  # the doubtful frame is in the journal already: keep it
+        except Exception as error:  # the doubtful frame is already in the journal, so it is used
             if disk_is_full(error):
                 self.recorder.make_room()
             elif not isinstance(error, _Away):
@@ -161,10 +161,10 @@ class BracketCapture:
         wanted: Sequence[FrameRequest],
         deadline: datetime,
     ) -> SlotState:
-        """Read each frame's pixels after the camera has finished.
+        """Read the pixels of each frame after the camera has finished.
 
-        Take a frame that does not open again, while the slot's window is open. Second frames were
-        read when they were taken.
+        Take a frame again if it does not open and the slot's window is still open. Second frames
+        were read when they were taken.
         """
         for frame in sorted(state.frames, key=lambda frame: frame.index):
             if not (frame.doubt or frame.instead_of) and (
@@ -200,12 +200,12 @@ class BracketCapture:
         self, shot: FrameRequest, folder: Path, attempt: int, instead_of: str = ""
     ) -> Frame:
         if self.camera.get() is None:
-            raise _Away("camera is away")
+            raise _Away("the camera is away")
         self.recorder.claim(self.frame_bytes)
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
-        # Each try has its own name: a frame that a hung camera delivers late must not replace
-        # another frame.
+        # Each try has its own file name, so that a frame which a hung camera delivers late cannot
+        # replace another.
         target = folder / f".{shot.stem}.{os.getpid()}.{attempt}.{boot:.3f}"
         written = self.camera.call(
             lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg),
@@ -237,9 +237,9 @@ class BracketCapture:
         return doubt, as_taken(written, asked) if doubt else asked
 
     def _takes_whole_brackets(self, wanted: Sequence[FrameRequest]) -> bool:
-        """Return whether the camera can take these frames as one bracket of its own.
+        """Return whether the camera can take these frames as one bracket by itself.
 
-        That is several times faster than frame by frame.
+        This is several times faster than frame by frame.
         """
         camera = self.camera.get()
         still = all(shot.heading_deg is None and not shot.exposure.nd for shot in wanted)
@@ -248,7 +248,7 @@ class BracketCapture:
         )
 
     def _expose_whole(self, wanted: Sequence[FrameRequest], folder: Path) -> list[Frame]:
-        """Take all frames in one call; return them only when all are there."""
+        """Take all frames in one call; return them only if all exist."""
         self.recorder.claim(self.frame_bytes * len(wanted))
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
@@ -256,7 +256,7 @@ class BracketCapture:
         targets = [folder / f".{shot.stem}.{os.getpid()}.{boot:.3f}" for shot in wanted]
 
         def take(camera: Camera) -> list[Path]:
-            if not isinstance(camera, BracketingCamera):  # another camera was connected
+            if not isinstance(camera, BracketingCamera):  # another camera was connected meanwhile
                 raise DeviceError("the camera no longer takes brackets in one call")
             return camera.expose_bracket(exposures, targets)
 
@@ -281,7 +281,7 @@ class BracketCapture:
     def _wait_for_room(self, deadline: datetime, pause_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.
 
-        Wait at least `pause_s`: free space does not show that a disk quota is used up.
+        Wait at least `pause_s`, because free space does not show that a disk quota is exhausted.
         """
         earliest = self.clock.now() + timedelta(seconds=pause_s)
         while (now := self.clock.now()) < deadline:
@@ -337,7 +337,7 @@ class BracketCapture:
         return replace(state, illuminance_lx=(*state.illuminance_lx, reading.illuminance_lx))
 
     def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
-        """Close a slot that will not be finished; its frames stay, marked as incomplete."""
+        """Close a slot that will not be finished; its frames remain, marked as incomplete."""
         folder = self.session.capture_file(slot.id).parent
         _sweep(folder)
         if state.frames:
@@ -360,7 +360,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _settle(written: Path, final: Path, *, flush: bool) -> None:
-    """Rename a frame to its final name; with `flush` it is on the disk on return."""
+    """Rename a frame to its final name; with `flush`, wait until it is on the disk."""
     if flush:
         with written.open("rb+") as file:
             os.fsync(file.fileno())
@@ -370,4 +370,4 @@ def _settle(written: Path, final: Path, *, flush: bool) -> None:
 
 
 class _Away(DeviceError):
-    """The camera is away, and that has been reported already."""
+    """The camera is away, which was already reported."""

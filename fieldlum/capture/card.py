@@ -1,4 +1,4 @@
-"""Read a camera's card: the frames of the session's camera, and a line for every other file."""
+"""Read a camera's card: the frames of the session's camera, and a note on every other file."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _OTHER_PICTURES = (
 
 
 def card_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the frames under a folder, and a line for each kind of picture that merge cannot use.
+    """Return the frames in a folder, and a note on each kind of picture that merge cannot use.
 
     Raises InputError if there is no frame.
     """
@@ -62,7 +62,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
         )
     if not folder.is_dir():
         raise InputError(
-            folder, "no such folder", "a card's folder, such as DCIM", "check the path"
+            folder, "no such folder", "a card's folder, such as DCIM", "check the path of the card"
         )
     files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
     frames = [p for p in files if p.suffix.lower() in (*RAW_SUFFIXES, *JPEG_SUFFIXES)]
@@ -73,7 +73,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
     ]
     if not frames:
         found = "".join(f", but {count} {suffix} files" for suffix, count in sorted(other.items()))
-        remedy = "set the camera to raw" if other else "check the path"
+        remedy = "set the camera to raw" if other else "check the path of the card"
         raise InputError(
             folder, f"no raw or JPEG frames in it{found}", "a card's folder, such as DCIM", remedy
         )
@@ -83,7 +83,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
 def read_card(
     files: Sequence[Path], progress: Progress = quiet, *, lens_f_number: float = 0.0
 ) -> tuple[list[CardFrame], list[str]]:
-    """Return the frames with their EXIF, and a line for each file that cannot be used.
+    """Return the frames with their EXIF, and a note on each file that cannot be used.
 
     lens_f_number: f-number of a lens that writes none to EXIF.
     """
@@ -103,15 +103,15 @@ def read_card(
         offset_s = None if offset is None else offset.total_seconds()
         aware = offset is not None
         when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
-        who = info.model or info.make or "a camera without a name in EXIF"
+        who = info.model or info.make or "a camera that EXIF does not name"
         frames.append(CardFrame(path, info.exposure, when, offset_s, who, _body_serial(path)))
     return frames, left_out
 
 
 def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[str]]:
-    """Return each picture once, and a line if there were copies.
+    """Return each picture once, and a note if there were copies.
 
-    Without this a copy would split its bracket in two.
+    A copy would split its bracket in two.
     """
     seen: dict[tuple[datetime, Exposure, int], dict[str, CardFrame]] = {}
     alike = Counter(_likeness(frame) for frame in frames)
@@ -125,7 +125,7 @@ def without_copies(frames: Sequence[CardFrame]) -> tuple[list[CardFrame], list[s
                 continue
         kept.append(frame)
     return kept, [
-        f"{copies[0]}: a copy of another frame, and {len(copies) - 1} more"
+        f"{copies[0]}: a copy of another frame, as are {len(copies) - 1} more files"
     ] if copies else []
 
 
@@ -134,14 +134,17 @@ def _likeness(frame: CardFrame) -> tuple[datetime, Exposure, int]:
 
 
 def _body_serial(path: Path) -> str:
-    """Return the serial number of the camera body, which distinguishes two bodies of one model."""
+    """Return the serial number of the camera body, or "" if EXIF has none.
+
+    It distinguishes two bodies of one model.
+    """
     return str(getattr(tags_of(path).get("EXIF BodySerialNumber"), "values", "")).strip("\0 ")
 
 
 def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:
     """Return camera model and serial number of each frame.
 
-    A frame without a serial number belongs to the only body of its model, if there is only one.
+    If there is only one body of a model, frames without a serial number belong to it.
     """
     told: dict[str, set[str]] = {}
     for frame in frames:
@@ -155,14 +158,14 @@ def _bodies(frames: Sequence[CardFrame]) -> list[tuple[str, str]]:
 def of_the_session(
     frames: Sequence[CardFrame], setup: SiteFile
 ) -> tuple[list[CardFrame], list[str]]:
-    """Return the frames of the session's camera in one format, and a line for each other camera.
+    """Return the frames of the session's camera in one format, and a note on each other camera.
 
-    The camera is the one that the profile names, else the one with most frames, because frames of
-    two cameras never form a bracket. JPEG copies of raw frames are skipped without a line, unless
+    The session's camera is the one that the profile names, else the one with most frames: frames of
+    two cameras never form a bracket. JPEG copies of raw frames are skipped without a note, unless
     the profile is for JPEGs.
     """
     body = CameraBody("", "raw", 0, 0)
-    # a missing profile is reported by doctor and merge; the frames are imported anyway
+    # doctor and merge report a missing profile; the frames are imported anyway
     with suppress(InputError):
         body = load_camera_profile(setup.camera.profile).camera
     bodies = _bodies(frames)

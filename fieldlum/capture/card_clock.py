@@ -1,6 +1,6 @@
-"""Find the UTC offset of a camera's clock: stated by the user, in EXIF, or fitted to the plan.
+"""Determine the UTC offset of a camera's clock: stated by the user, in EXIF, or fitted to the plan.
 
-Also find where the clock was set during a campaign.
+Days on which the clock was set during a campaign are detected too.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from fieldlum.capture.match_card import (
 from fieldlum.errors import InputError
 from fieldlum.records import SiteFile, Slot
 
-# Not measured; chosen because brackets of one day follow each other within hours, and a person sets
-# a camera's clock between two days.
+# Not measured. Chosen because the brackets of a day follow each other within hours, and clocks are
+# usually set between two days.
 _NIGHT_S = 4 * 3600.0
 _HOURS = range(-26, 27)  # civil time zones span UTC-12 to UTC+14: two of them differ by 26 h
-_STEP_S = 1800.0  # a smaller change is drift of the clock
+_STEP_S = 1800.0  # a smaller change is drift of the clock; chosen
 _SAME_OFFSET_S = 60.0  # EXIF states offsets in minutes
 # A change of the clock counts only if it brings this many more brackets to slots. Not measured: two
 # brackets can be early or late by chance.
@@ -42,7 +42,7 @@ def clock_offset(
 ) -> Offset:
     """Return the camera's clock minus UTC: as stated, from EXIF, or fitted to the plan.
 
-    Raises InputError if no offset fits, or several fit equally well.
+    Raises InputError if no offset fits, or if several fit equally well.
     """
     if told_s is not None:
         start = Offset(told_s, "--utc-offset")
@@ -56,7 +56,7 @@ def clock_offset(
         raise InputError(
             "import",
             f"brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's clock",
-            f"brackets near the plan's slots, the nearest at {near.t_utc:%Y-%m-%d %H:%M} UTC"
+            (f"brackets near the plan's slots, the nearest slot at {near.t_utc:%Y-%m-%d %H:%M} UTC")
             if near
             else "a plan with slots",
             "check that this is the right card; correct a wrong date with exiftool -AllDates",
@@ -65,14 +65,14 @@ def clock_offset(
         raise InputError(
             "import",
             "several UTC offsets of the camera's clock fit the plan equally well",
-            "the camera's offset from UTC",
-            "state it, for example --utc-offset -08:00",
+            "one offset that fits best",
+            "state the camera's offset, for example --utc-offset -08:00",
         )
     return refine_offset(groups, slots, start)
 
 
 def tells_utc(groups: Sequence[Group]) -> bool:
-    """Return whether every frame has its UTC offset in EXIF."""
+    """Return whether EXIF states a UTC offset for every frame."""
     return all(f.exif_offset_s is not None for group in groups for f in group.frames)
 
 
@@ -82,7 +82,7 @@ def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
 
 
 def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
-    """Return frames with the time that the camera's clock showed, without the offset in EXIF.
+    """Return the frames with the time that the camera's clock showed, ignoring EXIF's offset.
 
     A stated --utc-offset applies to the clock itself. exif_offset_s remains, for `contradiction`.
     """
@@ -92,9 +92,10 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
 
 
 def contradiction(groups: Sequence[Group], slots: Sequence[Slot], told_s: float) -> str:
-    """Return the counts of frames near slots by the stated offset and by EXIF's own, or no text.
+    """Return a warning if the stated offset and EXIF's own contradict each other, else "".
 
-    groups: with times from `as_shown`. The text is empty where both agree within a minute.
+    The warning counts the frames near slots for both. groups: with times from `as_shown`. Offsets
+    within a minute of each other agree.
     """
     own = [g for g in groups if g.frames[0].exif_offset_s is not None]
     offsets_s = _exif_offsets_s(own)
@@ -114,12 +115,12 @@ def contradiction(groups: Sequence[Group], slots: Sequence[Slot], told_s: float)
     if exif > stated:
         return f"{text}; import the card again without --utc-offset, and the logger by itself"
     if exif == stated:
-        return f"{text}; the plan cannot decide: compare the camera's clock with UTC"
+        return f"{text}; the plan fits both: compare the camera's clock with UTC"
     return text
 
 
 def hms(seconds: float) -> str:
-    """Return an offset as +HH:MM, with seconds where it has some."""
+    """Return an offset as +HH:MM, with seconds if they are not zero."""
     minutes, rest = divmod(round(abs(seconds)), 60)
     return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (
         f":{rest:02d}" if rest else ""
@@ -127,19 +128,20 @@ def hms(seconds: float) -> str:
 
 
 def hms_list(offsets_s: Sequence[float]) -> str:
-    """Return offsets in words, such as "-08:00 and -07:00"."""
+    """Return offsets as text, such as "-08:00 and -07:00"."""
     return " and ".join(hms(offset_s) for offset_s in offsets_s)
 
 
 def _near(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> int:
-    """Return how many brackets are near slots."""
+    """Return the number of brackets that are near slots if the clock has this offset."""
     return int(np.sum(np.abs(late_s(groups, slots, offset_s)) <= WITHIN_S))
 
 
 def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile) -> list[float]:
-    """Return the likely offsets of the camera's clock from UTC [s], most likely first.
+    """Return the likely values of the camera's clock minus UTC [s], most likely first.
 
-    These are the place's offsets during the brackets, then during the plan, then zero.
+    These are the UTC offsets of the place on the days of the brackets, then those of the plan, then
+    zero.
     """
     zone = ZoneInfo(setup.site.timezone)
     days = {group.t_camera.date() for group in groups}
@@ -156,11 +158,11 @@ def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile)
 
 
 def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Group]]:
-    """Split brackets between days where the camera's clock was set by a number of hours.
+    """Split the brackets at days where the camera's clock was set by a number of hours.
 
-    An example is daylight saving time. Hourly slots look the same: brackets that are an hour off
-    match the neighbouring slots, except at the ends of a day. Return the fewest parts that the
-    brackets support: each change must bring three more brackets to slots.
+    An example is daylight saving time. With hourly slots such a change is hard to see: brackets
+    that are an hour off match the neighbouring slots, except at the ends of a day. Return the
+    fewest parts that the brackets support: each change must bring three more brackets to slots.
     """
     days: list[list[Group]] = []
     for group in groups:
@@ -179,9 +181,9 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
 
 
 def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.ndarray:
-    """Return the number of each day's brackets near slots, [days, hours], for each clock offset.
+    """Return how many brackets of each day are near slots, for each clock offset [days, hours].
 
-    The hours count from a base: the quarter of an hour that fits all brackets best.
+    The hours count from a base, the quarter of an hour that fits all brackets best.
     """
     everything = [group for day in days for group in day]
     base = next(iter(fitting_offsets(everything, slots)), 0.0) % 3600.0
@@ -189,9 +191,9 @@ def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.n
 
 
 def _steadiest(hits: np.ndarray) -> list[int]:
-    """Return the best hour of each day, as an index.
+    """Return the best offset of each day, as an index of hours.
 
-    Maximise the brackets near slots, minus `_EVIDENCE` for each change from one day to the next.
+    The sum of brackets near slots is maximised, minus `_EVIDENCE` for each change between days.
     """
     value, came = hits[0].astype(float), []
     for day in hits[1:]:
@@ -206,9 +208,9 @@ def _steadiest(hits: np.ndarray) -> list[int]:
 
 
 def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
-    """Return a line for each change of the camera's clock that the plan suggests.
+    """Return a note on each change of the camera's clock that the plan suggests.
 
-    A person who starts an hour early for days causes the same pattern.
+    Brackets that were taken an hour early on some days look the same.
     """
     said: list[str] = []
     for (before, old), (after, new) in pairwise(clocks):
@@ -223,25 +225,25 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
 
 
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
-    """Return why the plan contradicts an offset, or an empty text.
+    """Return why the plan contradicts an offset, or "".
 
-    It finds an offset that is wrong by full hours, up to 26 (time zone or date), and a clock that
-    was set between brackets.
+    Two errors are detected: an offset that is wrong by full hours, up to 26 (time zone or date),
+    and a clock that was set between brackets.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
     hits = [_near(groups, slots, offset.seconds + s) for s in shifts]
     as_it_is, best = hits[shifts.index(0.0)], int(np.argmax(hits))
     if hits[best] >= as_it_is + _EVIDENCE:
         return (
-            f"{offset.how}: {as_it_is} of {len(groups)} brackets are near slots; with an offset "
-            f"{shifts[best] / 3600:+g} h from this, {hits[best]} would be: check the camera's "
-            f"clock and date"
+            f"{offset.how}: {as_it_is} of {len(groups)} brackets are near slots; with an "
+            f"offset {shifts[best] / 3600:+g} h from this, {hits[best]} would be: check the "
+            "camera's clock and date, and state --utc-offset"
         )
     parts = clock_parts(groups, slots)
     for before, after in pairwise(parts):
         return (
             f"{offset.how}, used for all brackets: by the plan, the clock was set between "
-            f"{before[-1].frames[0].path} and {after[0].frames[0].path}; import the two parts "
-            "from separate folders"
+            f"{before[-1].frames[0].path} and {after[0].frames[0].path}; import these two "
+            "parts from separate folders"
         )
     return ""

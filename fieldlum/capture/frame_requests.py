@@ -1,4 +1,4 @@
-"""The frames of a bracket: those to take, and the note of those that were taken."""
+"""List the frames that a bracket needs, and write capture.json about those that were taken."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from fieldlum.session.tables import DeviceTable
 
 @dataclass(frozen=True, slots=True)
 class FrameRequest:
-    """One frame to take: its place in the bracket, exposure, and heading of a turned head [deg]."""
+    """One frame to take: its number in the bracket, its exposure, and the heading [deg].
+
+    heading_deg: None without a turned head.
+    """
 
     index: int
     exposure: Exposure
@@ -30,7 +33,7 @@ class FrameRequest:
 
 
 def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
-    """Return every exposure for every heading of a turned head, in the order of capture."""
+    """Return each exposure at each heading of a turned head, in the order of capture."""
     headings: tuple[float | None, ...] = setup.headings or (None,)
     pairs = [(exposure, heading) for heading in headings for exposure in exposures]
     return tuple(FrameRequest(i, exposure, heading) for i, (exposure, heading) in enumerate(pairs))
@@ -45,7 +48,7 @@ def write_capture(
     *,
     complete: bool,
 ) -> None:
-    """Write raw/<slot>/capture.json, which merge reads, atomically (docs/file-formats.md)."""
+    """Write raw/<slot>/capture.json atomically; merge reads it (docs/file-formats.md)."""
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings = state.illuminance_lx
     CaptureFile(

@@ -1,4 +1,4 @@
-"""`fieldlum import`: copy a card's frames and a logger's file into the session."""
+"""Copy a card's frames and a logger's file into the session (`fieldlum import`)."""
 
 from __future__ import annotations
 
@@ -52,19 +52,20 @@ from fieldlum.session import (
 class Report:
     """Result of an import.
 
-    left_out: a sentence for each file or bracket that was not imported. notes: a sentence for each
-    that was imported with a doubt. late_s: start of each bracket minus its slot's time [s].
+    left_out: a sentence on each file or bracket that was not imported. notes: a sentence on each
+    bracket that was imported but may be wrong. late_s: start of each bracket minus its slot's time
+    [s].
     """
 
     brackets: int = 0
     frames: int = 0
-    known: int = 0  # brackets that were in the session already
+    known: int = 0  # brackets that were already in the session
     offsets: tuple[Offset, ...] = ()  # one for each campaign on the card
     late_s: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     rows: int = 0
-    # rows of the logger's file that an earlier import with another clock or other columns added
+    # rows of the logger's file that an earlier import had added with another clock or other columns
     withdrawn: int = 0
     slots: tuple[str, ...] = ()
     # slots whose brackets were removed because an earlier import used another clock
@@ -80,19 +81,18 @@ def run(
     columns: Mapping[str, str] | None = None,
     progress: Progress = quiet,
 ) -> Report:
-    """Copy what matches the plan into raw/ and the journal; add a logger's rows to the day files.
+    """Copy brackets that match the plan into raw/ and the journal.
 
-    An import can be repeated. The card and the logger's file are never changed.
-
-    utc_offset_s: camera's and logger's clock minus UTC [s]; None fits the camera's to the plan.
-    columns: the logger's column name for each quantity, where it is an unusual one.
-
-    Raises InputError for a folder without frames or an ambiguous clock, NotEnoughDataError if no
-    bracket matched.
+    Add a logger's rows to the day files. An import can be repeated. The card and the logger's file
+    are never changed. utc_offset_s: clocks of camera and logger minus UTC [s]; None fits the
+    camera's clock to the plan. columns: the logger's column name for each quantity, if it is
+    unusual. Raises InputError for a folder without frames or an ambiguous clock, NotEnoughDataError
+    if no bracket matched.
     """
     with sole_user(session, "capture"):
         if logger is not None:
-            check_rows(logger, utc_offset_s, columns)  # before the card: import both or nothing
+            # check before the card is read, so that both are imported or none
+            check_rows(logger, utc_offset_s, columns)
         report = (
             Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
         )
@@ -123,7 +123,9 @@ def _adopt_card(
     )
     left_out = [*strangers, *copies, *unread, *others]
     if not groups:
-        raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}")
+        raise NotEnoughDataError(
+            f"{folder}: no usable frame; {left_out[0]}; check that this is the right card"
+        )
     matched: list[tuple[Match, Offset]] = []
     clocks: list[tuple[list[Group], Offset]] = []
     notes: list[str] = []
@@ -131,7 +133,7 @@ def _adopt_card(
     for part in _parts(groups, slots, utc_offset_s):
         try:
             offset = clock_offset(part, slots, setup, utc_offset_s)
-        # An error of one campaign: a wrong date, or brackets of another plan.
+        # The error of one campaign: a wrong date, or brackets of another plan.
         except InputError as error:
             refused.append(error)
             whose = f"{_range(part[0])} and {len(part) - 1} brackets after it"
@@ -151,7 +153,8 @@ def _adopt_card(
         raise refused[0]
     if not matched:
         raise NotEnoughDataError(
-            f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}"
+            f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}; "
+            "check --utc-offset and the plan"
         )
     notes += clock_steps(clocks)
     offsets = [offset for _, offset in clocks]
@@ -179,7 +182,7 @@ def _adopt_card(
 def _parts(
     groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None
 ) -> list[list[Group]]:
-    """Return the brackets in parts; within each part the camera's clock was not set."""
+    """Return the brackets in parts between which the camera's clock was set."""
     parts = campaigns(groups)
     if utc_offset_s is not None or not slots:
         return parts
@@ -193,9 +196,9 @@ def _parts(
 def _one_a_slot(
     matched: Sequence[tuple[Match, Offset]],
 ) -> tuple[list[tuple[Match, Offset]], list[str]]:
-    """Return the best bracket for each slot, and a line for each other that matched the slot.
+    """Return the best bracket for each slot, and a note on each other bracket that matched.
 
-    Brackets can match one slot twice when the camera's clock was set.
+    Two brackets can match one slot if the camera's clock was set.
     """
     best: dict[str, tuple[Match, Offset]] = {}
     said: list[str] = []
@@ -203,14 +206,17 @@ def _one_a_slot(
         matched, key=lambda one: (-fits(one[0].group, one[0].slot), abs(one[0].late_s))
     ):
         if match.slot.id in best:
-            said.append(f"{_range(match.group)}: another bracket fits {match.slot.id} better")
+            said.append(
+                f"{_range(match.group)}: not imported, because another bracket "
+                f"matches {match.slot.id} better"
+            )
         else:
             best[match.slot.id] = match, offset
     return sorted(best.values(), key=lambda one: one[0].slot.t_utc), said
 
 
 def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
-    """Return the slot's exposures, at every heading, that a bracket lacks."""
+    """Return the slot's exposures, at every heading, that are missing in a bracket."""
     left, missing = [frame.exposure for frame in group.frames], []
     for shot in shots(slot.exposures, setup):
         found = next(
@@ -224,9 +230,9 @@ def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
 
 
 def _lacking_text(match: Match, setup: CameraSetup) -> str:
-    """Return a line for an incomplete bracket, or an empty text.
+    """Return a note on an incomplete bracket, or "".
 
-    The line also reports frames that could be with or without a filter.
+    The note also names frames that could be with or without a filter.
     """
     missing = lacking(match.group, match.slot, setup)
     if not missing:
@@ -245,7 +251,8 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
     )
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
     return (
-        f"{_range(match.group)}: lacks {len(missing)} of {match.slot.id}'s frames: {shown}{unsure}"
+        f"{_range(match.group)}: of {match.slot.id}'s frames, {len(missing)} are missing: "
+        f"{shown}{unsure}"
     )
 
 
@@ -257,7 +264,7 @@ def _adopt_all(
 ) -> tuple[list[Match], tuple[str, ...]]:
     """Import every bracket that the journal does not record as done.
 
-    Return the new ones, and the slots that an earlier import had filled wrongly.
+    Return the imported brackets, and the slots that an earlier import had filled wrongly.
     """
     journal = Journal(session)
     new: list[Match] = []
@@ -280,7 +287,7 @@ def _range(group: Group) -> str:
 
 
 def _text(path: Path) -> str:
-    """Return a path as valid UTF-8: file names on a card may use another encoding."""
+    """Return a path as valid UTF-8, because file names on a card may have another encoding."""
     return str(path).encode("utf-8", "replace").decode()
 
 
@@ -317,8 +324,8 @@ def meant(
 ) -> tuple[Exposure, float | None]:
     """Return the planned exposure and heading of a frame.
 
-    EXIF has neither filter nor heading; the order of the frames has. A frame that is not in the
-    plan keeps its EXIF exposure.
+    EXIF has neither filter nor heading, so they follow from the order of the frames. A frame that
+    is not in the plan keeps its EXIF exposure.
     """
     exposure = group.frames[index].exposure
     before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])

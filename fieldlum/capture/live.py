@@ -26,7 +26,8 @@ class Live:
     camera: str
     pyranometer: str
     bytes_free: int
-    # what the next bracket lacks, without the space reserved for the journal and the rows
+    # bytes that the next bracket needs and the disk lacks, without the space reserved for journal
+    # and rows
     bytes_missing: int
     disk_days: float | None
     last_event: str
@@ -36,4 +37,4 @@ Watch = Callable[[Live], None]
 
 
 def unwatched(live: Live) -> None:
-    """Do nothing: the capture has no display."""
+    """Do nothing; used for a capture without a display."""

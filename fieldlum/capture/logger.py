@@ -17,15 +17,15 @@ from fieldlum.records import IrradianceSample
 from fieldlum.session import Session, sole_user, update_session
 
 _BAD_IN_A_ROW = 3  # failed readings before the port is opened again; not measured
-# Refused lines that are journalled one by one in an hour. Not measured: it keeps an instrument that
-# prints remarks from filling the disk (under 100 kB a day).
+# Number of rejected lines that are journalled individually in an hour. Not measured; it prevents an
+# instrument that prints remarks from filling the disk (under 100 kB a day).
 _TOLD_AN_HOUR = 20
 
 
 class Logger:
-    """Polls a pyranometer every `every_s`.
+    """Reads a pyranometer every `every_s` seconds and writes the rows.
 
-    It runs in its own thread (`start`), or the capture's loop calls `poll_if_due`.
+    It has its own thread (`start`), or the capture's loop calls `poll_if_due`.
     """
 
     def __init__(
@@ -42,7 +42,10 @@ class Logger:
         self._hour, self._refused = -1, 0
 
     def poll(self) -> IrradianceSample | None:
-        """Read and write one row; return None if the instrument is away or answers invalidly."""
+        """Read and write one row.
+
+        Return None if the instrument is away or its answer is invalid.
+        """
         device = self.keeper.get()
         if device is None:
             return None
@@ -53,7 +56,7 @@ class Logger:
             self._failed, self.bad = self._failed + 1, self.bad + 1
             if (
                 self.keeper.state != "lost"
-            ):  # once an instrument is lost, do not report each failed reading
+            ):  # after an instrument is lost, do not report each failed reading
                 self._recorder.tell(
                     "bad-reading",
                     device=self.keeper.name,
@@ -68,13 +71,13 @@ class Logger:
         self._failed = 0
         sample = replace(
             sample, t_utc=asked
-        )  # steady time, not the instrument's nor a stepped wall clock's
+        )  # steady time: neither the instrument's nor that of a clock that was stepped
         self._recorder.sample(sample)
         self.last = sample
         return sample
 
     def _tell_refused(self, device: Pyranometer) -> None:
-        """Journal refused lines as received; above `_TOLD_AN_HOUR`, only their number."""
+        """Journal rejected lines as received; above `_TOLD_AN_HOUR`, only their number."""
         lines = device.refused() if isinstance(device, Streaming) else []
         hour = int(self._clock.boottime() // 3600)
         if hour != self._hour:
@@ -92,11 +95,11 @@ class Logger:
 
     @property
     def due_in_s(self) -> float:
-        """Time until the next poll [s]; negative when it is overdue."""
+        """Return the time until the next poll [s]; negative if the poll is overdue."""
         return max(0.0, self._due - self._clock.boottime())
 
     def poll_if_due(self) -> None:
-        """Poll if it is time; skip polls that a sleep of the computer missed."""
+        """Poll if the time has come; skip polls that were missed while the computer slept."""
         now = self._clock.boottime()
         if now >= self._due:
             # Keep to the schedule of polls.
@@ -116,9 +119,10 @@ class Logger:
                 self.poll_if_due()
             except (
                 Exception
-            ) as error:  # any error: the irradiance of the following days must still be logged
+                # after any error, the irradiance of the following days must still be logged
+            ) as error:
                 why = f"{type(error).__name__}: {error}"[:300]
-                if why != told:  # report a repeated error once: else it would fill the disk
+                if why != told:  # report a repeated error once, otherwise it would fill the disk
                     with suppress(Exception):
                         self._recorder.tell("bad-reading", device=self.keeper.name, why=why)
                 told = why
@@ -143,10 +147,8 @@ def log(
 ) -> int:
     """Log irradiance without a camera until `rows` are written or the process is stopped.
 
-    Return the number of rows written.
-
-    Raises DeviceError if the instrument does not open at the start, InputError if another process
-    logs into this session.
+    Return the number of rows written. Raises DeviceError if the instrument does not open at the
+    start, InputError if another process logs into this session.
     """
     steady = SteadyClock(clock)
     with sole_user(session, "log"):
@@ -162,7 +164,7 @@ def log(
         try:
             info = keeper.insist().info
             known = session.table().get("devices", {})
-            with suppress(OSError):  # a full disk is reported by the next row
+            with suppress(OSError):  # the next row reports a full disk
                 update_session(session, {"devices": {**known, "pyranometer": plain_info(info)}})
             say(
                 f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every "

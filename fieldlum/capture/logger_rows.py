@@ -1,6 +1,6 @@
 """Add a logger's file to the day files.
 
-A repeated import with another clock or other columns replaces the rows of the first one.
+A repeated import with another clock or other columns replaces the earlier rows.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from fieldlum.session.tables import LoggerFileTable
 class Adopted:
     """Result of adding a logger's file.
 
-    rows: rows added. withdrawn: rows of the same file that an earlier import with another clock or
-    other columns had added. left_out: a sentence for each unused part of the file.
+    rows: number of rows added. withdrawn: rows of the same file that an earlier import had added
+    with another clock or other columns. left_out: a sentence on each unused part of the file.
     """
 
     rows: int
@@ -74,7 +74,7 @@ def check_rows(
 def _told(
     path: Path, utc_offset_s: float | None, columns: Mapping[str, str] | None
 ) -> LoggerFileTable:
-    """Return how a file is read (clock, columns), as the session stores it."""
+    """Return how a file is read (clock, columns), in the form that the session stores."""
     told: LoggerFileTable = {"file": path.name}
     if utc_offset_s is not None:
         told["utc_offset_s"] = utc_offset_s
@@ -91,7 +91,10 @@ def _read(path: Path, told: LoggerFileTable) -> LoggerFile:
 
 
 def _readable(path: Path, told: LoggerFileTable) -> Sequence[IrradianceSample]:
-    """Return the file's rows as an earlier import would have read them; empty if it cannot be."""
+    """Return the file's rows as an earlier import read them.
+
+    Empty if the file cannot be read now.
+    """
     try:
         return _read(path, told).samples
     except InputError:
@@ -99,9 +102,9 @@ def _readable(path: Path, told: LoggerFileTable) -> Sequence[IrradianceSample]:
 
 
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Append rows whose time is in no day file yet; return their number.
+    """Append the rows whose time is in no day file yet; return their number.
 
-    Of the given rows, those that differ at the same time all stay; copies do not.
+    If several of these rows have the same time, all that differ are appended; copies are not.
     """
     wanted = sorted(samples, key=lambda s: s.t_utc)
     if not wanted:
@@ -115,7 +118,8 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     last: IrradianceSample | None = None
     try:
         for sample in wanted:
-            if sample.t_utc not in known and sample != last:  # a table that contains its own copy
+            # a table that contains a copy of itself
+            if sample.t_utc not in known and sample != last:
                 log.append(sample)
                 added += 1
             last = sample
@@ -125,10 +129,10 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
 
 
 def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
-    """Remove rows with these times and texts from the day files; return their number.
+    """Remove the rows with these times and texts from the day files; return their number.
 
-    The earlier day file stays in irradiance/withdrawn/. Delete clean.csv too: it is only updated if
-    the length of a day file changes, and rows that moved do not change it.
+    The earlier day file remains in irradiance/withdrawn/. clean.csv is deleted too, because it is
+    only updated if the length of a day file changes, and rows that only move do not change it.
     """
     gone = {_key(sample) for sample in samples}
     count = 0

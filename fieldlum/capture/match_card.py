@@ -1,4 +1,4 @@
-"""Group a card's frames into brackets and match brackets to slots, by exposures and time."""
+"""Group a card's frames into brackets, and match these to slots by exposures and time."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ import numpy as np
 from fieldlum.records import Exposure, Slot
 
 SAME_EV = 1 / 6  # half the third-stop spacing of camera settings
-WITHIN_S = 1200.0  # a bracket started manually further from its slot belongs to another hour
-# Not measured, unless stated: chosen between the two cases that each must separate.
-_STEADY_S = 5.0  # spread of an intervalometer's start times; a person's is far larger
-_PAUSE_FACTOR = 10.0  # a pause between brackets, as a multiple of the usual step between frames
+WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour; chosen
+# Not measured, unless a source is stated. Each limit is chosen between the two cases that it must
+# separate.
+_STEADY_S = 5.0  # spread of the start times of an intervalometer; starts by hand vary far more
+# shortest pause between brackets, as a multiple of the usual time between frames
+_PAUSE_FACTOR = 10.0
 _TURN_FACTOR = 6.0  # additional factor for a head that is turned between two frames
 _CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
@@ -29,8 +31,8 @@ _HALF_COUNT = 5000  # cameras number their files up to 9999 (DCF 2.0)
 class CardFrame:
     """A frame as EXIF describes it.
 
-    t_camera: the camera's clock, read as if it were UTC; with exif_offset_s, UTC itself.
-    exif_offset_s: the clock minus UTC [s] where EXIF states it.
+    t_camera: the camera's clock, read as if it were UTC; if exif_offset_s is known, t_camera is
+    UTC. exif_offset_s: the clock minus UTC [s], if EXIF states it.
     """
 
     path: Path
@@ -38,27 +40,27 @@ class CardFrame:
     t_camera: datetime
     exif_offset_s: float | None = None
     camera: str = ""  # model
-    serial: str = ""  # serial number of the body, if EXIF has it
+    serial: str = ""  # serial number of the body; "" if EXIF has none
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """One bracket on the card."""
+    """The frames of one bracket on the card."""
 
     frames: tuple[CardFrame, ...]
 
     @property
     def t_camera(self) -> datetime:
-        """Start of the bracket by the camera's clock."""
+        """Return the start of the bracket by the camera's clock."""
         return self.frames[0].t_camera
 
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """The camera's clock minus UTC [s], and how it was found.
+    """The camera's clock minus UTC [s], and how it was determined.
 
-    seconds: what frames' t_camera is ahead of UTC. exif_s: the offsets in EXIF that t_camera was
-    already corrected by.
+    seconds: how far the frames' t_camera is ahead of UTC. exif_s: the offsets in EXIF, which
+    t_camera already includes.
     """
 
     seconds: float
@@ -72,7 +74,7 @@ class Match:
 
     slot: Slot
     group: Group
-    late_s: float  # true start minus planned start
+    late_s: float  # true start minus planned start [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ class Unmatched:
 def same_exposure(a: Exposure, b: Exposure) -> bool:
     """Return whether shutter, aperture and ISO agree within a sixth of a stop.
 
-    The filter must be the same, or not recorded on one side: a camera does not record it.
+    The filters must agree too, unless one of them is not recorded: cameras do not record filters.
     """
     stops = (
         math.log2(a.shutter_s / b.shutter_s),
@@ -97,7 +99,7 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:
-    """Return the median pause between two frames [s], at least the one second EXIF resolves."""
+    """Return the median time between two frames [s], at least the one second that EXIF resolves."""
     gaps = [
         (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
         for a, b in pairwise(frames)
@@ -106,7 +108,7 @@ def usual_step_s(frames: Sequence[CardFrame]) -> float:
 
 
 def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
-    """Return frames by the camera's time, and within a second by their file number.
+    """Return frames ordered by the camera's time, and within one second by file number.
 
     Number 9999 is followed by 0001 or 0000.
     """
@@ -133,10 +135,11 @@ def _number(frame: CardFrame) -> int:
 def group_frames(
     frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1
 ) -> list[Group]:
-    """Return the brackets of the frames, in order of time.
+    """Group frames into brackets, in order of time.
 
-    A new bracket begins after a pause, or with an exposure that the bracket has already. The pause
-    is ten usual steps of this card: a bracket can take from three seconds to two minutes.
+    A new bracket begins after a pause, or with an exposure that the bracket already contains. The
+    pause is ten times this card's usual time between frames, because a bracket can take from three
+    seconds to two minutes.
 
     pattern: the plan's exposures. An exposure that is twice in the plan (once through a filter,
     which EXIF does not record) is expected twice. headings: number of headings of a turned head;
@@ -159,7 +162,7 @@ def group_frames(
 
 
 def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
-    """Split groups where days are between them: the camera's clock may have been set there."""
+    """Split groups at gaps of several days, where the camera's clock may have been set."""
     parts: list[list[Group]] = []
     for group in groups:
         if parts and (group.t_camera - parts[-1][-1].t_camera).total_seconds() < _CAMPAIGN_S:
@@ -170,21 +173,22 @@ def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
 
 
 def fits(group: Group, slot: Slot) -> int:
-    """Return how many of the slot's exposures the group has."""
+    """Return how many of the slot's exposures are in the group."""
     return sum(any(same_exposure(f.exposure, e) for f in group.frames) for e in slot.exposures)
 
 
 def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
-    """Return each group's start minus its nearest slot's time, [n] s, with the clock corrected."""
+    """Return each group's start, with the clock corrected, minus its nearest slot's time, [n] s."""
     starts = np.array([slot.t_utc.timestamp() for slot in slots])
     times = np.array([g.t_camera.timestamp() for g in groups]) - offset_s
     return times - starts[np.abs(times[:, None] - starts[None, :]).argmin(axis=1)]
 
 
 def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[float]:
-    """Return the clock offsets [s], in quarters of an hour, that bring most brackets to slots.
+    """Return the clock offsets [s] with which most brackets are near slots.
 
-    The result is empty if none does.
+    Offsets are multiples of a quarter of an hour. The result is empty if no bracket is near a slot
+    with any offset.
     """
     if not groups or not slots:
         return []
@@ -200,8 +204,8 @@ def find_offset(
 ) -> Offset | None:
     """Return the camera's clock minus UTC, fitted to the plan.
 
-    expected_s: offsets to prefer when several fit equally well: standard time, daylight saving
-    time, UTC. Return None if none fits, or if several fit equally well and none is expected.
+    expected_s: offsets to prefer if several fit equally well: standard time, daylight saving time,
+    UTC. Return None if no offset fits, or if several fit equally well and none of them is expected.
     """
     among = fitting_offsets(groups, slots)
     if len(among) == 1:
@@ -212,15 +216,16 @@ def find_offset(
     what = "civil time of the place" if chosen else "UTC"
     return Offset(
         chosen,
-        f"taken for {what}; other hours would fit the plan too: if you know the offset, state it "
-        "with --utc-offset",
+        f"assumed to be {what}; other offsets by full hours would fit the plan too: if you "
+        "know the offset, state it with --utc-offset",
     )
 
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
     """Refine the offset by the median delay, if all brackets start equally early or late.
 
-    Such brackets were started by a timer, so their common delay is the error of the camera's clock.
+    Such brackets were started by a timer, so that their common delay is an error of the camera's
+    clock.
     """
     late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
@@ -236,7 +241,7 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 def match_groups(
     groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
 ) -> tuple[list[Match], list[Unmatched]]:
-    """Return the group of each slot that has most of its exposures, and the unmatched groups."""
+    """Return, for each slot, the group with most of its exposures; and the unmatched groups."""
     matches: dict[str, Match] = {}
     unmatched: list[Unmatched] = []
     for group in groups:
@@ -270,5 +275,5 @@ def match_groups(
 
 
 def true_time(t_camera: datetime, offset: Offset) -> datetime:
-    """Return UTC for a time of the camera's clock."""
+    """Return the UTC of a time by the camera's clock."""
     return (t_camera - timedelta(seconds=offset.seconds)).astimezone(UTC)

@@ -1,4 +1,4 @@
-"""The command that a user has run when slots in a row gave no bracket."""
+"""Run the user's command after slots in a row gave no bracket."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MISSES_IN_A_ROW = 2  # one missed slot can be a slow bracket before it; chosen, 
 
 @dataclass(slots=True)
 class MissedHook:
-    """Counts slots in a row without a bracket; runs `command` at the second, if there is one."""
+    """Counts missed slots in a row; runs `command`, if there is one, after the second."""
 
     command: str
     folder: Path
@@ -26,7 +26,7 @@ class MissedHook:
     _misses: int = 0
 
     def count(self, slot: str, state: SlotState) -> None:
-        """Count the outcome of a slot; the command runs in a thread of its own."""
+        """Count the outcome of a slot; a command runs in its own thread."""
         self._misses = 0 if state.outcome == "done" else self._misses + 1
         if self._misses != MISSES_IN_A_ROW or not self.command:
             return
@@ -44,9 +44,9 @@ class MissedHook:
 def _run_hook(
     command: str, folder: Path, about: dict[str, str], tell: Callable[..., object]
 ) -> None:
-    """Run the user's command for missed slots; journal a failure.
+    """Run the user's command for missed slots, and journal a failure of it.
 
-    The environment has the slot, its outcome, the reason and the session's folder.
+    Environment variables state the slot, its outcome, the reason and the session's folder.
     """
     try:
         code = subprocess.run(

@@ -11,25 +11,25 @@ from fieldlum.capture.utc_clock import boot_id
 from fieldlum.devices.clock import Clock, FastClock, RealClock
 from fieldlum.session import DEFAULT_GRACE_S, Session, read_journal
 
-FAST_LEAD_S = 20.0  # simulated time before a slot; four rows of irradiance at 5 s
+FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance at 5 s; chosen
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
     """How a capture runs."""
 
-    # a bracket may start this late [s]; a later one is missed, and not made up for
+    # a bracket may start this late [s]; after that its slot is missed
     grace_s: float = DEFAULT_GRACE_S
     log_every_s: float = 5.0
-    # log only this long before a slot (in simulated time); None: always
+    # log irradiance only from this time before a slot [s], in simulated time; None: always
     log_around_s: float | None = None
-    # True: the log has its own thread; False: the loop polls, for a simulated clock
+    # True: the log has its own thread; False: the loop polls, as a simulated clock requires
     threaded: bool = True
     watchdog_s: float = 60.0  # a device that does not answer for longer is closed and reopened
     on_misses: str = ""  # shell command to run when two slots in a row gave no bracket
     reserve_bytes: int = RESERVE_BYTES
     flush: bool = True  # False: files survive a killed process, but not a power cut
-    # identifies the boot of the machine, so that a restarted capture can detect a clock step
+    # identifies the boot of the computer, so that a restarted capture can detect a clock step
     boot: str = ""
 
 

@@ -1,4 +1,4 @@
-"""Checks at the start of a capture, while a person is present who can correct a fault."""
+"""Check for faults at the start of a capture, while somebody can still correct them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CLOCK_CHECK_S = 5.0
 
 
 def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
-    """Raise DeviceError if the clock is before the last journal entry."""
+    """Raise DeviceError if the clock shows a time before the last journal entry."""
     if now_utc < last_utc - timedelta(seconds=2):
         raise DeviceError(
             f"the clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC, before the last journal entry "
@@ -29,10 +29,10 @@ def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
 def refuse_a_past_plan(
     slots: Sequence[Slot], before: Ledger, now_utc: datetime, grace: timedelta
 ) -> None:
-    """Refuse a plan whose slots are all past, so that they are not journalled as missed.
+    """Raise NotEnoughDataError if every slot is past and no bracket was started.
 
-    The cause is an old plan, or a computer's clock that is fast. Raises NotEnoughDataError if
-    every slot is past and no bracket was started.
+    Otherwise all slots would be journalled as missed. The cause is an old plan, or a clock that is
+    fast.
     """
     last = max((slot.t_utc for slot in slots), default=now_utc)
     if not before.slots and last + grace < now_utc:
@@ -46,15 +46,15 @@ def refuse_a_past_plan(
 def refuse_what_is_not_offered(
     camera: Camera, slots: Sequence[Slot], states: Mapping[str, SlotState]
 ) -> None:
-    """Raise DeviceError for planned exposures that the camera cannot be set to.
+    """Raise DeviceError for planned exposures to which the camera cannot be set.
 
-    The check ends with the first complete bracket: a later mismatch may be a dial that a person
-    turned and can turn back. Raise NotEnoughDataError for slots without any exposure.
+    After the first complete bracket nothing is checked: a mismatch may then be a turned dial, which
+    can be turned back. Raises NotEnoughDataError if no slot has an exposure.
     """
     if any(state.outcome == "done" for state in states.values()):
         return
     empty = [slot.id for slot in slots if not slot.exposures]
-    if len(empty) == len(slots) and empty:  # hours of `simulate --year-sample`, not of a plan
+    if len(empty) == len(slots) and empty:  # hours of `simulate --year-sample` are not a plan
         raise NotEnoughDataError(
             f"no slot has an exposure, the first is {empty[0]}: plan the session with fieldlum plan"
         )
@@ -74,18 +74,18 @@ def wait_for_clock(
 ) -> None:
     """Wait while the computer's clock is earlier than the session itself.
 
-    A small computer without a battery for its clock starts with a past time, which is corrected
-    once a time server answers. A bracket taken before would be filed under a wrong sun position.
-    The session's files cannot be from the future, so an earlier clock is not set. Return at once
-    if a time server has set the clock.
+    A small computer without a clock battery starts with a past time, until a time server answers. A
+    bracket taken before that would be filed under a wrong sun position. The session's files cannot
+    be from the future, so an earlier clock has not been set. Return at once if a time server has
+    set the clock.
     """
     latest_utc = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
     if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():
         return
     say(
         f"the clock shows {clock.now():%Y-%m-%d %H:%M} UTC, earlier than the session "
-        f"({latest_utc:%Y-%m-%d %H:%M} UTC): it is not set. The capture waits; connect to the "
-        f"network, or set the clock."
+        f"({latest_utc:%Y-%m-%d %H:%M} UTC), so it has not been set. The capture waits: "
+        "connect to the network, or set the clock."
     )
     while clock.now() < latest_utc - _CLOCK_TOLERANCE and not trusted():
         clock.sleep(_CLOCK_CHECK_S)

@@ -1,4 +1,4 @@
-"""Remove brackets that an earlier import with another clock put into wrong slots."""
+"""Remove brackets that an earlier import, with another clock, put into wrong slots."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from fieldlum.capture.match_card import Match, Offset, true_time
 from fieldlum.capture.state import Ledger, SlotState
 from fieldlum.session import Journal, Session, sha256
 
-SAME_TIME_S = 120.0  # refining a clock with more brackets changes times by less; not measured
+SAME_TIME_S = 120.0  # a refined clock offset changes times by less; not measured
 
 
 def withdraw(
     session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
 ) -> tuple[str, ...]:
-    """Remove imported brackets whose frames belong to other slots; return the removed slots.
+    """Remove imported brackets whose frames belong to other slots, and return these slots.
 
-    Move their folders to raw/withdrawn/ and delete what merge wrote from them. These slots are then
+    Move their folders to raw/withdrawn/ and delete what merge wrote from them. The slots are then
     without a bracket again.
     """
     held: dict[str, list[str]] = {}
@@ -33,8 +33,10 @@ def withdraw(
         for slot in there:
             if slot not in gone and _misplaced(ledger.slots[slot], slot, match, offset):
                 _set_aside(
-                    session, slot
-                )  # before the journal entry: after a kill in between, the next import repairs it
+                    session,
+                    slot,
+                    # before the journal entry: the next import repairs an interrupted one
+                )
                 journal.append(
                     "withdrawn", datetime.now(UTC), slot=slot, why="imported with another clock"
                 )
@@ -43,7 +45,7 @@ def withdraw(
 
 
 def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> bool:
-    """Return whether a slot holds the matched bracket, but it belongs to another slot or time."""
+    """Return whether a slot contains a bracket that belongs to another slot or time."""
     known = {frame.file: frame for frame in state.frames}
     for card in match.group.frames:
         frame = known.get(card.path.name)

@@ -1,4 +1,4 @@
-"""Open devices when needed, drop them when they fail, and open them again with growing pauses."""
+"""Open devices when needed, drop failing ones, and reopen them after growing pauses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fieldlum.devices.clock import Clock
 from fieldlum.errors import DeviceError
 from fieldlum.session.tables import DeviceTable
 
-# Not measured: the first try follows a loose plug, the longest pause still fits a slot's window.
+# Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 
 
@@ -29,7 +29,10 @@ R = TypeVar("R")
 
 
 class Keeper(Generic[D]):
-    """Holds one device and reopens it. `tell(event, fields)` gets device-lost and device-back."""
+    """Holds one device and reopens it after a failure.
+
+    `tell(event, fields)` is called for device-lost and device-back.
+    """
 
     def __init__(
         self,
@@ -48,37 +51,39 @@ class Keeper(Generic[D]):
 
     @property
     def state(self) -> str:
-        """State in words for the display."""
+        """Return the device's state as text for the display."""
         return (
             "lost" if self._lost_at is not None else "ok" if self._device is not None else "closed"
         )
 
     def get(self) -> D | None:
-        """Return the open device, or None while it is away; open it when a try is due."""
+        """Return the open device; None while it is away. Try to open it if a try is due."""
         if self._device is None and self._clock.boottime() >= self._next_try:
             try:
                 self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
-            # termios.error, SerialException, a driver's defect: none of them may end the capture
+            # termios.error, SerialException or a driver's defect must not end the capture
             except Exception as error:
                 self.lost(error)
         return self._device
 
     def insist(self) -> D:
-        """Open the device now. Raises what opening raises."""
+        """Open the device now, and pass on any error."""
         if self._device is None:
             self._device = guarded(self._open, self._watchdog_s, f"{self.name}: opening")
         return self._device
 
     def call(self, use: Callable[[D], R], extra_s: float = 0.0) -> R:
-        """Return `use(device)`, run under the watchdog.
+        """Run `use(device)` under the watchdog and return its result.
 
-        Raises DeviceError if the device is away or does not answer in time.
+        extra_s: additional time before the device counts as hung. Raises DeviceError if the device
+        is away or does not answer in time.
         """
         device = self.get()
         if device is None:
-            raise DeviceError(f"{self.name} is away")
+            raise DeviceError(f"{self.name} is away; check its cable and power")
         result = guarded(lambda: use(device), self._watchdog_s + extra_s, self.name)
-        # Only after a successful call: a camera with a full card opens, then fails again.
+        # Only a successful call shows that it is back: a camera with a full card opens, then fails
+        # again.
         if self._lost_at is not None:
             after_s = round(self._clock.boottime() - self._lost_at, 1)
             self._tell("device-back", device=self.name, after_s=after_s)
@@ -86,7 +91,7 @@ class Keeper(Generic[D]):
         return result
 
     def lost(self, error: BaseException) -> None:
-        """Drop the device and try again after 1, 2, 4 ... 30 s."""
+        """Drop the device, and plan tries after 1, 2, 4 ... 30 s."""
         if self._device is not None:
             device, self._device = self._device, None
             with suppress(Exception):
@@ -109,7 +114,7 @@ class Keeper(Generic[D]):
 
 
 def plain_info(info: Any) -> DeviceTable:
-    """Return a device's information as JSON and TOML can hold it, without empty fields."""
+    """Return a device's information as JSON and TOML can store it, without empty fields."""
     table = asdict(info) if is_dataclass(info) and not isinstance(info, type) else dict(vars(info))
     return {
         k: v if isinstance(v, int | float | bool) else str(v)
@@ -119,7 +124,7 @@ def plain_info(info: Any) -> DeviceTable:
 
 
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
-    """Return `work()`, run in its own thread.
+    """Run `work()` in its own thread and return its result.
 
     Raises DeviceError if it does not return in time; the thread is then abandoned.
     """
@@ -135,7 +140,7 @@ def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
     thread.start()
     thread.join(seconds)
     if not result:
-        raise DeviceError(f"{what} did not answer in {seconds:g} s")
+        raise DeviceError(f"{what} did not answer within {seconds:g} s")
     fine, value = result[0]
     if not fine:
         raise value

@@ -1,6 +1,7 @@
 """Write the journal and rows to a disk that may be full.
 
-A reserve file gives up its space when the disk is full; what cannot be written waits in memory.
+A reserve file is deleted when the disk is full, to gain its space. What cannot be written waits in
+memory.
 """
 
 from __future__ import annotations
@@ -21,23 +22,23 @@ from fieldlum.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
 from fieldlum.session.tables import EventFields
 
-RESERVE_BYTES = 16 << 20  # twelve days of rows (75 bytes each, every 5 s); not measured
+RESERVE_BYTES = 16 << 20  # bytes of twelve days of rows (75 bytes each, every 5 s); chosen
 
 Listen = Callable[[str, datetime, EventFields], None]
 
 
 def unheard(event: str, t_utc: datetime, fields: EventFields) -> None:
-    """Ignore an event."""
+    """Ignore an event; used if nobody listens."""
 
 
-_KEPT_ROWS = 100_000  # almost six days at 5 s; not measured
+_KEPT_ROWS = 100_000  # rows that wait in memory, almost six days at 5 s; chosen
 
 
 class Recorder:
-    """Journal and day files of one running capture.
+    """The journal and the day files of one running capture.
 
-    Once open, it raises for no fault of the disk: it reports the fault, keeps what it could not
-    write, and tries again at the next event or row.
+    Once open, it raises no error for faults of the disk: it reports the fault, stores in memory
+    what could not be written, and tries again at the next event or row.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class Recorder:
         self.refill()
 
     def tell(self, event: str, **fields: Unpack[EventFields]) -> bool:
-        """Journal an event with the current time; return True when it is on the disk."""
+        """Journal an event with the current time; return True if it is on the disk."""
         with self._lock:
             self.last_event = event
             now = self._now()
@@ -72,24 +73,24 @@ class Recorder:
         return durable
 
     def sample(self, sample: IrradianceSample) -> bool:
-        """Add a row to its day file; return True when it is on the disk."""
+        """Add a row to its day file; return True if it is on the disk."""
         with self._lock:
             self._rows.append(sample)
             return self._flush_rows()
 
     def missing_bytes(self, size: float) -> int:
-        """Return how many bytes a file of `size` lacks.
+        """Return how many bytes are missing on the disk for a file of `size` bytes.
 
-        Half of the reserve stays for the journal and the rows.
+        Half of the reserve remains for the journal and the rows.
         """
         return max(
             0, round(size) + self._reserve_bytes // 2 - self._free_bytes() - self._reserved_bytes()
         )
 
     def claim(self, size: float) -> None:
-        """Make sure that a file of `size` bytes fits, if necessary into the reserve.
+        """Make sure that a file of `size` bytes fits, if necessary by using the reserve.
 
-        Raises OSError (ENOSPC) if it does not fit.
+        Raises OSError (ENOSPC) if the file does not fit.
         """
         with self._lock:
             if missing := self.missing_bytes(size):
@@ -106,7 +107,7 @@ class Recorder:
         return self._reserve.stat().st_size if self._reserve.is_file() else 0
 
     def make_room(self) -> None:
-        """Free the reserve on a full disk, so that the journal and the rows can be written."""
+        """Delete the reserve on a full disk, so that journal and rows can be written."""
         with self._lock:
             if not self.full:
                 self.full = True
@@ -114,7 +115,7 @@ class Recorder:
                 self.tell("disk-full", bytes_free=self._free_bytes())
 
     def refill(self) -> None:
-        """Write what waits, and set the reserve aside again. Called before each bracket."""
+        """Write what waits in memory, and restore the reserve; called before each bracket."""
         with self._lock:
             try:
                 _allocate(self._reserve, self._reserve_bytes)
@@ -145,9 +146,9 @@ class Recorder:
         return True
 
     def _write(self, write: Callable[[], None]) -> bool:
-        """Write; after a failure, free the reserve or reopen the files, and try once more.
+        """Call `write`; after a failure, delete the reserve or reopen the files, and try once more.
 
-        Return False if that fails too.
+        Return False if this fails too.
         """
         for _ in range(2):
             try:
@@ -166,7 +167,7 @@ class Recorder:
         return False
 
     def _open_anew(self, error: OSError) -> None:
-        """Reopen the files, which are invalid after a disk was away or its folder was moved."""
+        """Reopen the files, which become invalid if the disk was away or its folder was moved."""
         self.last_event = f"not written: {error.strerror or error}"
         with suppress(OSError, InputError):
             self.days.close()
@@ -178,7 +179,7 @@ class Recorder:
             self.days = DayFiles(self._session, flush=self.flush)
 
     def close(self) -> None:
-        """Write what waits and close the files."""
+        """Write the events and rows that wait in memory, and close the files."""
         with self._lock:
             self._flush_events()
             self._flush_rows()
@@ -198,7 +199,7 @@ def _allocate(path: Path, size: int) -> None:
         except (
             AttributeError,
             OSError,
-        ) as error:  # not available: macOS, Windows, FAT on some systems
+        ) as error:  # not available on macOS, on Windows, and for FAT on some systems
             if disk_is_full(error):
                 raise
             file.write(b"\0" * size)

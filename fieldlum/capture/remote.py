@@ -1,4 +1,4 @@
-"""Keep people and monitors informed about a running capture."""
+"""Inform users and monitors about a running capture."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _SETTLED = ("done", "missed", "aborted")
 
 @dataclass(frozen=True, slots=True)
 class Remote:
-    """`listen` takes journal events, `look` the state of the capture; both return at once.
+    """Sends messages and heartbeats about a running capture.
 
-    Events come from the capture and from the thread that logs irradiance, so a lock guards the
-    alerts.
+    `listen` takes journal events, `look` the state of the capture; both return at once. Events come
+    from the capture and from the thread that logs irradiance, so a lock guards the alerts.
     """
 
     alerts: Alerts
@@ -61,10 +61,10 @@ def informed(
     *,
     with_picture: bool = False,
 ) -> Iterator[Remote]:
-    """Yield the object that a capture calls to inform people and monitors; close it afterwards.
+    """Yield the object that a capture calls to send messages and heartbeats; then close it.
 
-    post: sends one message; None without targets. heartbeat_address: empty without a monitor.
-    with_picture: attach the latest contact sheet to the daily summary; it may show people.
+    post: sends one message; None without targets. heartbeat_address: "" without a monitor.
+    with_picture: attach the latest contact sheet to the daily summary; the sheet may show people.
     """
     site = session.site_file().site
 
@@ -73,7 +73,7 @@ def informed(
 
     def report(event: str, why: str) -> None:
         with suppress(OSError):
-            lost = f"note: messages cannot be sent ({why}); they are kept and sent later"
+            lost = f"note: messages cannot be sent ({why}); they are stored and sent later"
             say(lost if event == "notify-lost" else "note: messages are sent again")
 
     outbox = Outbox(post, session.root / OUTBOX, report) if post is not None else None
@@ -84,12 +84,15 @@ def informed(
         if heartbeat is not None:
             heartbeat.close()
         if outbox is not None and (waiting := outbox.close()):
-            say(f"note: {waiting} messages are kept in {session.root / OUTBOX}")
+            say(
+                f"note: {waiting} messages are stored in {session.root / OUTBOX} until they "
+                "can be sent"
+            )
 
 
 def _latest_contact_sheet(session: Session) -> Path | None:
-    """Return the contact sheet that merge wrote last; None without one."""
-    with suppress(OSError):  # a sheet that is being replaced, or a disk that is away
+    """Return the contact sheet that merge wrote last; None if there is none."""
+    with suppress(OSError):  # a sheet may just be replaced, or the disk may be away
         sheets = session.panoramas.glob("contact-*.png")
         return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
     return None

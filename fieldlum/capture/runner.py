@@ -69,12 +69,10 @@ def run(
 ) -> Ledger:
     """Take all brackets that are due; return when every slot of the plan has an outcome.
 
-    `listen` is called with each journal event and must return at once. `open_cam`, `open_pyr`,
-    `open_met` replace what the URIs open.
-
-    Raises DeviceError if a device does not open at the start, while a person is present;
-    InputError if another capture runs in the session; NotEnoughDataError if every slot is past and
-    none was started.
+    `listen` is called with each journal event and must return at once. `open_cam`, `open_pyr` and
+    `open_met` replace what the URIs open. Raises DeviceError if a device does not open at the
+    start; InputError if another capture runs in the session; NotEnoughDataError if every slot is
+    past and no bracket was started.
     """
     with sole_user(session, "capture"):
         looks = check, check_opens, check_shortest
@@ -146,10 +144,10 @@ class _Runner:
         open_met: Callable[[], IlluminanceMeter] | None,
         uris: dict[str, str],
     ) -> None:
-        """Open all devices, or raise for what is missing.
+        """Open all devices, or raise DeviceError for a missing one.
 
-        When a capture is started again, wait for an instrument that had answered before: the
-        brackets must not stop for it.
+        When a capture is started again, an instrument that answered before may be missing for a
+        while: the brackets do not wait for it.
         """
         options = self.options
         self.camera = Keeper("camera", open_cam, self.clock, self.recorder.tell, options.watchdog_s)
@@ -190,7 +188,7 @@ class _Runner:
             self.logger.start()
 
     def _insist(self, keeper: Keeper[Any], uris: dict[str, str]) -> DeviceTable:
-        """Return the instrument's information; empty if a known instrument is away."""
+        """Return the instrument's information; empty if it is away but answered before."""
         known = self.session.table().get("devices", {})
         try:
             return plain_info(keeper.insist().info)
@@ -247,17 +245,21 @@ class _Runner:
         self._show()
 
     def _is_paused(self, state: SlotState) -> bool:
-        """Whether a person paused the capture; a bracket that was begun is finished."""
+        """Return whether the user paused the capture.
+
+        A bracket that has begun is still finished.
+        """
         now = self.clock.now()
         return state.outcome != "started" and paused_until(self.session, now) is not None
 
     def _next_owed(self) -> Slot | None:
-        """Return the next slot without an outcome; a new plan can add slots during a capture."""
+        """Return the next slot without an outcome; the plan may have changed during the capture."""
         if self._plan_changed():
             self._plan_stamp = self._stamp()
             with suppress(InputError, OSError):
                 slots = self.session.slots()
-                # A new plan removes no slot. A damaged file would: keep the plan read before.
+                # A new plan removes no slot, but a damaged file would: then the earlier plan
+                # remains.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
         return next(iter(owed(self.slots, Ledger(dict(self.states)))), None)
@@ -274,7 +276,7 @@ class _Runner:
     def _take(
         self, bracket: BracketCapture, slot: Slot, state: SlotState, deadline: datetime
     ) -> SlotState:
-        """Take a bracket; any failure costs this slot only."""
+        """Take a bracket; any failure affects this slot only."""
         try:
             return bracket.take(slot, state, deadline)
         except Exception as error:
@@ -294,7 +296,7 @@ class _Runner:
         return SlotState("missed", why=f"late{paused}")
 
     def _after_bracket(self, slot: Slot, state: SlotState) -> None:
-        """Log one more sample, so that samples surround the bracket; measure the slot's size."""
+        """Log one more row, so that rows surround the bracket; measure the bracket's size."""
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
@@ -312,7 +314,7 @@ class _Runner:
             self.bytes_per_slot = sum(sizes) / len(sizes) * count
 
     def _wait_until(self, t_utc: datetime) -> bool:
-        """Wait; return False if the plan changed before that time."""
+        """Wait until a time; return False if the plan changed before that time."""
         around = self.options.log_around_s
         if around is not None and self.logger is not None:
             self._sleep_until(t_utc - timedelta(seconds=around), log=False)
@@ -346,9 +348,9 @@ class _Runner:
             self._show()
 
     def _show(self) -> None:
-        """Update the display; continue without one if it fails.
+        """Update the display; continue without a display if it fails.
 
-        Causes are a closed terminal, a pipe without a reader, a share that is away.
+        Causes are a closed terminal, a pipe without a reader, a network share that is away.
         """
         try:
             self.watch(self.live())

@@ -1,4 +1,4 @@
-"""Fold the journal into the state of each slot, and list the slots that still need a bracket."""
+"""Compute the state of each slot from the journal, and list slots that still need a bracket."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Outcome = Literal["", "started", "done", "missed", "aborted"]
 
 @dataclass(frozen=True, slots=True)
 class SlotState:
-    """State of one slot."""
+    """The state of one slot: its outcome, attempts, frames, and the reason for a failure."""
 
     outcome: Outcome = ""
     attempt: int = 1
@@ -39,9 +39,9 @@ class Ledger:
 
 
 def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger:
-    """Return the state after the events; add them to `ledger` if there is one.
+    """Return the state after some events; with `ledger`, add them to that state.
 
-    A capture resumes from this state alone.
+    A capture resumes from this state only.
     """
     ledger = Ledger() if ledger is None else ledger
     for event in events:
@@ -60,8 +60,8 @@ def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger
 
 def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
     if kind == "started":
-        # A second start of the same attempt continues it and keeps its frames; a new attempt
-        # starts without frames.
+        # A second start of the same attempt continues it with its frames; a new attempt starts
+        # without frames.
         attempt = int(event.get("attempt", 1))
         return replace(
             state,
@@ -81,7 +81,7 @@ def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
 
 
 def owed(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:
-    """Return planned slots that are neither done, missed nor aborted, in time order."""
+    """Return planned slots without an outcome (done, missed or aborted), in order of time."""
     settled = ("done", "missed", "aborted")
     unsettled = (s for s in slots if ledger.slots.get(s.id, SlotState()).outcome not in settled)
     return sorted(unsettled, key=lambda slot: slot.t_utc)

@@ -43,7 +43,7 @@ def status(session: Session) -> SessionStatus:
 
 
 def next_step(answer: SessionStatus) -> str:
-    """Return the next step, as a command line where there is one."""
+    """Return the next step, as a command line if there is one."""
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
     models = [row["name"] for row in answer["train"]["models"]]
@@ -55,7 +55,7 @@ def next_step(answer: SessionStatus) -> str:
         during = "doctor" if capture["frames"] == 0 else "capture"
         return f"fieldlum {during} {root}" + ("" if during == "capture" else ", then capture")
     if capture["done"] == 0 and not pair["done"]:
-        return f"no bracket was taken: fieldlum plan {root} --replan"
+        return f"no bracket was taken: run fieldlum plan {root} --replan"
     if not models:
         return f"fieldlum train {root}"
     if not answer["predict"]["years"]:

@@ -1,4 +1,4 @@
-"""The tables that `fieldlum status --json` prints; their keys are a contract."""
+"""Define the tables that `fieldlum status --json` prints; their keys are a contract."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NotRequired, TypedDict
 
 
 class PlanStatus(TypedDict):
-    """The plan; first and last slot are absent from an empty one."""
+    """Size and period of the plan; first and last slot are absent if it is empty."""
 
     set: str
     slots: int
@@ -29,7 +29,7 @@ class CaptureStatus(TypedDict):
 
 
 class LogStatus(TypedDict):
-    """Logged irradiance; last is the newest day."""
+    """Logged irradiance; `last` is the newest day."""
 
     days: int
     rows: int
@@ -38,14 +38,14 @@ class LogStatus(TypedDict):
 
 
 class MergeStatus(TypedDict):
-    """Counts of brackets."""
+    """Numbers of brackets that are merged and still to be merged."""
 
     done: int
     owed: int
 
 
 class PairStatus(MergeStatus):
-    """Counts of panoramas."""
+    """Numbers of panoramas that are paired, still to be paired, and usable."""
 
     usable: int
 
@@ -66,13 +66,13 @@ class PredictStatus(TypedDict):
 
 
 class ReportStatus(TypedDict):
-    """Whether there is a report."""
+    """Whether the report exists."""
 
     done: bool
 
 
 class SessionStatus(TypedDict):
-    """What each stage has done and has still to do."""
+    """What each stage has done, and what is still to do."""
 
     session: str
     name: str

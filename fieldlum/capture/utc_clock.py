@@ -1,4 +1,4 @@
-"""UTC that stays right when the computer's clock is set or the computer sleeps."""
+"""Keep UTC correct when the computer's clock is set or the computer sleeps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fieldlum.devices.clock import Clock
 from fieldlum.session.tables import ClockMark, EventFields, JournalEvent
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
-# drift and is followed. Not measured: the drift between two checks is far smaller.
+# drift, which is followed. Not measured: the drift between two checks is far smaller.
 STEP_S = 2.0
 
 
@@ -30,7 +30,7 @@ def synchronised() -> bool:
 
 
 def boot_id() -> str:
-    """Return an identifier of this boot of the machine; empty where the system has none."""
+    """Return an identifier of this boot of the computer; "" if the system has none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
@@ -38,7 +38,7 @@ def boot_id() -> str:
 
 
 class SteadyClock:
-    """A `Clock`: UTC at the start plus the time since boot, which includes sleep.
+    """A `Clock`: UTC at the start plus the time since then, which includes sleep.
 
     A step of the computer's clock is followed only if a time server controls that clock. Otherwise
     the steady time continues, so that slots keep their sun position. `check` reports steps and
@@ -58,11 +58,11 @@ class SteadyClock:
         return self._anchor + timedelta(seconds=self._clock.boottime() - self._boot)
 
     def monotonic(self) -> float:
-        """Return the time without sleep [s]."""
+        """Return seconds since a fixed start; they stop while the computer sleeps."""
         return self._clock.monotonic()
 
     def boottime(self) -> float:
-        """Return the time since boot with sleep [s]."""
+        """Return seconds since the boot; they continue while the computer sleeps."""
         return self._clock.boottime()
 
     def sleep(self, seconds: float) -> None:
@@ -70,7 +70,7 @@ class SteadyClock:
         self._clock.sleep(seconds)
 
     def mark(self) -> ClockMark:
-        """Return what a later process needs to continue this time."""
+        """Return what a later process needs to continue the time of this one."""
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
     def carry_on(self, then: datetime, mark: ClockMark | JournalEvent) -> None:
@@ -82,7 +82,10 @@ class SteadyClock:
             self._anchor, self._boot = then, float(mark.get("boottime_s", 0.0))
 
     def check(self) -> list[tuple[str, EventFields]]:
-        """Return journal events since the last call, (name, fields): `suspend`, `clock-step`."""
+        """Return the journal events since the last call: `suspend`, `clock-step`.
+
+        Each event is its name and its fields.
+        """
         events: list[tuple[str, EventFields]] = []
         slept = self._clock.boottime() - self._clock.monotonic()
         if slept - self._slept > STEP_S:

@@ -1,4 +1,7 @@
-"""Check a new frame while it can still be taken again: readable, as requested, not all clipped."""
+"""Check a new frame while it can still be taken again.
+
+It must be readable, have the requested exposure, and not be clipped everywhere.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,12 @@ from fieldlum.errors import InputError
 from fieldlum.raw import JPEG_SUFFIXES, FrameInfo, read_exif, read_jpeg, read_mosaic
 from fieldlum.records import Exposure
 
-TOLERANCE_EV = 1 / 6  # a camera that used another setting is at least 1/3 EV away
+TOLERANCE_EV = 1 / 6  # EV; a camera that used another setting is at least 1/3 EV away
 ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is useless; not measured
 
 
 def doubts(path: Path, asked: Exposure) -> str:
-    """Return what is wrong with a new frame's EXIF, or an empty text."""
+    """Return what is wrong with a new frame's EXIF, or ""."""
     try:
         info = read_exif(path, lens_f_number=asked.f_number)
     except InputError as error:
@@ -28,7 +31,7 @@ def doubts(path: Path, asked: Exposure) -> str:
 def as_taken(path: Path, asked: Exposure) -> Exposure:
     """Return the exposure to record for a doubtful frame.
 
-    That is EXIF's exposure where it is readable and differs from the request, else the request.
+    This is EXIF's exposure if it is readable and differs from the request, else the request.
     """
     try:
         info = read_exif(path, lens_f_number=asked.f_number)
@@ -58,7 +61,7 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
 def clipped_share(path: Path) -> float:
     """Return the share of a frame's pixels at its highest value, or at a JPEG's top code.
 
-    Raises InputError.
+    Raises InputError if the frame cannot be read.
     """
     if path.suffix.lower() in JPEG_SUFFIXES:
         return float(np.mean(read_jpeg(path).codes.max(axis=2) >= 254))
@@ -69,7 +72,7 @@ def clipped_share(path: Path) -> float:
 
 
 def bracket_doubts(shortest: Path) -> str:
-    """Return a text if more than half of the shortest frame's pixels are clipped."""
+    """Return a warning if more than half of the shortest frame's pixels are clipped, else ""."""
     try:
         share = clipped_share(shortest)
     except InputError as error:
